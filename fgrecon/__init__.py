@@ -1,0 +1,1 @@
+"""Pose and shape of a vehicle from a single image, by factor-graph optimisation."""

@@ -1,0 +1,142 @@
+"""Pinhole camera with optional OpenCV lens distortion, and the ground plane seen from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fgrecon.checks import as_finite
+from fgrecon.errors import InvalidInputError
+
+__all__ = ["Camera", "Ground"]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Pinhole camera: pixel = K [x/z, y/z, 1], pixel centres at integer coordinates.
+
+    Attributes:
+        matrix: (3, 3) upper triangular intrinsics K with last row (0, 0, 1); a skew is allowed.
+        distortion: OpenCV distortion coefficients (4, 5, 8, 12 or 14 numbers), or None.
+        image_size: (width, height) in pixels where known, else None.
+    """
+
+    matrix: NDArray[np.float64]
+    distortion: NDArray[np.float64] | None = None
+    image_size: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        """Check the matrix and the coefficients.
+
+        Raises:
+            InvalidInputError: The matrix is singular or not upper triangular, or the number of coefficients is wrong.
+        """
+        matrix = as_finite("intrinsics", self.matrix, (3, 3), "Give the 3x3 camera matrix K.")
+        if matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
+            raise InvalidInputError("intrinsics", [matrix[0, 0], matrix[1, 1]], "Give positive focal lengths fx, fy.")
+        if np.any(matrix[[1, 2, 2], [0, 0, 1]] != 0) or matrix[2, 2] != 1:
+            raise InvalidInputError("intrinsics", matrix.tolist(), "Give [[fx, s, cx], [0, fy, cy], [0, 0, 1]].")
+        object.__setattr__(self, "matrix", matrix)
+        if self.distortion is not None:
+            coefficients = as_finite("distortion", self.distortion, (None,))
+            if len(coefficients) not in (4, 5, 8, 12, 14):
+                raise InvalidInputError(
+                    "distortion", f"{len(coefficients)} coefficients", "Give 4, 5, 8, 12 or 14 (OpenCV's order)."
+                )
+            object.__setattr__(self, "distortion", coefficients if coefficients.any() else None)
+
+    @classmethod
+    def of(cls, intrinsics: Camera | ArrayLike, distortion: ArrayLike | None = None) -> Camera:
+        """A camera from K (3, 3), from (fx, fy, cx, cy), or unchanged where it is one already.
+
+        Raises:
+            InvalidInputError: The intrinsics are neither.
+        """
+        if isinstance(intrinsics, Camera):
+            return intrinsics
+        coefficients = None if distortion is None else as_finite("distortion", distortion, (None,))
+        if np.shape(intrinsics) == (4,):
+            fx, fy, cx, cy = as_finite("intrinsics", intrinsics, (4,))
+            return cls(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), coefficients)
+        return cls(np.asarray(intrinsics), coefficients)
+
+    def project(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Pixels (..., 2) of points (..., 3) in the camera frame, without distortion."""
+        homogeneous = np.asarray(points, dtype=np.float64) @ self.matrix.T
+        return homogeneous[..., :2] / homogeneous[..., 2:]
+
+    def rays(self, pixels: ArrayLike) -> NDArray[np.float64]:
+        """Directions (..., 3) with z = 1 of undistorted pixels (..., 2)."""
+        pixels = np.asarray(pixels, dtype=np.float64)
+        homogeneous = np.concatenate([pixels, np.ones_like(pixels[..., :1])], axis=-1)
+        return homogeneous @ np.linalg.inv(self.matrix).T
+
+    def undistort(self, pixels: ArrayLike) -> NDArray[np.float64]:
+        """Pixels (M, 2) as the ideal pinhole camera with the same K sees them; NaN rows stay NaN."""
+        pixels = np.array(pixels, dtype=np.float64)
+        if self.distortion is None or not len(pixels):
+            return pixels
+        import cv2  # on use: importing fgrecon must not import OpenCV
+
+        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
+        seen = np.isfinite(pixels).all(axis=1)
+        if seen.any():
+            ideal: Any = cv2.undistortPoints(
+                pixels[seen][:, None], self.matrix, self.distortion, P=self.matrix, criteria=criteria
+            )
+            pixels[seen] = ideal[:, 0]
+        return pixels
+
+    def distort(self, pixels: ArrayLike) -> NDArray[np.float64]:
+        """The reverse of `undistort`: where the real camera images ideal pixels (M, 2)."""
+        pixels = np.array(pixels, dtype=np.float64)
+        if self.distortion is None or not len(pixels):
+            return pixels
+        import cv2
+
+        zero = np.zeros(3)
+        projected: Any = cv2.projectPoints(self.rays(pixels), zero, zero, self.matrix, self.distortion)[0]
+        return projected[:, 0]
+
+
+@dataclass(frozen=True)
+class Ground:
+    """The ground plane in the camera frame: points with normal . x = distance.
+
+    Attributes:
+        normal: (3,) unit vector pointing down, into the ground.
+        distance: Height of the camera above the ground, metres.
+        height_sigma: How far a vehicle's origin may lie off the plane (1 sigma, metres).
+        tilt_sigma: How far its down axis may lean from the normal (1 sigma, radians).
+    """
+
+    normal: NDArray[np.float64]
+    distance: float
+    height_sigma: float = 0.15
+    tilt_sigma: float = 0.03
+
+    def __post_init__(self) -> None:
+        """Check and normalise the plane.
+
+        Raises:
+            InvalidInputError: The normal has no length or points up, or a number is not positive.
+        """
+        normal = as_finite("ground.normal", self.normal, (3,))
+        length = float(np.linalg.norm(normal))
+        if length < 1e-9:
+            raise InvalidInputError("ground.normal", normal.tolist(), "Give a vector of length above zero.")
+        if normal[1] <= 0:
+            raise InvalidInputError("ground.normal", normal.tolist(), "Let the normal point down (positive y).")
+        object.__setattr__(self, "normal", normal / length)
+        for field in ("distance", "height_sigma", "tilt_sigma"):
+            value = getattr(self, field)
+            if not (np.isfinite(value) and value > 0):
+                raise InvalidInputError(f"ground.{field}", value, "Give a positive number.")
+
+    @classmethod
+    def level(cls, camera_height: float) -> Ground:
+        """The ground under a level camera at a height in metres (KITTI: 1.65)."""
+        return cls(np.array([0.0, 1.0, 0.0]), camera_height)

@@ -1,0 +1,1 @@
+"""Command line of fgrecon: one module per command, registered in `fgrecon.cli.main`."""

@@ -1,0 +1,1 @@
+"""Pose adjustment: ASPnP, visibility, weights."""

@@ -1,0 +1,1 @@
+"""Shape and size priors."""

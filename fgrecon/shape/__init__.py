@@ -1,0 +1,1 @@
+"""Shape-aware adjustment: the factor graph over pose, lambda and planes."""

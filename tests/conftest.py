@@ -1,0 +1,25 @@
+"""Shared fixtures: where the real data is, and the shipped category and prior."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+
+
+def data_root() -> Path | None:
+    """Folder of the real data: FGRECON_DATA, else ../shared/data beside the checkout; None where absent."""
+    folder = Path(os.environ.get("FGRECON_DATA", REPOSITORY.parent / "shared" / "data"))
+    return folder if folder.is_dir() else None
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    """The folder of the real data; skips where it is absent."""
+    folder = data_root()
+    if folder is None:
+        pytest.skip("the real data is absent: set FGRECON_DATA or put it at ../shared/data")
+    return folder
