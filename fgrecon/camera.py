@@ -66,13 +66,15 @@ class Camera:
     def project(self, points: ArrayLike) -> NDArray[np.float64]:
         """Pixels (..., 2) of points (..., 3) in the camera frame, without distortion."""
         homogeneous = np.asarray(points, dtype=np.float64) @ self.matrix.T
-        return homogeneous[..., :2] / homogeneous[..., 2:]
+        pixels: NDArray[np.float64] = homogeneous[..., :2] / homogeneous[..., 2:]
+        return pixels
 
     def rays(self, pixels: ArrayLike) -> NDArray[np.float64]:
         """Directions (..., 3) with z = 1 of undistorted pixels (..., 2)."""
         pixels = np.asarray(pixels, dtype=np.float64)
         homogeneous = np.concatenate([pixels, np.ones_like(pixels[..., :1])], axis=-1)
-        return homogeneous @ np.linalg.inv(self.matrix).T
+        directions: NDArray[np.float64] = homogeneous @ np.linalg.inv(self.matrix).T
+        return directions
 
     def undistort(self, pixels: ArrayLike) -> NDArray[np.float64]:
         """Pixels (M, 2) as the ideal pinhole camera with the same K sees them; NaN rows stay NaN."""

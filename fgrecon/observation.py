@@ -38,13 +38,14 @@ class Observation:
         """
         set_ = object.__setattr__
         keypoints = as_shape("keypoints", self.keypoints, (None, 2))
-        missing = np.isnan(keypoints).any(axis=1)
+        missing: NDArray[np.bool_] = np.any(np.isnan(keypoints), axis=1)
         if np.isinf(keypoints).any():
             raise InvalidInputError("keypoints", "an infinite pixel", "Give finite pixels, or NaN where not measured.")
         confidence = as_shape("confidence", self.confidence, (len(keypoints),))
-        if np.isnan(confidence[~missing]).any() or (confidence[~missing] < 0).any() or (confidence[~missing] > 1).any():
-            bad = confidence[~missing & ~((confidence >= 0) & (confidence <= 1))][0]
-            raise InvalidInputError("confidence", float(bad), "Give numbers from 0 to 1.")
+        given = confidence[~missing]
+        outside = given[~((given >= 0) & (given <= 1))]
+        if len(outside):
+            raise InvalidInputError("confidence", float(outside[0]), "Give numbers from 0 to 1.")
         set_(self, "keypoints", np.where(missing[:, None], np.nan, keypoints))
         set_(self, "confidence", np.where(missing, 0.0, confidence))
         if self.box is not None:
@@ -60,7 +61,8 @@ class Observation:
     @property
     def measured(self) -> NDArray[np.bool_]:
         """(K,) whether a keypoint has a measurement."""
-        return np.isfinite(self.keypoints[:, 0])
+        finite: NDArray[np.bool_] = np.isfinite(self.keypoints[:, 0])
+        return finite
 
     @property
     def extent(self) -> float:

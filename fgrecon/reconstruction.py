@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from enum import Enum
+from enum import Enum, StrEnum
 from typing import Any
 
 import gtsam
@@ -18,7 +18,7 @@ __all__ = ["Alternative", "Iteration", "Reconstruction", "Status", "rotation_y"]
 FORMAT = "fgrecon.reconstruction/1"
 
 
-class Status(str, Enum):
+class Status(StrEnum):
     """How a reconstruction ended."""
 
     CONVERGED = "converged"

@@ -97,14 +97,14 @@ class ShapePrior:
             faces = np.asarray(self.surface.faces)
             if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
                 raise InvalidInputError("prior.surface.faces", f"{faces.dtype} {faces.shape}", "Give integers (F, 3).")
-            if faces.size and not (0 <= faces.min() and faces.max() < len(vertices)):
+            if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
                 raise InvalidInputError("prior.surface.faces", faces.max(), f"Use indices below {len(vertices)}.")
             set_(self, "surface", Surface(vertices, basis, faces.astype(np.int32)))
 
     @property
     def dimension(self) -> int:
         """Number of coefficients N."""
-        return self.basis.shape[0]
+        return len(self.basis)
 
     def keypoints(self, coefficients: ArrayLike, offsets: ArrayLike | None = None) -> NDArray[np.float64]:
         """(K, 3) keypoints in the object frame at the coefficients (N,) and free offsets (K, 3)."""
