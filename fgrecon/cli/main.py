@@ -10,6 +10,7 @@ import sys
 
 import typer
 
+from fgrecon.cli import evaluate
 from fgrecon.errors import FgreconError
 
 __all__ = ["app", "main"]
@@ -21,6 +22,9 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+
+
+app.add_typer(evaluate.app, name="evaluate")
 
 
 @app.callback()

@@ -1,0 +1,165 @@
+"""`fgrecon evaluate`: methods side by side on data with known poses."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
+    from collections.abc import Callable, Iterator, Sequence
+
+    from rich.table import Table
+
+    from fgrecon.camera import Ground
+    from fgrecon.evaluation.run import MethodScores
+    from fgrecon.priors.size_prior import SizePrior
+
+__all__ = ["KITTI_CAMERA_HEIGHT", "app"]
+
+KITTI_CAMERA_HEIGHT = 1.65
+"""Height of KITTI's cameras above the road, metres."""
+
+_WIDTH = 180
+_FAILURES_SHOWN = 5
+
+app = typer.Typer(help="Compare fgrecon with other methods on data with known poses.", no_args_is_help=True)
+
+
+@app.callback()
+def _group() -> None:
+    """Compare fgrecon with other methods on data with known poses."""
+
+
+@app.command("tracks")
+def tracks_command(
+    files: Annotated[list[Path], typer.Argument(help="Tracks with keypoints and labelled poses (JSON).")],
+    method: Annotated[
+        list[str] | None, typer.Option(help="Run this method alone; give it again for more.", show_default="all")
+    ] = None,
+    prior: Annotated[str, typer.Option(help="Shape prior: a shipped name or an npz file.")] = "car14",
+    size_prior: Annotated[
+        str, typer.Option(help="Size of the fleet for the rows `+size`: kitti, apollo79 or length,width,height in m.")
+    ] = "kitti",
+    camera_height: Annotated[
+        float | None,
+        typer.Option(help="Height of a level camera for the row `+ground`, m.", show_default=str(KITTI_CAMERA_HEIGHT)),
+    ] = None,
+    ground: Annotated[
+        str | None,
+        typer.Option(metavar="NX,NY,NZ,D", help="Ground plane instead: normal pointing down, camera height in m."),
+    ] = None,
+    json_out: Annotated[
+        str | None, typer.Option("--json", metavar="FILE", help="Write the results as JSON; - for the output.")
+    ] = None,
+    markdown_out: Annotated[Path | None, typer.Option("--markdown", help="Write the table as Markdown.")] = None,
+    frames_out: Annotated[
+        Path | None, typer.Option("--per-frame", help="Write every frame's errors by method as JSON.")
+    ] = None,
+    progress: Annotated[
+        bool | None, typer.Option("--progress/--no-progress", help="Progress bar.", show_default="on a terminal")
+    ] = None,
+) -> None:
+    """Score poses on tracks: orientation error, AOP at 5, 15 and 30 degrees, translation error, time per stage.
+
+    A frame that a method fails on counts as 180 degrees and stays in N. Exit code 1: a method failed on every frame.
+    """
+    from fgrecon.catalogue import load_prior
+    from fgrecon.evaluation import report
+    from fgrecon.evaluation.methods import Scene, select
+    from fgrecon.evaluation.run import score_tracks
+    from fgrecon.evaluation.tracks import read_track
+    from fgrecon.files import write_text
+    from fgrecon.priors.size_prior import size_prior as parse_size
+
+    for path in (Path(json_out) if json_out not in (None, "-") else None, markdown_out, frames_out):
+        _check_folder(path)
+    plane, origin = _ground(ground, camera_height)
+    scene = Scene(prior=load_prior(prior), ground=plane, size=parse_size(size_prior))
+    methods = select(method or None)
+    tracks = [read_track(file, scene.prior.category) for file in files]
+
+    frames = sum(len(track.frames) for track in tracks)
+    shown = sys.stderr.isatty() if progress is None else progress
+    with _bar(frames * len(methods), shown=shown) as advance:
+        scores = score_tracks(tracks, methods, scene, advance)
+
+    _show(report.table(scores), scores, f"+ground: {origin}. +size: {_in_words(scene.size)}.", error=json_out == "-")
+    if json_out is not None:
+        text = report.to_json(
+            report.document(scores, list(zip(map(str, files), tracks, strict=True)), scene, {"ground": origin})
+        )
+        if json_out == "-":
+            sys.stdout.write(text)
+        else:
+            write_text(json_out, text)
+    if markdown_out is not None:
+        write_text(markdown_out, report.markdown(scores))
+    if frames_out is not None:
+        write_text(frames_out, report.to_json(report.frames_document(scores)))
+    if any(len(entry.failures) == len(entry.frames) for entry in scores):
+        raise typer.Exit(1)
+
+
+def _show(table: Table, scores: Sequence[MethodScores], told: str, *, error: bool) -> None:
+    """Print the table, what the methods were told, and which frames they failed on."""
+    from rich.console import Console
+
+    console = Console(stderr=error, highlight=False, soft_wrap=True)
+    if not console.is_terminal:
+        console.width = _WIDTH  # a pipe has no width, and 80 columns would cut the numbers off
+    console.print(table)
+    console.print(told, markup=False)
+    for entry in scores:
+        for failure in entry.failures[:_FAILURES_SHOWN]:
+            console.print(f"{entry.name} failed on {failure.frame}: {failure.failure}", markup=False)
+        if len(entry.failures) > _FAILURES_SHOWN:
+            console.print(f"{entry.name} failed on {len(entry.failures) - _FAILURES_SHOWN} more: see --json.")
+
+
+def _in_words(size: SizePrior) -> str:
+    length, width, height = size.mean
+    return f"{size.name}, {length:g} m long, {width:g} m wide, {height:g} m high on average"
+
+
+def _ground(plane: str | None, height: float | None) -> tuple[Ground, str]:
+    """The ground plane, and in words where it comes from."""
+    from fgrecon.camera import Ground
+    from fgrecon.errors import InvalidInputError
+
+    if plane is None:
+        if height is None:
+            return Ground.level(KITTI_CAMERA_HEIGHT), f"level camera {KITTI_CAMERA_HEIGHT} m above the ground (KITTI's)"
+        return Ground.level(height), f"level camera {height:g} m above the ground"
+    if height is not None:
+        raise InvalidInputError("camera_height", height, "Give either --camera-height or --ground.")
+    try:
+        nx, ny, nz, distance = (float(part) for part in plane.split(","))
+    except ValueError:
+        raise InvalidInputError("ground", plane, "Give nx,ny,nz,d: four numbers.") from None
+    import numpy as np
+
+    return Ground(np.array([nx, ny, nz]), distance), f"plane {plane}"
+
+
+def _check_folder(path: Path | None) -> None:
+    """Refuse an output that cannot be written before the work instead of after it."""
+    from fgrecon.errors import InvalidInputError
+
+    if path is not None and (path.is_dir() or not path.resolve().parent.is_dir()):
+        raise InvalidInputError("output", str(path), "Give a file in a folder that exists.")
+
+
+@contextlib.contextmanager
+def _bar(total: int, *, shown: bool) -> Iterator[Callable[[str], None]]:
+    """A progress bar on the error stream, or nothing."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True, disable=not shown) as progress:
+        task = progress.add_task("", total=total)
+        yield lambda name: progress.update(task, advance=1, description=name)

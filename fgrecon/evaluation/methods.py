@@ -1,0 +1,249 @@
+"""One registry of every method that the tables compare, by name.
+
+A method is bound once to what is known about the scene (shape prior, ground plane, fleet size) and then maps an
+observation and a camera to a pose. The part of a name after `+` says what the method was told: `+size` the mean size of
+the fleet, `+ground` the ground plane; a method without them is not shown these values.
+
+The baselines fit the prior's mean shape, scaled per axis to the fleet's mean size where they are told it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.camera import Camera, Ground
+from fgrecon.errors import FgreconError, InvalidInputError
+from fgrecon.observation import Observation
+from fgrecon.priors.shape_prior import ShapePrior
+from fgrecon.priors.size_prior import SizePrior
+
+__all__ = ["CONFIDENT", "METHODS", "RANSAC_TOLERANCE", "Estimate", "Method", "Scene", "select"]
+
+CONFIDENT = 0.3
+"""Confidence above which `sqpnp_confident` uses a point."""
+
+RANSAC_TOLERANCE = 0.12
+"""Inlier threshold of the RANSAC baseline relative to the longer side of the box: on real network keypoints the best of
+0.05 to 0.2, so that the baseline is not handicapped (0.1, the tolerance of the APK, costs it two flips in 76)."""
+
+_MINIMUM = 4  # fewer points leave several poses
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What the user knows; each method is told the part that its name says.
+
+    Attributes:
+        prior: Shape prior of the category.
+        ground: Ground plane in the camera's frame.
+        size: Size of the fleet.
+    """
+
+    prior: ShapePrior
+    ground: Ground
+    size: SizePrior
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a method found.
+
+    Attributes:
+        camera_T_object: (4, 4) pose, maps object coordinates into the camera frame.
+        milliseconds: Wall time by stage, `pose` and, where the method has that stage, `shape`.
+    """
+
+    camera_T_object: NDArray[np.float64]
+    milliseconds: Mapping[str, float]
+
+
+Solver = Callable[[Observation, Camera], Estimate]
+"""A bound method. It refuses by raising; whoever scores it counts that as a failure."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A named method.
+
+    Attributes:
+        name: Key in the registry and in every table.
+        summary: What it does, in a few words.
+        bind: Makes the solver for a scene; slow imports happen here, outside the time that is measured.
+        prior_name: Which shapes it fits, for the tables.
+    """
+
+    name: str
+    summary: str
+    bind: Callable[[Scene], Solver]
+    prior_name: Callable[[Scene], str]
+
+
+def select(names: Iterable[str] | None = None) -> tuple[Method, ...]:
+    """The methods of the given names in this order without repetitions, or all of them.
+
+    Raises:
+        InvalidInputError: There is no method of a name.
+    """
+    chosen: dict[str, Method] = {}
+    for name in METHODS if names is None else names:
+        if name not in METHODS:
+            raise InvalidInputError("method", name, f"Use one of {', '.join(METHODS)}.")
+        chosen[name] = METHODS[name]
+    return tuple(chosen.values())
+
+
+Shape = NDArray[np.float64]
+PnP = Callable[[Shape, Observation, Camera], NDArray[np.float64]]
+"""Object points (K, 3), undistorted observation, camera -> camera_T_object (4, 4)."""
+
+
+def _use_all(observation: Observation) -> NDArray[np.intp]:
+    return np.flatnonzero(observation.measured)
+
+
+def _use_confident(observation: Observation) -> NDArray[np.intp]:
+    """Points above `CONFIDENT`, or the four most confident ones where there are fewer."""
+    confident = np.flatnonzero(observation.confidence > CONFIDENT)
+    if len(confident) >= _MINIMUM:
+        return confident
+    measured = np.flatnonzero(observation.measured)
+    best: NDArray[np.intp] = measured[np.argsort(-observation.confidence[measured], kind="stable")[:_MINIMUM]]
+    return np.sort(best)
+
+
+def _opencv(flag: str, points: Callable[[Observation], NDArray[np.intp]]) -> Callable[[], PnP]:
+    def load() -> PnP:
+        import cv2
+
+        def solve(shape: Shape, observation: Observation, camera: Camera) -> NDArray[np.float64]:
+            used = _enough(points(observation))
+            found, rotation, translation = cv2.solvePnP(
+                shape[used], observation.keypoints[used], camera.matrix, None, flags=getattr(cv2, flag)
+            )
+            if not found:
+                raise FgreconError(f"OpenCV found no pose from {len(used)} points.")
+            return _pose(cv2.Rodrigues(rotation)[0], translation)
+
+        return solve
+
+    return load
+
+
+def _poselib() -> PnP:
+    import poselib
+
+    def solve(shape: Shape, observation: Observation, camera: Camera) -> NDArray[np.float64]:
+        used = _enough(_use_all(observation))
+        # normalised by K, so that a skewed camera is no special case; PoseLib takes thresholds in pixels of its camera
+        focal = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
+        pinhole = {"model": "SIMPLE_PINHOLE", "width": 0, "height": 0, "params": [focal, 0.0, 0.0]}
+        pixels = focal * camera.rays(observation.keypoints[used])[:, :2]
+        options = {"max_reproj_error": RANSAC_TOLERANCE * observation.extent, "seed": 0}
+        pose, info = poselib.estimate_absolute_pose(pixels, shape[used], pinhole, options, {})
+        if not info["num_inliers"]:
+            raise FgreconError(f"PoseLib found no pose from {len(used)} points.")
+        return _pose(pose.R, pose.t)
+
+    return solve
+
+
+def _aspnp() -> PnP:
+    from fgrecon.pose.aspnp import aspnp
+
+    def solve(shape: Shape, observation: Observation, camera: Camera) -> NDArray[np.float64]:
+        used = _enough(_use_all(observation))
+        return aspnp(shape[used], observation.keypoints[used], camera)
+
+    return solve
+
+
+def _enough(points: NDArray[np.intp]) -> NDArray[np.intp]:
+    if len(points) < _MINIMUM:
+        raise InvalidInputError("keypoints", f"{len(points)} measured", f"Give at least {_MINIMUM}.")
+    return points
+
+
+def _pose(rotation: Any, translation: Any) -> NDArray[np.float64]:
+    camera_T_object = np.eye(4)
+    camera_T_object[:3, :3] = rotation
+    camera_T_object[:3, 3] = np.ravel(translation)
+    return camera_T_object
+
+
+def _baseline(name: str, summary: str, load: Callable[[], PnP], *, size: bool) -> Method:
+    def prior(scene: Scene) -> ShapePrior:
+        return scene.prior.for_fleet(scene.size) if size else scene.prior
+
+    def bind(scene: Scene) -> Solver:
+        shape, pnp = np.ascontiguousarray(prior(scene).mean), load()
+
+        def solve(observation: Observation, camera: Camera) -> Estimate:
+            start = time.perf_counter()
+            if camera.distortion is not None:
+                observation = replace(observation, keypoints=camera.undistort(observation.keypoints))
+                camera = replace(camera, distortion=None)
+            camera_T_object = pnp(shape, observation, camera)
+            return Estimate(camera_T_object, {"pose": 1e3 * (time.perf_counter() - start)})
+
+        return solve
+
+    return Method(f"{name}+size" if size else name, summary, bind, lambda scene: f"mean shape of {prior(scene).name}")
+
+
+def _fgrecon(name: str, *, ground: bool, size: bool) -> Method:
+    def bind(scene: Scene) -> Solver:
+        from fgrecon.pipeline import reconstruct
+        from fgrecon.reconstruction import Status
+
+        def solve(observation: Observation, camera: Camera) -> Estimate:
+            result = reconstruct(
+                observation.keypoints,
+                camera,
+                confidence=observation.confidence,
+                box=observation.box,
+                covariance=observation.covariance,
+                prior=scene.prior,
+                ground=scene.ground if ground else None,
+                size_prior=scene.size if size else None,
+            )
+            if result.status is Status.FAILED:
+                raise FgreconError(result.message)
+            return Estimate(result.camera_T_object, result.milliseconds)
+
+        return solve
+
+    def prior_name(scene: Scene) -> str:
+        return scene.prior.for_fleet(scene.size).name if size else scene.prior.name
+
+    return Method(name, "pose and shape by factor-graph optimisation", bind, prior_name)
+
+
+_BASELINES: tuple[tuple[str, str, Callable[[], PnP]], ...] = (
+    ("epnp", "OpenCV EPnP on all points", _opencv("SOLVEPNP_EPNP", _use_all)),
+    ("sqpnp", "OpenCV SQPnP on all points", _opencv("SOLVEPNP_SQPNP", _use_all)),
+    (
+        "sqpnp_confident",
+        f"OpenCV SQPnP on points of confidence > {CONFIDENT}",
+        _opencv("SOLVEPNP_SQPNP", _use_confident),
+    ),
+    ("poselib_ransac", "PoseLib LO-RANSAC on all points", _poselib),
+    ("aspnp", "ASPnP on all points, without IRLS", _aspnp),
+)
+
+METHODS: Mapping[str, Method] = {
+    method.name: method
+    for method in (
+        *(_baseline(*baseline, size=False) for baseline in _BASELINES),
+        *(_baseline(*baseline, size=True) for baseline in _BASELINES),
+        _fgrecon("fgrecon", ground=False, size=False),
+        _fgrecon("fgrecon+size", ground=False, size=True),
+        _fgrecon("fgrecon+ground+size", ground=True, size=True),
+    )
+}
+"""Every method by its name, in the order of the tables."""

@@ -1,0 +1,201 @@
+"""Tracks of vehicles with network keypoints and labelled poses, one JSON file per track.
+
+A file holds `K`, `P2` (KITTI's projection of the colour camera), `keypoint_names` and `frames`; each frame holds
+`frame`, `box_xyxy`, `keypoints_uv`, `confidence` and `gt` with `location` and `rotation_y`. A keypoint without any
+measurement is `[null, null]`. Labels are in the rectified reference camera: a labelled point in the frame of the colour
+camera, which took the image, is X + t2 with t2 = K^-1 P2[:, 3]; the yaw is the same in both.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.camera import Camera
+from fgrecon.category import Category
+from fgrecon.errors import InvalidInputError
+from fgrecon.observation import Observation
+
+__all__ = ["Frame", "GroundTruth", "Track", "parse_track", "read_track"]
+
+_INTRINSICS_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class GroundTruth:
+    """Labelled pose.
+
+    Attributes:
+        location: (3,) origin of the vehicle (centre of its bottom face) in the label's frame, metres.
+        rotation_y: Yaw about the camera's y axis, radians; 0 when the vehicle faces camera +x.
+    """
+
+    location: NDArray[np.float64]
+    rotation_y: float
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One vehicle in one image.
+
+    Attributes:
+        name: `<track>:<number of the frame>`, shown wherever the frame is mentioned.
+        observation: Keypoints, confidences and box; None where the frame has no measured keypoint at all.
+        truth: The labelled pose.
+    """
+
+    name: str
+    observation: Observation | None
+    truth: GroundTruth
+
+
+@dataclass(frozen=True)
+class Track:
+    """One vehicle over several images of one camera.
+
+    Attributes:
+        name: Name of the track (of its file, without the ending).
+        camera: The colour camera. The files do not tell the image's size.
+        label_offset: (3,) t2 in metres: a labelled point in the colour camera's frame is X + t2.
+        frames: In the order of the file, at least one.
+    """
+
+    name: str
+    camera: Camera
+    label_offset: NDArray[np.float64]
+    frames: tuple[Frame, ...]
+
+
+def read_track(path: Path, category: Category) -> Track:
+    """Read one track.
+
+    Args:
+        path: JSON file.
+        category: The category whose keypoints the file must hold; they are brought into its order.
+
+    Raises:
+        InvalidInputError: The file cannot be read, is not JSON, or a field is missing or unusable; names file, frame
+            and field.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InvalidInputError("file", str(path), f"Give a file that can be read ({error.strerror}).") from error
+    except (ValueError, RecursionError) as error:
+        raise InvalidInputError(str(path), str(error), "Give a JSON file in UTF-8.") from error
+    return parse_track(data, path.stem, category, where=f"{path}: ")
+
+
+def parse_track(data: Any, name: str, category: Category, where: str = "") -> Track:
+    """Check the content of a file and turn it into a track.
+
+    Args:
+        data: What the JSON file holds.
+        name: Name of the track.
+        category: The category whose keypoints the file must hold.
+        where: Put in front of every field that an error names.
+
+    Raises:
+        InvalidInputError: A field is missing or unusable.
+    """
+    fields = _Fields(data, where)
+    matrix = fields.numbers("K", (3, 3))
+    projection = fields.numbers("P2", (3, 4))
+    if np.abs(projection[:, :3] - matrix).max() > _INTRINSICS_TOLERANCE * np.abs(matrix).max():
+        raise InvalidInputError(f"{where}P2", projection.tolist(), "Give P2 = K [I | t2], with the same K.")
+    try:
+        camera = Camera(matrix)
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{where}K", error.value, error.fix) from error
+    names = fields.get("keypoint_names", list)
+    if sorted(map(str, names)) != sorted(category.keypoints):
+        fix = f"Name each keypoint of {category.name} once: {', '.join(category.keypoints)}."
+        raise InvalidInputError(f"{where}keypoint_names", names, fix)
+    order = np.array([names.index(keypoint) for keypoint in category.keypoints])
+    records = fields.get("frames", list)
+    if not records:
+        raise InvalidInputError(f"{where}frames", records, "Give at least one frame.")
+    label_offset = np.linalg.solve(matrix, projection[:, 3]).astype(np.float64)
+    return Track(
+        name=name,
+        camera=camera,
+        label_offset=label_offset,
+        frames=tuple(_frame(record, i, name, order, where) for i, record in enumerate(records)),
+    )
+
+
+def _frame(record: Any, position: int, track: str, order: NDArray[np.intp], where: str) -> Frame:
+    number = _Fields(record, f"{where}frames[{position}].").get("frame", int)
+    where = f"{where}frame {number}: "
+    fields = _Fields(record, where)
+    count = len(order)
+    keypoints = fields.numbers("keypoints_uv", (count, 2), missing=True)[order]
+    confidence = fields.numbers("confidence", (count,), missing=True)[order]
+    box = fields.numbers("box_xyxy", (4,))
+    try:
+        observation = Observation(keypoints, confidence, box)
+    except InvalidInputError as error:
+        name = {"keypoints": "keypoints_uv", "box": "box_xyxy"}.get(error.field, error.field)
+        raise InvalidInputError(f"{where}{name}", error.value, error.fix) from error
+    label = _Fields(fields.get("gt", dict), f"{where}gt.")
+    return Frame(
+        name=f"{track}:{number}",
+        observation=observation if observation.measured.any() else None,
+        truth=GroundTruth(label.numbers("location", (3,)), float(label.numbers("rotation_y", ()))),
+    )
+
+
+class _Fields:
+    """Reads the fields of one JSON object and names the field in every error."""
+
+    def __init__(self, data: Any, where: str) -> None:
+        if not isinstance(data, Mapping):
+            raise InvalidInputError(where.rstrip(".: ") or "track", data, "Give a JSON object.")
+        self.data = data
+        self.where = where
+
+    def get(self, field: str, kind: type) -> Any:
+        if field not in self.data:
+            raise InvalidInputError(f"{self.where}{field}", "nothing", "Give this field.")
+        value = self.data[field]
+        if not isinstance(value, kind) or isinstance(value, bool):
+            article = {int: "an integer", list: "a list", dict: "an object"}[kind]
+            raise InvalidInputError(f"{self.where}{field}", value, f"Give {article}.")
+        return value
+
+    def numbers(self, field: str, shape: tuple[int, ...], *, missing: bool = False) -> NDArray[np.float64]:
+        """An array of exactly this shape; `null` becomes NaN where `missing` allows it."""
+        if field not in self.data:
+            raise InvalidInputError(f"{self.where}{field}", "nothing", "Give this field.")
+        array = np.empty(shape)
+        self._fill(array, (), self.data[field], f"{self.where}{field}", missing)
+        return array
+
+    def _fill(self, array: NDArray[np.float64], at: tuple[int, ...], value: Any, field: str, missing: bool) -> None:
+        """Checks leaf by leaf: numpy would take `"NaN"` and `true` for numbers and could not say which leaf is bad."""
+        depth = len(at)
+        if depth == array.ndim:
+            array[at] = np.nan if missing and value is None else _number(value, field)
+            return
+        length = array.shape[depth]
+        if not isinstance(value, list) or len(value) != length:
+            got = f"{len(value)} elements" if isinstance(value, list) else value
+            raise InvalidInputError(field, got, f"Give a list of {length}.")
+        for i, item in enumerate(value):
+            self._fill(array, (*at, i), item, f"{field}[{i}]", missing)
+
+
+def _number(value: Any, field: str) -> float:
+    try:
+        if not isinstance(value, bool) and isinstance(value, int | float) and math.isfinite(value):
+            return float(value)
+    except OverflowError:  # an integer beyond the range of floats
+        pass
+    raise InvalidInputError(field, value, "Give a finite number.")
