@@ -65,8 +65,8 @@ def tracks_command(
 ) -> None:
     """Score poses on tracks: orientation error, AOP at 5, 15 and 30 degrees, translation error, time per stage.
 
-    A frame that a method fails on counts as 180 degrees and stays in N. Exit code 1: fgrecon (where it does not run, any
-    other method) failed on every frame.
+    A frame that a method fails on counts as 180 degrees and stays in N. Exit code 1: fgrecon failed on every frame (any
+    other method, where fgrecon does not run).
     """
     from fgrecon.catalogue import load_prior
     from fgrecon.evaluation import report
