@@ -1,0 +1,111 @@
+"""Keys of the graph's variables: one letter, one vehicle, and a frame or a face.
+
+Every key carries its vehicle, and a pose its frame, so that a graph over many vehicles and frames has the same factors
+as one over a single image, with more keys. A key is a GTSAM symbol: 8 bits for the letter and 56 for an index, which
+holds the vehicle in its upper 24 bits and the frame or face in its lower 32.
+
+=========  ==================  ==============================================  ======================
+key        type in `Values`    meaning                                         unit
+=========  ==================  ==============================================  ======================
+``X(v,t)`` ``Pose3``           camera_T_object of vehicle v in frame t         radians, metres
+``L(v)``   vector (N,)         shape coefficients lambda                       standard deviations
+``O(v)``   vector (3K,)        free offsets, (K, 3) flattened row by row       metres, object frame
+``P(v,f)`` ``OrientedPlane3``  plane of face f, n'X + d = 0                    metres, object frame
+``M(v)``   ``OrientedPlane3``  medial plane, n'X + d = 0                       metres, object frame
+=========  ==================  ==============================================  ======================
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import gtsam
+
+from factors.errors import InvalidInputError
+
+__all__ = ["DecodedKey", "L", "M", "O", "P", "X", "decode_key", "key_name"]
+
+_LOW_BITS = 32
+_VEHICLES = 1 << (56 - _LOW_BITS)
+_LOWS = 1 << _LOW_BITS
+
+
+class DecodedKey(NamedTuple):
+    """What a key stands for.
+
+    Attributes:
+        letter: `X`, `L`, `O`, `P` or `M`.
+        vehicle: Number of the vehicle.
+        low: Frame of a pose, face of a plane, 0 for the others.
+    """
+
+    letter: str
+    vehicle: int
+    low: int
+
+
+def X(vehicle: int = 0, t: int = 0) -> int:
+    """Key of the pose camera_T_object of a vehicle in frame t.
+
+    Raises:
+        InvalidInputError: A number is negative or too large.
+    """
+    return _key("X", vehicle, t, "t")
+
+
+def L(vehicle: int = 0) -> int:
+    """Key of a vehicle's shape coefficients lambda (N,).
+
+    Raises:
+        InvalidInputError: The number is negative or too large.
+    """
+    return _key("L", vehicle, 0, "")
+
+
+def O(vehicle: int = 0) -> int:  # noqa: E743  # the letter of the variable
+    """Key of a vehicle's free offsets, one vector of 3K numbers.
+
+    Raises:
+        InvalidInputError: The number is negative or too large.
+    """
+    return _key("O", vehicle, 0, "")
+
+
+def P(vehicle: int = 0, face: int = 0) -> int:
+    """Key of the plane of a vehicle's face.
+
+    Raises:
+        InvalidInputError: A number is negative or too large.
+    """
+    return _key("P", vehicle, face, "face")
+
+
+def M(vehicle: int = 0) -> int:
+    """Key of a vehicle's medial plane.
+
+    Raises:
+        InvalidInputError: The number is negative or too large.
+    """
+    return _key("M", vehicle, 0, "")
+
+
+def decode_key(key: int) -> DecodedKey:
+    """Letter, vehicle and frame or face of a key; the reverse of `X`, `L`, `O`, `P` and `M`."""
+    symbol = gtsam.Symbol(key)
+    index = symbol.index()
+    return DecodedKey(chr(symbol.chr()), index >> _LOW_BITS, index & (_LOWS - 1))
+
+
+def key_name(key: int) -> str:
+    """A key for people to read, such as `X(v=0,t=3)`, `L(v=0)` or `P(v=0,f=2)`."""
+    letter, vehicle, low = decode_key(key)
+    detail = {"X": f",t={low}", "P": f",f={low}"}.get(letter, "")
+    return f"{letter}(v={vehicle}{detail})"
+
+
+def _key(letter: str, vehicle: int, low: int, low_name: str) -> int:
+    if not 0 <= vehicle < _VEHICLES:
+        raise InvalidInputError("vehicle", vehicle, f"Number vehicles from 0 to {_VEHICLES - 1}.")
+    if not 0 <= low < _LOWS:
+        raise InvalidInputError(low_name, low, f"Use a number from 0 to {_LOWS - 1}.")
+    return int(gtsam.symbol(letter, (int(vehicle) << _LOW_BITS) | int(low)))
