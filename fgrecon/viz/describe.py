@@ -1,0 +1,78 @@
+"""Words for a reconstruction: the text log and summary of a recording, the titles and caption of a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.observation import Observation
+from fgrecon.reconstruction import Iteration, Reconstruction
+from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR, Truth
+
+__all__ = ["describe_errors", "describe_update", "median_residual", "summary_table", "total_energy", "weight_updates"]
+
+_TRUSTED = 0.5
+
+
+def total_energy(iteration: Iteration) -> float:
+    """What the solver minimises at this step: the sum of the energies of all terms."""
+    return float(sum(iteration.energies.values()))
+
+
+def weight_updates(history: Sequence[Iteration]) -> NDArray[np.int64]:
+    """(n,) index of the weight update that each step belongs to, counted across all stages from 0."""
+    changed = [
+        i > 0 and (now.stage, now.irls) != (history[i - 1].stage, history[i - 1].irls) for i, now in enumerate(history)
+    ]
+    return np.cumsum(changed, dtype=np.int64)
+
+
+def median_residual(observation: Observation, projections: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
+    """Median distance in pixels from the trusted keypoints (weight at least 0.5, else all) to projections (K, 2)."""
+    distances = np.linalg.norm(observation.keypoints - projections, axis=1)
+    usable = np.isfinite(distances)
+    trusted = usable & (weights >= _TRUSTED)
+    chosen = distances[trusted if trusted.any() else usable]
+    return float(np.median(chosen)) if len(chosen) else float("nan")
+
+
+def describe_update(steps: Sequence[Iteration], residual: float) -> str:
+    """One line about the steps of one weight update: energy before and after, trusted keypoints, what they miss by."""
+    first, last = steps[0], steps[-1]
+    before, after = total_energy(first), total_energy(last)
+    change = f"{after:.4g}" if len(steps) == 1 else f"{before:.4g} to {after:.4g} in {len(steps)} steps"
+    trusted = f"{np.count_nonzero(last.weights >= _TRUSTED)} of {len(last.weights)} keypoints trusted"
+    return f"{last.stage}, weight update {last.irls}: energy {change}; {trusted}, off by {residual:.2f} px"
+
+
+def describe_errors(truth: Truth, camera_T_object: NDArray[np.float64], keypoints: NDArray[np.float64]) -> str:
+    """The distance of an estimate from the truth in one line: yaw, translation and, where known, shape."""
+    errors = truth.errors(camera_T_object, keypoints)
+    parts = [f"yaw {errors[ORIENTATION_ERROR]:.1f}°", f"position {errors[TRANSLATION_ERROR]:.2f} m"]
+    if SHAPE_ERROR in errors:
+        parts.append(f"shape {100 * errors[SHAPE_ERROR]:.1f} cm")
+    return ", ".join(parts)
+
+
+def summary_table(reconstruction: Reconstruction, observation: Observation, truth: Truth | None) -> str:
+    """The result as a Markdown table."""
+    result = reconstruction
+    length, width, height = result.box_size
+    x, y, z = result.location
+    residual = median_residual(observation, result.wireframe_uv, result.weights)
+    rows = [
+        ("Status", f"**{result.status.value}**: {result.message}"),
+        ("Prior", f"{result.prior} ({result.category})"),
+        ("Yaw (rotation_y)", f"{np.degrees(result.rotation_y):.1f}°"),
+        ("Position in the camera frame", f"{x:.2f}, {y:.2f}, {z:.2f} m"),
+        ("Length, width, height", f"{length:.2f}, {width:.2f}, {height:.2f} m"),
+        ("Median residual of trusted keypoints", f"{residual:.2f} px"),
+        ("Other poses within reach", str(len(result.alternatives))),
+        ("Time", ", ".join(f"{stage} {ms:.1f} ms" for stage, ms in result.milliseconds.items()) or "not measured"),
+    ]
+    if truth is not None:
+        rows.append(("Error against the truth", describe_errors(truth, result.camera_T_object, result.wireframe)))
+    lines = "\n".join(f"| {name} | {value.replace('|', '/')} |" for name, value in rows)
+    return f"| | |\n|---|---|\n{lines}\n"

@@ -1,0 +1,170 @@
+"""Colours and sizes of recordings and pictures: colour-blind safe, the vehicle's left and right distinguishable.
+
+Blue against vermilion (Okabe and Ito) stays apart under every common colour-vision deficiency and in grey print. The
+weight map runs through viridis, whose lightness rises with the weight, so it survives a grey printer too. Colours are
+8-bit RGB triples; this module needs numpy alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = [
+    "BACKGROUND",
+    "ENERGY_COLOURS",
+    "GROUND",
+    "INK",
+    "RESIDUAL",
+    "SCREEN_INK",
+    "SIDE_COLOURS",
+    "SURFACE",
+    "TRUTH",
+    "Colour",
+    "Side",
+    "categorical",
+    "edge_sides",
+    "energy_colour",
+    "keypoint_sides",
+    "series_colours",
+    "weight_colours",
+    "weight_radii",
+]
+
+Colour = tuple[int, int, int]
+
+
+class Side(StrEnum):
+    """The vehicle's own side that a keypoint or an edge lies on."""
+
+    LEFT = "left"
+    RIGHT = "right"
+    ACROSS = "across"
+    """On the medial plane, or an edge from one side to the other."""
+
+
+SIDE_COLOURS: dict[Side, Colour] = {Side.LEFT: (0, 114, 178), Side.RIGHT: (213, 94, 0), Side.ACROSS: (140, 140, 140)}
+"""Blue is the vehicle's left, vermilion its right, grey what joins them."""
+TRUTH: Colour = (0, 158, 115)
+"""What is known to be true: bluish green."""
+RESIDUAL: Colour = (230, 60, 160)
+"""Lines from a detected keypoint to its projection."""
+SURFACE: Colour = (196, 204, 214)
+"""The reconstructed surface."""
+GROUND: Colour = (96, 96, 96)
+"""The ground grid of a recording."""
+BACKGROUND: Colour = (244, 244, 242)
+"""The canvas where no photograph is given."""
+INK: Colour = (34, 34, 34)
+"""Text, outlines and the estimated box of a picture."""
+SCREEN_INK: Colour = (226, 226, 226)
+"""The same in a recording, which viewers draw on black."""
+
+ENERGY_COLOURS: dict[str, Colour] = {
+    "total": SCREEN_INK,
+    "reprojection": (0, 114, 178),
+    "planarity": (230, 159, 0),
+    "symmetry": (204, 121, 167),
+    "dimensions": (0, 158, 115),
+    "laplacian": (86, 180, 233),
+    "prior": (213, 94, 0),
+    "ground": (140, 86, 75),
+}
+"""Colour of each named energy term; a term without one takes its turn in `energy_colour`."""
+
+_CATEGORICAL: tuple[Colour, ...] = (
+    (0, 114, 178),
+    (213, 94, 0),
+    (0, 158, 115),
+    (204, 121, 167),
+    (230, 159, 0),
+    (86, 180, 233),
+    (148, 103, 189),
+    (140, 86, 75),
+    (127, 127, 127),
+    (188, 189, 34),
+)
+# Nine samples of viridis, from dark violet (weight 0) to yellow (weight 1).
+_WEIGHT_MAP = np.array(
+    [
+        (68, 1, 84),
+        (71, 44, 122),
+        (59, 81, 139),
+        (44, 113, 142),
+        (33, 144, 141),
+        (39, 173, 129),
+        (92, 200, 99),
+        (170, 220, 50),
+        (253, 231, 37),
+    ],
+    dtype=np.float64,
+)
+_MEDIAL = 1e-3
+
+
+def weight_colours(weights: ArrayLike) -> NDArray[np.uint8]:
+    """(..., 3) RGB of weights (...): dark violet at 0, yellow at 1; NaN counts as 0."""
+    values = np.clip(np.nan_to_num(np.asarray(weights, dtype=np.float64)), 0.0, 1.0)
+    at = np.linspace(0.0, 1.0, len(_WEIGHT_MAP))
+    channels = [np.interp(values, at, channel) for channel in _WEIGHT_MAP.T]
+    colours: NDArray[np.uint8] = np.rint(np.stack(channels, axis=-1)).astype(np.uint8)
+    return colours
+
+
+def weight_radii(weights: ArrayLike, smallest: float = 2.5, largest: float = 6.0) -> NDArray[np.float64]:
+    """(...) radii of weights (...): the disc's area grows linearly with the weight; NaN counts as 0."""
+    values = np.clip(np.nan_to_num(np.asarray(weights, dtype=np.float64)), 0.0, 1.0)
+    return np.sqrt(smallest**2 + (largest**2 - smallest**2) * values)
+
+
+def categorical(index: int) -> Colour:
+    """Colour of the series with this index among several; they repeat after ten."""
+    return _CATEGORICAL[index % len(_CATEGORICAL)]
+
+
+def energy_colour(term: str, index: int) -> Colour:
+    """Colour of an energy term: its own, else the categorical one of its index."""
+    return ENERGY_COLOURS.get(term, categorical(index))
+
+
+def series_colours(sides: Sequence[Side]) -> list[Colour]:
+    """Colours of one series per keypoint: shades of its side's colour, darker to lighter along the vehicle."""
+    colours = []
+    for index, side in enumerate(sides):
+        rank, count = sides[:index].count(side), max(sides.count(side) - 1, 1)
+        base, mix = np.array(SIDE_COLOURS[side]), 0.75 * rank / count - 0.15
+        shade = base + mix * (255 - base) if mix > 0 else base * (1 + mix)
+        red, green, blue = (int(channel) for channel in shade)
+        colours.append((red, green, blue))
+    return colours
+
+
+def keypoint_sides(names: tuple[str, ...], wireframe: NDArray[np.float64]) -> tuple[Side, ...]:
+    """Side of each of K keypoints: from names that begin with `left` or `right`, else from z (left is positive).
+
+    Args:
+        names: K keypoint names.
+        wireframe: (K, 3) keypoints in the object frame, metres.
+    """
+
+    def side(name: str, z: float) -> Side:
+        for value in (Side.LEFT, Side.RIGHT):
+            if name.startswith(value.value):
+                return value
+        if not np.isfinite(z) or abs(z) < _MEDIAL:
+            return Side.ACROSS
+        return Side.LEFT if z > 0 else Side.RIGHT
+
+    return tuple(side(name, z) for name, z in zip(names, wireframe[:, 2], strict=True))
+
+
+def edge_sides(edges: NDArray[np.int64], sides: tuple[Side, ...]) -> dict[Side, NDArray[np.int64]]:
+    """The edges (E, 2) split by side, each (E_side, 2): both ends on one side, or across."""
+    split: dict[Side, list[NDArray[np.int64]]] = {side: [] for side in Side}
+    for edge in edges:
+        a, b = sides[edge[0]], sides[edge[1]]
+        split[a if a == b else Side.ACROSS].append(edge)
+    return {side: np.array(group, dtype=np.int64).reshape(-1, 2) for side, group in split.items()}
