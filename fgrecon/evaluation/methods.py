@@ -158,7 +158,7 @@ def _aspnp() -> PnP:
 
     def solve(shape: Shape, observation: Observation, camera: Camera) -> NDArray[np.float64]:
         used = _enough(_use_all(observation))
-        return aspnp(shape[used], observation.keypoints[used], camera)
+        return aspnp(shape[used], camera.rays(observation.keypoints[used])[:, :2])[0].camera_T_object
 
     return solve
 
