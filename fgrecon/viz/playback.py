@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -88,27 +88,20 @@ class Playback:
         for archetype in archetypes:
             self.stream.log(entity, archetype, static=True)
 
-    def every_step(
-        self,
-        entity: str,
-        columns: Callable[[NDArray[np.int64]], Iterable[Any]],
-        present: NDArray[np.bool_] | None = None,
-    ) -> None:
-        """Send one row per step, or per step that is `present` (n,); `columns` gives the components of given rows."""
+    def every_step(self, entity: str, columns: Iterable[Any], present: NDArray[np.bool_] | None = None) -> None:
+        """Send one row per step, or per step that is `present` (n,), from rerun component columns of n rows."""
+        whole = [(column.component_descriptor(), column.as_arrow_array()) for column in columns]
         for stage in self.stages:
             rows = stage.rows if present is None else stage.rows[present[stage.rows]]
             if len(rows):
-                self.stream.send_columns(entity, stage.times(rows), columns(rows))
+                # The arrays are made once and cut by stage: making them costs more than sending them.
+                parts = [_Column(descriptor, array.take(rows)) for descriptor, array in whole]
+                self.stream.send_columns(entity, stage.times(rows), parts)
 
     def strips(self, entity: str, archetype: Any, strips: NDArray[np.float64]) -> None:
         """Send line strips (n, S, P, D), one batch per step; strips with a point that is not finite are left out."""
         drawn: NDArray[np.bool_] = np.all(np.isfinite(strips), axis=(2, 3))
-
-        def columns(rows: NDArray[np.int64]) -> Iterable[Any]:
-            batch: Any = archetype.columns(strips=strips[rows][drawn[rows]])
-            return list(batch.partition(drawn[rows].sum(axis=1)))
-
-        self.every_step(entity, columns)
+        self.every_step(entity, archetype.columns(strips=strips[drawn]).partition(drawn.sum(axis=1)))
 
     def at_result(self, entity: str, *archetypes: Any) -> None:
         """Log what only the result has: at the last step, or once for all where there are no steps."""
@@ -120,3 +113,17 @@ class Playback:
         batches = [batch for archetype in archetypes for batch in archetype.as_component_batches()]
         columns = [batch.partition([len(batch.as_arrow_array())]) for batch in batches]
         self.stream.send_columns(entity, stage.times(last), columns)
+
+
+@dataclass(frozen=True)
+class _Column:
+    """Arrow data that rerun takes as a component column."""
+
+    descriptor: Any
+    array: Any
+
+    def component_descriptor(self) -> Any:
+        return self.descriptor
+
+    def as_arrow_array(self) -> Any:
+        return self.array

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -47,8 +47,8 @@ def _plot(play: Playback, entity: str, values: Sequence[float | None], colour: C
     present = np.array([value is not None for value in values])
     series = np.array([np.nan if value is None else value for value in values])
     name = entity.rpartition("/")[2].replace("_", " ")
-    play.once(entity, rr.SeriesLines(names=name, colors=colour, widths=2.0))
-    play.every_step(entity, lambda rows: rr.Scalars.columns(scalars=series[rows]), present)
+    play.once(entity, rr.SeriesLines(names=name, colors=colour, widths=1.0 if name == entities.TOTAL else 2.0))
+    play.every_step(entity, rr.Scalars.columns(scalars=series), present)
 
 
 def _plots(
@@ -58,15 +58,9 @@ def _plots(
     import rerun as rr
 
     size = values.shape[1]
-    if not size:
-        return
-
-    def columns(rows: NDArray[np.int64]) -> Iterable[Any]:
-        batch: Any = rr.Scalars.columns(scalars=values[rows].ravel())
-        return list(batch.partition([size] * len(rows)))
-
-    play.once(entity, rr.SeriesLines(names=list(names), colors=list(colours), widths=[1.5] * size))
-    play.every_step(entity, columns)
+    if size:
+        play.once(entity, rr.SeriesLines(names=list(names), colors=list(colours), widths=[1.5] * size))
+        play.every_step(entity, rr.Scalars.columns(scalars=values.ravel()).partition([size] * len(values)))
 
 
 def log_history(play: Playback) -> None:
@@ -75,28 +69,17 @@ def log_history(play: Playback) -> None:
 
     steps = play.steps
 
-    def column(name: str, rows: NDArray[np.int64], values: Sequence[Any]) -> Any:
-        """One component: row i of the column holds all elements of values[rows[i]]."""
-        parts = [np.atleast_1d(values[row]).ravel() for row in rows]
+    def column(name: str, values: Sequence[Any]) -> Any:
+        """One component, whose row i holds all elements of values[i]."""
+        parts = [np.atleast_1d(value).ravel() for value in values]
         (batch,) = rr.DynamicArchetype.columns(entities.HISTORY_ARCHETYPE, components={name: np.concatenate(parts)})
         return batch.partition([len(part) for part in parts])
 
-    fields: dict[str, Sequence[Any]] = {
-        name: [getattr(step, name) for step in steps]
-        for name in (
-            "stage",
-            "irls",
-            "step",
-            "camera_T_object",
-            "coefficients",
-            "keypoints",
-            "projections",
-            "weights",
-        )
-    }
-    fields["terms"] = [np.array(list(step.energies), dtype=np.str_) for step in steps]
-    fields["energies"] = [np.array(list(step.energies.values()), dtype=np.float64) for step in steps]
-    play.every_step(entities.HISTORY, lambda rows: [column(name, rows, values) for name, values in fields.items()])
+    arrays = ("camera_T_object", "coefficients", "keypoints", "projections", "weights")
+    values = {name: [getattr(step, name) for step in steps] for name in ("stage", "irls", "step", *arrays)}
+    values["terms"] = [np.array(list(step.energies), dtype=np.str_) for step in steps]
+    values["energies"] = [np.array(list(step.energies.values()), dtype=np.float64) for step in steps]
+    play.every_step(entities.HISTORY, [column(name, part) for name, part in values.items()])
 
 
 def log_words(play: Playback) -> None:

@@ -7,7 +7,6 @@ runs, a file that holds more). The names are those of `fgrecon.viz.entities`; `f
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -174,18 +173,15 @@ def _log_image_steps(play: Playback) -> None:
     detected = play.observation.keypoints[measured]
     names = [play.reconstruction.keypoint_names[i] for i in measured]
 
-    def keypoints(rows: NDArray[np.int64]) -> Iterable[Any]:
-        weights = play.weights[rows][:, measured]
-        columns: Any = rr.Points2D.columns(
-            positions=np.tile(detected, (len(rows), 1)),
+    if len(measured):
+        play.once(entities.KEYPOINTS_2D, rr.Points2D.from_fields(labels=names, show_labels=False, draw_order=30.0))
+        weights = play.weights[:, measured]
+        columns = rr.Points2D.columns(
+            positions=np.tile(detected, (len(weights), 1)),
             colors=style.weight_colours(weights).reshape(-1, 3),
             radii=-style.weight_radii(weights).ravel(),
         )
-        return list(columns.partition([len(measured)] * len(rows)))
-
-    if len(measured):
-        play.once(entities.KEYPOINTS_2D, rr.Points2D.from_fields(labels=names, show_labels=False, draw_order=30.0))
-        play.every_step(entities.KEYPOINTS_2D, keypoints)
+        play.every_step(entities.KEYPOINTS_2D, columns.partition([len(measured)] * len(weights)))
         residuals = np.stack([np.broadcast_to(detected, play.pixels[:, measured].shape), play.pixels[:, measured]], 2)
         play.once(entities.RESIDUALS, rr.LineStrips2D.from_fields(colors=style.RESIDUAL, radii=-0.75, draw_order=20.0))
         play.strips(entities.RESIDUALS, rr.LineStrips2D, residuals)
@@ -200,22 +196,13 @@ def _log_scene_steps(play: Playback) -> None:
     import rerun as rr
 
     poses = np.stack([step.camera_T_object for step in play.steps])
-    size = play.keypoints.shape[1]
-    play.every_step(
-        entities.VEHICLE,
-        lambda rows: rr.Transform3D.columns(translation=poses[rows, :3, 3], mat3x3=poses[rows, :3, :3]),
-    )
-
-    def keypoints(rows: NDArray[np.int64]) -> Iterable[Any]:
-        columns: Any = rr.Points3D.columns(
-            positions=play.keypoints[rows].reshape(-1, 3),
-            colors=style.weight_colours(play.weights[rows]).reshape(-1, 3),
-        )
-        return list(columns.partition([size] * len(rows)))
-
+    play.every_step(entities.VEHICLE, rr.Transform3D.columns(translation=poses[:, :3, 3], mat3x3=poses[:, :3, :3]))
     names = play.reconstruction.keypoint_names
     play.once(entities.KEYPOINTS_3D, rr.Points3D.from_fields(labels=names, show_labels=False, radii=-4.0))
-    play.every_step(entities.KEYPOINTS_3D, keypoints)
+    columns = rr.Points3D.columns(
+        positions=play.keypoints.reshape(-1, 3), colors=style.weight_colours(play.weights).reshape(-1, 3)
+    )
+    play.every_step(entities.KEYPOINTS_3D, columns.partition([play.keypoints.shape[1]] * len(poses)))
     for side, edges in play.edges.items():
         entity = f"{entities.WIREFRAME_3D}/{side.value}"
         play.once(entity, rr.LineStrips3D.from_fields(colors=style.SIDE_COLOURS[side], radii=-_LINE))
