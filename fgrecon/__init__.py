@@ -1,1 +1,44 @@
-"""Pose and shape of a vehicle from a single image, by factor-graph optimisation."""
+"""Pose and shape of a vehicle from a single image, by factor-graph optimisation on GTSAM.
+
+import fgrecon
+
+result = fgrecon.reconstruct(keypoints, intrinsics, confidence=confidence, box=box)
+print(result.camera_T_object, result.wireframe, result.status)
+"""
+
+from fgrecon.camera import Camera, Ground
+from fgrecon.catalogue import load_category, load_prior, save_prior
+from fgrecon.category import Category
+from fgrecon.observation import Observation
+from fgrecon.options import BoxModel, Options
+from fgrecon.pipeline import reconstruct
+from fgrecon.pose.starts import Box3D
+from fgrecon.priors.shape_prior import ShapePrior, Surface
+from fgrecon.priors.size_prior import SIZE_PRIORS, SizePrior
+from fgrecon.reconstruction import Alternative, Iteration, Reconstruction, Status
+from fgrecon.robust import RobustStrategy, StrategyName, strategy
+
+__all__ = [
+    "SIZE_PRIORS",
+    "Alternative",
+    "Box3D",
+    "BoxModel",
+    "Camera",
+    "Category",
+    "Ground",
+    "Iteration",
+    "Observation",
+    "Options",
+    "Reconstruction",
+    "RobustStrategy",
+    "ShapePrior",
+    "SizePrior",
+    "Status",
+    "StrategyName",
+    "Surface",
+    "load_category",
+    "load_prior",
+    "reconstruct",
+    "save_prior",
+    "strategy",
+]

@@ -101,7 +101,8 @@ class Camera:
 
         zero = np.zeros(3)
         projected: Any = cv2.projectPoints(self.rays(pixels), zero, zero, self.matrix, self.distortion)[0]
-        return projected[:, 0]
+        pixels[:] = projected[:, 0]
+        return pixels
 
 
 @dataclass(frozen=True)
@@ -111,13 +112,17 @@ class Ground:
     Attributes:
         normal: (3,) unit vector pointing down, into the ground.
         distance: Height of the camera above the ground, metres.
-        height_sigma: How far a vehicle's origin may lie off the plane (1 sigma, metres).
+        height_sigma: How far a vehicle's origin may lie off the plane near the camera (1 sigma, metres).
+        slope_sigma: Uncertainty of the plane's slope (1 sigma, radians): at depth z the origin may lie
+            hypot(height_sigma, slope_sigma z) off the plane. The defaults are those of KITTI's labelled cars about a
+            level plane 1.65 m below the camera.
         tilt_sigma: How far its down axis may lean from the normal (1 sigma, radians).
     """
 
     normal: NDArray[np.float64]
     distance: float
-    height_sigma: float = 0.15
+    height_sigma: float = 0.1
+    slope_sigma: float = 0.0125
     tilt_sigma: float = 0.03
 
     def __post_init__(self) -> None:
@@ -133,10 +138,15 @@ class Ground:
         if normal[1] <= 0:
             raise InvalidInputError("ground.normal", normal.tolist(), "Let the normal point down (positive y).")
         object.__setattr__(self, "normal", normal / length)
-        for field in ("distance", "height_sigma", "tilt_sigma"):
+        for field in ("distance", "height_sigma", "slope_sigma", "tilt_sigma"):
             value = getattr(self, field)
             if not (np.isfinite(value) and value > 0):
                 raise InvalidInputError(f"ground.{field}", value, "Give a positive number.")
+
+    def height_sigma_at(self, depth: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Standard deviation in metres of an origin's height over the plane at depths (...,) in metres."""
+        sigma: NDArray[np.float64] = np.hypot(self.height_sigma, self.slope_sigma * depth)
+        return sigma
 
     @classmethod
     def level(cls, camera_height: float) -> Ground:

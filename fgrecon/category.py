@@ -1,6 +1,6 @@
 """A vehicle category as data: names, symmetry, faces, edges and dimensions of its keypoints.
 
-A category is a JSON file (see `fgrecon/data/categories/car14.json`), so that another category needs a file, not a patch.
+A category is a JSON file (see `fgrecon/data/categories/car14.json`): another category needs a file, not a patch.
 All indices are 0-based; the file itself refers to keypoints by name. This module does no I/O: see `fgrecon.catalogue`
 for reading a category by name or path.
 """

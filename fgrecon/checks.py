@@ -23,9 +23,7 @@ def as_shape(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: s
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise InvalidInputError(field, value, fix or f"Give numbers in an array of shape {wanted}.") from error
-    matches = array.ndim == len(shape) and all(
-        w is None or n == w for n, w in zip(array.shape, shape, strict=True)
-    )
+    matches = array.ndim == len(shape) and all(w is None or n == w for n, w in zip(array.shape, shape, strict=True))
     if not matches:
         raise InvalidInputError(field, f"shape {array.shape}", fix or f"Give an array of shape {wanted}.")
     return array

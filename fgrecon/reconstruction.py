@@ -59,11 +59,17 @@ class Iteration:
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another pose that explains the keypoints, with its energy (same unit as the result's own)."""
+    """Another pose that explains the keypoints.
+
+    Attributes:
+        camera_T_object: (4, 4) pose.
+        coefficients: (N,) shape coefficients that go with it.
+        excess: How much more energy it has than the result, nats; NaN where the strategy defines no energy.
+    """
 
     camera_T_object: NDArray[np.float64]
     coefficients: NDArray[np.float64]
-    energy: float
+    excess: float
 
 
 @dataclass(frozen=True)
@@ -94,7 +100,7 @@ class Reconstruction:
         coefficients_covariance: (N, N), or None.
         keypoint_covariance: (K, 3, 3) covariance of each 3D keypoint in the object frame, or None.
         energies: Energy by term at the result.
-        alternatives: Other poses within reach of the best energy.
+        alternatives: Other poses that the search ended in, best first.
         history: Every step, in order.
         milliseconds: Wall time by stage.
         surface_vertices: (V, 3) surface in the object frame, or None.
@@ -211,7 +217,7 @@ def _record(kind: type[Any], data: Mapping[str, Any]) -> Any:
             value = np.array(value, dtype=np.float64)
         elif isinstance(value, Mapping):
             value = {k: float(v) for k, v in value.items()}
-        elif f.name == "energy":
+        elif f.name == "excess":
             value = float(value)
         values[f.name] = value
     return kind(**values)

@@ -21,7 +21,7 @@ _SYMMETRY_TOLERANCE = 1e-6
 _MIRROR = np.array([1.0, 1.0, -1.0])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Surface:
     """A triangle mesh whose vertices move linearly with lambda.
 
@@ -40,7 +40,7 @@ class Surface:
         return self.mean + np.tensordot(np.asarray(coefficients, dtype=np.float64), self.basis, axes=1)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ShapePrior:
     """Linear shape model X(lambda) = mean + sum_j lambda_j basis_j with lambda ~ N(0, I) (Eq. 1 of the paper).
 
