@@ -1,1 +1,97 @@
-"""GTSAM factors for the pose and shape of vehicles; depends on gtsam and numpy alone."""
+"""GTSAM factors for the pose and shape of vehicles; depends on gtsam and numpy alone.
+
+The graph of one vehicle in one frame; boxes are variables (`factors.keys`), the rest are factors::
+
+                 upright (3)                        dimensions (3)   coefficients prior (N)
+                     |                                     |          |
+                     |      reprojection, 2 per keypoint   |          |
+                 +--------+      cheirality (1)        +--------+     |
+    ground ------| X(v,t) |------- box (4) ------------|  L(v)  |-----+
+    height (1)   +--------+            |               +--------+
+                                       |                |  |  |
+                                       |   +------------+  |  +--- Laplacian (3 per keypoint),
+                                       |   |               |       rectangularity (4 per face)
+                                    +--------+             |        |
+     offsets prior (3K) ------------|  O(v)  |-------------+--------+
+                                    +--------+             |
+                                       |                   |
+                                       +----- planarity (1 per keypoint of the face) ----- [ P(v,f) ] --- ground-
+                                       |                   |                                              parallel (2)
+                                       +----- symmetry (3 per pair) ---------------------- [  M(v)  ]
+
+A second frame adds X(v, t + 1) with reprojection, cheirality, box and ground factors of its own on the same L(v).
+
+`LinearShape` evaluates X(lambda, offsets) once per linearisation point for all shape terms, and `ProjectionKernel` its
+projection with all Jacobians for all reprojection factors of a frame. O(v) is optional, and every factor also works
+with the pose, lambda or the offsets held constant. Every callback passes through `factors.guard`.
+"""
+
+from factors.box import box_factor
+from factors.cheirality import check_in_front, cheirality_factor, is_in_front
+from factors.dimensions import dimensions_factor
+from factors.errors import DegenerateProblemError, FactorCallbackError, FgreconError, InvalidInputError
+from factors.ground import ground_height_factor, upright_factor
+from factors.guard import guarded_factor
+from factors.kernel import Projection, ProjectionKernel
+from factors.keys import DecodedKey, L, M, O, P, X, decode_key, key_name
+from factors.laplacian import laplacian_factor
+from factors.noise import Loss, Noise, RobustLoss, as_noise, diagonal_noise, keypoint_noise, stacked_noise
+from factors.planarity import (
+    ground_parallel_factor,
+    penalty_ground_parallel_factor,
+    penalty_planarity_factor,
+    planarity_factor,
+)
+from factors.planes import fit_plane, make_plane
+from factors.rectangularity import rectangularity_factor
+from factors.reprojection import reprojection_factor, reprojection_factors, stacked_reprojection_factor
+from factors.shape import LinearShape
+from factors.shape_prior import coefficients_prior, offsets_prior
+from factors.symmetry import symmetry_factor
+
+__all__ = [
+    "DecodedKey",
+    "DegenerateProblemError",
+    "FactorCallbackError",
+    "FgreconError",
+    "InvalidInputError",
+    "L",
+    "LinearShape",
+    "Loss",
+    "M",
+    "Noise",
+    "O",
+    "P",
+    "Projection",
+    "ProjectionKernel",
+    "RobustLoss",
+    "X",
+    "as_noise",
+    "box_factor",
+    "check_in_front",
+    "cheirality_factor",
+    "coefficients_prior",
+    "decode_key",
+    "diagonal_noise",
+    "dimensions_factor",
+    "fit_plane",
+    "ground_height_factor",
+    "ground_parallel_factor",
+    "guarded_factor",
+    "is_in_front",
+    "key_name",
+    "keypoint_noise",
+    "laplacian_factor",
+    "make_plane",
+    "offsets_prior",
+    "penalty_ground_parallel_factor",
+    "penalty_planarity_factor",
+    "planarity_factor",
+    "rectangularity_factor",
+    "reprojection_factor",
+    "reprojection_factors",
+    "stacked_noise",
+    "stacked_reprojection_factor",
+    "symmetry_factor",
+    "upright_factor",
+]

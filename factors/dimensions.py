@@ -37,8 +37,7 @@ def dimensions_factor(
         InvalidInputError: An array has the wrong shape or is not finite, or the shape is a constant.
     """
     matrix = finite_array("operator", operator, (3, shape.size, 3)).reshape(3, -1)
-    jacobian = matrix @ shape.derivative.reshape(matrix.shape[1], -1)
-    callback = _Dimensions(shape, matrix, finite_array("size", size, (3,)), jacobian)
+    callback = _Dimensions(shape, matrix, finite_array("size", size, (3,)), shape.chain(matrix))
     noise = diagonal_noise("sigmas", finite_array("sigmas", sigmas, (3,)))
     return guarded_factor("dimensions", noise, shape.keys, shape.dims, 3, callback)
 

@@ -35,6 +35,7 @@ Callback = Callable[[gtsam.Values, bool], Evaluation]
 
 _FLOAT = np.dtype(np.float64)
 _INFINITY = float("inf")
+_dot = np.vdot
 
 
 def guarded_factor(
@@ -72,7 +73,7 @@ def guarded_factor(
     if len(dims) != len(keys) or min(dims) < 1 or rows < 1:
         raise InvalidInputError(f"{name}.dims", (tuple(dims), rows), "Give one positive dimension per key.")
     blocks = tuple(slice(a, b) for a, b in pairwise(accumulate(dims, initial=0)))
-    guard = _Guard(name, callback, (rows,), (rows, sum(dims)), blocks, allow_infinite)
+    guard = _Guard(name, callback, (rows,), (rows, sum(dims)), blocks, len(blocks) == 1, allow_infinite)
     return gtsam.CustomFactor(as_noise(name, noise, rows), list(keys), guard)
 
 
@@ -85,6 +86,7 @@ class _Guard:
     residual_shape: tuple[int]
     jacobian_shape: tuple[int, int]
     blocks: tuple[slice, ...]
+    single: bool
     allow_infinite: bool
 
     def __call__(self, _factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> NDArray[np.float64]:
@@ -92,24 +94,37 @@ class _Guard:
         if type(result) is not tuple or len(result) != 2:
             raise FactorCallbackError(f"{self.name}: the callback must return (residual, Jacobian), got {type(result)}")
         residual, jacobian = result
-        self.check("residual", residual, self.residual_shape, self.allow_infinite)
-        if jacobians is not None:
-            self.check("Jacobian", jacobian, self.jacobian_shape, allow_infinite=False)
-            if len(self.blocks) == 1:
-                jacobians[0] = jacobian
-            else:
-                for i, block in enumerate(self.blocks):
-                    jacobians[i] = jacobian[:, block]  # type: ignore[index]  # checked above
+        # NaN and infinity survive in the sum of squares: one cheap product clears nearly every array. `_explain` looks
+        # at the rest and has the last word (squares of finite numbers may overflow).
+        if (
+            type(residual) is not np.ndarray
+            or residual.shape != self.residual_shape
+            or residual.dtype is not _FLOAT
+            or not residual.dot(residual) < _INFINITY
+        ):
+            self._explain("residual", residual, self.residual_shape, self.allow_infinite)
+        if jacobians is None:
+            return residual
+        if (
+            type(jacobian) is not np.ndarray
+            or jacobian.shape != self.jacobian_shape
+            or jacobian.dtype is not _FLOAT
+            or not _dot(jacobian, jacobian) < _INFINITY
+        ):
+            self._explain("Jacobian", jacobian, self.jacobian_shape, allow_infinite=False)
+        if self.single:
+            jacobians[0] = jacobian
+        else:
+            for i, block in enumerate(self.blocks):
+                jacobians[i] = jacobian[:, block]  # type: ignore[index]  # an array: checked above
         return residual
 
-    def check(self, what: str, array: Any, shape: tuple[int, ...], allow_infinite: bool) -> None:
+    def _explain(self, what: str, array: Any, shape: tuple[int, ...], allow_infinite: bool) -> None:
+        """Raise the error of an array that failed the quick test, unless it turns out to be right."""
         if type(array) is not np.ndarray or array.shape != shape or array.dtype != _FLOAT:
             got = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
             raise FactorCallbackError(f"{self.name}: the {what} must be float64 {shape}, got {got}")
-        # NaN and infinity survive in the sum of squares: one cheap product clears nearly every array. Squares of finite
-        # numbers may overflow, so the full test has the last word.
-        if not np.vdot(array, array) < _INFINITY:
-            wrong = np.isnan(array) if allow_infinite else ~np.isfinite(array)
-            if wrong.any():
-                where = tuple(int(i) for i in np.argwhere(wrong)[0])
-                raise FactorCallbackError(f"{self.name}: the {what} is {array[where]} at {where}")
+        wrong = np.isnan(array) if allow_infinite else ~np.isfinite(array)
+        if wrong.any():
+            where = tuple(int(i) for i in np.argwhere(wrong)[0])
+            raise FactorCallbackError(f"{self.name}: the {what} is {array[where]} at {where}")

@@ -97,13 +97,19 @@ class LinearShape:
         self.derivative.flags.writeable = False
         self._constant = constant
         self._linear = flat_basis
-        self._stamp: tuple[bytes, bytes] | None = None
+        self._stamp: bytes | tuple[bytes, bytes] | None = None
         self._points = _frozen(constant)
 
     @property
     def size(self) -> int:
         """Number of keypoints K."""
         return len(self.mean)
+
+    def chain(self, gradient: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(rows, D) derivative of a residual whose derivative with respect to X, flattened to (rows, 3K), is given."""
+        if self.offsets_key is None:
+            return gradient @ self._linear
+        return gradient if self.coefficients_key is None else np.hstack([gradient @ self._linear, gradient])
 
     def points(self, values: gtsam.Values) -> NDArray[np.float64]:
         """(K, 3) keypoints at the values, read-only.
@@ -113,16 +119,25 @@ class LinearShape:
         """
         if not self.keys:
             return self._points
-        coefficients = None if self.coefficients_key is None else values.atVector(self.coefficients_key)
-        offsets = None if self.offsets_key is None else values.atVector(self.offsets_key)
-        stamp = (
-            b"" if coefficients is None else coefficients.tobytes(),
-            b"" if offsets is None else offsets.tobytes(),
-        )
-        if stamp != self._stamp:
-            flat = self._constant if coefficients is None else self._constant + self._linear @ coefficients
-            self._points = _frozen(flat if offsets is None else flat + offsets)
-            self._stamp = stamp
+        stamp: bytes | tuple[bytes, bytes]
+        if self.offsets_key is None:  # the usual case, kept short: it runs for every keypoint's factor
+            first = values.atVector(self.keys[0])
+            stamp = first.tobytes()
+            if stamp != self._stamp:
+                self._points = _frozen(self._constant + self._linear @ first)
+                self._stamp = stamp
+            return self._points
+        offsets = values.atVector(self.offsets_key)
+        if self.coefficients_key is None:
+            stamp = offsets.tobytes()
+            if stamp != self._stamp:
+                self._points = _frozen(self._constant + offsets)
+        else:
+            coefficients = values.atVector(self.coefficients_key)
+            stamp = (coefficients.tobytes(), offsets.tobytes())
+            if stamp != self._stamp:
+                self._points = _frozen(self._constant + self._linear @ coefficients + offsets)
+        self._stamp = stamp
         return self._points
 
 

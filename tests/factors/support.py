@@ -82,6 +82,18 @@ def optimize(graph, values, **settings):
     return gtsam.LevenbergMarquardtOptimizer(graph, values, params).optimize()
 
 
+def quad_at(corners, vectors=3, seed=0, with_offsets=True):
+    """A shape whose first four mean keypoints are the corners, on L() and, where wanted, O(), at lambda = 0."""
+    rng = np.random.default_rng(seed)
+    mean = np.vstack([corners, rng.normal(size=(2, 3))])
+    shape = LinearShape(mean, 0.1 * rng.normal(size=(vectors, 6, 3)), L(), O() if with_offsets else None)
+    values = gtsam.Values()
+    values.insert(L(), np.zeros(vectors))
+    if with_offsets:
+        values.insert(O(), np.zeros(18))
+    return shape, values
+
+
 def graph_of(*factors):
     """A graph of the factors."""
     graph = gtsam.NonlinearFactorGraph()

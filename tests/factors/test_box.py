@@ -1,0 +1,76 @@
+"""The 2D box as evidence."""
+
+import gtsam
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from factors.box import box_factor
+from factors.errors import InvalidInputError
+from factors.kernel import ProjectionKernel
+from factors.keys import L, X
+from factors.shape import LinearShape
+from factors.shape_prior import coefficients_prior
+from tests.factors.support import (
+    CAMERA,
+    assert_jacobian,
+    bound_shape,
+    car_like,
+    graph_of,
+    optimize,
+    project,
+    random_pose,
+)
+
+BOX = [100.0, 100.0, 300.0, 200.0]
+
+
+@settings(deadline=None, derandomize=True, max_examples=10)
+@given(st.integers(0, 2**32 - 1), st.lists(st.booleans(), min_size=4, max_size=4).filter(any))
+def test_value_and_jacobian(seed, edges):
+    rng = np.random.default_rng(seed)
+    shape, values = bound_shape(rng, keypoints=100)
+    pose = random_pose(rng)
+    values.insert(X(), pose)
+    pixels = project(shape.points(values), pose)
+    extent = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
+    for p in (X(), pose):
+        factor = box_factor(ProjectionKernel(shape, CAMERA, p), BOX, 1.0, edges=edges)
+        np.testing.assert_allclose(factor.unwhitenedError(values), (extent - BOX)[edges], rtol=1e-9)
+        assert_jacobian(factor, values, step=1e-6, relative=1e-6)
+
+
+def test_moves_the_vehicle_into_the_box():
+    mean, basis = car_like(np.random.default_rng(0), keypoints=100)
+    truth = gtsam.Pose3(gtsam.Rot3.Ry(0.4), np.array([1.0, 1.6, 15.0]))
+    pixels = project(mean, truth)
+    box = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
+    start = gtsam.Pose3(truth.rotation(), truth.translation() + np.array([0.6, -0.3, 2.0]))
+    values = gtsam.Values()
+    values.insert(X(), start)
+    values.insert(L(), np.zeros(5))
+    upright = gtsam.noiseModel.Diagonal.Sigmas(np.array([1e-4] * 3 + [1e3] * 3))
+    graph = graph_of(
+        box_factor(ProjectionKernel(LinearShape(mean, basis, L()), CAMERA, X()), box, 0.1),
+        gtsam.PriorFactorPose3(X(), start, upright),
+        coefficients_prior(L(), 5, 1e-4),
+    )
+    result = optimize(graph, values)
+    np.testing.assert_allclose(result.atPose3(X()).translation(), truth.translation(), atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("box", "edges"),
+    [
+        ([0, 0, 0, 10], [True] * 4),
+        ([0, 10, 10, 0], [True] * 4),
+        ([0, 0, np.nan, 10], [True] * 4),
+        (BOX, [False] * 4),
+        (BOX, [True] * 3),
+    ],
+)
+def test_bad_input(box, edges):
+    shape, _ = bound_shape(np.random.default_rng(1))
+    with pytest.raises(InvalidInputError):
+        box_factor(ProjectionKernel(shape, CAMERA, X()), box, 1.0, edges=edges)
