@@ -10,7 +10,7 @@ import sys
 
 import typer
 
-from fgrecon.cli import evaluate
+from fgrecon.cli import evaluate, prior
 from fgrecon.errors import FgreconError
 
 __all__ = ["app", "main"]
@@ -25,6 +25,7 @@ app = typer.Typer(
 
 
 app.add_typer(evaluate.app, name="evaluate")
+app.add_typer(prior.app, name="prior")
 
 
 @app.callback()

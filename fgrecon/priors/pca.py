@@ -54,7 +54,7 @@ def pca_prior(
     """Learn a shape prior from 3D keypoints in the object frame.
 
     With `symmetric` each shape is averaged with its mirror image, and where one of two mirror images is missing it
-    takes the place of the other; mean, basis and surface are then mirror-symmetric for every lambda, to the last bit.
+    takes the place of the other; mean, basis and surface are then mirror-symmetric to the last bit, hence every shape.
     Signs are chosen so that a positive coefficient makes the dimension that it changes most larger.
 
     Args:
@@ -80,7 +80,7 @@ def pca_prior(
     rows = _rows(_with_mirror_images(points, category) if symmetric else points, frame)
     model = fit_linear_model(rows, basis, weights)
     mean = (frame @ model.mean).reshape(-1, 3)
-    directions = (frame @ (model.directions * model.std)).T.reshape(basis, -1, 3)
+    directions = (frame @ (model.directions * model.std)).T.reshape(basis, category.size, 3)
     signs = _signs(category, directions)
     residual = frame**2 @ model.predicted_residual
     how = "closed form" if complete else "EM over missing points"
@@ -115,7 +115,7 @@ def express(prior: ShapePrior, shapes: ArrayLike) -> tuple[Array, Array]:
     points = as_shape("shapes", shapes, (None, prior.category.size, 3))
     difference = (points - prior.mean).reshape(len(points), -1)
     observed = np.isfinite(difference)
-    columns = prior.basis.reshape(prior.dimension, -1).T
+    columns = prior.basis.reshape(prior.dimension, prior.mean.size).T
     coefficients = np.zeros((len(points), prior.dimension))
     if observed.all():
         coefficients[:] = np.linalg.lstsq(columns, difference.T, rcond=None)[0].T
@@ -159,7 +159,7 @@ def _rows(points: Array, frame: Array) -> Array:
 def _signs(category: Category, directions: Array) -> Array:
     """(N,) signs that make the dimension of the box that each direction changes most larger."""
     change = np.tensordot(directions, category.dimension_operator, axes=([1, 2], [1, 2]))
-    flat = directions.reshape(len(directions), -1)
+    flat = directions.reshape(len(directions), category.size * 3)
     decisive = np.where(np.abs(change).max(axis=1, keepdims=True) > 1e-9, _largest(change), _largest(flat))
     return np.where(decisive[:, 0] < 0, -1.0, 1.0)
 
