@@ -9,7 +9,7 @@ likelihood fall. On complete data EM ends at the closed form.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -96,7 +96,7 @@ def fit_linear_model(
         return model
     scores = np.zeros((len(data), count))  # a row that is not used is as probable as the mean
     scores[keep] = model.scores
-    return LinearModel(**{**model.__dict__, "scores": scores})
+    return replace(model, scores=scores)
 
 
 def _check_counts(observed: NDArray[np.bool_], count: int) -> None:
