@@ -16,7 +16,7 @@ __all__ = ["blueprint"]
 
 _ASPECT = 1.6
 _STEPS_PER_SECOND = 8.0
-_EYE_SPAN = (6.0, 14.0)  # metres: the least and greatest stretch of the line of sight that the eye takes in
+_NEAR, _CLOSE_UP = 14.0, 8.0  # metres: how far a camera may be to stay in the view, and what is looked at without it
 
 
 def blueprint(reconstruction: Reconstruction, observation: Observation, truth: Truth | None) -> Any:
@@ -43,15 +43,21 @@ def blueprint(reconstruction: Reconstruction, observation: Observation, truth: T
         eye_controls=_eye(reconstruction),
         line_grid=False,
     )
+    legend = rrb.PlotLegend(rrb.Corner2D.RightTop)
     plots = [
-        rrb.TimeSeriesView(name="Energy by term", origin=f"/{entities.ENERGY}"),
+        rrb.TimeSeriesView(name="Energy by term", origin=f"/{entities.ENERGY}", plot_legend=legend),
         rrb.TimeSeriesView(
-            name="Weight by keypoint", origin=f"/{entities.WEIGHTS}", axis_y=rrb.ScalarAxis(range=(-0.02, 1.02))
+            name="Weight by keypoint",
+            origin=f"/{entities.WEIGHTS}",
+            axis_y=rrb.ScalarAxis(range=(-0.02, 1.02)),
+            plot_legend=legend,
         ),
-        rrb.TimeSeriesView(name="Shape coefficients", origin=f"/{entities.COEFFICIENTS}"),
+        rrb.TimeSeriesView(name="Shape coefficients", origin=f"/{entities.COEFFICIENTS}", plot_legend=legend),
     ]
     if truth is not None:
-        plots.append(rrb.TimeSeriesView(name="Error against the truth", origin=f"/{entities.ERROR}"))
+        plots.append(
+            rrb.TimeSeriesView(name="Error against the truth", origin=f"/{entities.ERROR}", plot_legend=legend)
+        )
     words = [
         rrb.TextLogView(name="Log", origin=f"/{entities.LOG}", columns=_log_columns()),
         rrb.TextDocumentView(name="Result", origin=f"/{entities.SUMMARY}"),
@@ -60,7 +66,7 @@ def blueprint(reconstruction: Reconstruction, observation: Observation, truth: T
         rrb.Vertical(
             rrb.Horizontal(image, scene, column_shares=[1, 1]),
             rrb.Horizontal(rrb.Tabs(*plots), rrb.Tabs(*words), column_shares=[1, 1]),
-            row_shares=[3, 2],
+            row_shares=[4, 3],
             name="One vehicle: from keypoints to pose and shape",
         ),
         rrb.BlueprintPanel(state="collapsed"),
@@ -77,10 +83,9 @@ def _log_columns() -> Any:
 
 
 def _eye(reconstruction: Reconstruction) -> Any:
-    """An eye beside the line of sight that sees vehicle and camera; None where there is no result.
+    """An eye beside the line of sight, on the side of the flank that the camera sees; None where there is no result.
 
-    It stands on the side of the flank that the camera sees too. A camera far away leaves the view, so that the vehicle
-    keeps its size.
+    A camera nearby is in the view; one farther away is not, so that the vehicle keeps its size.
     """
     import rerun.blueprint as rrb
 
@@ -93,7 +98,9 @@ def _eye(reconstruction: Reconstruction) -> Any:
     flank = reconstruction.camera_T_object[:3, 2]
     flank = -flank if flank @ towards > 0 else flank
     aside = -aside if flank @ aside < 0 else aside
-    span = float(np.clip(at[2], *_EYE_SPAN))
-    target = at - 0.4 * span * towards - (0.0, 0.6, 0.0)
-    position = target + 0.75 * span * aside - (0.0, 0.33 * span, 0.0)
+    near = at[2] <= _NEAR
+    span = max(float(at[2]), _CLOSE_UP) if near else _CLOSE_UP
+    target = at - (0.4 * span if near else 0.0) * towards - (0.0, 0.6, 0.0)
+    # In a close-up the eye stands a little towards the camera, or an end-on vehicle would show its other flank only.
+    position = target + 0.85 * span * aside - (0.0, 0.35 * span, 0.0) - (0.0 if near else 0.4 * span) * towards
     return rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=(0.0, -1.0, 0.0))

@@ -69,10 +69,16 @@ def summary_table(reconstruction: Reconstruction, observation: Observation, trut
         ("Position in the camera frame", f"{x:.2f}, {y:.2f}, {z:.2f} m"),
         ("Length, width, height", f"{length:.2f}, {width:.2f}, {height:.2f} m"),
         ("Median residual of trusted keypoints", f"{residual:.2f} px"),
-        ("Other poses within reach", str(len(result.alternatives))),
+        ("Other poses that the search ended in", _alternatives(result)),
         ("Time", ", ".join(f"{stage} {ms:.1f} ms" for stage, ms in result.milliseconds.items()) or "not measured"),
     ]
     if truth is not None:
         rows.append(("Error against the truth", describe_errors(truth, result.camera_T_object, result.wireframe)))
     lines = "\n".join(f"| {name} | {value.replace('|', '/')} |" for name, value in rows)
     return f"| | |\n|---|---|\n{lines}\n"
+
+
+def _alternatives(reconstruction: Reconstruction) -> str:
+    excesses = [other.excess for other in reconstruction.alternatives if np.isfinite(other.excess)]
+    count = str(len(reconstruction.alternatives))
+    return f"{count}, the best {min(excesses):.1f} nats worse" if excesses else count

@@ -37,16 +37,17 @@ def log_plots(play: Playback) -> None:
         errors = [play.truth.errors(step.camera_T_object, step.keypoints) for step in steps]
         for index, measure in enumerate(errors[0]):
             series = [error[measure] for error in errors]
-            _plot(play, f"{entities.ERROR}/{measure}", series, style.categorical(index))
+            what, _, unit = measure.rpartition("_")
+            _plot(play, f"{entities.ERROR}/{measure}", series, style.categorical(index), f"{what} [{unit}]")
 
 
-def _plot(play: Playback, entity: str, values: Sequence[float | None], colour: Colour) -> None:
-    """One series, with no row where a step has no value."""
+def _plot(play: Playback, entity: str, values: Sequence[float | None], colour: Colour, name: str = "") -> None:
+    """One series, with no row where a step has no value; named after its entity unless told otherwise."""
     import rerun as rr
 
     present = np.array([value is not None for value in values])
     series = np.array([np.nan if value is None else value for value in values])
-    name = entity.rpartition("/")[2].replace("_", " ")
+    name = name or entity.rpartition("/")[2]
     play.once(entity, rr.SeriesLines(names=name, colors=colour, widths=1.0 if name == entities.TOTAL else 2.0))
     play.every_step(entity, rr.Scalars.columns(scalars=series), present)
 

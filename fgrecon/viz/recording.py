@@ -35,7 +35,8 @@ from fgrecon.viz.truth import Truth
 __all__ = ["APPLICATION", "log_reconstruction", "record"]
 
 APPLICATION = "fgrecon"
-"""The application that recordings name; the viewer keeps one layout for all of them."""
+"""First part of the application that a recording names; the second is the file's name. Viewers keep one layout per
+application, and ours zooms to the vehicle: two recordings in one viewer must not share it."""
 
 _JPEG_QUALITY = 92
 _SURFACE_ALPHA = 150  # of 255: the wireframe shows through
@@ -74,7 +75,7 @@ def record(
 
     from fgrecon.viz.blueprint import blueprint
 
-    stream = rr.RecordingStream(APPLICATION)
+    stream = rr.RecordingStream(f"{APPLICATION}: {Path(path).stem}")
     with tempfile.TemporaryDirectory() as folder:
         part = Path(folder) / "recording.rrd"
         stream.save(part, default_blueprint=blueprint(reconstruction, observation, truth))
@@ -183,7 +184,9 @@ def _log_image_steps(play: Playback) -> None:
         )
         play.every_step(entities.KEYPOINTS_2D, columns.partition([len(measured)] * len(weights)))
         residuals = np.stack([np.broadcast_to(detected, play.pixels[:, measured].shape), play.pixels[:, measured]], 2)
-        play.once(entities.RESIDUALS, rr.LineStrips2D.from_fields(colors=style.RESIDUAL, radii=-0.75, draw_order=20.0))
+        play.once(
+            entities.RESIDUALS, rr.LineStrips2D.from_fields(colors=style.SCREEN_INK, radii=-0.75, draw_order=20.0)
+        )
         play.strips(entities.RESIDUALS, rr.LineStrips2D, residuals)
     for side, edges in play.edges.items():
         entity = f"{entities.WIREFRAME_2D}/{side.value}"
@@ -230,6 +233,6 @@ def _log_result(play: Playback, ground: Ground | None) -> None:
         axes, rotations = ellipsoids(result.keypoint_covariance)
         play.at_result(
             entities.UNCERTAINTY,
-            rr.Ellipsoids3D(half_sizes=axes, colors=style.RESIDUAL, fill_mode="MajorWireframe", line_radii=-0.5),
+            rr.Ellipsoids3D(half_sizes=axes, colors=style.UNCERTAINTY, fill_mode="MajorWireframe", line_radii=-0.5),
             rr.InstancePoses3D(translations=result.wireframe, mat3x3=rotations),
         )

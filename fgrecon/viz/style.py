@@ -16,13 +16,16 @@ from numpy.typing import ArrayLike, NDArray
 __all__ = [
     "BACKGROUND",
     "ENERGY_COLOURS",
+    "FADED",
     "GROUND",
+    "HAIRLINE",
     "INK",
-    "RESIDUAL",
+    "PAPER",
     "SCREEN_INK",
     "SIDE_COLOURS",
     "SURFACE",
     "TRUTH",
+    "UNCERTAINTY",
     "Colour",
     "Side",
     "categorical",
@@ -48,10 +51,10 @@ class Side(StrEnum):
 
 SIDE_COLOURS: dict[Side, Colour] = {Side.LEFT: (0, 114, 178), Side.RIGHT: (213, 94, 0), Side.ACROSS: (140, 140, 140)}
 """Blue is the vehicle's left, vermilion its right, grey what joins them."""
-TRUTH: Colour = (0, 158, 115)
-"""What is known to be true: bluish green."""
-RESIDUAL: Colour = (230, 60, 160)
-"""Lines from a detected keypoint to its projection."""
+TRUTH: Colour = (40, 185, 110)
+"""What is known to be true: green."""
+UNCERTAINTY: Colour = (230, 60, 160)
+"""Ellipsoids of the keypoints' covariance."""
 SURFACE: Colour = (196, 204, 214)
 """The reconstructed surface."""
 GROUND: Colour = (96, 96, 96)
@@ -59,19 +62,29 @@ GROUND: Colour = (96, 96, 96)
 BACKGROUND: Colour = (244, 244, 242)
 """The canvas where no photograph is given."""
 INK: Colour = (34, 34, 34)
-"""Text, outlines and the estimated box of a picture."""
+"""Text, boxes and residuals of a picture."""
+FADED: Colour = (96, 96, 96)
+"""Text that matters less."""
+HAIRLINE: Colour = (205, 205, 205)
+"""Borders and grids of a picture."""
+PAPER: Colour = (255, 255, 255)
+"""Paper, and the casing that keeps lines legible on a photograph."""
 SCREEN_INK: Colour = (226, 226, 226)
 """The same in a recording, which viewers draw on black."""
 
 ENERGY_COLOURS: dict[str, Colour] = {
     "total": SCREEN_INK,
-    "reprojection": (0, 114, 178),
-    "planarity": (230, 159, 0),
-    "symmetry": (204, 121, 167),
+    "reprojection": (86, 180, 233),
+    "box": (230, 159, 0),
     "dimensions": (0, 158, 115),
-    "laplacian": (86, 180, 233),
-    "prior": (213, 94, 0),
-    "ground": (140, 86, 75),
+    "coefficients": (213, 94, 0),
+    "ground": (204, 121, 167),
+    "planarity": (240, 228, 66),
+    "rectangularity": (148, 103, 189),
+    "symmetry": (188, 189, 34),
+    "laplacian": (0, 114, 178),
+    "cheirality": (180, 40, 60),
+    "offsets": (140, 86, 75),
 }
 """Colour of each named energy term; a term without one takes its turn in `energy_colour`."""
 

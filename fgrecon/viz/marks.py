@@ -1,0 +1,108 @@
+"""What is drawn onto a photograph with matplotlib: the crop itself, wireframes, keypoints, residuals, boxes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fgrecon.camera import Camera
+from fgrecon.observation import Observation
+from fgrecon.viz import style
+from fgrecon.viz.geometry import BOX_EDGES, Box, box_corners, image_points, resolution
+from fgrecon.viz.style import Side
+from fgrecon.viz.truth import Truth
+
+__all__ = ["draw_badge", "draw_box", "draw_crop", "draw_edges", "draw_keypoints", "draw_true_box", "unit"]
+
+_LINE = 1.6
+
+
+def unit(colour: ArrayLike) -> NDArray[np.float64]:
+    """8-bit colours (..., 3) as matplotlib takes them, from 0 to 1."""
+    return np.asarray(colour, dtype=np.float64) / 255.0
+
+
+def draw_crop(axes: Any, image: NDArray[np.uint8] | None, camera: Camera, crop: Box) -> None:
+    """The part of the photograph within the crop, or a plain canvas with the image's border, in pixel coordinates."""
+    x1, y1, x2, y2 = crop
+    axes.set_facecolor(unit(style.BACKGROUND))
+    width, height = resolution(camera, image)
+    if image is None:
+        xs, ys = (-0.5, width - 0.5, width - 0.5, -0.5, -0.5), (-0.5, -0.5, height - 0.5, height - 0.5, -0.5)
+        axes.plot(xs, ys, color=unit(style.HAIRLINE), linewidth=0.8, zorder=0)
+    else:
+        columns = slice(max(int(np.floor(x1)), 0), min(int(np.ceil(x2)) + 1, int(width)))
+        rows = slice(max(int(np.floor(y1)), 0), min(int(np.ceil(y2)) + 1, int(height)))
+        part = image[rows, columns]
+        if part.size:  # pixel centres lie at integer coordinates
+            extent = (columns.start - 0.5, columns.stop - 0.5, rows.stop - 0.5, rows.start - 0.5)
+            axes.imshow(part, extent=extent, interpolation="bilinear", zorder=0)
+    axes.set_xlim(x1, x2)
+    axes.set_ylim(y2, y1)
+    axes.set_aspect("equal")
+    axes.set_xticks([])
+    axes.set_yticks([])
+    for spine in axes.spines.values():
+        spine.set_color(unit(style.HAIRLINE))
+
+
+def draw_edges(
+    axes: Any, points: NDArray[np.float64], edges: Mapping[Side, NDArray[np.int64]], alpha: float = 1.0
+) -> None:
+    """A wireframe of points (K, 2), each side in its colour on a light casing; edges with a NaN end are left out."""
+    for side in (Side.ACROSS, Side.RIGHT, Side.LEFT):
+        if side in edges:
+            _draw_lines(axes, points[edges[side]], style.SIDE_COLOURS[side], _LINE, alpha, zorder=3)
+
+
+def draw_keypoints(
+    axes: Any, observation: Observation, weights: NDArray[np.float64], projections: NDArray[np.float64] | None
+) -> None:
+    """Detected keypoints, colour and size by weight, each with a line to its projection (K, 2) where one is given."""
+    measured = observation.measured
+    detected = observation.keypoints[measured]
+    if projections is not None:
+        lines = np.stack([detected, projections[measured]], axis=1)
+        _draw_lines(axes, lines, style.INK, 1.0, 1.0, zorder=4)
+    colours = unit(style.weight_colours(weights[measured]))
+    sizes = (style.weight_radii(weights[measured], 1.6, 3.2) * 2) ** 2
+    axes.scatter(*detected.T, s=sizes, c=colours, edgecolors=[unit(style.PAPER)], linewidths=0.6, zorder=6)
+
+
+def draw_box(axes: Any, box: NDArray[np.float64]) -> None:
+    """The 2D box (4,) of an observation."""
+    x1, y1, x2, y2 = box
+    corners = np.array([(x1, y1), (x2, y1), (x2, y2), (x1, y2), (x1, y1)])
+    axes.plot(*corners.T, color=unit(style.PAPER), linewidth=1.3, alpha=0.7, zorder=1)
+    axes.plot(*corners.T, color=unit(style.INK), linewidth=0.7, zorder=1)
+
+
+def draw_badge(axes: Any, text: str) -> None:
+    """A short text in the lower left corner, on paper so that it stays legible."""
+    box = {"boxstyle": "round,pad=0.25", "facecolor": unit(style.PAPER), "edgecolor": "none", "alpha": 0.85}
+    place = {"xycoords": "axes fraction", "textcoords": "offset points"}
+    axes.annotate(text, (0, 0), (5, 5), fontsize=7, color=unit(style.INK), bbox=box, zorder=8, **place)
+
+
+def draw_true_box(axes: Any, truth: Truth, camera: Camera) -> None:
+    """The true 3D box in the image; nothing where its size is not known."""
+    if truth.box_size is not None:
+        corners = image_points(camera, truth.camera_T_object, box_corners(truth.box_size))
+        _draw_lines(axes, corners[BOX_EDGES], style.TRUTH, 0.9, 0.9, zorder=2)
+
+
+def _draw_lines(
+    axes: Any, lines: NDArray[np.float64], colour: style.Colour, width: float, alpha: float, zorder: float
+) -> None:
+    """Line segments (S, 2, 2) over a wider light line, so that they stay legible on any photograph."""
+    from matplotlib.collections import LineCollection
+
+    drawn = list(lines[np.isfinite(lines).all(axis=(1, 2))])
+    for shade, extra, part in ((style.PAPER, 0.8 * width, 0.7 * alpha), (colour, 0.0, alpha)):
+        collection = LineCollection(
+            drawn, colors=[unit(shade)], linewidths=width + extra, alpha=part, capstyle="round", zorder=zorder
+        )
+        axes.add_collection(collection)

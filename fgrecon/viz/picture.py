@@ -1,0 +1,305 @@
+"""Pictures of a reconstruction without a viewer: the four panels of the paper's Fig. 2, and contact sheets.
+
+Figures are made with matplotlib's object interface: no pyplot, no window, no global state.
+"""
+
+from __future__ import annotations
+
+import io
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.camera import Camera
+from fgrecon.errors import InvalidInputError
+from fgrecon.files import write_bytes
+from fgrecon.observation import Observation
+from fgrecon.reconstruction import Iteration, Reconstruction, Status
+from fgrecon.viz import style
+from fgrecon.viz.describe import describe_errors, median_residual
+from fgrecon.viz.geometry import Box, as_image, crop_around, image_points
+from fgrecon.viz.marks import draw_badge, draw_box, draw_crop, draw_edges, draw_keypoints, draw_true_box, unit
+from fgrecon.viz.solid import draw_from_above, draw_three_quarter
+from fgrecon.viz.style import Side
+from fgrecon.viz.truth import Truth
+
+__all__ = ["FORMATS", "Sight", "as_rgb", "contact_sheet", "picture", "save_picture"]
+
+FORMATS = ("png", "svg", "pdf", "jpg", "jpeg")
+"""File types that `save_picture` writes, by the ending of the name."""
+
+_DPI = 150
+_ASPECT = 1.25
+# Layout in inches: three panels over the photograph, two 3D views, then legend and caption.
+_WIDTH, _HEIGHT = 11.0, 3.2
+_PANEL, _GAP, _BOTTOM = 2.3, 0.08, 0.92
+_CELL, _CELL_ASPECT, _CELL_HEADING = 3.0, 1.5, 0.42
+
+
+@dataclass(frozen=True)
+class Sight:
+    """One reconstructed vehicle and what it was reconstructed from, as a cell of a contact sheet.
+
+    Attributes:
+        reconstruction: The result.
+        observation: Its keypoints.
+        camera: The camera that saw them.
+        image: (H, W, 3) RGB photograph, or None.
+        truth: What is known to be true, or None.
+        title: Heading of the cell; empty for none.
+    """
+
+    reconstruction: Reconstruction
+    observation: Observation
+    camera: Camera
+    image: NDArray[np.uint8] | None = None
+    truth: Truth | None = None
+    title: str = ""
+
+
+@dataclass(frozen=True)
+class _Moment:
+    """An estimate at one moment of the optimisation."""
+
+    camera_T_object: NDArray[np.float64]
+    keypoints: NDArray[np.float64]
+    weights: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, step: Iteration) -> _Moment:
+        return cls(step.camera_T_object, step.keypoints, step.weights)
+
+
+def picture(
+    reconstruction: Reconstruction,
+    observation: Observation,
+    camera: Camera,
+    *,
+    image: NDArray[np.uint8] | None = None,
+    truth: Truth | None = None,
+) -> Any:
+    """Draw how one vehicle was reconstructed: initial, after pose, after shape, and 3D views.
+
+    Args:
+        reconstruction: The result with its history.
+        observation: The keypoints that it was solved from.
+        camera: The camera that saw them.
+        image: (H, W, 3) RGB photograph; without one the panels have a plain canvas.
+        truth: What is known to be true: its box is drawn and the errors are written.
+
+    Returns:
+        A `matplotlib.figure.Figure` with an Agg canvas; see `save_picture` and `as_rgb`.
+
+    Raises:
+        InvalidInputError: The image is not (H, W, 3) of bytes.
+    """
+    photograph = None if image is None else as_image(image)
+    sight = Sight(reconstruction, observation, camera, photograph, truth)
+    figure = _figure(_WIDTH, _HEIGHT)
+    crop = crop_around(observation, reconstruction.wireframe_uv, aspect=_ASPECT)
+    edges, height = _edges(reconstruction), _PANEL / _ASPECT
+    for column, (title, moment) in enumerate(_moments(reconstruction)):
+        axes = _axes(figure, _GAP + column * (_PANEL + _GAP), _BOTTOM, _PANEL, height)
+        _draw_moment(axes, sight, crop, title, moment, edges)
+    if np.isfinite(reconstruction.camera_T_object).all():
+        solid = _axes(figure, 7.32, _BOTTOM, 1.85, height)
+        corner = draw_three_quarter(solid, reconstruction, edges)
+        _title(solid, "In 3D", f"from the {corner}")
+        above = _axes(figure, 9.52, _BOTTOM + 0.28, 1.42, height - 0.28)
+        draw_from_above(above, reconstruction, edges, truth)
+        _title(above, "From above", "")
+    _draw_legend(figure, truth)
+    figure.text(_GAP / _WIDTH, 0.42 / _HEIGHT, _caption(sight), fontsize=8, color=unit(style.INK), va="top")
+    return figure
+
+
+def contact_sheet(sights: Sequence[Sight], *, columns: int = 4) -> Any:
+    """Draw the results of many vehicles, one cell each: detected keypoints and the final wireframe.
+
+    Args:
+        sights: The vehicles, in the order of reading.
+        columns: Cells in a row.
+
+    Returns:
+        A `matplotlib.figure.Figure` with an Agg canvas.
+
+    Raises:
+        InvalidInputError: There is no vehicle, no column, or an image is not (H, W, 3) of bytes.
+    """
+    if not sights:
+        raise InvalidInputError("sights", "none", "Give at least one vehicle.")
+    if columns < 1:
+        raise InvalidInputError("columns", columns, "Give a number of at least 1.")
+    columns = min(columns, len(sights))
+    rows = -(-len(sights) // columns)
+    height = _CELL / _CELL_ASPECT
+    figure = _figure(columns * (_CELL + _GAP) + _GAP, rows * (height + _CELL_HEADING) + _GAP)
+    for index, sight in enumerate(sights):
+        row, column = divmod(index, columns)
+        bottom = (rows - 1 - row) * (height + _CELL_HEADING) + _GAP
+        axes = _axes(figure, _GAP + column * (_CELL + _GAP), bottom, _CELL, height)
+        crop = crop_around(sight.observation, sight.reconstruction.wireframe_uv, aspect=_CELL_ASPECT)
+        _draw_moment(axes, sight, crop, _heading(sight), _result(sight.reconstruction), _edges(sight.reconstruction))
+    return figure
+
+
+def as_rgb(figure: Any, dpi: float = _DPI) -> NDArray[np.uint8]:
+    """The figure as an RGB image (H, W, 3)."""
+    figure.set_dpi(dpi)
+    figure.canvas.draw()
+    return np.array(figure.canvas.buffer_rgba())[..., :3]
+
+
+def save_picture(path: str | Path, figure: Any, dpi: float = _DPI) -> Path:
+    """Write a figure to a file, whole or not at all; the ending of the name chooses the type (see `FORMATS`).
+
+    The same figure gives the same bytes.
+
+    Returns:
+        The path written to.
+
+    Raises:
+        InvalidInputError: Another ending, or the file cannot be written.
+    """
+    import matplotlib as mpl
+
+    kind = Path(path).suffix.lower().removeprefix(".")
+    if kind not in FORMATS:
+        raise InvalidInputError(str(path), kind or "no ending", f"Let the name end in one of {', '.join(FORMATS)}.")
+    metadata: dict[str, dict[str, Any]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+    quality: dict[str, Any] = {"pil_kwargs": {"quality": 92}} if kind in ("jpg", "jpeg") else {}
+    buffer = io.BytesIO()
+    with mpl.rc_context({"svg.hashsalt": "fgrecon"}):  # else the names inside an SVG are random
+        figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata.get(kind), **quality)
+    return write_bytes(path, buffer.getvalue())
+
+
+def _figure(width: float, height: float) -> Any:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=_DPI, facecolor=unit(style.PAPER))
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _axes(figure: Any, left: float, bottom: float, width: float, height: float) -> Any:
+    """Axes at a place given in inches."""
+    across, up = figure.get_size_inches()
+    return figure.add_axes((left / across, bottom / up, width / across, height / up))
+
+
+def _edges(reconstruction: Reconstruction) -> Mapping[Side, NDArray[np.int64]]:
+    sides = style.keypoint_sides(reconstruction.keypoint_names, reconstruction.wireframe)
+    return style.edge_sides(reconstruction.edges, sides)
+
+
+def _moments(reconstruction: Reconstruction) -> tuple[tuple[str, _Moment | None], ...]:
+    """The three panels over the photograph; None where the stage did not run."""
+    history = reconstruction.history
+    pose = [step for step in history if step.stage == "pose"]
+    joint = any(step.stage == "joint" for step in history)
+    return (
+        ("Initial", _Moment.of(history[0]) if history else None),
+        ("After pose adjustment", _Moment.of(pose[-1]) if pose else None),
+        (f"After shape {'and joint ' if joint else ''}adjustment", _result(reconstruction)),
+    )
+
+
+def _result(reconstruction: Reconstruction) -> _Moment | None:
+    if not np.isfinite(reconstruction.camera_T_object).all():
+        return None
+    return _Moment(reconstruction.camera_T_object, reconstruction.wireframe, reconstruction.weights)
+
+
+def _draw_moment(
+    axes: Any, sight: Sight, crop: Box, title: str, moment: _Moment | None, edges: Mapping[Side, NDArray[np.int64]]
+) -> None:
+    """One estimate over the photograph, with a title and a line of numbers."""
+    draw_crop(axes, sight.image, sight.camera, crop)
+    if sight.observation.box is not None:
+        draw_box(axes, sight.observation.box)
+    if sight.truth is not None:
+        draw_true_box(axes, sight.truth, sight.camera)
+    projections, weights, numbers = None, sight.observation.confidence, ""
+    if moment is not None:
+        projections, weights = image_points(sight.camera, moment.camera_T_object, moment.keypoints), moment.weights
+        draw_edges(axes, projections, edges)
+        badge = f"{median_residual(sight.observation, projections, weights):.1f} px"
+        if sight.truth is not None:
+            numbers = describe_errors(sight.truth, moment.camera_T_object, moment.keypoints)
+    else:
+        badge = "no estimate"
+    draw_keypoints(axes, sight.observation, weights, projections)
+    draw_badge(axes, badge)
+    _title(axes, title, numbers)
+
+
+def _title(axes: Any, title: str, numbers: str) -> None:
+    """A title above the axes and a smaller line below it."""
+    axes.set_title(title, fontsize=9, loc="left", pad=13)
+    colour = unit(style.FADED)
+    axes.annotate(
+        numbers, (0, 1), (0, 3), xycoords="axes fraction", textcoords="offset points", fontsize=6.6, color=colour
+    )
+
+
+def _heading(sight: Sight) -> str:
+    status = sight.reconstruction.status
+    parts = [sight.title] if sight.title else []
+    if status is not Status.CONVERGED or not parts:
+        parts.append(status.value)
+    return ", ".join(parts)
+
+
+def _caption(sight: Sight) -> str:
+    result = sight.reconstruction
+    sentence = f"{result.status.value.capitalize()}: {result.message.rstrip('.')}."
+    if np.isfinite(result.camera_T_object).all():
+        (x, y, z), (length, width, height) = result.location, result.box_size
+        sentence += (
+            f" Yaw {np.degrees(result.rotation_y):.1f}°, position ({x:.2f}, {y:.2f}, {z:.2f}) m, "
+            f"size {length:.2f} × {width:.2f} × {height:.2f} m. Prior: {result.prior}."
+        )
+        if sight.truth is not None:
+            errors = describe_errors(sight.truth, result.camera_T_object, result.wireframe)
+            sentence += f" Error against the truth: {errors}."
+    return textwrap.fill(sentence, 175)
+
+
+def _draw_legend(figure: Any, truth: Truth | None) -> None:
+    """What the colours mean, and the scale of weights."""
+    from matplotlib.lines import Line2D
+
+    def line(colour: style.Colour, label: str, width: float = 2.0, dashes: str = "-") -> Any:
+        return Line2D([], [], color=unit(colour), linewidth=width, linestyle=dashes, label=label)
+
+    handles = [
+        line(style.SIDE_COLOURS[Side.LEFT], "vehicle's left"),
+        line(style.SIDE_COLOURS[Side.RIGHT], "vehicle's right"),
+        line(style.SIDE_COLOURS[Side.ACROSS], "across"),
+        line(style.INK, "keypoint to projection", 1.2),
+    ]
+    if truth is not None and truth.box_size is not None:
+        handles.append(line(style.TRUTH, "true box", 1.2))
+    hollow = {"markerfacecolor": unit(style.PAPER), "markeredgecolor": unit(style.INK), "markeredgewidth": 0.7}
+    marker: dict[str, Any] = {"linestyle": "", "marker": "o", "markersize": 5, **hollow}
+    handles.append(Line2D([], [], label="hidden, filled in (3D)", **marker))
+    place = {
+        "loc": "upper left",
+        "bbox_to_anchor": (_GAP / _WIDTH, 0.74 / _HEIGHT),
+        "borderaxespad": 0.0,
+        "borderpad": 0.0,
+    }
+    figure.legend(handles=handles, ncols=len(handles), fontsize=8, frameon=False, columnspacing=1.4, **place)
+    scale = _axes(figure, 9.52, 0.62, 1.3, 0.08)
+    scale.imshow(style.weight_colours(np.linspace(0, 1, 128))[None], aspect="auto", extent=(0, 1, 0, 1))
+    scale.set_yticks([])
+    scale.set_xticks([0, 0.5, 1])
+    scale.tick_params(labelsize=7, length=2, pad=1)
+    scale.text(-0.05, 0.5, "weight", fontsize=8, ha="right", va="center")
