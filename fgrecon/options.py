@@ -58,13 +58,13 @@ class Options:
     joint: bool = True
     free_offsets: bool = False
     basis_vectors: int | None = None
-    sigma_relative: float = 0.035
+    sigma_relative: float = 0.04
     sigma_pixels: float = 1.0
     confidence_midpoint: float = 0.15
     box_model: BoxModel = BoxModel.SURFACE
     box_sigma_relative: float = 0.02
     box_sigma_pixels: float = 1.5
-    azimuths: int = 12
+    azimuths: int = 24
     planarity_sigma: float = 0.03
     symmetry_sigma: float = 0.03
     rectangularity_sigma: float = 0.05

@@ -30,8 +30,8 @@ __all__ = ["PoseEstimate", "adjust_pose"]
 
 Array = NDArray[np.float64]
 
-_ITERATIONS = 12
-_KEEP = {2: 8, 4: 4, 7: 3}  # hypotheses that go on after these iterations: losers show early
+_ITERATIONS = 10
+_KEEP = {2: 12, 4: 5, 6: 3}  # hypotheses that go on from these iterations: losers show early
 _DISTINCT = np.deg2rad(20.0)  # poses closer than that are one
 _GUESS_SPREAD = np.deg2rad([-30.0, 0.0, 30.0])
 _FEWEST = 3  # points that a pose needs
@@ -95,7 +95,7 @@ def adjust_pose(
         camera_T_object=best[0],
         coefficients=result.hypotheses.coefficients[0],
         weights=result.weights[0],
-        visibility=result.visibility[0],
+        visibility=problem.visibility(best[:1])[0],
         energy=float(result.energy[0]),
         alternatives=tuple(
             Alternative(best[i], result.hypotheses.coefficients[i], float(result.energy[i] - result.energy[0]))
@@ -171,7 +171,7 @@ def _by_algorithm1(
     path = Hypotheses(result.poses[:, :3, :3], result.poses[:, :3, 3], zero)
     visibility = problem.visibility(result.poses[-1:])
     last = path.take(np.array([len(path) - 1]))
-    total, _ = problem.evaluate(last, visibility, 1.0)
+    total, _ = problem.evaluate(last)
     return PoseEstimate(
         camera_T_object=result.poses[-1],
         coefficients=zero[-1],
@@ -194,8 +194,7 @@ def _distinct(poses: Array) -> list[int]:
 
 
 def _history(problem: PoseProblem, path: Hypotheses, weights: Array) -> tuple[Iteration, ...]:
-    visibility = problem.visibility(path.matrices())
-    energies = problem.energies(path, visibility)
+    energies = problem.energies(path)
     points = problem.keypoints.mean + np.tensordot(path.coefficients, problem.keypoints.basis, axes=1)
     camera = points @ path.rotation.transpose(0, 2, 1) + path.translation[:, None]
     homogeneous = camera @ problem.keypoints.matrix.T

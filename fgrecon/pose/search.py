@@ -16,7 +16,7 @@ __all__ = ["PoseProblem", "SearchResult", "search"]
 Array = NDArray[np.float64]
 
 _LARGEST_TURN = 0.5  # radians a step may turn: beyond, the linearisation says nothing
-_VISIBILITY_EVERY = 3  # iterations between updates of the visibility, which changes slowly
+_CALMER, _BOLDER = 0.3, 5.0  # factors on the damping after a good and after a bad step
 
 
 @dataclass(frozen=True)
@@ -37,10 +37,10 @@ class PoseProblem:
     size: SizeTerm | None = None
     ground: GroundTerm | None = None
 
-    def evaluate(self, h: Hypotheses, visibility: Array, progress: float) -> tuple[Quadratic, Array]:
+    def evaluate(self, h: Hypotheses, progress: float = 1.0) -> tuple[Quadratic, Array]:
         """Energy, gradient and Gauss-Newton matrix at the hypotheses, and the keypoints' weights (H, K)."""
         total = Quadratic(len(h), 6 + h.coefficients.shape[1])
-        weights = self.keypoints.add(total, h, visibility, progress)
+        weights = self.keypoints.add(total, h, self.visibility(h.matrices()), progress)
         if self.box is not None:
             self.box.add(total, h)
         if self.size is not None:
@@ -50,18 +50,18 @@ class PoseProblem:
         coefficient_term(total, h)
         return total, weights
 
-    def energies(self, h: Hypotheses, visibility: Array) -> dict[str, Array]:
+    def energies(self, h: Hypotheses) -> dict[str, Array]:
         """Energy (H,) of each term at the hypotheses, nats."""
         result: dict[str, Array] = {}
-        for name, term in self._terms(visibility).items():
+        for name, term in self._terms().items():
             total = Quadratic(len(h), 6 + h.coefficients.shape[1])
             term(total, h)
             result[name] = total.energy
         return result
 
-    def _terms(self, visibility: Array) -> dict[str, Callable[[Quadratic, Hypotheses], object]]:
+    def _terms(self) -> dict[str, Callable[[Quadratic, Hypotheses], object]]:
         terms: dict[str, Callable[[Quadratic, Hypotheses], object]] = {
-            "reprojection": lambda total, h: self.keypoints.add(total, h, visibility, 1.0)
+            "reprojection": lambda total, h: self.keypoints.add(total, h, self.visibility(h.matrices()), 1.0)
         }
         for name, term in (("box", self.box), ("dimensions", self.size), ("ground", self.ground)):
             if term is not None:
@@ -78,7 +78,6 @@ class SearchResult:
         hypotheses: The H surviving hypotheses, best first.
         energy: (H,) their energies, nats.
         weights: (H, K) weights of their keypoints.
-        visibility: (H, K) visibilities of their keypoints.
         path: The best one's states from its start on, as T hypotheses.
         path_weights: (T, K) weights along the path.
     """
@@ -86,7 +85,6 @@ class SearchResult:
     hypotheses: Hypotheses
     energy: Array
     weights: Array
-    visibility: Array
     path: Hypotheses
     path_weights: Array
 
@@ -98,40 +96,33 @@ def search(problem: PoseProblem, starts: Hypotheses, iterations: int, keep: Mapp
         problem: What to minimise.
         starts: Start hypotheses, in front of the camera.
         iterations: Levenberg-Marquardt iterations.
-        keep: After iteration i only the keep[i] best hypotheses go on.
+        keep: Before iteration i all but the keep[i] best hypotheses are dropped.
 
     Returns:
         The survivors, best first.
     """
     h = starts
     damping = np.full(len(h), 1e-2)
-    visibility = problem.visibility(h.matrices())
-    total, weights = problem.evaluate(h, visibility, 0.0)
+    total, weights = problem.evaluate(h, 0.0)
     survivor = np.arange(len(h))  # row of each hypothesis in the snapshot before
     snapshots = [(h, weights, survivor)]
     for iteration in range(iterations):
-        progress = (iteration + 1) / iterations
-        step = _damped_step(total, damping)
-        trial = _retract(h, step)
-        trial_total, trial_weights = problem.evaluate(trial, visibility, progress)
-        better = trial_total.energy < total.energy
-        damping = np.where(better, damping * 0.3, damping * 5.0)
-        h = trial.where(better, h)
-        _accept(total, trial_total, better)
-        weights = np.where(better[:, None], trial_weights, weights)
         if iteration in keep and keep[iteration] < len(h):
-            best = np.argsort(total.energy, kind="stable")[: keep[iteration]]
-            h, damping, visibility, weights = h.take(best), damping[best], visibility[best], weights[best]
-            total, survivor = _take(total, best), best
+            survivor = np.argsort(total.energy, kind="stable")[: keep[iteration]]
+            h, damping, weights, total = h.take(survivor), damping[survivor], weights[survivor], total.take(survivor)
         else:
             survivor = np.arange(len(h))
-        if iteration % _VISIBILITY_EVERY == _VISIBILITY_EVERY - 1:
-            visibility = problem.visibility(h.matrices())
-            total, weights = problem.evaluate(h, visibility, progress)
+        trial = _retract(h, _damped_step(total, damping))
+        trial_total, trial_weights = problem.evaluate(trial, (iteration + 1) / iterations)
+        better = trial_total.energy < total.energy
+        damping = np.where(better, damping * _CALMER, damping * _BOLDER)
+        h = trial.where(better, h)
+        total.update(better, trial_total)
+        weights = np.where(better[:, None], trial_weights, weights)
         snapshots.append((h, weights, survivor))
     order = np.argsort(total.energy, kind="stable")
     path, path_weights = _path(snapshots, int(order[0]))
-    return SearchResult(h.take(order), total.energy[order], weights[order], visibility[order], path, path_weights)
+    return SearchResult(h.take(order), total.energy[order], weights[order], path, path_weights)
 
 
 def _path(snapshots: list[tuple[Hypotheses, Array, NDArray[np.intp]]], row: int) -> tuple[Hypotheses, Array]:
@@ -157,15 +148,3 @@ def _damped_step(total: Quadratic, damping: Array) -> Array:
 
 def _retract(h: Hypotheses, step: Array) -> Hypotheses:
     return Hypotheses(h.rotation @ exponential(step[:, :3]), h.translation + step[:, 3:6], h.coefficients + step[:, 6:])
-
-
-def _accept(total: Quadratic, trial: Quadratic, better: NDArray[np.bool_]) -> None:
-    total.energy[better] = trial.energy[better]
-    total.gradient[better] = trial.gradient[better]
-    total.matrix[better] = trial.matrix[better]
-
-
-def _take(total: Quadratic, index: NDArray[np.intp]) -> Quadratic:
-    taken = Quadratic(len(index), total.matrix.shape[1])
-    taken.energy, taken.gradient, taken.matrix = total.energy[index], total.gradient[index], total.matrix[index]
-    return taken

@@ -22,6 +22,9 @@ __all__ = ["BoxTerm", "GroundTerm", "Hypotheses", "KeypointTerm", "Quadratic", "
 
 Array = NDArray[np.float64]
 
+BOX_SOFTNESS = 0.5
+"""Softness of the box's extents as a fraction of an edge's sigma: smooth enough to converge, with a bias far below it."""
+
 MIN_DEPTH = 0.3
 """Nothing may be nearer to the camera than this, metres."""
 
@@ -70,6 +73,18 @@ class Quadratic:
         transposed = jacobian.transpose(0, 2, 1)
         self.matrix[:, columns, columns] += transposed @ jacobian
         self.gradient[:, columns] += (transposed @ residual[..., None])[..., 0]
+
+    def take(self, index: NDArray[np.intp]) -> Quadratic:
+        """The sums of some of the hypotheses."""
+        taken = Quadratic(0, 0)
+        taken.energy, taken.gradient, taken.matrix = self.energy[index], self.gradient[index], self.matrix[index]
+        return taken
+
+    def update(self, mask: NDArray[np.bool_], other: Quadratic) -> None:
+        """Take over another's sums where the mask holds."""
+        self.energy[mask] = other.energy[mask]
+        self.gradient[mask] = other.gradient[mask]
+        self.matrix[mask] = other.matrix[mask]
 
 
 def _project(matrix: Array, points: Array, h: Hypotheses) -> tuple[Array, Array, NDArray[np.bool_]]:
@@ -150,15 +165,15 @@ class BoxTerm:
     sigma: float
     outlier: float
 
-    _AXIS = np.array([0, 1, 0, 1])
+    @property
+    def softness(self) -> float:
+        """Pixels over which one outermost point hands over to the next, see `factors.box`."""
+        return BOX_SOFTNESS * self.sigma
 
-    def residuals(self, h: Hypotheses) -> tuple[Array, NDArray[np.intp], Array, Array, NDArray[np.bool_]]:
-        """Whitened residuals (H, 4), the active points' indices (H, 4), object and camera points, too-near flags."""
-        points = self.mean + np.tensordot(h.coefficients, self.basis, axes=1)
-        pixels, camera, near = _project(self.matrix, points, h)
-        active = np.concatenate([pixels.argmin(axis=1), pixels.argmax(axis=1)], axis=1)
-        row = np.arange(len(h))[:, None]
-        return (pixels[row, active, self._AXIS] - self.edges) / self.sigma, active, points, camera, near
+    def residuals(self, h: Hypotheses) -> Array:
+        """Whitened residuals (H, 4)."""
+        pixels = _project(self.matrix, self._points(h), h)[0]
+        return (self._extents(pixels)[0] - self.edges) / self.sigma
 
     def weights(self, residual: Array) -> Array:
         """(H, 4) probability that each edge is right."""
@@ -167,16 +182,41 @@ class BoxTerm:
 
     def add(self, total: Quadratic, h: Hypotheses) -> None:
         """Add this term."""
-        residual, active, points, camera, near = self.residuals(h)
+        points = self._points(h)
+        pixels, camera, near = _project(self.matrix, points, h)
+        extents, share = self._extents(pixels)
+        residual = (extents - self.edges) / self.sigma
         likelihood = np.exp(-0.5 * np.square(residual)) + self.outlier
         total.energy += np.where(near, np.inf, -np.where(self.used, np.log(likelihood), 0.0).sum(axis=1))
-        row = np.arange(len(h))[:, None]
-        scale = np.sqrt(self.weights(residual)) / self.sigma
-        by_camera = pixel_jacobian(self.matrix, camera[row, active])[row, np.arange(4), self._AXIS] * scale[..., None]
-        by_object = by_camera @ h.rotation
-        by_coefficient = (self.basis.transpose(1, 2, 0)[active] * by_object[..., None]).sum(axis=2)
-        jacobian = np.concatenate([cross(points[row, active], by_object), by_camera, by_coefficient], axis=-1)
-        total.add(residual * scale * self.sigma, jacobian)
+        scale = np.sqrt(self.weights(residual))
+        share = share * (scale / self.sigma)[..., None]
+        by_camera = pixel_jacobian(self.matrix, camera)
+        by_object = by_camera @ h.rotation[:, None]
+        by_turn = cross(points[:, :, None], by_object)
+        count, size = len(h), len(self.mean)
+        flat_basis = self.basis.reshape(len(self.basis), 3 * size).T
+        jacobian = np.empty((count, 4, 6 + len(self.basis)))
+        for axis in (0, 1):
+            of_axis = share[:, axis::2]  # (H, 2, P): the lower and the upper edge
+            jacobian[:, axis::2, :3] = of_axis @ by_turn[:, :, axis]
+            jacobian[:, axis::2, 3:6] = of_axis @ by_camera[:, :, axis]
+            weighted = of_axis[..., None] * by_object[:, None, :, axis]
+            jacobian[:, axis::2, 6:] = weighted.reshape(count, 2, 3 * size) @ flat_basis
+        total.add(residual * scale, jacobian)
+
+    def _points(self, h: Hypotheses) -> Array:
+        points: Array = self.mean + np.tensordot(h.coefficients, self.basis, axes=1)
+        return points
+
+    def _extents(self, pixels: Array) -> tuple[Array, Array]:
+        """Extents (H, 4) of pixels (H, P, 2), and their derivative (H, 4, P) by the pixels of their axis."""
+        upright = pixels.transpose(0, 2, 1)
+        outward = np.concatenate([-upright, upright], axis=1)  # (H, 4, P): x1, y1, x2, y2
+        weight = np.exp((outward - outward.max(axis=2, keepdims=True)) / self.softness)
+        weight /= weight.sum(axis=2, keepdims=True)
+        extent = (weight * outward).sum(axis=2)
+        share = weight * (1.0 + (outward - extent[..., None]) / self.softness)
+        return extent * np.array([-1.0, -1.0, 1.0, 1.0]), share
 
 
 @dataclass(frozen=True)

@@ -148,7 +148,7 @@ def _reweigh(state: _State, problem: PoseProblem, graph: VehicleGraph, values: g
     if problem.box is not None:
         matrix = state.pose.matrix()
         here = Hypotheses(matrix[None, :3, :3], matrix[None, :3, 3], state.coefficients[None])
-        state.box_weights = problem.box.weights(problem.box.residuals(here)[0])[0]
+        state.box_weights = problem.box.weights(problem.box.residuals(here))[0]
 
 
 def _graph_weights(state: _State, problem: PoseProblem) -> Array:

@@ -102,7 +102,9 @@ class VehicleGraph:
             if used.any():
                 sigmas = box.sigma / np.sqrt(box_weights[used])
                 noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
-                terms["box"] = [factors.box_factor(self._box_kernel, box.edges, noise, edges=used.tolist())]
+                edges = used.tolist()
+                factor = factors.box_factor(self._box_kernel, box.edges, noise, softness=box.softness, edges=edges)
+                terms["box"] = [factor]
         return terms
 
     def values(self, pose: gtsam.Pose3, coefficients: Array, offsets: Array) -> gtsam.Values:

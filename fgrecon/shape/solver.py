@@ -59,6 +59,5 @@ def minimise(
     except RuntimeError as error:  # GTSAM's own: an indefinite or singular system
         raise DegenerateProblemError("keypoints", str(error), "Give more, or better spread, keypoints.") from error
     finally:
-        parameters.iterationHook = lambda *_: None  # breaks the cycle parameters -> hook -> optimizer
         optimizer = optimizers.pop()
     return Solution(values, tuple(path), float(optimizer.error()), int(optimizer.iterations()))

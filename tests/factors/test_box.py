@@ -27,8 +27,12 @@ BOX = [100.0, 100.0, 300.0, 200.0]
 
 
 @settings(deadline=None, derandomize=True, max_examples=10)
-@given(st.integers(0, 2**32 - 1), st.lists(st.booleans(), min_size=4, max_size=4).filter(any))
-def test_value_and_jacobian(seed, edges):
+@given(
+    st.integers(0, 2**32 - 1),
+    st.lists(st.booleans(), min_size=4, max_size=4).filter(any),
+    st.floats(0.5, 20.0),
+)
+def test_value_and_jacobian(seed, edges, softness):
     rng = np.random.default_rng(seed)
     shape, values = bound_shape(rng, keypoints=100)
     pose = random_pose(rng)
@@ -36,9 +40,27 @@ def test_value_and_jacobian(seed, edges):
     pixels = project(shape.points(values), pose)
     extent = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
     for p in (X(), pose):
-        factor = box_factor(ProjectionKernel(shape, CAMERA, p), BOX, 1.0, edges=edges)
-        np.testing.assert_allclose(factor.unwhitenedError(values), (extent - BOX)[edges], rtol=1e-9)
-        assert_jacobian(factor, values, step=1e-6, relative=1e-6)
+        kernel = ProjectionKernel(shape, CAMERA, p)
+        hard = box_factor(kernel, BOX, 1.0, softness=1e-4, edges=edges)
+        np.testing.assert_allclose(hard.unwhitenedError(values), (extent - BOX)[edges], atol=1e-4)
+        soft = box_factor(kernel, BOX, 1.0, softness=softness, edges=edges)
+        shrunk = (hard.unwhitenedError(values) - soft.unwhitenedError(values)) * np.array([-1, -1, 1, 1])[edges]
+        assert (shrunk > -1e-9).all()
+        assert_jacobian(soft, values, step=1e-6, relative=1e-6)
+
+
+@settings(deadline=None, derandomize=True, max_examples=10)
+@given(st.floats(0.0, 10.0), st.floats(0.1, 5.0))
+def test_bias_between_two_points(gap, softness):
+    """Two points `gap` pixels apart: the soft extreme lies at most 0.28 softness inside the hard one."""
+    depth = 10.0
+    mean = np.array([[0.0, 0.0, 0.0], [gap * depth / CAMERA[0, 0], 0.0, 0.0]])
+    kernel = ProjectionKernel(LinearShape(mean, np.zeros((0, 2, 3)), np.zeros(0)), CAMERA, X())
+    values = gtsam.Values()
+    values.insert(X(), gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 0.0, depth])))
+    edges = [False, False, True, False]
+    factor = box_factor(kernel, [0.0, 0.0, CAMERA[0, 2] + gap, 1.0], 1.0, softness=softness, edges=edges)
+    assert -0.28 * softness <= factor.unwhitenedError(values)[0] <= 1e-9
 
 
 def test_moves_the_vehicle_into_the_box():
@@ -52,7 +74,7 @@ def test_moves_the_vehicle_into_the_box():
     values.insert(L(), np.zeros(5))
     upright = gtsam.noiseModel.Diagonal.Sigmas(np.array([1e-4] * 3 + [1e3] * 3))
     graph = graph_of(
-        box_factor(ProjectionKernel(LinearShape(mean, basis, L()), CAMERA, X()), box, 0.1),
+        box_factor(ProjectionKernel(LinearShape(mean, basis, L()), CAMERA, X()), box, 0.1, softness=1e-3),
         gtsam.PriorFactorPose3(X(), start, upright),
         coefficients_prior(L(), 5, 1e-4),
     )
@@ -73,4 +95,11 @@ def test_moves_the_vehicle_into_the_box():
 def test_bad_input(box, edges):
     shape, _ = bound_shape(np.random.default_rng(1))
     with pytest.raises(InvalidInputError):
-        box_factor(ProjectionKernel(shape, CAMERA, X()), box, 1.0, edges=edges)
+        box_factor(ProjectionKernel(shape, CAMERA, X()), box, 1.0, softness=1.0, edges=edges)
+
+
+@pytest.mark.parametrize("softness", [0.0, -1.0, np.nan])
+def test_bad_softness(softness):
+    shape, _ = bound_shape(np.random.default_rng(1))
+    with pytest.raises(InvalidInputError):
+        box_factor(ProjectionKernel(shape, CAMERA, X()), BOX, 1.0, softness=softness)
