@@ -110,11 +110,24 @@ class NoiseModel:
                 raise InvalidInputError(f"noise.{name}", getattr(self, name), "Give two positive numbers.")
 
     def harder(self, severity: float) -> NoiseModel:
-        """The same network on worse images: fewer confident points, more confusions and lost points.
+        """The same network on worse images: noisier points, confident outliers, less confidence altogether.
+
+        OpenCV's SQPnP on the keypoints of confidence > 0.3, with the mean shape, on 2,000 simulated cars of the prior
+        `car14` scaled to KITTI's fleet, at `kitti_like_pose`s:
+
+        | severity | mean error, degrees | AOP at 5 / 15 / 30 degrees, % | median translation error, m | outliers, % |
+        |---|---|---|---|---|
+        | 0 | 5.5 | 86 / 95 / 97 | 1.2 | 1 |
+        | 0.5 | 14 | 63 / 78 / 90 | 1.8 | 7 |
+        | 1 | 22 | 44 / 68 / 84 | 2.7 | 14 |
+        | 1.5 | 30 | 34 / 59 / 78 | 3.9 | 20 |
+        | 2 | 35 | 27 / 54 / 73 | 4.6 | 26 |
+
+        (Outliers: of the keypoints used.) Difficult tracks of the real network are known to give 17 degrees,
+        46 / 58 / 87 % and 2.9 m, the 76 frames that `HOURGLASS` is fitted to 1.5 degrees, 99 / 100 / 100 % and 1.0 m.
 
         Args:
-            severity: 0 changes nothing; at 1 (`HARD`) OpenCV's SQPnP on keypoints of confidence > 0.3 with the mean
-                shape does as badly as on difficult tracks.
+            severity: 0 changes nothing, 1 is `HARD`.
         """
         if not 0.0 <= severity < np.inf:
             raise InvalidInputError("severity", severity, "Give a number >= 0.")
@@ -124,13 +137,12 @@ class NoiseModel:
 
         return replace(
             self,
-            found_visible=self.found_visible * 0.9**severity,
-            sigma_visible=self.sigma_visible * (1.0 + 1.7 * severity),
-            sigma_hidden=self.sigma_hidden * (1.0 + 1.7 * severity),
-            confident_lost=raised(self.confident_lost, 0.03),
-            confusion=raised(self.confusion, 0.01),
+            sigma_visible=self.sigma_visible * (1.0 + 0.35 * severity),
+            sigma_hidden=self.sigma_hidden * (1.0 + 0.35 * severity),
+            confident_lost=raised(self.confident_lost, 0.17),
+            confusion=raised(self.confusion, 0.02),
             covered=raised(self.covered, 0.05),
-            fade=self.fade + 0.03 * severity,
+            fade=self.fade + 0.2 * severity,
         )
 
     def measure(
