@@ -35,7 +35,7 @@ from factors.guard import guarded_factor
 from factors.kernel import Projection, ProjectionKernel
 from factors.keys import DecodedKey, L, M, O, P, X, decode_key, key_name
 from factors.laplacian import laplacian_factor
-from factors.noise import Loss, Noise, RobustLoss, as_noise, diagonal_noise, keypoint_noise, stacked_noise
+from factors.noise import Loss, Noise, RobustLoss, as_noise, diagonal_noise, keypoint_noise, keypoint_whiteners
 from factors.planarity import (
     ground_parallel_factor,
     penalty_ground_parallel_factor,
@@ -44,7 +44,11 @@ from factors.planarity import (
 )
 from factors.planes import fit_plane, make_plane
 from factors.rectangularity import rectangularity_factor
-from factors.reprojection import reprojection_factor, reprojection_factors, stacked_reprojection_factor
+from factors.reprojection import (
+    reprojection_factor,
+    reprojection_factors,
+    stacked_reprojection_factor,
+)
 from factors.shape import LinearShape
 from factors.shape_prior import coefficients_prior, offsets_prior
 from factors.symmetry import symmetry_factor
@@ -81,6 +85,7 @@ __all__ = [
     "is_in_front",
     "key_name",
     "keypoint_noise",
+    "keypoint_whiteners",
     "laplacian_factor",
     "make_plane",
     "offsets_prior",
@@ -90,7 +95,6 @@ __all__ = [
     "rectangularity_factor",
     "reprojection_factor",
     "reprojection_factors",
-    "stacked_noise",
     "stacked_reprojection_factor",
     "symmetry_factor",
     "upright_factor",

@@ -17,12 +17,12 @@ from typing import Any
 
 import gtsam
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from factors.checks import finite_array
 from factors.errors import InvalidInputError
 
-__all__ = ["Loss", "Noise", "RobustLoss", "as_noise", "diagonal_noise", "keypoint_noise", "stacked_noise"]
+__all__ = ["Loss", "Noise", "RobustLoss", "as_noise", "diagonal_noise", "keypoint_noise", "keypoint_whiteners"]
 
 Noise = gtsam.noiseModel.Base | float
 """A noise model, or one sigma for every row of the residual, in the residual's unit."""
@@ -91,9 +91,36 @@ class RobustLoss:
         """The noise model with this loss around it."""
         return gtsam.noiseModel.Robust.Create(self.estimator(), noise)
 
-    def weight(self, distance: float) -> float:
-        """Weight rho'(s) / s of a whitened residual norm s: what the solver multiplies the factor's energy by."""
-        return float(self.estimator().weight(distance))
+    def weights(self, distances: ArrayLike) -> NDArray[np.float64]:
+        """Weights rho'(s) / s of whitened residual norms s: what the solver multiplies squared residuals by."""
+        s2, k2 = self._squares(distances)
+        match self.loss:
+            case Loss.HUBER:
+                return np.minimum(1.0, self.constant / np.sqrt(np.maximum(s2, 1e-300)))
+            case Loss.CAUCHY:
+                return k2 / (k2 + s2)
+            case Loss.GEMAN_MCCLURE:
+                return np.square(k2 / (k2 + s2))
+            case Loss.TUKEY:
+                return np.square(np.maximum(1.0 - s2 / k2, 0.0))
+
+    def losses(self, distances: ArrayLike) -> NDArray[np.float64]:
+        """Losses rho(s) of whitened residual norms s; s^2 / 2 near zero."""
+        s2, k2 = self._squares(distances)
+        match self.loss:
+            case Loss.HUBER:
+                return np.where(s2 <= k2, 0.5 * s2, self.constant * np.sqrt(s2) - 0.5 * k2)
+            case Loss.CAUCHY:
+                return 0.5 * k2 * np.log1p(s2 / k2)
+            case Loss.GEMAN_MCCLURE:
+                return 0.5 * k2 * s2 / (k2 + s2)
+            case Loss.TUKEY:
+                u: NDArray[np.float64] = np.minimum(s2 / k2, 1.0)
+                return k2 / 6.0 * u * (3.0 - 3.0 * u + u * u)  # 1 - (1 - u)^3 without its cancellation near zero
+
+    def _squares(self, distances: ArrayLike) -> tuple[NDArray[np.float64], float]:
+        squares: NDArray[np.float64] = np.square(np.asarray(distances, dtype=np.float64))
+        return squares, self.constant**2
 
     def estimator(self) -> Any:
         """GTSAM's estimator of this loss."""
@@ -143,20 +170,39 @@ def keypoint_noise(
     return noise if robust is None else robust.wrap(noise)
 
 
-def stacked_noise(weights: ArrayLike, sigma: float) -> gtsam.noiseModel.Diagonal:
-    """Noise model (2M rows) of one stacked reprojection factor over M keypoints of positive weight.
+def keypoint_whiteners(weights: ArrayLike, sigma: float, covariances: ArrayLike | None = None) -> NDArray[np.float64]:
+    """Inverse square roots of Sigma_i / w_i for many keypoints at once.
 
     Args:
-        weights: (M,) IRLS weights > 0.
-        sigma: Standard deviation sigma_0 of a keypoint of weight 1, pixels.
+        weights: (K,) IRLS weights w_i >= 0.
+        sigma: Standard deviation sigma_0 of a keypoint of weight 1, pixels; not used where covariances are given.
+        covariances: (K, 2, 2) covariance of each keypoint, pixels^2, or None.
+
+    Returns:
+        (K, 3) entries a, b, c of lower triangular matrices W_i = [[a, 0], [b, c]], W_i' W_i = w_i Sigma_i^-1; zero for
+        a keypoint without weight.
 
     Raises:
-        InvalidInputError: A weight or sigma is not positive and finite.
+        InvalidInputError: A weight is negative or not finite, sigma is not positive, or a covariance is not symmetric
+            positive definite.
     """
     array = finite_array("weights", weights, (None,))
-    if not len(array) or array.min() < _SMALLEST_WEIGHT:
-        raise InvalidInputError("weights", array.tolist(), "Give positive weights; leave keypoints of weight zero out.")
-    return diagonal_noise("sigma", np.repeat(_positive("sigma", sigma) / np.sqrt(array), 2))
+    if array.size and array.min() < 0:
+        raise InvalidInputError("weights", float(array.min()), "Give weights >= 0.")
+    result = np.zeros((len(array), 3))
+    if covariances is None:
+        result[:, 0] = result[:, 2] = 1.0 / _positive("sigma", sigma)
+    else:
+        S = finite_array("covariances", covariances, (len(array), 2, 2))
+        determinants = S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] ** 2
+        wrong = (S[:, 0, 1] != S[:, 1, 0]) | (S[:, 0, 0] <= 0) | (determinants <= 0)
+        if wrong.any():
+            raise InvalidInputError("covariances", S[wrong][0].tolist(), "Give symmetric positive definite matrices.")
+        # The inverse of the Cholesky factor [[l, 0], [m, n]] with l^2 = S_00, l m = S_01, l n = sqrt(det).
+        result[:, 0] = 1.0 / np.sqrt(S[:, 0, 0])
+        result[:, 2] = np.sqrt(S[:, 0, 0] / determinants)
+        result[:, 1] = -S[:, 0, 1] / S[:, 0, 0] * result[:, 2]
+    return result * np.sqrt(np.where(array < _SMALLEST_WEIGHT, 0.0, array))[:, None]
 
 
 def diagonal_noise(field: str, sigmas: ArrayLike) -> gtsam.noiseModel.Diagonal:

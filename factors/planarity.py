@@ -23,7 +23,7 @@ from factors.checks import index_array, unit_vector
 from factors.errors import InvalidInputError
 from factors.guard import Evaluation, guarded_factor
 from factors.noise import Noise
-from factors.planes import plane_at
+from factors.planes import tangent_basis
 from factors.shape import LinearShape
 
 __all__ = ["ground_parallel_factor", "penalty_ground_parallel_factor", "penalty_planarity_factor", "planarity_factor"]
@@ -44,7 +44,7 @@ def planarity_factor(shape: LinearShape, face: ArrayLike, plane_key: int, noise:
         InvalidInputError: The face has fewer than three keypoints or an index out of range.
     """
     indices = index_array("face", face, shape.size, at_least=3)
-    callback = _Planarity(shape, indices, shape.derivative[indices], plane_key)
+    callback = _Planarity(shape, indices, _axes_first(shape, indices), plane_key)
     return guarded_factor("planarity", noise, (*shape.keys, plane_key), (*shape.dims, 3), len(indices), callback)
 
 
@@ -66,7 +66,7 @@ def penalty_planarity_factor(
     if not (np.isfinite(mu) and mu > 0):
         raise InvalidInputError("mu", mu, "Give a positive weight: without it n = 0 solves everything.")
     indices = index_array("face", face, shape.size, at_least=3)
-    callback = _PenaltyPlanarity(shape, indices, shape.derivative[indices], plane_key, float(np.sqrt(mu)))
+    callback = _PenaltyPlanarity(shape, indices, _axes_first(shape, indices), plane_key, float(np.sqrt(mu)))
     keys, dims = (*shape.keys, plane_key), (*shape.dims, 4)
     return guarded_factor("planarity with penalty", noise, keys, dims, len(indices) + 1, callback)
 
@@ -103,6 +103,11 @@ def penalty_ground_parallel_factor(plane_key: int, noise: Noise, up: ArrayLike =
     return guarded_factor("ground-parallel face", noise, (plane_key,), (4,), 2, callback)
 
 
+def _axes_first(shape: LinearShape, face: NDArray[np.intp]) -> NDArray[np.float64]:
+    """(3, F D) derivative of the face's keypoints, so that one product with a normal covers the whole face."""
+    return np.ascontiguousarray(shape.derivative[face].transpose(1, 0, 2)).reshape(3, -1)
+
+
 def _across(up: ArrayLike) -> NDArray[np.float64]:
     """(2, 3) rows that span the plane orthogonal to the axis."""
     basis: NDArray[np.float64] = gtsam.Unit3(unit_vector("up", up)).basis()
@@ -118,11 +123,16 @@ class _Planarity:
 
     def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
         points = self.shape.points(values)[self.face]
-        normal, d, basis = plane_at(values, self.plane_key)
-        residual = points @ normal + d
+        plane = values.atOrientedPlane3(self.plane_key)
+        coefficients = plane.planeCoefficients()
+        normal = coefficients[:3]
+        residual = points @ normal + coefficients[3]
         if not want_jacobian:
             return residual, None
-        return residual, np.hstack([normal @ self.derivative, points @ basis, np.ones((len(points), 1))])
+        jacobian = np.ones((len(points), self.derivative.shape[1] // len(points) + 3))
+        jacobian[:, :-3] = (normal @ self.derivative).reshape(len(points), -1)
+        jacobian[:, -3:-1] = points @ tangent_basis(plane)
+        return residual, jacobian
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,9 +150,9 @@ class _PenaltyPlanarity:
         residual = np.append(points @ normal + plane[3], self.root_mu * (1.0 - normal @ normal))
         if not want_jacobian:
             return residual, None
-        count, columns = len(points), self.derivative.shape[2]
+        count, columns = len(points), self.derivative.shape[1] // len(points)
         jacobian = np.zeros((count + 1, columns + 4))
-        jacobian[:count, :columns] = normal @ self.derivative
+        jacobian[:count, :columns] = (normal @ self.derivative).reshape(count, columns)
         jacobian[:count, columns:-1] = points
         jacobian[:count, -1] = 1.0
         jacobian[count, columns:-1] = -2.0 * self.root_mu * normal
@@ -155,10 +165,13 @@ class _GroundParallel:
     across: NDArray[np.float64]
 
     def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
-        normal, _, basis = plane_at(values, self.plane_key)
+        plane = values.atOrientedPlane3(self.plane_key)
+        residual = self.across @ plane.planeCoefficients()[:3]
         if not want_jacobian:
-            return self.across @ normal, None
-        return self.across @ normal, np.hstack([self.across @ basis, np.zeros((2, 1))])
+            return residual, None
+        jacobian = np.zeros((2, 3))
+        jacobian[:, :2] = self.across @ tangent_basis(plane)
+        return residual, jacobian
 
 
 @dataclass(frozen=True, slots=True)

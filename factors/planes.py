@@ -1,12 +1,10 @@
-"""Planes n'X + d = 0 of the object frame: how they are read, perturbed and initialised.
+"""Planes n'X + d = 0 of the object frame: how they are perturbed and initialised.
 
 A plane is a `gtsam.OrientedPlane3`, whose normal has unit length by construction. Its local coordinates are two along
 the tangent basis B of the normal and one for d, so that dn = B (xi_0, xi_1) and dd = xi_2 at the linearisation point.
 """
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -15,30 +13,15 @@ from numpy.typing import ArrayLike, NDArray
 from factors.checks import finite_array, unit_vector
 from factors.errors import DegenerateProblemError
 
-__all__ = ["Plane", "fit_plane", "make_plane", "plane_at"]
+__all__ = ["fit_plane", "make_plane", "tangent_basis"]
 
 _FLATTEST = 1e-6
 
 
-class Plane(NamedTuple):
-    """A plane at a linearisation point.
-
-    Attributes:
-        normal: (3,) unit normal n.
-        d: Offset d, metres: points on the plane have n'X + d = 0.
-        basis: (3, 2) tangent basis B of the normal.
-    """
-
-    normal: NDArray[np.float64]
-    d: float
-    basis: NDArray[np.float64]
-
-
-def plane_at(values: gtsam.Values, key: int) -> Plane:
-    """Read a plane variable."""
-    plane = values.atOrientedPlane3(key)
-    coefficients = plane.planeCoefficients()
-    return Plane(coefficients[:3], float(coefficients[3]), plane.normal().basis())
+def tangent_basis(plane: gtsam.OrientedPlane3) -> NDArray[np.float64]:
+    """(3, 2) tangent basis B of the plane's normal, the one that its local coordinates refer to."""
+    basis: NDArray[np.float64] = plane.normal().basis()
+    return basis
 
 
 def make_plane(normal: ArrayLike, d: float) -> gtsam.OrientedPlane3:

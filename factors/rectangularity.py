@@ -11,6 +11,7 @@ have one unit and a short edge is not weighed like a long one.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import gtsam
@@ -27,6 +28,9 @@ __all__ = ["rectangularity_factor"]
 
 _SHORTEST = 1e-9
 
+# Rows: a - b + c - d, and the diagonals a - c and b - d.
+_DIFFERENCES = np.array([[1.0, -1.0, 1.0, -1.0], [1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
+
 
 def rectangularity_factor(shape: LinearShape, quad: ArrayLike, noise: Noise) -> gtsam.CustomFactor:
     """The four keypoints of a face form a rectangle: 4 rows, metres.
@@ -42,8 +46,8 @@ def rectangularity_factor(shape: LinearShape, quad: ArrayLike, noise: Noise) -> 
     indices = index_array("quad", quad, shape.size, at_least=4)
     if len(indices) != 4:
         raise InvalidInputError("quad", indices.tolist(), "Give four keypoints in order around the face.")
-    a, b, c, d = shape.derivative[indices]
-    callback = _Rectangularity(shape, indices, a - b + c - d, a - c, b - d)
+    parallelogram, first, second = np.tensordot(_DIFFERENCES, shape.derivative[indices], axes=1)
+    callback = _Rectangularity(shape, indices, parallelogram, first, second)
     return guarded_factor("rectangularity", noise, shape.keys, shape.dims, 4, callback)
 
 
@@ -58,12 +62,17 @@ class _Rectangularity:
     second: NDArray[np.float64]
 
     def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
-        a, b, c, d = self.shape.points(values)[self.quad]
-        first, second = a - c, b - d
+        differences = _DIFFERENCES @ self.shape.points(values)[self.quad]
+        first, second = differences[1], differences[2]
         # A diagonal of no length has no direction; its derivative is then taken as zero.
-        lengths = max(float(np.linalg.norm(first)), _SHORTEST), max(float(np.linalg.norm(second)), _SHORTEST)
-        residual = np.append(a - b + c - d, lengths[0] - lengths[1])
+        length = max(math.sqrt(first @ first), _SHORTEST)
+        other = max(math.sqrt(second @ second), _SHORTEST)
+        residual = np.empty(4)
+        residual[:3] = differences[0]
+        residual[3] = length - other
         if not want_jacobian:
             return residual, None
-        diagonals = first / lengths[0] @ self.first - second / lengths[1] @ self.second
-        return residual, np.vstack([self.parallelogram, diagonals])
+        jacobian = np.empty((4, self.parallelogram.shape[1]))
+        jacobian[:3] = self.parallelogram
+        jacobian[3] = (first / length) @ self.first - (second / other) @ self.second
+        return residual, jacobian

@@ -3,8 +3,10 @@
     r_i = pi(K (R X_i(lambda, offsets) + t)) - x_i
 
 The kernel decides what is a variable: pose and shape together, the shape at a fixed pose, or the pose of a fixed shape.
-One thin factor per keypoint keeps a robust weight of its own; one stacked factor is several times faster where none is
-needed. A keypoint that was not found gets no factor.
+There is one thin factor per keypoint, whose weight and residual can be read back from the graph; or one stacked factor,
+several times faster, that does the same (`stacked_reprojection_factor`). GTSAM hands a copy of all values to every
+callback of an optimisation, so that thin factors also grow dearer with the number of frames in the graph; stacked ones
+hardly do. A keypoint that was not found, or has no weight, gets no factor.
 """
 
 from __future__ import annotations
@@ -16,13 +18,15 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from factors.checks import finite_array, index_array
-from factors.errors import InvalidInputError
+from factors.checks import finite_array
+from factors.errors import DegenerateProblemError, InvalidInputError
 from factors.guard import Evaluation, guarded_factor
 from factors.kernel import ProjectionKernel
-from factors.noise import Noise
+from factors.noise import Noise, RobustLoss, keypoint_whiteners
 
 __all__ = ["reprojection_factor", "reprojection_factors", "stacked_reprojection_factor"]
+
+_TINY = 1e-150  # a residual of this length is zero
 
 
 def reprojection_factor(kernel: ProjectionKernel, keypoint: int, pixel: ArrayLike, noise: Noise) -> gtsam.CustomFactor:
@@ -67,24 +71,48 @@ def reprojection_factors(
 
 
 def stacked_reprojection_factor(
-    kernel: ProjectionKernel, keypoints: ArrayLike, pixels: ArrayLike, noise: Noise
+    kernel: ProjectionKernel,
+    pixels: ArrayLike,
+    weights: ArrayLike,
+    sigma: float,
+    *,
+    covariances: ArrayLike | None = None,
+    robust: RobustLoss | None = None,
 ) -> gtsam.CustomFactor:
-    """Reprojection errors of M keypoints in one factor: 2M rows (u, v of each in turn), pixels.
+    """Reprojection errors of all keypoints in one factor, each with its own weight and robust loss.
 
-    A robust loss around it weighs all keypoints as one.
+    The same energy and the same linear system as `reprojection_factors` with `factors.noise.keypoint_noise`, at the
+    price of one callback: residuals are whitened here, and the factor's own noise model is of unit variance. GTSAM's
+    robust noise models report the loss when asked for the error, and a residual weighted by rho'(s) / s when asked to
+    linearise; this factor does so for every keypoint. With a loss ``unwhitenedError`` therefore gives sqrt(2 rho(s_i))
+    in the direction of each residual.
 
     Args:
         kernel: Projects all keypoints.
-        keypoints: (M,) their indices.
-        pixels: (M, 2) where they were seen.
-        noise: Noise model of dimension 2M (`factors.noise.stacked_noise`), or one sigma in pixels.
+        pixels: (K, 2) where they were seen; NaN rows for those that were not.
+        weights: (K,) IRLS weights w_i >= 0; keypoints of weight zero are left out.
+        sigma: Standard deviation sigma_0 of a keypoint of weight 1, pixels; not used where covariances are given.
+        covariances: (K, 2, 2) covariance of each keypoint, pixels^2, or None.
+        robust: Robust loss around every keypoint, or None.
+
+    Returns:
+        A factor with 2 whitened rows (u, v) for each of the M keypoints that remain.
 
     Raises:
-        InvalidInputError: An index is out of range or repeated, or a pixel is not finite.
+        InvalidInputError: An array has the wrong shape, a weight is negative, sigma is not positive, or a covariance is
+            not symmetric positive definite.
+        DegenerateProblemError: No keypoint remains.
     """
-    indices = index_array("keypoints", keypoints, kernel.shape.size)
-    callback = _StackedReprojection(kernel, indices, finite_array("pixels", pixels, (len(indices), 2)))
-    return guarded_factor("stacked reprojection", noise, kernel.keys, kernel.dims, 2 * len(indices), callback)
+    size = kernel.shape.size
+    array = np.asarray(pixels, dtype=np.float64)
+    if array.shape != (size, 2):
+        raise InvalidInputError("pixels", f"shape {array.shape}", f"Give {size} pixels.")
+    roots = keypoint_whiteners(finite_array("weights", weights, (size,)), sigma, covariances)
+    used = np.flatnonzero(~np.isnan(array).any(axis=1) & (roots[:, 0] > 0))
+    if not len(used):
+        raise DegenerateProblemError("weights", "no keypoint with a pixel and a weight", "Give some weight.")
+    callback = _StackedReprojection(kernel, used, finite_array("pixels", array[used], (None, 2)), roots[used], robust)
+    return guarded_factor("stacked reprojection", 1.0, kernel.keys, kernel.dims, 2 * len(used), callback)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,13 +130,36 @@ class _Reprojection:
 
 @dataclass(frozen=True, slots=True)
 class _StackedReprojection:
+    """Whiteners are lower triangular, [[a, 0], [b, c]], one row (a, b, c) for each of the M keypoints."""
+
     kernel: ProjectionKernel
     keypoints: NDArray[np.intp]
     pixels: NDArray[np.float64]
+    whiteners: NDArray[np.float64]
+    robust: RobustLoss | None
 
     def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
         projection = self.kernel.evaluate(values, want_jacobian)
-        residual = (projection.pixels[self.keypoints] - self.pixels).ravel()
+        whitened = _whiten(projection.pixels[self.keypoints] - self.pixels, self.whiteners)
+        if self.robust is not None:
+            distances = np.sqrt(np.square(whitened).sum(axis=1, keepdims=True))
         if not want_jacobian or projection.jacobian is None:
-            return residual, None
-        return residual, projection.jacobian[self.keypoints].reshape(len(residual), -1)
+            if self.robust is not None:
+                whitened *= np.sqrt(2.0 * self.robust.losses(distances)) / np.maximum(distances, _TINY)
+            return whitened.ravel(), None
+        whiteners = self.whiteners
+        if self.robust is not None:
+            roots = np.sqrt(self.robust.weights(distances))
+            whitened *= roots
+            whiteners = whiteners * roots
+        jacobian = _whiten(projection.jacobian[self.keypoints], whiteners[:, :, None])
+        return whitened.ravel(), jacobian.reshape(whitened.size, -1)
+
+
+def _whiten(pairs: NDArray[np.float64], whiteners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Multiply pairs (M, 2, ...) by lower triangular whiteners (M, 3, ...)."""
+    result = np.empty_like(pairs)
+    np.multiply(pairs[:, 0], whiteners[:, 0], out=result[:, 0])
+    np.multiply(pairs[:, 1], whiteners[:, 2], out=result[:, 1])
+    result[:, 1] += pairs[:, 0] * whiteners[:, 1]
+    return result

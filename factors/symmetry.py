@@ -20,7 +20,7 @@ from factors.checks import index_array
 from factors.errors import InvalidInputError
 from factors.guard import Evaluation, guarded_factor
 from factors.noise import Noise
-from factors.planes import plane_at
+from factors.planes import tangent_basis
 from factors.shape import LinearShape
 
 __all__ = ["symmetry_factor"]
@@ -52,52 +52,60 @@ def symmetry_factor(
     middle = np.asarray(on_plane, dtype=np.intp if not np.size(on_plane) else None)
     index_array("pairs", np.concatenate([array.ravel(), middle]), shape.size)
     left, right = array.T
-    callback = _Symmetry(
-        shape,
-        left,
-        right,
-        middle,
-        shape.derivative[left],
-        shape.derivative[right],
-        shape.derivative[middle],
-        plane_key,
-    )
+    difference = shape.derivative[right] - shape.derivative[left]
+    along = np.concatenate([right, middle])
+    axes_first = np.ascontiguousarray(shape.derivative[along].transpose(1, 0, 2)).reshape(3, -1)
+    callback = _Symmetry(shape, left, along, difference, axes_first, plane_key)
     rows = 3 * len(left) + len(middle)
     return guarded_factor("symmetry", noise, (*shape.keys, plane_key), (*shape.dims, 3), rows, callback)
 
 
 @dataclass(frozen=True, slots=True)
 class _Symmetry:
-    """Holds the indices of P pairs and Q keypoints in the middle, and the derivatives (P or Q, 3, D) of each group."""
+    """P pairs and Q keypoints in the middle.
+
+    Attributes:
+        shape: The keypoints.
+        left: (P,) indices of the left keypoints.
+        along: (P + Q,) indices of the right keypoints, then those in the middle: all whose n'X + d is needed.
+        difference: (P, 3, D) derivative of X_r - X_l.
+        derivative: (3, (P + Q) D) derivative of the keypoints of `along`, axes first, so that one product with the
+            normal covers them all.
+        plane_key: Key of the medial plane.
+    """
 
     shape: LinearShape
     left: NDArray[np.intp]
-    right: NDArray[np.intp]
-    middle: NDArray[np.intp]
-    left_derivative: NDArray[np.float64]
-    right_derivative: NDArray[np.float64]
-    middle_derivative: NDArray[np.float64]
+    along: NDArray[np.intp]
+    difference: NDArray[np.float64]
+    derivative: NDArray[np.float64]
     plane_key: int
 
     def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
         points = self.shape.points(values)
-        normal, d, basis = plane_at(values, self.plane_key)
-        right, middle = points[self.right], points[self.middle]
-        distance = right @ normal + d
-        mirrored = right - 2.0 * distance[:, None] * normal
-        residual = np.concatenate([(mirrored - points[self.left]).ravel(), middle @ normal + d])
+        plane = values.atOrientedPlane3(self.plane_key)
+        coefficients = plane.planeCoefficients()
+        normal, count = coefficients[:3], len(self.left)
+        along = points[self.along]
+        distances = along @ normal + coefficients[3]
+        residual = np.empty(2 * count + len(along))
+        mirrored = along[:count] - (2.0 * distances[:count, None]) * normal
+        residual[: 3 * count] = (mirrored - points[self.left]).ravel()
+        residual[3 * count :] = distances[count:]
         if not want_jacobian:
             return residual, None
-        count, rows, columns = len(right), len(residual), self.left_derivative.shape[2]
-        jacobian = np.empty((rows, columns + 3))
-        pairs = jacobian[: 3 * count].reshape(count, 3, columns + 3)
-        reflection = np.eye(3) - 2.0 * np.outer(normal, normal)
-        pairs[:, :, :columns] = reflection @ self.right_derivative - self.left_derivative
-        # d/dn [-2 (n'X + d) n] B = -2 [(n'X + d) B + n X'B]
-        along = (right @ basis)[:, None, :] * normal[:, None]
-        pairs[:, :, columns:-1] = -2.0 * (distance[:, None, None] * basis + along)
-        pairs[:, :, -1] = -2.0 * normal
-        jacobian[3 * count :, :columns] = normal @ self.middle_derivative
-        jacobian[3 * count :, columns:-1] = middle @ basis
-        jacobian[3 * count :, -1] = 1.0
+        columns = self.difference.shape[2]
+        jacobian = np.empty((len(residual), columns + 3))
+        pairs, middle = jacobian[: 3 * count].reshape(count, 3, columns + 3), jacobian[3 * count :]
+        # (I - 2 n n') dX_r - dX_l, and with s = n'X_r + d: d/dn [-2 s n] B = -2 [s B + n (X_r'B)], d/dd = -2 n.
+        moved = (normal @ self.derivative).reshape(len(along), columns)
+        tangent = tangent_basis(plane)
+        slides = along @ tangent
+        twice = (-2.0 * normal)[:, None]
+        pairs[:, :, :columns] = self.difference + twice * moved[:count, None]
+        pairs[:, :, columns:-1] = twice * slides[:count, None] - (2.0 * distances[:count, None, None]) * tangent
+        pairs[:, :, -1] = twice[:, 0]
+        middle[:, :columns] = moved[count:]
+        middle[:, columns:-1] = slides[count:]
+        middle[:, -1] = 1.0
         return residual, jacobian

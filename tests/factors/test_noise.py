@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from factors.errors import InvalidInputError
-from factors.noise import Loss, RobustLoss, as_noise, keypoint_noise, stacked_noise
+from factors.noise import Loss, RobustLoss, as_noise, keypoint_noise, keypoint_whiteners
 
 
 def test_weight_scales_the_energy():
@@ -30,23 +30,32 @@ def test_zero_weight_has_no_noise_model():
 @pytest.mark.parametrize("loss", Loss)
 def test_robust_weights(loss):
     robust = RobustLoss.of(loss.label)
-    assert robust.weight(0.0) == pytest.approx(1.0)
-    assert robust.weight(50.0) < 0.05
+    assert robust.weights(0.0) == pytest.approx(1.0)
+    assert robust.weights(50.0) < 0.05
     noise = keypoint_noise(0.25, 2.0, robust=robust)
     assert isinstance(noise, gtsam.noiseModel.Robust)
-    assert noise.robust().weight(3.0) == robust.weight(3.0)
+    estimator, distances = noise.robust(), np.linspace(0, 20, 81)
+    np.testing.assert_allclose(robust.weights(distances), [estimator.weight(s) for s in distances], atol=1e-14)
+    np.testing.assert_allclose(robust.losses(distances), [estimator.loss(s) for s in distances], atol=1e-12)
     expected = {
         Loss.HUBER: 1.345 / 3,
         Loss.CAUCHY: 1 / (1 + 9 / 2.3849**2),
         Loss.GEMAN_MCCLURE: 1 / (1 + 9) ** 2,
         Loss.TUKEY: (1 - 9 / 4.6851**2) ** 2,
     }
-    assert robust.weight(3.0) == pytest.approx(expected[loss])
+    assert robust.weights(3.0) == pytest.approx(expected[loss])
 
 
-def test_stacked():
-    noise = stacked_noise([1.0, 4.0], 2.0)
-    np.testing.assert_allclose(noise.sigmas(), [2, 2, 1, 1])
+def test_whiteners():
+    weights = np.array([0.0, 1.0, 0.3])
+    covariances = np.array([np.eye(2), [[4.0, 1.0], [1.0, 2.0]], [[1.0, -0.5], [-0.5, 3.0]]])
+    for S, result in (
+        (covariances, keypoint_whiteners(weights, 1.0, covariances)),
+        (np.tile(4 * np.eye(2), (3, 1, 1)), keypoint_whiteners(weights, 2.0)),
+    ):
+        for i, (a, b, c) in enumerate(result):
+            W = np.array([[a, 0], [b, c]])
+            np.testing.assert_allclose(W.T @ W, weights[i] * np.linalg.inv(S[i]), atol=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -58,8 +67,12 @@ def test_stacked():
         lambda: keypoint_noise(1.0, 1.0, covariance=np.zeros((2, 2))),
         lambda: keypoint_noise(1.0, 1.0, covariance=[[1, 2], [2, 1]]),
         lambda: keypoint_noise(1.0, 1.0, covariance=np.eye(3)),
-        lambda: stacked_noise([1.0, 0.0], 1.0),
-        lambda: stacked_noise([], 1.0),
+        lambda: keypoint_whiteners([1.0, -1.0], 1.0),
+        lambda: keypoint_whiteners([1.0, np.nan], 1.0),
+        lambda: keypoint_whiteners([1.0], 0.0),
+        lambda: keypoint_whiteners([1.0], 1.0, [np.zeros((2, 2))]),
+        lambda: keypoint_whiteners([1.0], 1.0, [[[1, 2], [2, 1]]]),
+        lambda: keypoint_whiteners([1.0], 1.0, np.eye(2)),
         lambda: RobustLoss.of("welsh"),
         lambda: RobustLoss.of("huber", -1.0),
         lambda: as_noise("f", gtsam.noiseModel.Unit.Create(2), 3),

@@ -9,8 +9,12 @@ from hypothesis import strategies as st
 from factors.errors import InvalidInputError
 from factors.kernel import ProjectionKernel
 from factors.keys import L, O, X
-from factors.noise import keypoint_noise
-from factors.reprojection import reprojection_factor, reprojection_factors, stacked_reprojection_factor
+from factors.noise import Loss, RobustLoss, keypoint_noise
+from factors.reprojection import (
+    reprojection_factor,
+    reprojection_factors,
+    stacked_reprojection_factor,
+)
 from factors.shape import LinearShape
 from factors.shape_prior import coefficients_prior
 from tests.factors.support import (
@@ -19,7 +23,6 @@ from tests.factors.support import (
     bound_shape,
     car_like,
     graph_of,
-    jacobian,
     optimize,
     project,
     random_pose,
@@ -57,9 +60,7 @@ def test_jacobians(seed):
     for kernel in variants(rng, mean, basis, values):
         i = int(rng.integers(14))
         assert_jacobian(reprojection_factor(kernel, i, rng.uniform(0, 1000, 2), 1.0), values)
-        assert_jacobian(
-            stacked_reprojection_factor(kernel, [3, 0, i + 14 if i in (0, 3) else i][:2], np.zeros((2, 2)), 1.0), values
-        )
+        assert_jacobian(stacked_reprojection_factor(kernel, np.zeros((14, 2)), rng.uniform(0, 1, 14), 1.0), values)
 
 
 def test_jacobians_of_36_points_and_42_vectors():
@@ -68,22 +69,59 @@ def test_jacobians_of_36_points_and_42_vectors():
         shape, values = bound_shape(rng, 36, 42, with_offsets)
         values.insert(X(), random_pose(rng))
         for pose in (X(), values.atPose3(X())):
-            factor = stacked_reprojection_factor(
-                ProjectionKernel(shape, CAMERA, pose), range(36), np.zeros((36, 2)), 1.0
-            )
-            assert_jacobian(factor, values)
+            kernel = ProjectionKernel(shape, CAMERA, pose)
+            assert_jacobian(stacked_reprojection_factor(kernel, np.zeros((36, 2)), np.ones(36), 1.0), values)
 
 
-def test_thin_factors_are_the_rows_of_the_stacked_one():
-    rng = np.random.default_rng(1)
-    shape, values = bound_shape(rng)
-    values.insert(X(), random_pose(rng))
-    pixels = rng.uniform(0, 500, (14, 2))
+@pytest.mark.parametrize("with_covariances", [False, True])
+@pytest.mark.parametrize("loss", [None, *Loss])
+def test_stacked_factor_equals_thin_factors(loss, with_covariances):
+    """Same energy, same linear system, same optimum."""
+    rng = np.random.default_rng(5)
+    robust = None if loss is None else RobustLoss.of(loss)
+    mean, basis = car_like(rng)
+    pose = random_pose(rng)
+    kernel = ProjectionKernel(LinearShape(mean, basis, L()), CAMERA, X())
+    pixels = project(mean, pose) + rng.normal(size=(14, 2))
+    pixels[:3] += 40 * rng.normal(size=(3, 2))
+    pixels[6] = np.nan
+    weights = rng.uniform(0.2, 1.0, 14)
+    weights[9] = 0.0
+    roots = rng.normal(size=(14, 2, 2))
+    covariances = roots @ roots.transpose(0, 2, 1) + np.eye(2) if with_covariances else None
+    noises = [
+        keypoint_noise(w, 2.0, covariance=S, robust=robust)
+        for w, S in zip(weights, [None] * 14 if covariances is None else covariances, strict=True)
+    ]
+    thin = reprojection_factors(kernel, pixels, noises)
+    stacked = stacked_reprojection_factor(kernel, pixels, weights, 2.0, covariances=covariances, robust=robust)
+    assert len(thin) == 12
+    assert stacked.dim() == 24
+    values = gtsam.Values()
+    values.insert(X(), pose.retract(np.array([0.02, -0.03, 0.02, 0.1, 0.1, 0.3])))
+    values.insert(L(), 0.5 * rng.normal(size=5))
+    graphs = [graph_of(*fs, coefficients_prior(L(), 5)) for fs in (thin, [stacked])]
+    assert graphs[0].error(values) == pytest.approx(graphs[1].error(values), rel=1e-12)
+    ordering = gtsam.Ordering()
+    for key in (X(), L()):
+        ordering.push_back(key)
+    systems = [graph.linearize(values).hessian(ordering) for graph in graphs]
+    for a, b in zip(*systems, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9 * np.abs(a).max())
+    results = [optimize(graph, values) for graph in graphs]
+    np.testing.assert_allclose(results[0].atVector(L()), results[1].atVector(L()), atol=1e-5)
+    assert results[0].atPose3(X()).equals(results[1].atPose3(X()), 1e-5)
+
+
+def test_robust_losses_where_every_residual_is_zero():
+    shape, values = bound_shape(np.random.default_rng(6))
+    values.insert(X(), random_pose(np.random.default_rng(6)))
     kernel = ProjectionKernel(shape, CAMERA, X())
-    stacked = stacked_reprojection_factor(kernel, range(14), pixels, 1.0)
-    thin = reprojection_factors(kernel, pixels, [1.0] * 14)
-    np.testing.assert_array_equal(np.vstack([jacobian(f, values) for f in thin]), jacobian(stacked, values))
-    assert sum(f.error(values) for f in thin) == pytest.approx(stacked.error(values))
+    pixels = kernel.evaluate(values).pixels
+    for loss in Loss:
+        factor = stacked_reprojection_factor(kernel, pixels, np.ones(14), 1.0, robust=RobustLoss.of(loss))
+        assert factor.error(values) == 0
+        assert_jacobian(factor, values, step=1e-5, relative=1e-5)
 
 
 def test_missing_keypoints_get_no_factor():
@@ -119,10 +157,13 @@ def test_recovers_pose_and_shape():
         lambda k: reprojection_factor(k, 0, [0, np.nan], 1.0),
         lambda k: reprojection_factor(k, 0, [0, 0], gtsam.noiseModel.Unit.Create(3)),
         lambda k: reprojection_factors(k, np.zeros((13, 2)), [1.0] * 13),
-        lambda k: stacked_reprojection_factor(k, [0, 0], np.zeros((2, 2)), 1.0),
-        lambda k: stacked_reprojection_factor(k, [], np.zeros((0, 2)), 1.0),
-        lambda k: stacked_reprojection_factor(k, [0, 14], np.zeros((2, 2)), 1.0),
-        lambda k: stacked_reprojection_factor(k, [0.5], np.zeros((1, 2)), 1.0),
+        lambda k: stacked_reprojection_factor(k, np.zeros((13, 2)), np.ones(14), 1.0),
+        lambda k: stacked_reprojection_factor(k, np.full((14, 2), np.inf), np.ones(14), 1.0),
+        lambda k: stacked_reprojection_factor(k, np.zeros((14, 2)), np.ones(13), 1.0),
+        lambda k: stacked_reprojection_factor(k, np.zeros((14, 2)), -np.ones(14), 1.0),
+        lambda k: stacked_reprojection_factor(k, np.zeros((14, 2)), np.zeros(14), 1.0),
+        lambda k: stacked_reprojection_factor(k, np.full((14, 2), np.nan), np.ones(14), 1.0),
+        lambda k: stacked_reprojection_factor(k, np.zeros((14, 2)), np.ones(14), 0.0),
     ],
 )
 def test_bad_input(call):
