@@ -24,8 +24,9 @@
 | `history` | every field of every `Iteration`, in full precision | every step |
 
 Timelines: `step` counts the steps across all stages and `irls` the weight updates across all stages; one more per stage
-(`initialisation`, `pose`, `shape`, `joint`) counts the steps within it. Drawn geometry is in single precision, as
-viewers want it; plots and `history` are in double, and `fgrecon.replay` reads them back to the last bit.
+(`initialisation`, `pose`, `shape`, `joint`, or `result` where no history was kept) counts the steps within it. Drawn
+geometry is in single precision, as viewers want it; plots and `history` are in double, and `fgrecon.replay` reads them
+back to the last bit.
 """
 
 from __future__ import annotations

@@ -234,7 +234,7 @@ def _draw_moment(
         if sight.truth is not None:
             numbers = describe_errors(sight.truth, moment.camera_T_object, moment.keypoints)
     else:
-        badge = "no estimate"
+        badge = "no estimate" if _result(sight.reconstruction) is None else "not recorded"
     draw_keypoints(axes, sight.observation, weights, projections)
     draw_badge(axes, badge)
     _title(axes, title, numbers)

@@ -19,7 +19,10 @@ from fgrecon.viz.geometry import image_points
 from fgrecon.viz.style import Side
 from fgrecon.viz.truth import Truth
 
-__all__ = ["Playback", "Stage"]
+__all__ = ["RESULT", "Playback", "Stage"]
+
+RESULT = "result"
+"""Stage of the only step of a recording without a history."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +52,24 @@ class Playback:
     camera: Camera
     truth: Truth | None
 
-    @property
+    @cached_property
     def steps(self) -> tuple[Iteration, ...]:
-        """The history."""
-        return self.reconstruction.history
+        """The history; where none was kept the result as its only step, of stage `result`; none where it failed."""
+        result = self.reconstruction
+        if result.history or not np.isfinite(result.camera_T_object).all():
+            return result.history
+        last = Iteration(
+            stage=RESULT,
+            irls=0,
+            step=0,
+            camera_T_object=result.camera_T_object,
+            coefficients=result.coefficients,
+            keypoints=result.wireframe,
+            projections=result.wireframe_uv,
+            weights=result.weights,
+            energies=result.energies,
+        )
+        return (last,)
 
     @cached_property
     def stages(self) -> tuple[Stage, ...]:

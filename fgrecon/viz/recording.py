@@ -106,10 +106,11 @@ def log_reconstruction(
     _log_camera(play, photograph)
     if truth is not None:
         _log_truth(play, truth)
-    if reconstruction.history:
+    if play.steps:
         _log_image_steps(play)
         _log_scene_steps(play)
         log_plots(play)
+    if reconstruction.history:
         log_history(play)
     if np.isfinite(reconstruction.camera_T_object).all():
         _log_result(play, ground)

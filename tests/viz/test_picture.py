@@ -114,6 +114,11 @@ def test_a_failed_result_shows_the_keypoints_and_the_reason(example: Example) ->
     assert as_rgb(figure).std() > 0
 
 
+def test_a_result_without_history_says_so(example: Example) -> None:
+    figure = draw(example, reconstruction=replace(example.reconstruction, history=()))
+    assert texts(figure).count("not recorded") == 2
+
+
 def test_a_bare_result_is_drawn(example: Example) -> None:
     bare = replace(example.reconstruction, surface_vertices=None, surface_faces=None, keypoint_covariance=None)
     nothing = np.full_like(example.observation.keypoints, np.nan)

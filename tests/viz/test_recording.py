@@ -202,6 +202,17 @@ def test_a_failed_result_without_history_still_records(example: Example, tmp_pat
     ]
 
 
+def test_a_result_without_history_is_its_only_step(example: Example, tmp_path: Path) -> None:
+    bare = replace(example.reconstruction, history=())
+    path = record(tmp_path / "bare.rrd", bare, example.observation, example.camera)
+    back = replay.read(path)
+    assert back.history == ()
+    assert back.scalars[entities.WEIGHTS].values.tolist() == [bare.weights.tolist()]
+    assert back.scalars[f"{entities.ENERGY}/{entities.TOTAL}"].values.tolist() == [sum(bare.energies.values())]
+    assert [line.step for line in back.log] == [0, 0]
+    assert {entities.KEYPOINTS_2D, entities.SURFACE, f"{entities.WIREFRAME_2D}/left"} <= set(chunks(path))
+
+
 def test_what_is_not_given_is_not_drawn(example: Example, tmp_path: Path) -> None:
     bare = replace(example.reconstruction, surface_vertices=None, surface_faces=None, keypoint_covariance=None)
     observation = replace(example.observation, box=None)
