@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fgrecon.cli.common import GroundOption, JsonOption, PriorOption, check_output, console, ground_plane
+
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from collections.abc import Callable, Iterator, Sequence
 
     from rich.table import Table
 
-    from fgrecon.camera import Ground
     from fgrecon.evaluation.run import MethodScores
     from fgrecon.priors.size_prior import SizePrior
 
@@ -23,7 +24,6 @@ __all__ = ["KITTI_CAMERA_HEIGHT", "app"]
 KITTI_CAMERA_HEIGHT = 1.65
 """Height of KITTI's cameras above the road, metres."""
 
-_WIDTH = 180
 _FAILURES_SHOWN = 5
 
 app = typer.Typer(help="Compare fgrecon with other methods on data with known poses.", no_args_is_help=True)
@@ -40,7 +40,7 @@ def tracks_command(
     method: Annotated[
         list[str] | None, typer.Option(help="Run this method alone; give it again for more.", show_default="all")
     ] = None,
-    prior: Annotated[str, typer.Option(help="Shape prior: a shipped name or an npz file.")] = "car14",
+    prior: PriorOption = "car14",
     size_prior: Annotated[
         str, typer.Option(help="Size of the fleet for the rows `+size`: kitti, apollo79 or length,width,height in m.")
     ] = "kitti",
@@ -48,13 +48,8 @@ def tracks_command(
         float | None,
         typer.Option(help="Height of a level camera for the row `+ground`, m.", show_default=str(KITTI_CAMERA_HEIGHT)),
     ] = None,
-    ground: Annotated[
-        str | None,
-        typer.Option(metavar="NX,NY,NZ,D", help="Ground plane instead: normal pointing down, camera height in m."),
-    ] = None,
-    json_out: Annotated[
-        str | None, typer.Option("--json", metavar="FILE", help="Write the results as JSON; - for the output.")
-    ] = None,
+    ground: GroundOption = None,
+    json_out: JsonOption = None,
     markdown_out: Annotated[Path | None, typer.Option("--markdown", help="Write the table as Markdown.")] = None,
     frames_out: Annotated[
         Path | None, typer.Option("--per-frame", help="Write every frame's errors by method as JSON.")
@@ -68,6 +63,7 @@ def tracks_command(
     A frame that a method fails on counts as 180 degrees and stays in N. Exit code 1: fgrecon failed on every frame (any
     other method, where fgrecon does not run).
     """
+    from fgrecon.camera import Ground
     from fgrecon.catalogue import load_prior
     from fgrecon.evaluation import report
     from fgrecon.evaluation.methods import Scene, select
@@ -77,8 +73,11 @@ def tracks_command(
     from fgrecon.priors.size_prior import size_prior as parse_size
 
     for path in (Path(json_out) if json_out not in (None, "-") else None, markdown_out, frames_out):
-        _check_folder(path)
-    plane, origin = _ground(ground, camera_height)
+        check_output(path)
+    plane, origin = ground_plane(ground, camera_height) or (
+        Ground.level(KITTI_CAMERA_HEIGHT),
+        f"level camera {KITTI_CAMERA_HEIGHT} m above the ground (KITTI's)",
+    )
     scene = Scene(prior=load_prior(prior), ground=plane, size=parse_size(size_prior))
     methods = select(method or None)
     tracks = [read_track(file, scene.prior.category) for file in files]
@@ -108,51 +107,19 @@ def tracks_command(
 
 def _show(table: Table, scores: Sequence[MethodScores], told: str, *, error: bool) -> None:
     """Print the table, what the methods were told, and which frames they failed on."""
-    from rich.console import Console
-
-    console = Console(stderr=error, highlight=False, soft_wrap=True)
-    if not console.is_terminal:
-        console.width = _WIDTH  # a pipe has no width, and 80 columns would cut the numbers off
-    console.print(table)
-    console.print(told, markup=False)
+    out = console(error=error)
+    out.print(table)
+    out.print(told, markup=False)
     for entry in scores:
         for failure in entry.failures[:_FAILURES_SHOWN]:
-            console.print(f"{entry.name} failed on {failure.frame}: {failure.failure}", markup=False)
+            out.print(f"{entry.name} failed on {failure.frame}: {failure.failure}", markup=False)
         if len(entry.failures) > _FAILURES_SHOWN:
-            console.print(f"{entry.name} failed on {len(entry.failures) - _FAILURES_SHOWN} more: see --json.")
+            out.print(f"{entry.name} failed on {len(entry.failures) - _FAILURES_SHOWN} more: see --json.")
 
 
 def _in_words(size: SizePrior) -> str:
     length, width, height = size.mean
     return f"{size.name}, {length:g} m long, {width:g} m wide, {height:g} m high on average"
-
-
-def _ground(plane: str | None, height: float | None) -> tuple[Ground, str]:
-    """The ground plane, and in words where it comes from."""
-    from fgrecon.camera import Ground
-    from fgrecon.errors import InvalidInputError
-
-    if plane is None:
-        if height is None:
-            return Ground.level(KITTI_CAMERA_HEIGHT), f"level camera {KITTI_CAMERA_HEIGHT} m above the ground (KITTI's)"
-        return Ground.level(height), f"level camera {height:g} m above the ground"
-    if height is not None:
-        raise InvalidInputError("camera_height", height, "Give either --camera-height or --ground.")
-    try:
-        nx, ny, nz, distance = (float(part) for part in plane.split(","))
-    except ValueError:
-        raise InvalidInputError("ground", plane, "Give nx,ny,nz,d: four numbers.") from None
-    import numpy as np
-
-    return Ground(np.array([nx, ny, nz]), distance), f"plane {plane}"
-
-
-def _check_folder(path: Path | None) -> None:
-    """Refuse an output that cannot be written before the work instead of after it."""
-    from fgrecon.errors import InvalidInputError
-
-    if path is not None and (path.is_dir() or not path.resolve().parent.is_dir()):
-        raise InvalidInputError("output", str(path), "Give a file in a folder that exists.")
 
 
 @contextlib.contextmanager

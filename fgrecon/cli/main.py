@@ -7,10 +7,12 @@ Exit codes: 0 success, 1 the work was done but failed (no car could be reconstru
 from __future__ import annotations
 
 import sys
+from typing import Annotated
 
 import typer
 
 from fgrecon.cli import evaluate, prior
+from fgrecon.cli.reconstruct import reconstruct_command
 from fgrecon.errors import FgreconError
 
 __all__ = ["app", "main"]
@@ -24,19 +26,38 @@ app = typer.Typer(
 )
 
 
+app.command("reconstruct")(reconstruct_command)
 app.add_typer(evaluate.app, name="evaluate")
 app.add_typer(prior.app, name="prior")
 
 
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from importlib import metadata
+
+        typer.echo(f"fgrecon {metadata.version('fgrecon')}")
+        raise typer.Exit
+
+
 @app.callback()
-def _root() -> None:
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", help="Show the version and exit.", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
     """Pose and shape of a vehicle from a single image, by factor-graph optimisation."""
 
 
 def main() -> None:
-    """Run the command line; errors that fgrecon raises on purpose become one line and exit code 2."""
+    """Run the command line; bad input and files that cannot be used become one line and exit code 2."""
     try:
         app()
     except FgreconError as error:
-        print(f"fgrecon: {error}", file=sys.stderr)  # noqa: T201
-        sys.exit(2)
+        _refuse(str(error))
+    except OSError as error:
+        _refuse(f"{error.filename or 'file'}: {error.strerror or error}. Give a path that can be used.")
+
+
+def _refuse(message: str) -> None:
+    print(f"fgrecon: {message}", file=sys.stderr)  # noqa: T201
+    sys.exit(2)

@@ -8,9 +8,6 @@ camera, which took the image, is X + t2 with t2 = K^-1 P2[:, 3]; the yaw is the 
 
 from __future__ import annotations
 
-import json
-import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,6 +18,7 @@ from numpy.typing import NDArray
 from fgrecon.camera import Camera
 from fgrecon.category import Category
 from fgrecon.errors import InvalidInputError
+from fgrecon.json_fields import Fields, read_json
 from fgrecon.observation import Observation
 
 __all__ = ["Frame", "GroundTruth", "Track", "parse_track", "read_track"]
@@ -84,13 +82,7 @@ def read_track(path: Path, category: Category) -> Track:
         InvalidInputError: The file cannot be read, is not JSON, or a field is missing or unusable; names file, frame
             and field.
     """
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InvalidInputError("file", str(path), f"Give a file that can be read ({error.strerror}).") from error
-    except (ValueError, RecursionError) as error:
-        raise InvalidInputError(str(path), str(error), "Give a JSON file in UTF-8.") from error
-    return parse_track(data, path.stem, category, where=f"{path}: ")
+    return parse_track(read_json(path), path.stem, category, where=f"{path}: ")
 
 
 def parse_track(data: Any, name: str, category: Category, where: str = "") -> Track:
@@ -105,7 +97,7 @@ def parse_track(data: Any, name: str, category: Category, where: str = "") -> Tr
     Raises:
         InvalidInputError: A field is missing or unusable.
     """
-    fields = _Fields(data, where)
+    fields = Fields(data, where)
     matrix = fields.numbers("K", (3, 3))
     projection = fields.numbers("P2", (3, 4))
     if np.abs(projection[:, :3] - matrix).max() > _INTRINSICS_TOLERANCE * np.abs(matrix).max():
@@ -132,9 +124,9 @@ def parse_track(data: Any, name: str, category: Category, where: str = "") -> Tr
 
 
 def _frame(record: Any, position: int, track: str, order: NDArray[np.intp], where: str) -> Frame:
-    number = _Fields(record, f"{where}frames[{position}].").get("frame", int)
+    number = Fields(record, f"{where}frames[{position}].").get("frame", int)
     where = f"{where}frame {number}: "
-    fields = _Fields(record, where)
+    fields = Fields(record, where)
     count = len(order)
     keypoints = fields.numbers("keypoints_uv", (count, 2), missing=True)[order]
     confidence = fields.numbers("confidence", (count,), missing=True)[order]
@@ -144,58 +136,9 @@ def _frame(record: Any, position: int, track: str, order: NDArray[np.intp], wher
     except InvalidInputError as error:
         name = {"keypoints": "keypoints_uv", "box": "box_xyxy"}.get(error.field, error.field)
         raise InvalidInputError(f"{where}{name}", error.value, error.fix) from error
-    label = _Fields(fields.get("gt", dict), f"{where}gt.")
+    label = Fields(fields.get("gt", dict), f"{where}gt.")
     return Frame(
         name=f"{track}:{number}",
         observation=observation if observation.measured.any() else None,
         truth=GroundTruth(label.numbers("location", (3,)), float(label.numbers("rotation_y", ()))),
     )
-
-
-class _Fields:
-    """Reads the fields of one JSON object and names the field in every error."""
-
-    def __init__(self, data: Any, where: str) -> None:
-        if not isinstance(data, Mapping):
-            raise InvalidInputError(where.rstrip(".: ") or "track", data, "Give a JSON object.")
-        self.data = data
-        self.where = where
-
-    def get(self, field: str, kind: type) -> Any:
-        if field not in self.data:
-            raise InvalidInputError(f"{self.where}{field}", "nothing", "Give this field.")
-        value = self.data[field]
-        if not isinstance(value, kind) or isinstance(value, bool):
-            article = {int: "an integer", list: "a list", dict: "an object"}[kind]
-            raise InvalidInputError(f"{self.where}{field}", value, f"Give {article}.")
-        return value
-
-    def numbers(self, field: str, shape: tuple[int, ...], *, missing: bool = False) -> NDArray[np.float64]:
-        """An array of exactly this shape; `null` becomes NaN where `missing` allows it."""
-        if field not in self.data:
-            raise InvalidInputError(f"{self.where}{field}", "nothing", "Give this field.")
-        array = np.empty(shape)
-        self._fill(array, (), self.data[field], f"{self.where}{field}", missing)
-        return array
-
-    def _fill(self, array: NDArray[np.float64], at: tuple[int, ...], value: Any, field: str, missing: bool) -> None:
-        """Checks leaf by leaf: numpy would take `"NaN"` and `true` for numbers and could not say which leaf is bad."""
-        depth = len(at)
-        if depth == array.ndim:
-            array[at] = np.nan if missing and value is None else _number(value, field)
-            return
-        length = array.shape[depth]
-        if not isinstance(value, list) or len(value) != length:
-            got = f"{len(value)} elements" if isinstance(value, list) else value
-            raise InvalidInputError(field, got, f"Give a list of {length}.")
-        for i, item in enumerate(value):
-            self._fill(array, (*at, i), item, f"{field}[{i}]", missing)
-
-
-def _number(value: Any, field: str) -> float:
-    try:
-        if not isinstance(value, bool) and isinstance(value, int | float) and math.isfinite(value):
-            return float(value)
-    except OverflowError:  # an integer beyond the range of floats
-        pass
-    raise InvalidInputError(field, value, "Give a finite number.")

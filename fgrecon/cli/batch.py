@@ -1,0 +1,212 @@
+"""The work of `fgrecon reconstruct`: from files and options to one outcome per vehicle. Imported when it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.camera import Camera, Ground
+from fgrecon.category import Category
+from fgrecon.cli.common import parse_numbers
+from fgrecon.errors import FgreconError, InvalidInputError
+from fgrecon.evaluation.tracks import parse_track
+from fgrecon.json_fields import read_json
+from fgrecon.keypoint_file import Instance, parse_keypoints
+from fgrecon.kitti import read_calibration
+from fgrecon.observation import Observation
+from fgrecon.options import Options
+from fgrecon.pipeline import reconstruct
+from fgrecon.priors.shape_prior import ShapePrior
+from fgrecon.priors.size_prior import SizePrior
+from fgrecon.reconstruction import Reconstruction, Status
+
+__all__ = ["CameraSource", "Outcome", "Settings", "Task", "check_any", "read_tasks", "run"]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What holds for every vehicle of a run."""
+
+    prior: ShapePrior
+    ground: Ground | None
+    size_prior: SizePrior | None
+    options: Options
+
+
+@dataclass(frozen=True)
+class CameraSource:
+    """The camera as the command line gives it; every part may be None.
+
+    Attributes:
+        calib: KITTI calibration file.
+        intrinsics: `fx,fy,cx,cy`.
+        distortion: OpenCV's coefficients, separated by commas.
+        image: (H, W, 3) photograph, which tells the image's size.
+    """
+
+    calib: Path | None
+    intrinsics: str | None
+    distortion: str | None
+    image: NDArray[np.uint8] | None
+
+    def camera(self) -> tuple[Camera | None, NDArray[np.float64] | None]:
+        """The camera, and where KITTI's label frame lies from it; None where the command line does not say.
+
+        Raises:
+            InvalidInputError: Both ways are used, or a value is no camera.
+        """
+        if self.calib is not None and self.intrinsics is not None:
+            raise InvalidInputError("intrinsics", self.intrinsics, "Give either --calib or --intrinsics.")
+        if self.calib is not None:
+            calibration = read_calibration(self.calib)
+            return calibration.camera, calibration.label_offset
+        if self.intrinsics is None:
+            return None, None
+        wanted = "fx,fy,cx,cy: four numbers in pixels"
+        return Camera.of(parse_numbers("intrinsics", self.intrinsics, wanted, (4,))), None
+
+    def complete(self, camera: Camera) -> Camera:
+        """The camera with the distortion of the command line and the size of the photograph.
+
+        Raises:
+            InvalidInputError: The distortion is none, or the photograph has another size than the camera.
+        """
+        if self.distortion is not None:
+            wanted = "4, 5, 8, 12 or 14 numbers in OpenCV's order: k1,k2,p1,p2[,k3,...]"
+            numbers = parse_numbers("distortion", self.distortion, wanted, (4, 5, 8, 12, 14))
+            camera = replace(camera, distortion=np.array(numbers))
+        if self.image is None:
+            return camera
+        size = (self.image.shape[1], self.image.shape[0])
+        if camera.image_size not in (None, size):
+            raise InvalidInputError("image", f"{size} pixels", f"Give the image of {camera.image_size} pixels.")
+        return replace(camera, image_size=size)
+
+
+@dataclass(frozen=True)
+class Task:
+    """A vehicle to reconstruct.
+
+    Attributes:
+        instance: What is known about it.
+        camera: The camera that saw it.
+        label_offset: (3,) where KITTI's label frame lies from the camera's (a labelled point is at X + offset), or
+            None.
+    """
+
+    instance: Instance
+    camera: Camera
+    label_offset: NDArray[np.float64] | None = None
+
+    @property
+    def observation(self) -> Observation:
+        """What was observed, for drawing; without confidences all points are alike."""
+        points, confidence = self.instance.keypoints, self.instance.confidence
+        trust = np.ones(len(points)) if confidence is None else confidence
+        return Observation(points, trust, self.instance.box, self.instance.covariance)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a task: a result, or the error with which it was refused."""
+
+    task: Task
+    result: Reconstruction | None
+    error: FgreconError | None
+
+    @property
+    def name(self) -> str:
+        """Id of the vehicle."""
+        return self.task.instance.name
+
+
+def read_tasks(path: Path, category: Category, source: CameraSource) -> tuple[list[Task], tuple[str, ...]]:
+    """The vehicles of a keypoint file or a track.
+
+    Args:
+        path: The file.
+        category: Category of its keypoints.
+        source: The command line's camera, which goes before the file's.
+
+    Returns:
+        The vehicles, and names of fields that mean nothing to fgrecon.
+
+    Raises:
+        InvalidInputError: The file is malformed, or a vehicle has no camera.
+    """
+    given, offset = source.camera()
+    data = read_json(path)
+    ignored: tuple[str, ...] = ()
+    if isinstance(data, dict) and "frames" in data and "keypoints" not in data:
+        instances, own_offset = _track_instances(data, path, category)
+        offset = own_offset if given is None else offset
+    else:
+        file = parse_keypoints(data, category, where=f"{path}: ")
+        instances, ignored = list(file.instances), file.ignored
+    tasks = []
+    for instance in instances:
+        camera = given or instance.camera
+        if camera is None:
+            value = f"no camera for instance {instance.name}"
+            raise InvalidInputError("intrinsics", value, "Give --calib, --intrinsics, or K in the file.")
+        tasks.append(Task(instance, source.complete(camera), offset))
+    return tasks, ignored
+
+
+def _track_instances(data: object, path: Path, category: Category) -> tuple[list[Instance], NDArray[np.float64]]:
+    """The frames of a track as instances, and its label offset."""
+    track = parse_track(data, path.stem, category, where=f"{path}: ")
+    nothing = np.full((category.size, 2), np.nan)
+    instances = []
+    for frame in track.frames:
+        seen = frame.observation
+        if seen is None:
+            instances.append(Instance(frame.name, nothing, camera=track.camera))
+        else:
+            instances.append(Instance(frame.name, seen.keypoints, seen.confidence, seen.box, camera=track.camera))
+    return instances, track.label_offset
+
+
+def run(task: Task, settings: Settings) -> Outcome:
+    """Reconstruct one vehicle; an error that fgrecon raises on purpose becomes its outcome."""
+    instance = task.instance
+    try:
+        result = reconstruct(
+            instance.keypoints,
+            task.camera,
+            confidence=instance.confidence,
+            box=instance.box,
+            covariance=instance.covariance,
+            prior=settings.prior,
+            ground=settings.ground,
+            size_prior=settings.size_prior,
+            initial=instance.initial,
+            options=settings.options,
+        )
+    except FgreconError as error:
+        return Outcome(task, None, error)
+    return Outcome(task, result, None)
+
+
+def check_any(path: Path, outcomes: Sequence[Outcome]) -> bool:
+    """Whether at least one vehicle was reconstructed.
+
+    Args:
+        path: The file that they are from, for the error.
+        outcomes: One per vehicle.
+
+    Raises:
+        InvalidInputError: None was, and the input is to blame for every one; it is the first one's error.
+    """
+    if any(outcome.result is not None and outcome.result.status is not Status.FAILED for outcome in outcomes):
+        return True
+    errors = [(o.name, o.error) for o in outcomes if isinstance(o.error, InvalidInputError)]
+    if len(errors) < len(outcomes):
+        return False
+    name, error = errors[0]
+    place = f"{path}: " if len(errors) == 1 else f"{path}: instance {name}: "
+    raise type(error)(place + error.field, error.value, error.fix)

@@ -1,0 +1,119 @@
+"""`fgrecon reconstruct`: pose and shape of every vehicle in a keypoint file."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fgrecon.cli.common import (
+    CameraHeightOption,
+    GroundOption,
+    JsonOption,
+    PriorOption,
+    check_output,
+    console,
+    ground_plane,
+)
+from fgrecon.errors import InvalidInputError
+from fgrecon.options import BoxModel
+from fgrecon.robust import StrategyName
+
+__all__ = ["reconstruct_command"]
+
+
+def reconstruct_command(
+    keypoints: Annotated[Path, typer.Argument(help="Keypoints (JSON, format in the README), or a track.")],
+    calib: Annotated[Path | None, typer.Option(help="KITTI calibration file; its P2 is the camera.")] = None,
+    intrinsics: Annotated[
+        str | None, typer.Option(metavar="FX,FY,CX,CY", help="Camera in pixels.", show_default="from the file")
+    ] = None,
+    distortion: Annotated[
+        str | None, typer.Option(metavar="K1,K2,P1,P2,...", help="OpenCV's distortion coefficients.")
+    ] = None,
+    prior: PriorOption = "car14",
+    camera_height: CameraHeightOption = None,
+    ground: GroundOption = None,
+    size_prior: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FLEET",
+            help="How large vehicles are: kitti, apollo79, or length,width,height[,their spreads] in m.",
+            show_default="as in the shape prior",
+        ),
+    ] = None,
+    strategy: Annotated[StrategyName, typer.Option(help="Robust strategy.")] = StrategyName.MIXTURE,
+    box_model: Annotated[
+        BoxModel, typer.Option(help="What 2D boxes enclose: the outline or the 3D box; off: they are no evidence.")
+    ] = BoxModel.SURFACE,
+    joint: Annotated[
+        bool, typer.Option("--joint/--no-joint", help="Let pose and shape move together at the end.")
+    ] = True,
+    free_offsets: Annotated[
+        bool, typer.Option("--free-offsets", help="Let every keypoint leave the shape prior by a small offset.")
+    ] = False,
+    image: Annotated[Path | None, typer.Option(help="The photograph: to draw on, and for its size.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Draw the result (png, svg, pdf, jpg); several: a sheet.")
+    ] = None,
+    save: Annotated[
+        Path | None, typer.Option(metavar="FILE.rrd", help="Record for the rerun viewer; several: FILE-ID.rrd each.")
+    ] = None,
+    json_out: JsonOption = None,
+) -> None:
+    """Reconstruct the pose and shape of the vehicles in a keypoint file.
+
+    A vehicle that is refused is reported, and the others go on.
+
+    Exit code 0: at least one was reconstructed; 1: none, since solving failed; 2: none, since the input is bad.
+    """
+    from fgrecon.catalogue import load_prior
+    from fgrecon.cli import batch, show
+    from fgrecon.files import write_text
+    from fgrecon.images import read_image
+    from fgrecon.options import Options
+    from fgrecon.priors.size_prior import size_prior as parse_size
+    from fgrecon.robust import strategy as tuned
+
+    _check_outputs(picture, save, json_out)
+    plane = ground_plane(ground, camera_height)
+    settings = batch.Settings(
+        prior=load_prior(prior),
+        ground=None if plane is None else plane[0],
+        size_prior=None if size_prior is None else parse_size(size_prior),
+        options=Options(strategy=tuned(strategy), joint=joint, free_offsets=free_offsets, box_model=box_model),
+    )
+    photograph = None if image is None else read_image(image)
+    source = batch.CameraSource(calib, intrinsics, distortion, photograph)
+    tasks, ignored = batch.read_tasks(keypoints, settings.prior.category, source)
+    outcomes = [batch.run(task, settings) for task in tasks]
+
+    out = console(error=json_out == "-")
+    out.print(show.table(outcomes))
+    if ignored:
+        out.print(f"Fields of the file without a meaning here: {', '.join(ignored)}.", markup=False)
+    if json_out is not None:
+        text = show.document(keypoints, outcomes, settings)
+        if json_out == "-":
+            sys.stdout.write(text)
+        else:
+            write_text(json_out, text)
+    if picture is not None:
+        show.draw(picture, outcomes, photograph)
+    if save is not None:
+        show.record_all(save, outcomes, photograph, settings.ground)
+    if not batch.check_any(keypoints, outcomes):
+        raise typer.Exit(1)
+
+
+def _check_outputs(picture: Path | None, save: Path | None, json_out: str | None) -> None:
+    from fgrecon.viz.picture import FORMATS
+
+    for path in (picture, save, None if json_out in (None, "-") else Path(str(json_out))):
+        check_output(path)
+    if picture is not None and picture.suffix.lower().removeprefix(".") not in FORMATS:
+        raise InvalidInputError("picture", str(picture), f"Let the name end in one of {', '.join(FORMATS)}.")
+    if save is not None and save.suffix != ".rrd":
+        raise InvalidInputError("save", str(save), "Let the name end in .rrd.")

@@ -1,0 +1,131 @@
+"""What `fgrecon reconstruct` shows and writes: table, JSON, pictures, recordings. Imported when it runs."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.markup import escape
+from rich.table import Table
+
+from fgrecon.camera import Camera, Ground
+from fgrecon.cli.batch import Outcome, Settings
+from fgrecon.errors import InvalidInputError
+from fgrecon.priors.size_prior import SizePrior
+from fgrecon.viz import Sight, contact_sheet, picture, record, save_picture
+
+__all__ = ["FORMAT", "document", "draw", "record_all", "table"]
+
+FORMAT = "fgrecon.reconstructions/1"
+
+_TRUSTED = 0.5  # weight from which a keypoint counts as trusted
+_TEXT_COLUMNS = ("id", "status", "message")
+
+
+def table(outcomes: Sequence[Outcome]) -> Table:
+    """One row per vehicle, refused ones included."""
+    result = Table()
+    for heading in ("id", "status", "yaw °", "x, y, z m", "length, width, height m", "trusted", "message"):
+        justify, fold = "left" if heading in _TEXT_COLUMNS else "right", heading == "message"
+        result.add_column(heading, justify=justify, no_wrap=not fold, overflow="fold")  # type: ignore[arg-type]
+    for outcome in outcomes:
+        result.add_row(*_row(outcome))
+    return result
+
+
+def _row(outcome: Outcome) -> tuple[str, ...]:
+    result = outcome.result
+    if result is None:
+        return (escape(outcome.name), "refused", "", "", "", "", escape(str(outcome.error)))
+    measured = np.isfinite(outcome.task.instance.keypoints[:, 0])
+    return (
+        escape(outcome.name),
+        result.status.value,
+        f"{np.degrees(result.rotation_y):.1f}",
+        ", ".join(f"{number:.2f}" for number in result.location),
+        ", ".join(f"{number:.2f}" for number in result.box_size),
+        f"{np.count_nonzero(result.weights >= _TRUSTED)} of {np.count_nonzero(measured)}",
+        escape(result.message),
+    )
+
+
+def document(path: Path, outcomes: Sequence[Outcome], settings: Settings) -> str:
+    """The JSON text of a run: settings, and result or error of every vehicle."""
+    options = settings.options
+    content = {
+        "format": FORMAT,
+        "fgrecon": metadata.version("fgrecon"),
+        "file": str(path),
+        "settings": {
+            "prior": settings.prior.name,
+            "ground": _plain_ground(settings.ground),
+            "size_prior": _plain_size(settings.size_prior),
+            "strategy": options.strategy.name.value,
+            "box_model": options.box_model.value,
+            "joint": options.joint,
+            "free_offsets": options.free_offsets,
+        },
+        "instances": [_entry(outcome) for outcome in outcomes],
+    }
+    return json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n"
+
+
+def _plain_ground(ground: Ground | None) -> dict[str, Any] | None:
+    return None if ground is None else {"normal": ground.normal.tolist(), "distance": ground.distance}
+
+
+def _plain_size(size: SizePrior | None) -> dict[str, Any] | None:
+    return None if size is None else {"name": size.name, "mean": size.mean.tolist(), "sigma": size.sigma.tolist()}
+
+
+def _plain_camera(camera: Camera) -> dict[str, Any]:
+    return {
+        "matrix": camera.matrix.tolist(),
+        "distortion": None if camera.distortion is None else camera.distortion.tolist(),
+        "image_size": camera.image_size,
+    }
+
+
+def _entry(outcome: Outcome) -> dict[str, Any]:
+    result, error, offset = outcome.result, outcome.error, outcome.task.label_offset
+    entry: dict[str, Any] = {"id": outcome.name, "camera": _plain_camera(outcome.task.camera)}
+    if result is not None:
+        entry |= {"rotation_y": result.rotation_y, "location": result.location.tolist()}
+        if offset is not None:
+            entry["location_in_label_frame"] = (result.location - offset).tolist()
+        return entry | {"error": None, "result": result.to_dict()}
+    told = {"type": type(error).__name__, "message": str(error)}
+    if isinstance(error, InvalidInputError):
+        told |= {"field": error.field, "fix": error.fix}
+    return entry | {"error": told, "result": None}
+
+
+def draw(path: Path, outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None) -> None:
+    """Draw the results: one with its stages, several as a sheet; nothing where there is none."""
+    sights = [
+        Sight(outcome.result, outcome.task.observation, outcome.task.camera, image, title=outcome.name)
+        for outcome in outcomes
+        if outcome.result is not None
+    ]
+    if len(sights) == 1:
+        only = sights[0]
+        save_picture(path, picture(only.reconstruction, only.observation, only.camera, image=image))
+    elif sights:
+        save_picture(path, contact_sheet(sights))
+
+
+def record_all(path: Path, outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None, ground: Ground | None) -> None:
+    """Record every result: into the file, or where the run has several vehicles into a file for each with its id."""
+    for outcome in outcomes:
+        if outcome.result is None:
+            continue
+        identity = re.sub(r"[^\w.-]+", "-", outcome.name)
+        target = path if len(outcomes) == 1 else path.with_name(f"{path.stem}-{identity}{path.suffix}")
+        task = outcome.task
+        record(target, outcome.result, task.observation, task.camera, image=image, ground=ground)

@@ -1,0 +1,58 @@
+"""The entry point: help, version, exit codes."""
+
+import subprocess
+import sys
+from importlib import metadata
+
+import pytest
+from typer.testing import CliRunner
+
+from fgrecon.cli import main
+from fgrecon.errors import FgreconError
+
+
+def test_version_and_help():
+    runner = CliRunner()
+    assert runner.invoke(main.app, ["--version"]).stdout == f"fgrecon {metadata.version('fgrecon')}\n"
+    shown = runner.invoke(main.app, ["--help"])
+    assert shown.exit_code == 0
+    for command in ("reconstruct", "evaluate", "prior"):
+        assert command in shown.stdout
+
+
+@pytest.mark.parametrize("arguments", [["fly"], ["reconstruct"], ["reconstruct", "a.json", "--strategy", "best"]])
+def test_bad_usage_gives_exit_code_2(arguments):
+    command = [sys.executable, "-c", "from fgrecon.cli.main import main; main()", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (FgreconError("box: got 3. Give 4."), "fgrecon: box: got 3. Give 4.\n"),
+        (PermissionError(13, "Permission denied", "out.json"), "fgrecon: out.json: Permission denied. "),
+        (OSError("the disk is full"), "fgrecon: file: the disk is full. "),
+    ],
+)
+def test_expected_errors_are_one_line_and_exit_code_2(monkeypatch, capsys, error, line):
+    def fail():
+        raise error
+
+    monkeypatch.setattr(main, "app", fail)
+    with pytest.raises(SystemExit) as end:
+        main.main()
+    assert end.value.code == 2
+    printed = capsys.readouterr().err
+    assert printed.startswith(line)
+    assert printed.count("\n") == 1
+
+
+def test_unexpected_errors_keep_their_traceback(monkeypatch):
+    def fail():
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(main, "app", fail)
+    with pytest.raises(ZeroDivisionError):
+        main.main()

@@ -1,0 +1,264 @@
+"""`fgrecon reconstruct` from the outside: inputs, outputs, exit codes."""
+
+import json
+import re
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from fgrecon import pipeline
+from fgrecon.camera import Camera
+from fgrecon.catalogue import load_category
+from fgrecon.cli import batch, main
+from fgrecon.errors import DegenerateProblemError, InvalidInputError
+from fgrecon.images import read_image, write_png
+from fgrecon.reconstruction import Reconstruction, Status
+from fgrecon.replay import read as replay
+
+from .conftest import INTRINSICS, LOCATION, YAW, K, car
+
+
+def run(*arguments):
+    return CliRunner().invoke(main.app, ["reconstruct", *map(str, arguments)])
+
+
+def results(output):
+    """Id -> entry of the JSON document."""
+    return {entry["id"]: entry for entry in json.loads(output)["instances"]}
+
+
+def test_one_car(write, instance):
+    done = run(write(instance), INTRINSICS)
+    assert done.exit_code == 0, done.output
+    row = re.search(r"converged\s*│\s*([-\d.]+)\s*│\s*([-\d.]+), ([-\d.]+), ([-\d.]+)", done.stdout)
+    yaw, *location = map(float, row.groups())
+    assert yaw == pytest.approx(np.degrees(YAW), abs=1.0)
+    assert location == pytest.approx(LOCATION, abs=0.15)
+
+
+def test_json_stands_alone_on_the_output_and_is_a_whole_result(write, instance):
+    done = run(write(instance), INTRINSICS, "--json", "-", "--size-prior", "4.58,1.8,1.59", "--camera-height", 1.65)
+    assert done.exit_code == 0, done.output
+    document = json.loads(done.stdout)
+    assert document["settings"]["ground"] == {"normal": [0.0, 1.0, 0.0], "distance": 1.65}
+    assert document["settings"]["size_prior"]["mean"] == [4.58, 1.8, 1.59]
+    entry = results(done.stdout)["0"]
+    assert entry["rotation_y"] == pytest.approx(YAW, abs=0.02)
+    assert entry["location"] == pytest.approx(LOCATION, abs=0.15)
+    result = Reconstruction.from_dict(entry["result"])
+    assert result.status is Status.CONVERGED
+    assert result.location.tolist() == entry["location"]
+    assert len(result.history) > 3
+    assert "converged" in done.stderr
+
+
+def test_several_cars_of_which_one_is_refused(write, tmp_path):
+    cars = [car() | {"id": "near"}, car() | {"id": "flat", "box": [5, 5, 5, 9]}, car(0.5, (3, 1.65, 20)) | {"id": 7}]
+    out = tmp_path / "out.json"
+    done = run(write({"K": K.tolist(), "instances": cars}), "--json", out)
+    assert done.exit_code == 0, done.output
+    assert "refused" in done.stdout
+    entries = results(out.read_text())
+    assert list(entries) == ["near", "flat", "7"]
+    assert entries["flat"]["result"] is None
+    assert entries["flat"]["error"]["field"] == "box"
+    assert entries["7"]["rotation_y"] == pytest.approx(0.5, abs=0.02)
+
+
+def test_pictures_and_recordings(write, tmp_path):
+    cars = write([car() | {"id": "a/b"}, car(1.0) | {"id": "c"}])
+    image = write_png(tmp_path / "image.png", np.full((375, 1242, 3), 90, np.uint8))
+    sheet, one, record = tmp_path / "sheet.png", tmp_path / "one.svg", tmp_path / "run.rrd"
+    assert run(cars, INTRINSICS, "--image", image, "--picture", sheet, "--save", record).exit_code == 0
+    assert read_image(sheet).std() > 10
+    for name in ("run-a-b.rrd", "run-c.rrd"):
+        assert [stage.stage for stage in replay(tmp_path / name).summary()][-1] == "joint"
+    assert run(write(car(), "car.json"), INTRINSICS, "--picture", one, "--no-joint", "--save", record).exit_code == 0
+    assert one.read_text().startswith("<?xml")
+    assert [stage.stage for stage in replay(record).summary()][-1] == "shape"
+
+
+def test_the_size_of_the_image_is_used(write, tmp_path):
+    image = write_png(tmp_path / "image.png", np.zeros((375, 1242, 3), np.uint8))
+    done = run(write(car()), INTRINSICS, "--image", image, "--json", "-")
+    assert results(done.stdout)["0"]["camera"]["image_size"] == [1242, 375]
+
+
+def test_kitti_calibration_gives_camera_and_label_frame(write, tmp_path):
+    offset = np.array([0.06, -0.01, 0.02])
+    numbers = np.hstack([K, (K @ offset)[:, None]]).ravel()
+    calib = tmp_path / "calib.txt"
+    calib.write_text(f"P0: 1 2 3\nP2: {' '.join(map(str, numbers))}\n")
+    done = run(write(car()), "--calib", calib, "--json", "-")
+    entry = results(done.stdout)["0"]
+    assert entry["camera"]["matrix"] == K.tolist()
+    assert np.subtract(entry["location"], entry["location_in_label_frame"]) == pytest.approx(offset)
+
+
+def test_lens_distortion(write):
+    coefficients = np.array([-0.3, 0.1, 0.001, -0.002, 0.0])
+    location = np.array([-6.0, 1.65, 10.0])  # far from the middle of the image
+    distorted = write(car(YAW, location, Camera(K, coefficients)))
+    given = run(distorted, INTRINSICS, "--distortion=-0.3,0.1,0.001,-0.002,0", "--json", "-")
+    assert results(given.stdout)["0"]["location"] == pytest.approx(location, abs=0.15)
+    ignored = run(distorted, INTRINSICS, "--json", "-")
+    assert np.linalg.norm(results(ignored.stdout)["0"]["location"] - location) > 0.5
+
+
+@pytest.mark.parametrize("strategy", ["paper", "huber", "cauchy", "geman_mcclure", "tukey", "gnc"])
+def test_every_strategy_runs(write, strategy):
+    done = run(write(car()), INTRINSICS, "--strategy", strategy, "--json", "-", "--free-offsets", "--box-model", "off")
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["settings"]["strategy"] == strategy
+    assert results(done.stdout)["0"]["rotation_y"] == pytest.approx(YAW, abs=0.05)
+
+
+def test_a_track_is_read_too(write):
+    seen = car()
+    track = {
+        "K": K.tolist(),
+        "P2": np.hstack([K, np.zeros((3, 1))]).tolist(),
+        "keypoint_names": list(load_category("car14").keypoints),
+        "frames": [
+            {
+                "frame": frame,
+                "keypoints_uv": keypoints,
+                "confidence": seen["confidence"],
+                "box_xyxy": seen["box"],
+                "gt": {"location": LOCATION.tolist(), "rotation_y": YAW},
+            }
+            for frame, keypoints in ((3, seen["keypoints"]), (4, [[None, None]] * 14))
+        ],
+    }
+    done = run(write(track, "track.json"), "--json", "-")
+    assert done.exit_code == 0, done.output
+    entries = results(done.stdout)
+    assert entries["track:3"]["location_in_label_frame"] == pytest.approx(LOCATION, abs=0.15)
+    assert entries["track:4"]["error"]["type"] == "DegenerateProblemError"
+
+
+def test_unknown_fields_are_told(write, instance):
+    done = run(write(instance | {"confidences": [1.0] * 14}), INTRINSICS)
+    assert "confidences" in done.stdout
+
+
+def change(**fields):
+    return lambda instance: instance | fields
+
+
+def points(edit):
+    return lambda instance: instance | {"keypoints": edit(instance["keypoints"])}
+
+
+BAD = {  # what a car's numbers may be, and the field that the error names
+    "too few points": (points(lambda p: [*p[:2], *[None] * 12]), "keypoints"),
+    "no point at all": (points(lambda _: [None] * 14), "keypoints"),
+    "points on a line": (points(lambda p: [[10.0 * i, 5.0 * i] for i in range(len(p))]), "keypoints"),
+    "points in one place": (points(lambda p: [[10.0, 5.0]] * len(p)), "keypoints"),
+    "NaN": (points(lambda p: [[float("nan"), 4.0], *p[1:]]), "keypoints[0][0]"),
+    "infinity": (points(lambda p: [[float("inf"), 4.0], *p[1:]]), "keypoints[0][0]"),
+    "too many points": (points(lambda p: [*p, [1.0, 2.0]]), "keypoints"),
+    "points without v": (points(lambda p: [[u] for u, _ in p]), "keypoints[0]"),
+    "no list": (change(keypoints="none"), "keypoints"),
+    "a box of no size": (change(box=[5, 5, 5, 9]), "box"),
+    "half a box": (change(box=[5, 5]), "box"),
+    "all weights zero": (change(confidence=[0.0] * 14), "confidence"),
+    "confidence above 1": (change(confidence=[1.5] * 14), "confidence"),
+    "a confidence too few": (change(confidence=[0.5] * 13), "confidence"),
+    "covariance not positive": (change(covariance=[[[1, 2], [2, 1]]] * 14), "covariance"),
+    "singular camera matrix": (change(K=[[0, 0, 600], [0, 0, 180], [0, 0, 1]]), "K"),
+    "camera matrix with NaN": (change(K=[[float("nan"), 0, 600], [0, 7, 180], [0, 0, 1]]), "K[0][0]"),
+    "camera matrix of wrong shape": (change(K=[[700, 0], [0, 700]]), "K"),
+}
+
+
+@pytest.mark.parametrize(("spoil", "field"), BAD.values(), ids=BAD)
+def test_bad_input_names_the_field(write, instance, spoil, field):
+    file = write(spoil(instance | {"K": K.tolist()}))
+    done = run(file)
+    assert isinstance(done.exception, InvalidInputError), done.output
+    assert done.exception.field == f"{file}: {field}"
+    assert done.exception.fix
+
+
+@pytest.mark.parametrize(
+    ("arguments", "field"),
+    [
+        ([], "intrinsics"),
+        (["--intrinsics", "1,2,3"], "intrinsics"),
+        (["--intrinsics", "0,0,5,5"], "intrinsics"),
+        ([INTRINSICS, "--calib", "none.txt"], "intrinsics"),
+        (["--calib", "none.txt"], "calib"),
+        ([INTRINSICS, "--distortion", "1,2,3"], "distortion"),
+        ([INTRINSICS, "--prior", "none"], "prior"),
+        ([INTRINSICS, "--ground", "0,1,0"], "ground"),
+        ([INTRINSICS, "--ground", "0,1,0,1.6", "--camera-height", "1.6"], "camera_height"),
+        ([INTRINSICS, "--camera-height", "nan"], "ground.distance"),
+        ([INTRINSICS, "--size-prior", "big"], "size_prior"),
+        ([INTRINSICS, "--size-prior", "4,1.8,-1"], "size_prior.mean"),
+        ([INTRINSICS, "--image", "none.png"], "image"),
+        ([INTRINSICS, "--picture", "car.gif"], "picture"),
+        ([INTRINSICS, "--save", "car.mp4"], "save"),
+        ([INTRINSICS, "--json", "no/such/folder/out.json"], "output"),
+    ],
+)
+def test_bad_options_name_the_field(write, instance, arguments, field):
+    done = run(write(instance), *arguments)
+    assert isinstance(done.exception, InvalidInputError), done.output
+    assert done.exception.field == field
+
+
+def test_an_image_that_is_none_and_one_of_another_size(write, instance, tmp_path):
+    broken = tmp_path / "broken.png"
+    broken.write_bytes(b"no image")
+    assert run(write(instance), INTRINSICS, "--image", broken).exception.field == "image"
+    small = write_png(tmp_path / "small.png", np.zeros((10, 10, 3), np.uint8))
+    sized = write(instance | {"K": K.tolist(), "image_size": [1242, 375]})
+    assert run(sized, "--image", small).exception.field == "image"
+
+
+def test_when_all_are_refused_the_first_reason_is_told_and_the_json_is_written(write, tmp_path):
+    nothing = [None] * 14
+    file = write([car() | {"id": "a", "keypoints": nothing}, car() | {"id": "b", "keypoints": nothing}])
+    out = tmp_path / "out.json"
+    done = run(file, INTRINSICS, "--json", out)
+    assert isinstance(done.exception, DegenerateProblemError)
+    assert done.exception.field == f"{file}: instance a: keypoints"
+    assert list(results(out.read_text())) == ["a", "b"]
+
+
+def test_a_solver_that_fails_on_all_gives_exit_code_1(write, instance, monkeypatch):
+    def failing(*arguments, **settings):
+        return replace(pipeline.reconstruct(*arguments, **settings), status=Status.FAILED, message="made to fail")
+
+    monkeypatch.setattr(batch, "reconstruct", failing)
+    done = run(write(instance), INTRINSICS)
+    assert done.exit_code == 1
+    assert "made to fail" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("content", "arguments", "start"),
+    [
+        (b"{", [INTRINSICS], "{file}: got Expecting property name"),
+        (b"[]", [INTRINSICS], "{file}: instances: got []."),
+        (b"7", [INTRINSICS], "{file}: got 7. Give a JSON object."),
+        (b'{"K": 1}', [INTRINSICS], "{file}: keypoints: got nothing."),
+        (None, [INTRINSICS], "file: got {file}. Give a file that can be read (No such file or directory)."),
+    ],
+    ids=["broken", "empty", "a number", "no keypoints", "no file"],
+)
+def test_bad_files_are_one_line_and_exit_code_2(tmp_path, content, arguments, start):
+    file = tmp_path / "cars.json"
+    if content is not None:
+        file.write_bytes(content)
+    command = [sys.executable, "-c", "from fgrecon.cli.main import main; main()", "reconstruct", str(file), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith(f"fgrecon: {start.format(file=file)}")
+    assert done.stderr.count("\n") == 1

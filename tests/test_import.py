@@ -1,0 +1,19 @@
+"""What importing costs: nothing that draws, learns or parses command lines is loaded before it is used."""
+
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = ("torch", "rerun", "cv2", "matplotlib", "poselib")
+
+
+@pytest.mark.parametrize(
+    ("module", "unwanted"),
+    [("fgrecon", (*HEAVY, "typer", "rich")), ("fgrecon.cli.main", (*HEAVY, "rich.table")), ("factors", ("fgrecon",))],
+)
+def test_importing_loads_nothing_heavy(module, unwanted):
+    code = f"import sys, {module}; print([name for name in {unwanted} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+    assert done.stderr == ""
