@@ -8,7 +8,7 @@ import numpy as np
 
 from fgrecon.observation import Observation
 from fgrecon.reconstruction import Reconstruction
-from fgrecon.viz import entities
+from fgrecon.viz import entities, style
 from fgrecon.viz.geometry import crop_around
 from fgrecon.viz.truth import Truth
 
@@ -27,6 +27,7 @@ def blueprint(reconstruction: Reconstruction, observation: Observation, truth: T
     image = rrb.Spatial2DView(
         name="Image: keypoints by weight, projected wireframe, residuals",
         origin=f"/{entities.CAMERA}",
+        background=style.SCREEN_BACKGROUND,
         visual_bounds=rrb.VisualBounds2D(x_range=(x1, x2), y_range=(y1, y2)),
     )
     only_in_image = (

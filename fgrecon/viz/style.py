@@ -21,6 +21,7 @@ __all__ = [
     "HAIRLINE",
     "INK",
     "PAPER",
+    "SCREEN_BACKGROUND",
     "SCREEN_INK",
     "SIDE_COLOURS",
     "SURFACE",
@@ -60,7 +61,9 @@ SURFACE: Colour = (196, 204, 214)
 GROUND: Colour = (96, 96, 96)
 """The ground grid of a recording."""
 BACKGROUND: Colour = (244, 244, 242)
-"""The canvas where no photograph is given."""
+"""The canvas of a picture where no photograph is given."""
+SCREEN_BACKGROUND: Colour = (72, 72, 76)
+"""The same in a recording: dark enough for a black viewer, light enough for keypoints of no weight."""
 INK: Colour = (34, 34, 34)
 """Text, boxes and residuals of a picture."""
 FADED: Colour = (96, 96, 96)
