@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -36,7 +36,7 @@ class Camera:
         """
         matrix = as_finite("intrinsics", self.matrix, (3, 3), "Give the 3x3 camera matrix K.")
         if matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
-            raise InvalidInputError("intrinsics", [matrix[0, 0], matrix[1, 1]], "Give positive focal lengths fx, fy.")
+            raise InvalidInputError("intrinsics", matrix.diagonal()[:2].tolist(), "Give positive focal lengths fx, fy.")
         if np.any(matrix[[1, 2, 2], [0, 0, 1]] != 0) or matrix[2, 2] != 1:
             raise InvalidInputError("intrinsics", matrix.tolist(), "Give [[fx, s, cx], [0, fy, cy], [0, 0, 1]].")
         object.__setattr__(self, "matrix", matrix)
@@ -52,16 +52,19 @@ class Camera:
     def of(cls, intrinsics: Camera | ArrayLike, distortion: ArrayLike | None = None) -> Camera:
         """A camera from K (3, 3), from (fx, fy, cx, cy), or unchanged where it is one already.
 
+        A distortion given beside a camera takes the place of the camera's own.
+
         Raises:
             InvalidInputError: The intrinsics are neither.
         """
-        if isinstance(intrinsics, Camera):
-            return intrinsics
         coefficients = None if distortion is None else as_finite("distortion", distortion, (None,))
+        if isinstance(intrinsics, Camera):
+            return intrinsics if coefficients is None else replace(intrinsics, distortion=coefficients)
         if np.shape(intrinsics) == (4,):
             fx, fy, cx, cy = as_finite("intrinsics", intrinsics, (4,))
             return cls(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), coefficients)
-        return cls(np.asarray(intrinsics), coefficients)
+        fix = "Give the 3x3 camera matrix K, or fx, fy, cx, cy."
+        return cls(as_finite("intrinsics", intrinsics, (3, 3), fix), coefficients)
 
     def project(self, points: ArrayLike) -> NDArray[np.float64]:
         """Pixels (..., 2) of points (..., 3) in the camera frame, without distortion."""

@@ -38,7 +38,6 @@ def as_finite(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: 
     array = as_shape(field, value, shape, fix)
     if not np.isfinite(array).all():
         where: Any = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise InvalidInputError(
-            f"{field}[{', '.join(map(str, where))}]", float(array[where]), fix or "Give finite numbers only."
-        )
+        place = f"[{', '.join(map(str, where))}]" if where else ""
+        raise InvalidInputError(field + place, float(array[where]), fix or "Give finite numbers only.")
     return array

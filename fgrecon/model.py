@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.errors import InvalidInputError
 from fgrecon.options import BoxModel
 from fgrecon.pose.visibility import VisibilityTable
 from fgrecon.priors.shape_prior import ShapePrior
@@ -67,6 +68,9 @@ def prepare(prior: ShapePrior, size: SizePrior | None = None, basis_vectors: int
         InvalidInputError: The prior has fewer basis vectors than asked for.
     """
     if basis_vectors is not None:
+        if basis_vectors > prior.dimension:
+            fix = f"Prior {prior.name} has {prior.dimension} basis vectors: give at most so many."
+            raise InvalidInputError("options.basis_vectors", basis_vectors, fix)
         prior = prior.truncated(basis_vectors)
     if size is not None:
         prior = prior.for_fleet(size)

@@ -10,6 +10,7 @@ import numpy as np
 
 from fgrecon.errors import InvalidInputError
 from fgrecon.robust import RobustStrategy
+from fgrecon.robust import strategy as named_strategy
 
 __all__ = ["BoxModel", "Options"]
 
@@ -30,7 +31,7 @@ class Options:
     """Settings of `fgrecon.reconstruct`.
 
     Attributes:
-        strategy: Robust strategy (see `fgrecon.robust`).
+        strategy: Robust strategy, or its name (see `fgrecon.robust`).
         joint: Let pose and shape move together after the shape stage; else the pose stage's pose stays.
         free_offsets: Let each keypoint leave the subspace by a small offset with its own Gaussian prior.
         basis_vectors: Use the first so many basis vectors; None uses all.
@@ -38,7 +39,7 @@ class Options:
             noise plus the difference between annotators' and models' idea of a keypoint (KITTI: 2 to 4 %).
         sigma_pixels: The same in pixels, added in quadrature: what even a large image leaves.
         confidence_midpoint: Confidence at which a point is as likely right as wrong; the probability of being right is
-            c^2 / (c^2 + midpoint^2). Likelihood peaks of keypoint networks are underconfident: 0.15.
+            c^2 / (c^2 + midpoint^2). Likelihood peaks of keypoint networks are underconfident; 0.1 to 0.3 do alike.
         box_model: What the 2D box encloses.
         box_sigma_relative: Standard deviation of a box edge as a fraction of the longer side.
         box_sigma_pixels: The same in pixels, added in quadrature.
@@ -58,9 +59,9 @@ class Options:
     joint: bool = True
     free_offsets: bool = False
     basis_vectors: int | None = None
-    sigma_relative: float = 0.04
+    sigma_relative: float = 0.035
     sigma_pixels: float = 1.0
-    confidence_midpoint: float = 0.15
+    confidence_midpoint: float = 0.2
     box_model: BoxModel = BoxModel.SURFACE
     box_sigma_relative: float = 0.02
     box_sigma_pixels: float = 1.5
@@ -106,10 +107,15 @@ class Options:
             value = getattr(self, name)
             if not lowest <= value < np.inf:
                 raise InvalidInputError(f"options.{name}", value, f"Give a finite number of at least {lowest}.")
+        if self.basis_vectors is not None and self.basis_vectors < 0:
+            raise InvalidInputError("options.basis_vectors", self.basis_vectors, "Give a number from 0, or None.")
         if not 1 <= self.azimuths <= 360:
             raise InvalidInputError("options.azimuths", self.azimuths, "Give a number from 1 to 360.")
         unknown = set(self.disabled_terms) - set(self.TERMS)
         if unknown:
             raise InvalidInputError("options.disabled_terms", sorted(unknown)[0], f"Use {', '.join(self.TERMS)}.")
+        if self.box_model not in list(BoxModel):
+            raise InvalidInputError("options.box_model", self.box_model, f"Use one of {', '.join(BoxModel)}.")
+        object.__setattr__(self, "strategy", named_strategy(self.strategy))
         object.__setattr__(self, "box_model", BoxModel(self.box_model))
         object.__setattr__(self, "disabled_terms", frozenset(self.disabled_terms))

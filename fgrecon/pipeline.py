@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from time import perf_counter
 
 import numpy as np
@@ -9,19 +10,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.camera import Camera, Ground
 from fgrecon.catalogue import load_prior
-from fgrecon.checks import as_shape
+from fgrecon.checks import as_finite, as_shape
 from fgrecon.model import prepare
 from fgrecon.observation import Observation
 from fgrecon.options import Options
 from fgrecon.pose.adjust import PoseEstimate, adjust_pose
 from fgrecon.pose.problem import build_problem, keypoint_covariances
+from fgrecon.pose.search import PoseProblem
 from fgrecon.pose.starts import Box3D
 from fgrecon.pose.visibility import clearance, occluder, probability
 from fgrecon.priors.shape_prior import ShapePrior
 from fgrecon.priors.size_prior import SizePrior
 from fgrecon.priors.size_prior import size_prior as named_size_prior
 from fgrecon.reconstruction import Reconstruction, Status, rotation_y
-from fgrecon.shape.adjust import ShapeEstimate, adjust_shape
+from fgrecon.shape.adjust import ShapeEstimate, adjust_shape, graph_weights
 from fgrecon.shape.covariance import Covariances, covariances
 from fgrecon.shape.graph import Scene, VehicleGraph, build
 
@@ -40,7 +42,7 @@ def reconstruct(
     box: ArrayLike | None = None,
     covariance: ArrayLike | None = None,
     distortion: ArrayLike | None = None,
-    prior: ShapePrior | str = "car14",
+    prior: ShapePrior | str | Path = "car14",
     ground: Ground | float | None = None,
     size_prior: SizePrior | str | None = None,
     initial: Box3D | float | None = None,
@@ -69,23 +71,36 @@ def reconstruct(
         DegenerateProblemError: The keypoints do not determine a pose.
     """
     options = Options() if options is None else options
-    shape_prior = load_prior(prior) if isinstance(prior, str) else prior
+    shape_prior = load_prior(prior)
     camera = Camera.of(intrinsics, distortion)
-    plane = Ground.level(ground) if isinstance(ground, int | float) else ground
+    plane = _ground(ground)
+    start = _initial(initial)
     fleet = None if size_prior is None else named_size_prior(size_prior)
     observation = _observe(keypoints, confidence, box, covariance, camera, shape_prior, options)
     model = prepare(shape_prior, fleet, options.basis_vectors)
 
     started = perf_counter()
-    pose = adjust_pose(observation, camera, model, plane, initial, options)
+    pose = adjust_pose(observation, camera, model, plane, start, options)
     posed = perf_counter()
     problem = build_problem(observation, camera, model, plane, options)
     scene = Scene(observation, camera, model, plane, problem.box, options)
     shape = adjust_shape(scene, problem, pose)
     shaped = perf_counter()
-    uncertainty = _uncertainty(scene, shape)
+    uncertainty = _uncertainty(scene, problem, shape)
     milliseconds = {"pose": (posed - started) * 1e3, "shape": (shaped - posed) * 1e3}
     return _result(scene, pose, shape, uncertainty, milliseconds)
+
+
+def _ground(ground: Ground | float | None) -> Ground | None:
+    if ground is None or isinstance(ground, Ground):
+        return ground
+    return Ground.level(float(as_finite("ground", ground, (), "Give a `Ground`, or the camera's height in metres.")))
+
+
+def _initial(initial: Box3D | float | None) -> Box3D | float | None:
+    if initial is None or isinstance(initial, Box3D):
+        return initial
+    return float(as_finite("initial", initial, (), "Give a `Box3D`, or a guess of rotation_y in radians."))
 
 
 def _observe(
@@ -120,11 +135,12 @@ def _observe(
     return Observation(camera.undistort(pixels), observation.confidence, ideal_box, observation.covariance)
 
 
-def _uncertainty(scene: Scene, shape: ShapeEstimate) -> Covariances | None:
+def _uncertainty(scene: Scene, problem: PoseProblem, shape: ShapeEstimate) -> Covariances | None:
     """Covariances from the joint graph at the result, whichever stage came last."""
     vehicle = VehicleGraph(scene, shape.pose, pose_free=True)
     values = vehicle.values(shape.pose, shape.coefficients, shape.offsets)
-    return covariances(vehicle, build(vehicle.terms(shape.weights, shape.box_weights)), values)
+    weights = graph_weights(problem, shape.weights, shape.visibility)
+    return covariances(vehicle, build(vehicle.terms(weights, shape.box_weights)), values)
 
 
 def _result(
@@ -188,4 +204,4 @@ def _status(
         turn = rotation_y(close[0].camera_T_object) - rotation_y(pose.camera_T_object)
         degrees = abs(np.rad2deg((turn + np.pi) % (2.0 * np.pi) - np.pi))
         return Status.AMBIGUOUS, f"A pose turned by {degrees:.0f} degrees is only {close[0].excess:.1f} nats worse."
-    return Status.CONVERGED, f"Weights and energy settled after {len(shape.history)} iterations of the shape stage."
+    return Status.CONVERGED, "The pose search and the shape stage found one pose and a minimum there."

@@ -25,9 +25,9 @@ class Status(StrEnum):
     AMBIGUOUS = "ambiguous"
     """Another pose explains the keypoints nearly as well: see `alternatives`."""
     DEGENERATE = "degenerate"
-    """The keypoints leave a direction of the pose undetermined: see `message` and `covariance`."""
+    """The keypoints leave a direction of the pose undetermined: see `message` and `pose_covariance`."""
     FAILED = "failed"
-    """No result: see `message`."""
+    """The optimisation gave up, and this is the state before: see `message`."""
 
 
 @dataclass(frozen=True)
@@ -182,6 +182,10 @@ class Reconstruction:
                 values[name] = tuple(_record(Iteration, item) for item in value)
             else:
                 values[name] = np.array(value, dtype=np.int64 if name in integers else np.float64)
+        values["edges"] = values["edges"].reshape(-1, 2)  # JSON's empty list tells no shape
+        if values["coefficients_covariance"] is not None:
+            count = len(values["coefficients"])
+            values["coefficients_covariance"] = values["coefficients_covariance"].reshape(count, count)
         return cls(**values)
 
 

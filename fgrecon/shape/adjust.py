@@ -17,7 +17,7 @@ from fgrecon.reconstruction import Iteration
 from fgrecon.shape.graph import Scene, Terms, VehicleGraph, build, energies
 from fgrecon.shape.solver import minimise
 
-__all__ = ["ShapeEstimate", "adjust_shape"]
+__all__ = ["ShapeEstimate", "adjust_shape", "graph_weights"]
 
 Array = NDArray[np.float64]
 
@@ -117,7 +117,7 @@ def _run_stage(
     for update in range(updates):
         before = state.weights
         _reweigh(state, problem, graph, values, update / max(updates - 1, 1))
-        terms = graph.terms(_graph_weights(state, problem), state.box_weights)
+        terms = graph.terms(graph_weights(problem, state.weights, state.visibility), state.box_weights)
         last = update == updates - 1 or (update > 0 and float(np.abs(state.weights - before).max()) < _SETTLED)
         solution = minimise(
             build(terms),
@@ -151,12 +151,16 @@ def _reweigh(state: _State, problem: PoseProblem, graph: VehicleGraph, values: g
         state.box_weights = problem.box.weights(problem.box.residuals(here))[0]
 
 
-def _graph_weights(state: _State, problem: PoseProblem) -> Array:
-    """(K,) weights of the noise models: without the m-estimator's share where the graph has the m-estimator itself."""
+def graph_weights(problem: PoseProblem, weights: Array, visibility: Array) -> Array:
+    """(K,) weights of the noise models: without the m-estimator's share where the graph has the m-estimator itself.
+
+    Args:
+        problem: Has strategy and evidence.
+        weights: (K,) weights of the keypoints.
+        visibility: (K,) visibility that they were computed with.
+    """
     term = problem.keypoints
-    if term.strategy.loss is None:
-        return state.weights
-    return term.strategy.initial_weights(term.evidence, state.visibility)
+    return weights if term.strategy.loss is None else term.strategy.initial_weights(term.evidence, visibility)
 
 
 def _iteration(

@@ -8,6 +8,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.errors import FactorCallbackError
 from fgrecon.shape.graph import VehicleGraph
 
 __all__ = ["Covariances", "covariances"]
@@ -44,6 +45,8 @@ def covariances(vehicle: VehicleGraph, graph: gtsam.NonlinearFactorGraph, values
         marginals = gtsam.Marginals(graph, values)
         pose = marginals.marginalCovariance(vehicle.pose_key)
         shape = _joint(marginals, shape_keys)
+    except FactorCallbackError:
+        raise
     except RuntimeError:  # GTSAM's only sign of an indeterminate system
         return None
     derivative = vehicle.shape.derivative  # (K, 3, D)

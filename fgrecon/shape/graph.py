@@ -130,6 +130,8 @@ class VehicleGraph:
         return pose, coefficients, offsets
 
     def _reprojection(self, weights: Array) -> list[gtsam.NonlinearFactor]:
+        if not self.kernel.keys:  # a constant shape at a fixed pose
+            return []
         strategy = self.scene.options.strategy
         loss = None if strategy.loss is None else RobustLoss.of(strategy.loss, strategy.tuning)
         noises = [

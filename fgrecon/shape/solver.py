@@ -7,8 +7,7 @@ from typing import Any
 
 import gtsam
 
-from factors.errors import FactorCallbackError
-from fgrecon.errors import DegenerateProblemError
+from fgrecon.errors import DegenerateProblemError, FactorCallbackError
 
 __all__ = ["Solution", "minimise"]
 
@@ -35,7 +34,7 @@ def minimise(
 
     Args:
         graph: Factors with noise models.
-        start: Finite values with every keypoint in front of the camera.
+        start: Finite values with every keypoint in front of the camera; they are returned where there are none.
         relative_tolerance: Stop once an iteration lowers the error by less than this fraction.
         max_iterations: Upper limit.
         record: Keep the values after every iteration.
@@ -43,6 +42,8 @@ def minimise(
     Raises:
         DegenerateProblemError: The linear system of a step has no solution, or the start has an infinite error.
     """
+    if start.empty():  # a constant shape at a fixed pose
+        return Solution(start, (), float(graph.error(start)), 0)
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setRelativeErrorTol(relative_tolerance)
     parameters.setAbsoluteErrorTol(1e-12)
