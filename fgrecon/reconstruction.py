@@ -43,7 +43,8 @@ class Iteration:
         keypoints: (K, 3) keypoints in the object frame, free offsets included.
         projections: (K, 2) their projections, pixels.
         weights: (K,) weight of each keypoint in [0, 1].
-        energies: Energy by term; their sum is what the solver minimises.
+        energies: Energy by term, nats. That of keypoints and box is the robust one, which the weights stand for, so
+            that it can be compared between stages; a strategy without an energy of its own shows a substitute.
     """
 
     stage: str

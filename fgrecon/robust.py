@@ -100,7 +100,7 @@ class RobustStrategy:
     mu1: float = 0.5
     mu2: float = 0.7
     gross: float = 0.05
-    missed: float = 0.3
+    missed: float = 0.2
     false_alarm: float = 0.02
     gnc_start: float = 64.0
 

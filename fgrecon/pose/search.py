@@ -16,6 +16,7 @@ __all__ = ["PoseProblem", "SearchResult", "search"]
 Array = NDArray[np.float64]
 
 _LARGEST_TURN = 0.5  # radians a step may turn: beyond, the linearisation says nothing
+_SETTLED = 1e-4  # nats: once no step changes any energy by more, the search is over
 _CALMER, _BOLDER = 0.3, 5.0  # factors on the damping after a good and after a bad step
 
 
@@ -114,12 +115,15 @@ def search(problem: PoseProblem, starts: Hypotheses, iterations: int, keep: Mapp
             survivor = np.arange(len(h))
         trial = _retract(h, _damped_step(total, damping))
         trial_total, trial_weights = problem.evaluate(trial, (iteration + 1) / iterations)
-        better = trial_total.energy < total.energy
+        gain = total.energy - trial_total.energy
+        better = gain > 0
         damping = np.where(better, damping * _CALMER, damping * _BOLDER)
         h = trial.where(better, h)
         total.update(better, trial_total)
         weights = np.where(better[:, None], trial_weights, weights)
         snapshots.append((h, weights, survivor))
+        if iteration > max(keep, default=0) and not (np.abs(gain) > _SETTLED).any():
+            break
     order = np.argsort(total.energy, kind="stable")
     path, path_weights = _path(snapshots, int(order[0]))
     return SearchResult(h.take(order), total.energy[order], weights[order], path, path_weights)

@@ -23,7 +23,7 @@ __all__ = ["BoxTerm", "GroundTerm", "Hypotheses", "KeypointTerm", "Quadratic", "
 Array = NDArray[np.float64]
 
 BOX_SOFTNESS = 0.5
-"""Softness of the box's extents as a fraction of an edge's sigma: smooth enough to converge, with a bias far below it."""
+"""Softness of the box's extents as a fraction of an edge's sigma: enough to converge, with a bias far below it."""
 
 MIN_DEPTH = 0.3
 """Nothing may be nearer to the camera than this, metres."""
@@ -180,14 +180,19 @@ class BoxTerm:
         inlier = np.exp(-0.5 * np.square(residual))
         return np.where(self.used, inlier / (inlier + self.outlier), 0.0)
 
+    def energy(self, residual: Array) -> Array:
+        """(H,) negative logarithm of the edges' likelihood, nats."""
+        likelihood = np.exp(-0.5 * np.square(residual)) + self.outlier
+        total: Array = -np.where(self.used, np.log(likelihood), 0.0).sum(axis=1)
+        return total
+
     def add(self, total: Quadratic, h: Hypotheses) -> None:
         """Add this term."""
         points = self._points(h)
         pixels, camera, near = _project(self.matrix, points, h)
         extents, share = self._extents(pixels)
         residual = (extents - self.edges) / self.sigma
-        likelihood = np.exp(-0.5 * np.square(residual)) + self.outlier
-        total.energy += np.where(near, np.inf, -np.where(self.used, np.log(likelihood), 0.0).sum(axis=1))
+        total.energy += np.where(near, np.inf, self.energy(residual))
         scale = np.sqrt(self.weights(residual))
         share = share * (scale / self.sigma)[..., None]
         by_camera = pixel_jacobian(self.matrix, camera)

@@ -127,28 +127,49 @@ def _run_stage(
         )
         values = solution.values
         history.extend(
-            _iteration(stage, update, step, graph, iterate, state.weights, terms)
+            _iteration(stage, update, step, graph, iterate, state.weights, terms, problem)
             for step, iterate in enumerate(solution.path)
         )
         state.pose, state.coefficients, state.offsets = graph.read(values)
         if last:
             break
-    return energies(terms, values)
+    return _energies(graph, values, terms, problem)
 
 
 def _reweigh(state: _State, problem: PoseProblem, graph: VehicleGraph, values: gtsam.Values, progress: float) -> None:
     """Update visibility and weights at the current state."""
-    term = problem.keypoints
-    pixels = graph.kernel.evaluate(values).pixels
-    residual = (term.whitener @ (pixels - term.pixels)[..., None])[..., 0]
+    strategy, evidence = problem.keypoints.strategy, problem.keypoints.evidence
+    squared = _squared_distances(graph, values, problem)
     state.visibility = problem.visibility(state.pose.matrix()[None])[0]
-    state.weights = term.strategy.weights(
-        np.square(residual).sum(axis=-1), term.evidence, state.visibility, previous=state.weights, progress=progress
-    )
+    state.weights = strategy.weights(squared, evidence, state.visibility, previous=state.weights, progress=progress)
     if problem.box is not None:
-        matrix = state.pose.matrix()
-        here = Hypotheses(matrix[None, :3, :3], matrix[None, :3, 3], state.coefficients[None])
-        state.box_weights = problem.box.weights(problem.box.residuals(here))[0]
+        state.box_weights = problem.box.weights(problem.box.residuals(_hypothesis(graph, values)))[0]
+
+
+def _squared_distances(graph: VehicleGraph, values: gtsam.Values, problem: PoseProblem) -> Array:
+    """(K,) squared Mahalanobis distances of the keypoints' residuals."""
+    residual = graph.kernel.evaluate(values).pixels - problem.keypoints.pixels
+    squared: Array = np.square(problem.keypoints.whitener @ residual[..., None]).sum(axis=(1, 2))
+    return squared
+
+
+def _hypothesis(graph: VehicleGraph, values: gtsam.Values) -> Hypotheses:
+    pose, coefficients, _ = graph.read(values)
+    matrix = pose.matrix()
+    return Hypotheses(matrix[None, :3, :3], matrix[None, :3, 3], coefficients[None])
+
+
+def _energies(graph: VehicleGraph, values: gtsam.Values, terms: Terms, problem: PoseProblem) -> dict[str, float]:
+    """Energy of each term; of keypoints and box the robust one, whose weights the graph holds, as in the pose stage."""
+    result = energies(terms, values)
+    here = _hypothesis(graph, values)
+    visibility = problem.visibility(here.matrices())[0]
+    squared = _squared_distances(graph, values, problem)
+    robust = problem.keypoints.strategy.evaluate(squared, problem.keypoints.evidence, visibility)[1]
+    result["reprojection"] = float(robust)
+    if problem.box is not None:
+        result["box"] = float(problem.box.energy(problem.box.residuals(here))[0])
+    return result
 
 
 def graph_weights(problem: PoseProblem, weights: Array, visibility: Array) -> Array:
@@ -164,7 +185,14 @@ def graph_weights(problem: PoseProblem, weights: Array, visibility: Array) -> Ar
 
 
 def _iteration(
-    stage: str, update: int, step: int, graph: VehicleGraph, values: gtsam.Values, weights: Array, terms: Terms
+    stage: str,
+    update: int,
+    step: int,
+    graph: VehicleGraph,
+    values: gtsam.Values,
+    weights: Array,
+    terms: Terms,
+    problem: PoseProblem,
 ) -> Iteration:
     pose, coefficients, _ = graph.read(values)
     return Iteration(
@@ -176,5 +204,5 @@ def _iteration(
         keypoints=graph.shape.points(values),
         projections=graph.kernel.evaluate(values).pixels,
         weights=weights,
-        energies=energies(terms, values),
+        energies=_energies(graph, values, terms, problem),
     )
