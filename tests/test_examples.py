@@ -1,0 +1,48 @@
+"""Every example runs, is short, starts with its factor graph, and shows what it promises."""
+
+import re
+import runpy
+
+import pytest
+
+from .conftest import REPOSITORY
+
+EXAMPLES = sorted((REPOSITORY / "examples").glob("*.py"))
+NUMBER = r"(-?\d+\.\d+)"
+
+
+def run(name, capsys):
+    (file,) = [example for example in EXAMPLES if example.name.startswith(name)]
+    runpy.run_path(str(file), run_name="__main__")
+    return capsys.readouterr().out
+
+
+def test_they_are_numbered_without_a_gap():
+    assert [example.name[:2] for example in EXAMPLES] == [f"{i:02d}" for i in range(1, len(EXAMPLES) + 1)]
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.stem)
+def test_they_are_short_and_start_with_their_factor_graph(example):
+    text = example.read_text()
+    assert text.count("\n") < 60
+    assert "----" in text.split('"""')[1]
+
+
+def test_one_car(capsys):
+    output = run("01", capsys)
+    yaw, true_yaw = map(float, re.search(f"yaw {NUMBER} degrees, true {NUMBER}", output).groups())
+    assert abs(yaw - true_yaw) < 5.0
+    assert output.startswith("converged")
+    assert len(re.findall(r" (yes|no)$", output, re.MULTILINE)) == 14
+
+
+def test_own_factor(capsys):
+    camera_only, with_radar = map(float, re.findall(f"off by {NUMBER} m", run("02", capsys)))
+    assert with_radar < 0.3 < camera_only
+
+
+def test_own_category(capsys):
+    output = run("03", capsys)
+    yaw, true_yaw = map(float, re.search(rf"yaw {NUMBER} \(true {NUMBER}\)", output).groups())
+    assert abs(yaw - true_yaw) < 2.0
+    assert output.startswith("converged")
