@@ -198,8 +198,12 @@ def _baseline(name: str, summary: str, load: Callable[[], PnP], *, size: bool) -
 
 def _fgrecon(name: str, *, ground: bool, size: bool) -> Method:
     def bind(scene: Scene) -> Solver:
+        from fgrecon.options import BoxModel, Options
         from fgrecon.pipeline import reconstruct
         from fgrecon.reconstruction import Status
+
+        # KITTI's 2D boxes are its 3D boxes projected, to within 1 % of their size.
+        options = Options(box_model=BoxModel.CUBOID, keep_history=False)
 
         def solve(observation: Observation, camera: Camera) -> Estimate:
             result = reconstruct(
@@ -211,6 +215,7 @@ def _fgrecon(name: str, *, ground: bool, size: bool) -> Method:
                 prior=scene.prior,
                 ground=scene.ground if ground else None,
                 size_prior=scene.size if size else None,
+                options=options,
             )
             if result.status is Status.FAILED:
                 raise FgreconError(result.message)
