@@ -5,6 +5,7 @@ Whatever is shown from here is to be called simulated.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,13 +19,24 @@ from fgrecon.observation import Observation
 from fgrecon.pose.visibility import TOLERANCE, clearance
 from fgrecon.priors.shape_prior import ShapePrior
 
-__all__ = ["KITTI_CAMERA", "Truth", "Vehicle", "kitti_like_pose", "simulate", "yaw_pose"]
+__all__ = [
+    "KITTI_CAMERA",
+    "Truth",
+    "Vehicle",
+    "kitti_like_pose",
+    "label_poses",
+    "simulate",
+    "simulate_many",
+    "simulate_track",
+    "yaw_pose",
+]
 
 KITTI_CAMERA = Camera(
     np.array([[721.5377, 0.0, 609.5593], [0.0, 721.5377, 172.854], [0.0, 0.0, 1.0]]), image_size=(1242, 375)
 )
 """The colour camera of KITTI's training drives."""
 _KITTI_HEIGHT = 1.65
+_TRIES = 100
 
 
 @dataclass(frozen=True)
@@ -86,6 +98,7 @@ def simulate(
     camera_T_object: NDArray[np.float64],
     rng: np.random.Generator,
     noise: NoiseModel = HOURGLASS,
+    hidden: NDArray[np.bool_] | None = None,
 ) -> tuple[Observation, Truth]:
     """Observe a vehicle as a keypoint network would.
 
@@ -95,6 +108,7 @@ def simulate(
         camera_T_object: (4, 4) true pose.
         rng: Source of randomness.
         noise: The network's mistakes.
+        hidden: (K,) keypoints that something else hides, beside those that the vehicle itself hides.
 
     Returns:
         The observation (keypoints, confidences, 2D box) and the truth behind it.
@@ -120,6 +134,8 @@ def simulate(
     centre = -rotation.T @ translation
     visible = clearance(vehicle.vertices, vehicle.faces, vehicle.keypoints, centre) <= TOLERANCE
     visible &= ((projections >= lowest) & (projections <= limit)).all(axis=1)
+    if hidden is not None:
+        visible &= ~hidden
     if rng.random() < noise.covered:
         visible &= ~_covered(projections[:, 0], box, rng)
     pixels, confidence = noise.measure(projections, visible, measured_box, Twins.of(vehicle.category), rng)
@@ -127,6 +143,91 @@ def simulate(
     outlier = np.linalg.norm(pixels - projections, axis=1) > OUTLIER * extent
     truth = Truth(camera_T_object, vehicle, projections, visible, outlier, box)
     return Observation(pixels, confidence, measured_box), truth
+
+
+def simulate_many(
+    vehicles: Sequence[Vehicle] | ShapePrior,
+    count: int,
+    rng: np.random.Generator,
+    noise: NoiseModel = HOURGLASS,
+    camera: Camera = KITTI_CAMERA,
+    poses: NDArray[np.float64] | None = None,
+) -> list[tuple[Observation, Truth]]:
+    """Observe vehicles one by one, independently of one another.
+
+    Args:
+        vehicles: Shapes to draw from, or a prior to sample.
+        count: How many.
+        rng: Source of randomness.
+        noise: The network's mistakes.
+        camera: The camera.
+        poses: (P, 4, 4) poses to draw from, such as `label_poses` gives; those that put a vehicle outside the image
+            are drawn again. None for `kitti_like_pose`.
+
+    Raises:
+        InvalidInputError: None of the poses drawn puts the vehicle into the image.
+    """
+    return [_observe_one(vehicles, rng, noise, camera, poses) for _ in range(count)]
+
+
+def simulate_track(
+    vehicle: Vehicle,
+    frames: int,
+    rng: np.random.Generator,
+    noise: NoiseModel = HOURGLASS,
+    camera: Camera = KITTI_CAMERA,
+) -> list[tuple[Observation, Truth]]:
+    """Observe one vehicle in consecutive frames, ten a second, until it leaves the image or is nearer than 5 m.
+
+    Seen from the camera, it moves along its heading at a constant speed of up to 10 m/s and turns a little. The noise
+    of one frame knows nothing of the others' (a real network's does: about half of its variance is common to a track).
+    """
+    pose = kitti_like_pose(rng, camera)
+    step = np.eye(4)
+    step[:3, :3] = _rotation(1, np.radians(rng.normal(0.0, 0.5)))
+    step[0, 3] = rng.uniform(-1.0, 1.0)
+    track: list[tuple[Observation, Truth]] = []
+    while len(track) < frames and pose[2, 3] > 5.0:
+        try:
+            track.append(simulate(vehicle, camera, pose, rng, noise))
+        except InvalidInputError:
+            break
+        pose = pose @ step
+    return track
+
+
+def label_poses(text: str, nearest: float = 8.0, farthest: float = 45.0) -> NDArray[np.float64]:
+    """Poses (P, 4, 4) of the cars in a label file of KITTI's tracking set, in the labels' camera frame.
+
+    Args:
+        text: Content of the file.
+        nearest: Cars nearer than this, in metres along the camera's axis, are left out,
+        farthest: and so are those farther than this, truncated ones, and those largely occluded.
+    """
+    rows = [line.split() for line in text.splitlines()]
+    cars = [r for r in rows if len(r) >= 17 and r[2] == "Car" and r[3] == "0" and r[4] in ("0", "1")]
+    poses = [yaw_pose(float(r[16]), np.array([float(x) for x in r[13:16]])) for r in cars]
+    return np.array([p for p in poses if nearest <= p[2, 3] <= farthest]).reshape(-1, 4, 4)
+
+
+def _observe_one(
+    vehicles: Sequence[Vehicle] | ShapePrior,
+    rng: np.random.Generator,
+    noise: NoiseModel,
+    camera: Camera,
+    poses: NDArray[np.float64] | None,
+) -> tuple[Observation, Truth]:
+    if isinstance(vehicles, ShapePrior):
+        vehicle = Vehicle.sample(vehicles, rng)
+    else:
+        vehicle = vehicles[int(rng.integers(len(vehicles)))]
+    for _ in range(_TRIES):
+        pose = kitti_like_pose(rng, camera) if poses is None else poses[rng.integers(len(poses))]
+        try:
+            return simulate(vehicle, camera, pose, rng, noise)
+        except InvalidInputError:
+            continue
+    raise InvalidInputError("poses", f"{_TRIES} drawn", "Give poses that put the vehicle into the image.")
 
 
 def _covered(u: NDArray[np.float64], box: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.bool_]:

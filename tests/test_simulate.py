@@ -13,7 +13,16 @@ from fgrecon.errors import InvalidInputError
 from fgrecon.evaluation.keypoint_noise_fit import fit_noise_model, read_vehicle
 from fgrecon.keypoint_noise import HARD, HOURGLASS, OUTLIER, Twins
 from fgrecon.reconstruction import rotation_y
-from fgrecon.simulate import KITTI_CAMERA, Vehicle, kitti_like_pose, simulate, yaw_pose
+from fgrecon.simulate import (
+    KITTI_CAMERA,
+    Vehicle,
+    kitti_like_pose,
+    label_poses,
+    simulate,
+    simulate_many,
+    simulate_track,
+    yaw_pose,
+)
 
 PRIOR = load_prior("car14")
 POSE = yaw_pose(0.7, np.array([2.0, 1.65, 15.0]))
@@ -178,3 +187,51 @@ def test_the_constants_are_what_the_fit_gives(data):
         assert getattr(fitted, name) == pytest.approx(getattr(HOURGLASS, name), rel=0.02)
     for name in ("lost_to", "confidence_visible", "confidence_hidden", "confidence_lost"):
         assert getattr(fitted, name) == pytest.approx(getattr(HOURGLASS, name), rel=0.05, abs=0.01)
+
+
+def test_many_draws_shapes_and_poses():
+    rng = np.random.default_rng(0)
+    vehicles = [Vehicle.sample(PRIOR, rng) for _ in range(3)]
+    poses = np.array([POSE, yaw_pose(0.0, np.array([500.0, 1.65, 20.0]))])  # the second is outside the image
+    drawn = simulate_many(vehicles, 30, rng, poses=poses)
+    assert len(drawn) == 30
+    assert {id(t.vehicle) for _, t in drawn} == {id(v) for v in vehicles}
+    assert all((t.camera_T_object == POSE).all() for _, t in drawn)
+    with pytest.raises(InvalidInputError, match="poses"):
+        simulate_many(vehicles, 1, rng, poses=poses[1:])
+    sampled = simulate_many(PRIOR, 5, np.random.default_rng(1))
+    assert len({t.camera_T_object[2, 3] for _, t in sampled}) == 5
+
+
+def test_hidden_keypoints_are_not_visible():
+    hidden = np.zeros(PRIOR.category.size, dtype=bool)
+    vehicle = Vehicle.of_prior(PRIOR, np.zeros(PRIOR.dimension))
+    _, free = simulate(vehicle, KITTI_CAMERA, POSE, np.random.default_rng(0))
+    hidden[np.flatnonzero(free.visible)[:2]] = True
+    _, partly = simulate(vehicle, KITTI_CAMERA, POSE, np.random.default_rng(0), hidden=hidden)
+    np.testing.assert_array_equal(partly.visible, free.visible & ~hidden)
+
+
+def test_a_track_moves_smoothly():
+    track = simulate_track(Vehicle.sample(PRIOR, np.random.default_rng(2)), 12, np.random.default_rng(3))
+    assert 1 < len(track) <= 12
+    locations = np.array([t.camera_T_object[:3, 3] for _, t in track])
+    steps = np.linalg.norm(np.diff(locations, axis=0), axis=1)
+    assert steps.max() <= 1.0
+    np.testing.assert_allclose(steps, steps[0], rtol=1e-6)
+    assert len({id(t.vehicle) for _, t in track}) == 1
+
+
+def test_label_poses_keeps_whole_cars_in_range():
+    lines = [
+        "0 1 Car 0 0 1.6 500 150 600 220 1.5 1.6 3.9 1.0 1.7 20.0 -1.5",
+        "0 2 Car 1 0 1.6 500 150 600 220 1.5 1.6 3.9 1.0 1.7 20.0 -1.5",
+        "0 3 Van 0 0 1.6 500 150 600 220 1.5 1.6 3.9 1.0 1.7 20.0 -1.5",
+        "0 4 Car 0 2 1.6 500 150 600 220 1.5 1.6 3.9 1.0 1.7 20.0 -1.5",
+        "0 5 Car 0 1 1.6 500 150 600 220 1.5 1.6 3.9 1.0 1.7 60.0 -1.5",
+    ]
+    poses = label_poses("\n".join(lines))
+    assert poses.shape == (1, 4, 4)
+    assert rotation_y(poses[0]) == pytest.approx(-1.5)
+    np.testing.assert_allclose(poses[0, :3, 3], [1.0, 1.7, 20.0])
+    assert label_poses("").shape == (0, 4, 4)
