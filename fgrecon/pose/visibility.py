@@ -6,8 +6,8 @@ at any shape; a `VisibilityTable` holds the answers for a prior's mean shape and
 
 Measured with the mean shape of the prior `car14` against marks made by people (56 photographs of posed_cars; the 10
 KITTI cars of hand_labels that are graded good, since many others are partly behind something else: over all 31, hidden
-points are recalled at 78 %; keypoints of 1,489 ApolloCar3D cars, of which only the visible ones are marked). Precision /
-recall in percent:
+points are recalled at 78 %; keypoints of 1,489 ApolloCar3D cars, of which only the visible ones are marked).
+Precision / recall in percent:
 
 | tolerance, m | posed: visible | posed: hidden | KITTI: visible | KITTI: hidden | ApolloCar3D: marked, recall |
 |---|---|---|---|---|---|
