@@ -49,6 +49,10 @@ class Options:
         rectangularity_sigma: Deviation of a face from a rectangle, 1 sigma, metres.
         parallel_sigma: Angle between a ground-parallel face and the ground, 1 sigma, radians.
         laplacian_sigma: Deviation of a keypoint from its place among its neighbours, 1 sigma, metres.
+        literal_laplacian: Take the paper's Laplacian literally: weights not normalised, residuals not relative to the
+            mean shape's (`factors.laplacian` says what that does).
+        plane_penalty: Weight mu of the penalty mu (1 - n'n)^2 on a plane's normal, square metres; None has unit normals
+            by construction.
         disabled_terms: Names of energy terms to leave out (ablation): `planarity`, `symmetry`, `rectangularity`,
             `dimensions`, `laplacian`, `box`, `ground`.
         ambiguity_margin: Energy (nats) within which another pose makes the result ambiguous.
@@ -71,6 +75,8 @@ class Options:
     rectangularity_sigma: float = 0.05
     parallel_sigma: float = 0.03
     laplacian_sigma: float = 0.15
+    literal_laplacian: bool = False
+    plane_penalty: float | None = None
     disabled_terms: frozenset[str] = frozenset()
     ambiguity_margin: float = 3.0
     keep_history: bool = True
@@ -109,6 +115,8 @@ class Options:
                 raise InvalidInputError(f"options.{name}", value, f"Give a finite number of at least {lowest}.")
         if self.basis_vectors is not None and self.basis_vectors < 0:
             raise InvalidInputError("options.basis_vectors", self.basis_vectors, "Give a number from 0, or None.")
+        if self.plane_penalty is not None and not 0.0 < self.plane_penalty < np.inf:
+            raise InvalidInputError("options.plane_penalty", self.plane_penalty, "Give a positive number, or None.")
         if not 1 <= self.azimuths <= 360:
             raise InvalidInputError("options.azimuths", self.azimuths, "Give a number from 1 to 360.")
         unknown = set(self.disabled_terms) - set(self.TERMS)

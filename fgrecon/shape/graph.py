@@ -118,7 +118,9 @@ class VehicleGraph:
             values.insert(self.shape.offsets_key, offsets.ravel())
         points = self.shape.points(values)
         for key, keypoints in self._planes.items():
-            values.insert(key, _medial_plane() if keypoints is None else factors.fit_plane(points[keypoints]))
+            plane = _medial_plane() if keypoints is None else factors.fit_plane(points[keypoints])
+            free = keypoints is not None and self.scene.options.plane_penalty is not None
+            values.insert(key, plane.planeCoefficients() if free else plane)
         return values
 
     def read(self, values: gtsam.Values) -> tuple[gtsam.Pose3, Array, Array]:
@@ -172,8 +174,15 @@ class VehicleGraph:
             operator = category.dimension_operator
             terms["dimensions"] = [factors.dimensions_factor(self.shape, operator, size.mean, size.sigma)]
         if any(category.neighbours):
-            sigma = options.laplacian_sigma
-            terms["laplacian"] = [factors.laplacian_factor(self.shape, category.neighbours, sigma)]
+            adapted = not options.literal_laplacian
+            factor = factors.laplacian_factor(
+                self.shape,
+                category.neighbours,
+                options.laplacian_sigma,
+                normalised=adapted,
+                relative_to_mean=adapted,
+            )
+            terms["laplacian"] = [factor]
         return terms
 
     @property
@@ -184,17 +193,24 @@ class VehicleGraph:
         """Each face's planarity, and the direction of the ground-parallel ones."""
         if "planarity" in self.scene.options.disabled_terms:
             return []
-        options = self.scene.options
         term: list[gtsam.NonlinearFactor] = []
         for index, face in enumerate(category.faces):
             if self._always_symmetric and not face.ground_parallel and _is_mirrored(face, category):
                 continue  # planar for every lambda, and in no particular direction
             key = P(self._vehicle, index)
             self._planes[key] = np.array(face.keypoints)
-            term.append(factors.planarity_factor(self.shape, face.keypoints, key, options.planarity_sigma))
-            if face.ground_parallel:
-                term.append(factors.ground_parallel_factor(key, options.parallel_sigma))
+            term += self._face(face, key)
         return term
+
+    def _face(self, face: Face, key: int) -> list[gtsam.NonlinearFactor]:
+        options, indices, sigma = self.scene.options, face.keypoints, self.scene.options.planarity_sigma
+        mu, parallel = options.plane_penalty, options.parallel_sigma
+        term: list[gtsam.NonlinearFactor]
+        if mu is None:
+            term = [factors.planarity_factor(self.shape, indices, key, sigma)]
+            return [*term, factors.ground_parallel_factor(key, parallel)] if face.ground_parallel else term
+        term = [factors.penalty_planarity_factor(self.shape, indices, key, sigma, mu=mu)]
+        return [*term, factors.penalty_ground_parallel_factor(key, parallel)] if face.ground_parallel else term
 
     def _symmetry(self, category: Category) -> list[gtsam.NonlinearFactor]:
         pairs = category.symmetric_pairs
