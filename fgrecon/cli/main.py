@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 
 from fgrecon.cli import evaluate, prior
+from fgrecon.cli.demo import demo_command
 from fgrecon.cli.reconstruct import reconstruct_command
 from fgrecon.errors import FgreconError
 
@@ -26,6 +27,7 @@ app = typer.Typer(
 )
 
 
+app.command("demo")(demo_command)
 app.command("reconstruct")(reconstruct_command)
 app.add_typer(evaluate.app, name="evaluate")
 app.add_typer(prior.app, name="prior")

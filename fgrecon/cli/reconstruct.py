@@ -91,7 +91,7 @@ def reconstruct_command(
     outcomes = [batch.run(task, settings) for task in tasks]
 
     out = console(error=json_out == "-")
-    out.print(show.table(outcomes))
+    show.print_table(out, outcomes)
     if ignored:
         out.print(f"Fields of the file without a meaning here: {', '.join(ignored)}.", markup=False)
     if json_out is not None:

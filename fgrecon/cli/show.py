@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
@@ -20,38 +22,44 @@ from fgrecon.errors import InvalidInputError
 from fgrecon.priors.size_prior import SizePrior
 from fgrecon.viz import Sight, contact_sheet, picture, record, save_picture
 
-__all__ = ["FORMAT", "document", "draw", "record_all", "table"]
+__all__ = ["FORMAT", "document", "draw", "print_table", "record_all"]
 
 FORMAT = "fgrecon.reconstructions/1"
 
 _TRUSTED = 0.5  # weight from which a keypoint counts as trusted
-_TEXT_COLUMNS = ("id", "status", "message")
+_HEADINGS = ("id", "status", "yaw °", "x, y, z m", "l, w, h m", "trusted", "message")
+_WIDE = 130  # columns of the terminal that leave the message some room
 
 
-def table(outcomes: Sequence[Outcome]) -> Table:
-    """One row per vehicle, refused ones included."""
-    result = Table()
-    for heading in ("id", "status", "yaw °", "x, y, z m", "length, width, height m", "trusted", "message"):
-        justify, fold = "left" if heading in _TEXT_COLUMNS else "right", heading == "message"
-        result.add_column(heading, justify=justify, no_wrap=not fold, overflow="fold")  # type: ignore[arg-type]
+def print_table(console: Console, outcomes: Sequence[Outcome]) -> None:
+    """One row per vehicle, refused ones included; messages in the last column, or below where there is no room."""
+    wide = console.width >= _WIDE
+    table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True)
+    for heading in _HEADINGS if wide else _HEADINGS[:-1]:
+        text = heading in ("id", "status", "message")
+        table.add_column(heading, justify="left" if text else "right", no_wrap=heading != "message", overflow="fold")
     for outcome in outcomes:
-        result.add_row(*_row(outcome))
-    return result
+        cells = _cells(outcome)
+        table.add_row(*map(escape, cells if wide else cells[:-1]))
+    console.print(table)
+    if not wide:
+        for outcome in outcomes:
+            console.print(f"{outcome.name}: {_cells(outcome)[-1]}", markup=False)
 
 
-def _row(outcome: Outcome) -> tuple[str, ...]:
+def _cells(outcome: Outcome) -> tuple[str, ...]:
     result = outcome.result
     if result is None:
-        return (escape(outcome.name), "refused", "", "", "", "", escape(str(outcome.error)))
+        return (outcome.name, "refused", "", "", "", "", str(outcome.error))
     measured = np.isfinite(outcome.task.instance.keypoints[:, 0])
     return (
-        escape(outcome.name),
+        outcome.name,
         result.status.value,
         f"{np.degrees(result.rotation_y):.1f}",
         ", ".join(f"{number:.2f}" for number in result.location),
         ", ".join(f"{number:.2f}" for number in result.box_size),
         f"{np.count_nonzero(result.weights >= _TRUSTED)} of {np.count_nonzero(measured)}",
-        escape(result.message),
+        result.message,
     )
 
 

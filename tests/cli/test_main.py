@@ -16,7 +16,7 @@ def test_version_and_help():
     assert runner.invoke(main.app, ["--version"]).stdout == f"fgrecon {metadata.version('fgrecon')}\n"
     shown = runner.invoke(main.app, ["--help"])
     assert shown.exit_code == 0
-    for command in ("reconstruct", "evaluate", "prior"):
+    for command in ("demo", "reconstruct", "evaluate", "prior"):
         assert command in shown.stdout
 
 

@@ -34,7 +34,7 @@ def results(output):
 def test_one_car(write, instance):
     done = run(write(instance), INTRINSICS)
     assert done.exit_code == 0, done.output
-    row = re.search(r"converged\s*│\s*([-\d.]+)\s*│\s*([-\d.]+), ([-\d.]+), ([-\d.]+)", done.stdout)
+    row = re.search(r"converged\s+([-\d.]+)\s+([-\d.]+), ([-\d.]+), ([-\d.]+)", done.stdout)
     yaw, *location = map(float, row.groups())
     assert yaw == pytest.approx(np.degrees(YAW), abs=1.0)
     assert location == pytest.approx(LOCATION, abs=0.15)

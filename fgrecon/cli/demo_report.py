@@ -1,0 +1,140 @@
+"""What `fgrecon demo` shows and writes: errors by stage, table, JSON, keypoint file. Imported when it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from fgrecon.category import Category
+from fgrecon.demo import DemoScene
+from fgrecon.reconstruction import Reconstruction, rotation_y
+from fgrecon.viz import Truth
+from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR
+
+__all__ = ["FORMAT", "Stage", "document", "keypoint_file", "stages", "table", "true_values"]
+
+FORMAT = "fgrecon.demo/1"
+
+_TITLES = {"initialisation": "initial", "pose": "after pose", "shape": "after shape", "joint": "after both"}
+
+
+@dataclass(frozen=True)
+class Stage:
+    """The estimate at the end of a stage of the optimisation.
+
+    Attributes:
+        title: Name of the stage.
+        camera_T_object: (4, 4) pose.
+        box_size: (3,) length, width and height, metres.
+        errors: Distances from the truth, by the names of `fgrecon.viz.truth`.
+    """
+
+    title: str
+    camera_T_object: NDArray[np.float64]
+    box_size: NDArray[np.float64]
+    errors: dict[str, float]
+
+
+def true_values(scene: DemoScene) -> Truth:
+    """Pose, size and keypoints that the scene was made from."""
+    vehicle = scene.truth.vehicle
+    return Truth(scene.truth.camera_T_object, _size(vehicle.category, vehicle.keypoints), vehicle.keypoints)
+
+
+def stages(result: Reconstruction, category: Category, truth: Truth) -> list[Stage]:
+    """The stages that ran, in order; the first is the start."""
+    last = {step.stage: step for step in result.history}
+    return [
+        Stage(
+            title,
+            last[name].camera_T_object,
+            _size(category, last[name].keypoints),
+            dict(truth.errors(last[name].camera_T_object, last[name].keypoints)),
+        )
+        for name, title in _TITLES.items()
+        if name in last
+    ]
+
+
+def _size(category: Category, keypoints: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(3,) length, width and height in metres by keypoints (K, 3)."""
+    size: NDArray[np.float64] = np.tensordot(category.dimension_operator, keypoints, axes=2)
+    return size
+
+
+def table(truth: Truth, estimates: Iterable[Stage]) -> Table:
+    """Truth and estimates, one row each; it fits into 80 columns.
+
+    The last three columns are the errors of yaw, position and 3D keypoints (in the object frame, their mean).
+    """
+    result = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True)
+    for heading in ("", "yaw °", "x, y, z m", "l, w, h m", "Δ yaw", "Δ pos", "Δ 3D"):
+        result.add_column(heading, justify="right" if heading else "left", no_wrap=True)
+    size = () if truth.box_size is None else truth.box_size
+    result.add_row("truth", *_pose_cells(truth.camera_T_object, size), "", "", "")
+    for stage in estimates:
+        result.add_row(
+            stage.title,
+            *_pose_cells(stage.camera_T_object, stage.box_size),
+            f"{stage.errors[ORIENTATION_ERROR]:.1f}°",
+            f"{stage.errors[TRANSLATION_ERROR]:.2f} m",
+            f"{100 * stage.errors[SHAPE_ERROR]:.1f} cm",
+        )
+    return result
+
+
+def _pose_cells(pose: NDArray[np.float64], size: Iterable[float]) -> tuple[str, str, str]:
+    place, extent = (", ".join(f"{number:.2f}" for number in numbers) for numbers in (pose[:3, 3], size))
+    return f"{np.degrees(rotation_y(pose)):.1f}", place, extent
+
+
+def document(
+    seed: int, scene: DemoScene, truth: Truth, estimates: Iterable[Stage], result: Reconstruction
+) -> dict[str, Any]:
+    """The result as plain values for JSON."""
+    size = () if truth.box_size is None else truth.box_size.tolist()
+    return {
+        "format": FORMAT,
+        "seed": seed,
+        "truth": {
+            **_plain_pose(truth.camera_T_object),
+            "box_size": size,
+            "keypoints": scene.truth.vehicle.keypoints.tolist(),
+            "visible": scene.truth.visible.tolist(),
+            "outlier": scene.truth.outlier.tolist(),
+        },
+        "stages": [
+            {
+                "stage": stage.title,
+                **_plain_pose(stage.camera_T_object),
+                "box_size": stage.box_size.tolist(),
+                "errors": stage.errors,
+            }
+            for stage in estimates
+        ],
+        "result": result.to_dict(),
+    }
+
+
+def _plain_pose(pose: NDArray[np.float64]) -> dict[str, Any]:
+    return {"camera_T_object": pose.tolist(), "rotation_y": rotation_y(pose), "location": pose[:3, 3].tolist()}
+
+
+def keypoint_file(scene: DemoScene, category: Category) -> dict[str, Any]:
+    """The observation as `fgrecon reconstruct` reads it."""
+    seen = scene.observation
+    rows = np.column_stack([seen.keypoints, seen.confidence])
+    return {
+        "K": scene.camera.matrix.tolist(),
+        "image_size": scene.camera.image_size,
+        "box": None if seen.box is None else seen.box.tolist(),
+        "keypoints": {
+            name: row.tolist() for name, row in zip(category.keypoints, rows, strict=True) if np.isfinite(row).all()
+        },
+    }
