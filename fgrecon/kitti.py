@@ -1,4 +1,4 @@
-"""KITTI's calibration files."""
+"""KITTI's cameras and calibration files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from numpy.typing import NDArray
 from fgrecon.camera import Camera
 from fgrecon.errors import InvalidInputError
 
-__all__ = ["Calibration", "read_calibration"]
+__all__ = ["Calibration", "read_calibration", "rectified_size"]
+
+_FOCAL_TOLERANCE = 0.01  # pixels
+_RECTIFIED_SIZES = {721.5377: (1242, 375), 707.0493: (1224, 370), 718.3351: (1238, 374), 718.856: (1241, 376)}
 
 
 @dataclass(frozen=True)
@@ -19,13 +22,28 @@ class Calibration:
     """One camera of KITTI's rig.
 
     Attributes:
-        camera: The camera. The file does not tell the image's size.
+        camera: The camera; its image's size follows from the focal length, where that is one of KITTI's.
         label_offset: (3,) t in metres: KITTI's labels are in the rectified reference camera, and a labelled point in
             this camera's frame is X + t (about 6 cm for the left colour camera).
     """
 
     camera: Camera
     label_offset: NDArray[np.float64]
+
+
+def rectified_size(matrix: NDArray[np.float64]) -> tuple[int, int] | None:
+    """Width and height of KITTI's rectified images by their focal length, since no file of KITTI's states them.
+
+    Args:
+        matrix: Intrinsics (3, 3) or projection (3, 4).
+
+    Returns:
+        The size; None where no drive of KITTI has this focal length.
+    """
+    for focal, size in _RECTIFIED_SIZES.items():
+        if abs(matrix[0, 0] - focal) < _FOCAL_TOLERANCE:
+            return size
+    return None
 
 
 def read_calibration(path: Path, projection: str = "P2") -> Calibration:
@@ -57,7 +75,7 @@ def read_calibration(path: Path, projection: str = "P2") -> Calibration:
         raise InvalidInputError(place, " ".join(found[0]), fix)
     matrix = numbers.reshape(3, 4)
     try:
-        camera = Camera(matrix[:, :3])
+        camera = Camera(matrix[:, :3], image_size=rectified_size(matrix))
     except InvalidInputError as error:
         raise InvalidInputError(place, error.value, error.fix) from error
     return Calibration(camera, np.linalg.solve(matrix[:, :3], matrix[:, 3]).astype(np.float64))

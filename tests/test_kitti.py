@@ -18,6 +18,7 @@ def write(tmp_path, text):
 def test_the_colour_camera_and_its_offset(tmp_path):
     found = read_calibration(write(tmp_path, f"P0: 1 2\n\nP2: {P2}\nTr_velo_to_cam: 1 2 3\n"))
     assert found.camera.matrix.tolist() == [[707.0493, 0, 604.0814], [0, 707.0493, 180.5066], [0, 0, 1]]
+    assert found.camera.image_size == (1224, 370)
     matrix = np.array(P2.split(), dtype=float).reshape(3, 4)
     point = np.array([1.0, 1.65, 12.0])
     projected = matrix @ [*point, 1.0]
@@ -28,6 +29,7 @@ def test_the_colour_camera_and_its_offset(tmp_path):
 def test_another_projection(tmp_path):
     found = read_calibration(write(tmp_path, "P3: 700 0 600 0 0 700 180 0 0 0 1 0\n"), "P3")
     assert found.label_offset.tolist() == [0, 0, 0]
+    assert found.camera.image_size is None
 
 
 @pytest.mark.parametrize(
@@ -63,4 +65,5 @@ def test_real_files(data):
     files = sorted((data / "kitti_object" / "training" / "calib").glob("*.txt"))[::500]
     assert len(files) > 10
     for file in files:
+        assert read_calibration(file).camera.image_size is not None
         assert 0.05 < np.linalg.norm(read_calibration(file).label_offset) < 0.07

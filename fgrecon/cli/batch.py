@@ -69,11 +69,16 @@ class CameraSource:
         wanted = "fx,fy,cx,cy: four numbers in pixels"
         return Camera.of(parse_numbers("intrinsics", self.intrinsics, wanted, (4,))), None
 
-    def complete(self, camera: Camera) -> Camera:
+    def complete(self, camera: Camera, *, declared: bool) -> Camera:
         """The camera with the distortion of the command line and the size of the photograph.
 
+        Args:
+            camera: The camera so far.
+            declared: Whether the user declared its image's size, if it has one; else the photograph knows better (some
+                of KITTI's images are cropped).
+
         Raises:
-            InvalidInputError: The distortion is none, or the photograph has another size than the camera.
+            InvalidInputError: The distortion is none, or the photograph has another size than was declared.
         """
         if self.distortion is not None:
             wanted = "4, 5, 8, 12 or 14 numbers in OpenCV's order: k1,k2,p1,p2[,k3,...]"
@@ -82,7 +87,7 @@ class CameraSource:
         if self.image is None:
             return camera
         size = (self.image.shape[1], self.image.shape[0])
-        if camera.image_size not in (None, size):
+        if declared and camera.image_size not in (None, size):
             raise InvalidInputError("image", f"{size} pixels", f"Give the image of {camera.image_size} pixels.")
         return replace(camera, image_size=size)
 
@@ -141,7 +146,8 @@ def read_tasks(path: Path, category: Category, source: CameraSource) -> tuple[li
     given, offset = source.camera()
     data = read_json(path)
     ignored: tuple[str, ...] = ()
-    if isinstance(data, dict) and "frames" in data and "keypoints" not in data:
+    is_track = isinstance(data, dict) and "frames" in data and "keypoints" not in data
+    if is_track:
         instances, own_offset = _track_instances(data, path, category)
         offset = own_offset if given is None else offset
     else:
@@ -153,7 +159,8 @@ def read_tasks(path: Path, category: Category, source: CameraSource) -> tuple[li
         if camera is None:
             value = f"no camera for instance {instance.name}"
             raise InvalidInputError("intrinsics", value, "Give --calib, --intrinsics, or K in the file.")
-        tasks.append(Task(instance, source.complete(camera), offset))
+        declared = given is None and not is_track
+        tasks.append(Task(instance, source.complete(camera, declared=declared), offset))
     return tasks, ignored
 
 

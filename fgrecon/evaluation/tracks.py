@@ -19,13 +19,12 @@ from fgrecon.camera import Camera
 from fgrecon.category import Category
 from fgrecon.errors import InvalidInputError
 from fgrecon.json_fields import Fields, read_json
+from fgrecon.kitti import rectified_size
 from fgrecon.observation import Observation
 
 __all__ = ["Frame", "GroundTruth", "Track", "parse_track", "read_track"]
 
 _INTRINSICS_TOLERANCE = 1e-6
-_FOCAL_TOLERANCE = 0.01  # pixels
-_IMAGE_SIZES = {721.5377: (1242, 375), 707.0493: (1224, 370), 718.3351: (1238, 374), 718.856: (1241, 376)}
 
 
 @dataclass(frozen=True)
@@ -87,14 +86,6 @@ def read_track(path: Path, category: Category) -> Track:
     return parse_track(read_json(path), path.stem, category, where=f"{path}: ")
 
 
-def _image_size(matrix: NDArray[np.float64]) -> tuple[int, int] | None:
-    """Width and height of KITTI's rectified images, which its calibration does not state, by the focal length."""
-    for focal, size in _IMAGE_SIZES.items():
-        if abs(matrix[0, 0] - focal) < _FOCAL_TOLERANCE:
-            return size
-    return None
-
-
 def parse_track(data: Any, name: str, category: Category, where: str = "") -> Track:
     """Check the content of a file and turn it into a track.
 
@@ -113,7 +104,7 @@ def parse_track(data: Any, name: str, category: Category, where: str = "") -> Tr
     if np.abs(projection[:, :3] - matrix).max() > _INTRINSICS_TOLERANCE * np.abs(matrix).max():
         raise InvalidInputError(f"{where}P2", projection.tolist(), "Give P2 = K [I | t2], with the same K.")
     try:
-        camera = Camera(matrix, image_size=_image_size(matrix))
+        camera = Camera(matrix, image_size=rectified_size(matrix))
     except InvalidInputError as error:
         raise InvalidInputError(f"{where}K", error.value, error.fix) from error
     names = fields.get("keypoint_names", list)
