@@ -99,3 +99,5 @@ __all__ = [
     "symmetry_factor",
     "upright_factor",
 ]
+
+__docformat__ = "google"  # for the API reference

@@ -1,9 +1,13 @@
 """Pose and shape of a vehicle from a single image, by factor-graph optimisation on GTSAM.
 
-import fgrecon
+In three lines:
 
-result = fgrecon.reconstruct(keypoints, intrinsics, confidence=confidence, box=box)
-print(result.camera_T_object, result.wireframe, result.status)
+    import fgrecon
+    result = fgrecon.reconstruct(keypoints, intrinsics, confidence=confidence, box=box)
+    print(result.status, result.camera_T_object, result.wireframe)
+
+`reconstruct` has the arguments, `Reconstruction` what comes back, `Options` the settings. The factors of the graph are
+in the package `factors`.
 """
 
 from fgrecon.camera import Camera, Ground
@@ -42,3 +46,5 @@ __all__ = [
     "save_prior",
     "strategy",
 ]
+
+__docformat__ = "google"  # for the API reference
