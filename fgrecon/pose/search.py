@@ -115,7 +115,8 @@ def search(problem: PoseProblem, starts: Hypotheses, iterations: int, keep: Mapp
             survivor = np.arange(len(h))
         trial = _retract(h, _damped_step(total, damping))
         trial_total, trial_weights = problem.evaluate(trial, (iteration + 1) / iterations)
-        gain = total.energy - trial_total.energy
+        with np.errstate(invalid="ignore"):  # too near the camera before and after: inf - inf, no gain
+            gain = total.energy - trial_total.energy
         better = gain > 0
         damping = np.where(better, damping * _CALMER, damping * _BOLDER)
         h = trial.where(better, h)

@@ -90,13 +90,15 @@ def around_the_clock(
     if ground is not None:
         rotation = _align(ground.normal) @ rotation
     points = model.outline.mean @ rotation.transpose(0, 2, 1)
-    low, high = points.min(axis=1), points.max(axis=1)
+    # What shows is the extent across the viewing ray, which off the optical axis is not along the camera's x and y.
+    across = points[..., :2] - ray[:2] * points[..., 2:]
+    low, high = across.min(axis=1), across.max(axis=1)
     width, height = (high - low)[:, 0], (high - low)[:, 1]
     # The mean of what width and height say about the depth: a shape unlike the mean errs less so.
     depth = np.sqrt(camera.matrix[0, 0] * width / (box[2] - box[0]) * camera.matrix[1, 1] * height / (box[3] - box[1]))
-    depth = np.maximum(depth, 2.0 * MIN_DEPTH - low[:, 2])
+    depth = np.maximum(depth, 2.0 * MIN_DEPTH - points[..., 2].min(axis=1))
     translation = ray * depth[:, None]
-    translation[:, :2] -= ((low + high) / 2.0)[:, :2]
+    translation[:, :2] -= (low + high) / 2.0
     return Hypotheses(rotation, translation, np.zeros((len(angles), model.prior.dimension)))
 
 
