@@ -47,6 +47,8 @@ def test_zero_is_allowed_where_it_means_something(name):
         ("azimuths", 361),
         ("basis_vectors", -1),
         ("box_model", "sphere"),
+        ("plane_penalty", 0.0),
+        ("plane_penalty", np.nan),
         ("disabled_terms", {"planarity", "gravity"}),
     ],
 )
