@@ -16,7 +16,7 @@ __all__ = ["demo_command"]
 
 def demo_command(
     out: Annotated[Path, typer.Option(help="Folder for the results; made where it does not exist.")] = Path("demo"),
-    seed: Annotated[int, typer.Option(min=0, help="Of car, pose, keypoints and scenery.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of car, pose, keypoints and scenery.")] = 7,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
     """Render a car, perturb and hide its keypoints, reconstruct it, and compare with the truth.
