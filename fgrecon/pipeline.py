@@ -14,24 +14,23 @@ from fgrecon.checks import as_finite, as_shape
 from fgrecon.model import prepare
 from fgrecon.observation import Observation
 from fgrecon.options import Options
-from fgrecon.pose.adjust import PoseEstimate, adjust_pose
-from fgrecon.pose.problem import build_problem, keypoint_covariances
+from fgrecon.pose.adjust import adjust_pose
+from fgrecon.pose.problem import build_problem
 from fgrecon.pose.search import PoseProblem
 from fgrecon.pose.starts import Box3D
-from fgrecon.pose.visibility import clearance, occluder, probability
 from fgrecon.priors.shape_prior import ShapePrior
 from fgrecon.priors.size_prior import SizePrior
 from fgrecon.priors.size_prior import size_prior as named_size_prior
-from fgrecon.reconstruction import Reconstruction, Status, rotation_y
+from fgrecon.reconstruction import GraphFactor, Reconstruction
+from fgrecon.result import build_result
 from fgrecon.shape.adjust import ShapeEstimate, adjust_shape, graph_weights
 from fgrecon.shape.covariance import Covariances, covariances
 from fgrecon.shape.graph import Scene, VehicleGraph, build
+from fgrecon.shape.structure import graph_factors
 
-__all__ = ["reconstruct"]
+__all__ = ["ground_plane", "observe", "reconstruct"]
 
 Array = NDArray[np.float64]
-
-_LOOSE = np.deg2rad(30.0)  # a rotation known no better than this is not determined
 
 
 def reconstruct(
@@ -73,10 +72,10 @@ def reconstruct(
     options = Options() if options is None else options
     shape_prior = load_prior(prior)
     camera = Camera.of(intrinsics, distortion)
-    plane = _ground(ground)
+    plane = ground_plane(ground)
     start = _initial(initial)
     fleet = None if size_prior is None else named_size_prior(size_prior)
-    observation = _observe(keypoints, confidence, box, covariance, camera, shape_prior, options)
+    observation = observe(keypoints, confidence, box, covariance, camera, shape_prior, options)
     model = prepare(shape_prior, fleet, options.basis_vectors)
 
     started = perf_counter()
@@ -86,12 +85,29 @@ def reconstruct(
     scene = Scene(observation, camera, model, plane, problem.box, options)
     shape = adjust_shape(scene, problem, pose)
     shaped = perf_counter()
-    uncertainty = _uncertainty(scene, problem, shape)
+    uncertainty, graph = _final_graph(scene, problem, shape)
     milliseconds = {"pose": (posed - started) * 1e3, "shape": (shaped - posed) * 1e3}
-    return _result(scene, pose, shape, uncertainty, milliseconds)
+    return build_result(scene, pose, shape, uncertainty, graph, milliseconds)
 
 
-def _ground(ground: Ground | float | None) -> Ground | None:
+def _final_graph(
+    scene: Scene, problem: PoseProblem, shape: ShapeEstimate
+) -> tuple[Covariances | None, tuple[GraphFactor, ...]]:
+    """Covariances and structure of the joint graph at the result, whichever stage came last."""
+    vehicle = VehicleGraph(scene, shape.pose, pose_free=True)
+    values = vehicle.values(shape.pose, shape.coefficients, shape.offsets)
+    weights = graph_weights(problem, shape.weights, shape.visibility)
+    terms = vehicle.terms(weights, shape.box_weights)
+    graph = graph_factors(vehicle, terms, weights) if scene.options.keep_history else ()
+    return covariances(vehicle, build(terms), values), graph
+
+
+def ground_plane(ground: Ground | float | None) -> Ground | None:
+    """The plane, or that of a level camera at a height in metres.
+
+    Raises:
+        InvalidInputError: It is neither a plane nor a positive number.
+    """
     if ground is None or isinstance(ground, Ground):
         return ground
     return Ground.level(float(as_finite("ground", ground, (), "Give a `Ground`, or the camera's height in metres.")))
@@ -103,7 +119,7 @@ def _initial(initial: Box3D | float | None) -> Box3D | float | None:
     return float(as_finite("initial", initial, (), "Give a `Box3D`, or a guess of rotation_y in radians."))
 
 
-def _observe(
+def observe(
     keypoints: ArrayLike,
     confidence: ArrayLike | None,
     box: ArrayLike | None,
@@ -112,6 +128,11 @@ def _observe(
     prior: ShapePrior,
     options: Options,
 ) -> Observation:
+    """The observation that is solved from: checked against the prior's category, and freed of lens distortion.
+
+    Raises:
+        InvalidInputError: An array has the wrong shape or values.
+    """
     size = prior.category.size
     fix = f"Give {size} pixels (u, v) in the order of category {prior.category.name}; NaN where not found."
     pixels = as_shape("keypoints", keypoints, (size, 2), fix)
@@ -133,75 +154,3 @@ def _observe(
     if observation.box is not None:
         ideal_box = camera.undistort(observation.box.reshape(2, 2)).ravel()
     return Observation(camera.undistort(pixels), observation.confidence, ideal_box, observation.covariance)
-
-
-def _uncertainty(scene: Scene, problem: PoseProblem, shape: ShapeEstimate) -> Covariances | None:
-    """Covariances from the joint graph at the result, whichever stage came last."""
-    vehicle = VehicleGraph(scene, shape.pose, pose_free=True)
-    values = vehicle.values(shape.pose, shape.coefficients, shape.offsets)
-    weights = graph_weights(problem, shape.weights, shape.visibility)
-    return covariances(vehicle, build(vehicle.terms(weights, shape.box_weights)), values)
-
-
-def _result(
-    scene: Scene,
-    pose: PoseEstimate,
-    shape: ShapeEstimate,
-    uncertainty: Covariances | None,
-    milliseconds: dict[str, float],
-) -> Reconstruction:
-    prior = scene.model.prior
-    camera_T_object = shape.pose.matrix()
-    wireframe = prior.keypoints(shape.coefficients, shape.offsets)
-    in_camera = wireframe @ camera_T_object[:3, :3].T + camera_T_object[:3, 3]
-    surface = occluder(prior)
-    vertices = surface.vertices(shape.coefficients)
-    centre = -camera_T_object[:3, :3].T @ camera_T_object[:3, 3]
-    status, message = _status(pose, uncertainty, scene.options, shape)
-    sigma = np.sqrt(np.sqrt(np.linalg.det(keypoint_covariances(scene.observation, scene.options))))
-    with np.errstate(divide="ignore"):
-        sigmas = sigma / np.sqrt(shape.weights)
-    return Reconstruction(
-        status=status,
-        message=message,
-        category=prior.category.name,
-        prior=prior.name,
-        keypoint_names=prior.category.keypoints,
-        camera_T_object=camera_T_object,
-        coefficients=shape.coefficients,
-        offsets=shape.offsets,
-        wireframe=wireframe,
-        wireframe_uv=scene.camera.distort(scene.camera.project(in_camera)),
-        edges=np.array(prior.category.edges, dtype=np.int64).reshape(-1, 2),
-        box_size=prior.box_size(shape.coefficients, shape.offsets),
-        weights=shape.weights,
-        sigmas=sigmas,
-        visibility=probability(clearance(vertices, surface.faces, wireframe, centre)),
-        pose_covariance=None if uncertainty is None else uncertainty.pose,
-        coefficients_covariance=None if uncertainty is None else uncertainty.coefficients,
-        keypoint_covariance=None if uncertainty is None else uncertainty.keypoints,
-        energies=shape.energies,
-        alternatives=pose.alternatives,
-        history=pose.history + shape.history,
-        milliseconds=milliseconds,
-        surface_vertices=None if prior.surface is None else vertices,
-        surface_faces=None if prior.surface is None else surface.faces.astype(np.int64),
-    )
-
-
-def _status(
-    pose: PoseEstimate, uncertainty: Covariances | None, options: Options, shape: ShapeEstimate
-) -> tuple[Status, str]:
-    if shape.failure is not None:
-        return Status.FAILED, f"The shape stage failed ({shape.failure}); this is the state before."
-    if uncertainty is None:
-        return Status.DEGENERATE, "The keypoints with any weight leave pose or shape undetermined."
-    turn = float(np.sqrt(np.linalg.eigvalsh(uncertainty.pose[:3, :3])[-1]))
-    if turn > _LOOSE:
-        return Status.DEGENERATE, f"The orientation is known to {np.rad2deg(turn):.0f} degrees only (1 sigma)."
-    close = [a for a in pose.alternatives if a.excess <= options.ambiguity_margin]
-    if close:
-        turn = rotation_y(close[0].camera_T_object) - rotation_y(pose.camera_T_object)
-        degrees = abs(np.rad2deg((turn + np.pi) % (2.0 * np.pi) - np.pi))
-        return Status.AMBIGUOUS, f"A pose turned by {degrees:.0f} degrees is only {close[0].excess:.1f} nats worse."
-    return Status.CONVERGED, "The pose search and the shape stage found one pose and a minimum there."

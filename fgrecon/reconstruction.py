@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fgrecon.errors import InvalidInputError
 
-__all__ = ["Alternative", "Iteration", "Reconstruction", "Status", "rotation_y"]
+__all__ = ["Alternative", "GraphFactor", "Iteration", "Reconstruction", "Status", "rotation_y"]
 
 FORMAT = "fgrecon.reconstruction/1"
 
@@ -74,6 +74,21 @@ class Alternative:
 
 
 @dataclass(frozen=True)
+class GraphFactor:
+    """One factor of the graph that the result minimises, for drawing.
+
+    Attributes:
+        term: Its energy term, such as `reprojection`.
+        label: The keypoint or face that it is about; empty where the term has one factor.
+        variables: Names of the variables that it ties together, such as `X(v=0,t=0)` and `L(v=0)` (`factors.key_name`).
+    """
+
+    term: str
+    label: str
+    variables: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Reconstruction:
     """Pose and shape of one vehicle.
 
@@ -106,6 +121,9 @@ class Reconstruction:
         milliseconds: Wall time by stage.
         surface_vertices: (V, 3) surface in the object frame, or None.
         surface_faces: (F, 3) its triangles, or None.
+        faces: The category's planar faces: indices of the keypoints around each, by name.
+        symmetric_pairs: (P, 2) pairs (left, right) of mirrored keypoints.
+        graph: The factors of the graph at the result; empty where no history is kept.
     """
 
     status: Status
@@ -132,6 +150,9 @@ class Reconstruction:
     milliseconds: Mapping[str, float]
     surface_vertices: NDArray[np.float64] | None = field(default=None, repr=False)
     surface_faces: NDArray[np.int64] | None = field(default=None, repr=False)
+    faces: Mapping[str, tuple[int, ...]] = field(default_factory=dict, repr=False)
+    symmetric_pairs: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64), repr=False)
+    graph: tuple[GraphFactor, ...] = field(default=(), repr=False)
 
     @property
     def pose(self) -> gtsam.Pose3:
@@ -164,7 +185,7 @@ class Reconstruction:
         missing = [f.name for f in fields(cls) if f.name not in data]
         if missing:
             raise InvalidInputError("reconstruction", f"no field {missing[0]}", "Give a whole result.")
-        integers = {"edges", "surface_faces"}
+        integers = {"edges", "surface_faces", "symmetric_pairs"}
         plain = {"message", "category", "prior"}
         values: dict[str, Any] = {}
         for name in (f.name for f in fields(cls)):
@@ -177,13 +198,18 @@ class Reconstruction:
                 values[name] = Status(value)
             elif name == "keypoint_names":
                 values[name] = tuple(value)
+            elif name == "faces":
+                values[name] = {face: tuple(keypoints) for face, keypoints in value.items()}
+            elif name == "graph":
+                values[name] = tuple(GraphFactor(f["term"], f["label"], tuple(f["variables"])) for f in value)
             elif name == "alternatives":
                 values[name] = tuple(_record(Alternative, item) for item in value)
             elif name == "history":
                 values[name] = tuple(_record(Iteration, item) for item in value)
             else:
                 values[name] = np.array(value, dtype=np.int64 if name in integers else np.float64)
-        values["edges"] = values["edges"].reshape(-1, 2)  # JSON's empty list tells no shape
+        for name in ("edges", "symmetric_pairs"):  # JSON's empty list tells no shape
+            values[name] = values[name].reshape(-1, 2)
         if values["coefficients_covariance"] is not None:
             count = len(values["coefficients"])
             values["coefficients_covariance"] = values["coefficients_covariance"].reshape(count, count)
@@ -209,7 +235,7 @@ def _plain(value: Any) -> Any:
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
-    if isinstance(value, Alternative | Iteration):
+    if isinstance(value, Alternative | GraphFactor | Iteration):
         return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
     return value
 

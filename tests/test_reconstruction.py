@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from fgrecon.errors import InvalidInputError
-from fgrecon.reconstruction import Alternative, Iteration, Reconstruction, Status, rotation_y
+from fgrecon.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status, rotation_y
 from tests.cars import yaw_pose
 
 
@@ -56,6 +56,9 @@ def made_up(rng, coefficients=5, history=2):
         milliseconds={"pose": 1.5},
         surface_vertices=rng.normal(size=(3, 3)),
         surface_faces=np.array([[0, 1, 2]]),
+        faces={"roof": (0, 1, 3, 2)},
+        symmetric_pairs=np.array([[0, 1]]),
+        graph=(GraphFactor("reprojection", "a", ("X(v=0,t=0)", "L(v=0)")), GraphFactor("box", "", ("X(v=0,t=0)",))),
     )
 
 
@@ -76,7 +79,7 @@ def assert_same(a, b):
         assert list(a) == list(b)
         for key in a:
             assert_same(a[key], b[key])
-    elif isinstance(a, Alternative | Iteration | Reconstruction):
+    elif isinstance(a, Alternative | GraphFactor | Iteration | Reconstruction):
         assert_same(dict(vars(a)), dict(vars(b)))
     else:
         assert a == b
