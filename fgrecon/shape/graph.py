@@ -134,13 +134,22 @@ class VehicleGraph:
     def _reprojection(self, weights: Array) -> list[gtsam.NonlinearFactor]:
         if not self.kernel.keys:  # a constant shape at a fixed pose
             return []
-        strategy = self.scene.options.strategy
-        loss = None if strategy.loss is None else RobustLoss.of(strategy.loss, strategy.tuning)
         noises = [
-            factors.keypoint_noise(weight, 1.0, covariance=covariance, robust=loss)
+            factors.keypoint_noise(weight, 1.0, covariance=covariance, robust=self._loss(weight))
             for weight, covariance in zip(weights.tolist(), self._covariances, strict=True)
         ]
         return list(factors.reprojection_factors(self.kernel, self.scene.observation.keypoints, noises))
+
+    def _loss(self, weight: float) -> RobustLoss | None:
+        """The m-estimator of a keypoint, with the energy w rho(d) of the pose stage.
+
+        GTSAM applies rho to the whitened norm sqrt(w) d; every loss has rho(c s) = c^2 rho(s) where its constant is
+        scaled by c as well.
+        """
+        strategy = self.scene.options.strategy
+        if strategy.loss is None or weight <= 0.0:
+            return None
+        return RobustLoss.of(strategy.loss, strategy.tuning * weight**0.5)
 
     def _static_terms(self) -> dict[str, list[gtsam.NonlinearFactor]]:
         """The factors that no weight changes."""
