@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,7 +41,8 @@ def minimise(
         record: Keep the values after every iteration.
 
     Raises:
-        DegenerateProblemError: The linear system of a step has no solution, or the start has an infinite error.
+        DegenerateProblemError: The start has an infinite energy, or GTSAM gives a step up. (A direction that no factor
+            determines is no error here: damping keeps it where it is. `fgrecon.shape.covariance` finds it.)
     """
     if start.empty():  # a constant shape at a fixed pose
         return Solution(start, (), float(graph.error(start)), 0)
@@ -57,8 +59,11 @@ def minimise(
         values = gtsam.Values(optimizers[0].optimize())
     except FactorCallbackError:
         raise
-    except RuntimeError as error:  # GTSAM's own: an indefinite or singular system
-        raise DegenerateProblemError("keypoints", str(error), "Give more, or better spread, keypoints.") from error
+    except RuntimeError as failure:  # GTSAM's own: an indefinite or singular system
+        raise DegenerateProblemError("keypoints", str(failure), "Give more, or better spread, keypoints.") from failure
     finally:
         optimizer = optimizers.pop()
-    return Solution(values, tuple(path), float(optimizer.error()), int(optimizer.iterations()))
+    error = float(optimizer.error())
+    if not math.isfinite(error):  # GTSAM returns such a start as it is, without a word
+        raise DegenerateProblemError("start", f"energy {error}", "Start with every keypoint in front of the camera.")
+    return Solution(values, tuple(path), error, int(optimizer.iterations()))
