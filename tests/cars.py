@@ -49,8 +49,8 @@ def observe(prior, pose, coefficients=None, *, noise=0.0, seed=0, visible_only=F
 
 def pose_problem(prior, observation, *, ground=None, size=None, options=None):
     """The pose search's problem and the prepared model."""
-    model = prepare(prior, size)
     options = Options() if options is None else options
+    model = prepare(prior, size, options.basis_vectors)
     return build_problem(observation, CAMERA, model, ground, options), model
 
 

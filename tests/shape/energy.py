@@ -31,7 +31,7 @@ class Energy:
             for face in self.category.faces
             if face.ground_parallel or not (self.symmetric and self._mirrored(face))
         ]
-        if "planarity" in self.options.disabled_terms:
+        if "planarity" in self.options.disabled_terms or not (free or self.prior.dimension):
             self.faces = []
         self.medial = not self.symmetric and "symmetry" not in self.options.disabled_terms
         self.penalty = self.options.plane_penalty
