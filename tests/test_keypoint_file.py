@@ -4,6 +4,8 @@ import json
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from fgrecon.catalogue import load_category
 from fgrecon.errors import InvalidInputError
@@ -150,3 +152,36 @@ def test_what_is_not_json_is_refused(tmp_path, content):
     file.write_bytes(content)
     with pytest.raises(InvalidInputError, match=r"cars\.json.*Give a JSON file"):
         read_keypoints(file, CATEGORY)
+
+
+SCALARS = st.none() | st.booleans() | st.integers(-3, 10**400) | st.floats() | st.text(max_size=3)
+KEYS = st.sampled_from(["rotation_y", "left_headlight"])
+ANYTHING = st.recursive(
+    SCALARS,
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(KEYS, inner, max_size=2),
+    max_leaves=8,
+)
+FIELDS = [
+    "id",
+    "keypoints",
+    "confidence",
+    "covariance",
+    "box",
+    "initial",
+    "K",
+    "intrinsics",
+    "distortion",
+    "image_size",
+]
+
+
+@settings(deadline=None, max_examples=300, derandomize=True)
+@given(st.dictionaries(st.sampled_from(FIELDS), ANYTHING, max_size=4), st.sampled_from(["one", "list", "object"]))
+def test_whatever_a_file_holds_is_read_or_refused(spoilt, form):
+    record = {"keypoints": POINTS, "K": K} | spoilt
+    data = {"one": record, "list": [record], "object": {"instances": [record], **spoilt}}[form]
+    try:
+        found = parse_keypoints(data, CATEGORY)
+    except InvalidInputError:
+        return
+    assert found.instances[0].keypoints.shape == (14, 2)
