@@ -262,3 +262,17 @@ def test_bad_files_are_one_line_and_exit_code_2(tmp_path, content, arguments, st
     assert done.stdout == ""
     assert done.stderr.startswith(f"fgrecon: {start.format(file=file)}")
     assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.data
+def test_a_real_track(data):
+    """Network keypoints on KITTI: positions in the label's frame are within a metre on most frames."""
+    file = data / "kitti_tracking_keypoints14" / "seq0010_track00_from000.json"
+    done = run(file, "--size-prior", "kitti", "--camera-height", 1.65, "--box-model", "cuboid", "--json", "-")
+    assert done.exit_code == 0, done.output
+    labels = [frame["gt"] for frame in json.loads(file.read_text())["frames"]]
+    entries = json.loads(done.stdout)["instances"]
+    turns = [entry["rotation_y"] - label["rotation_y"] for entry, label in zip(entries, labels, strict=True)]
+    assert np.abs(np.angle(np.exp(1j * np.array(turns)))).max() < np.radians(10)
+    places = [np.subtract(e["location_in_label_frame"], g["location"]) for e, g in zip(entries, labels, strict=True)]
+    assert np.median(np.linalg.norm(places, axis=1)) < 1.0
