@@ -13,6 +13,9 @@ from fgrecon.errors import InvalidInputError
 
 __all__ = ["Camera", "Ground"]
 
+_LARGEST = 1e9
+"""No focal length is longer, in pixels; beyond, squares of numbers soon overflow."""
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -37,6 +40,10 @@ class Camera:
         matrix = as_finite("intrinsics", self.matrix, (3, 3), "Give the 3x3 camera matrix K.")
         if matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
             raise InvalidInputError("intrinsics", matrix.diagonal()[:2].tolist(), "Give positive focal lengths fx, fy.")
+        if np.abs(matrix).max() > _LARGEST or min(matrix[0, 0], matrix[1, 1]) < 1.0 / _LARGEST:
+            raise InvalidInputError(
+                "intrinsics", matrix.tolist(), f"Give pixels, from {1 / _LARGEST:g} to {_LARGEST:g}."
+            )
         if np.any(matrix[[1, 2, 2], [0, 0, 1]] != 0) or matrix[2, 2] != 1:
             raise InvalidInputError("intrinsics", matrix.tolist(), "Give [[fx, s, cx], [0, fy, cy], [0, 0, 1]].")
         object.__setattr__(self, "matrix", matrix)

@@ -12,6 +12,9 @@ from fgrecon.errors import InvalidInputError
 
 __all__ = ["Observation"]
 
+_LARGEST = 1e7
+"""No image is larger, in pixels; beyond, squares of numbers soon overflow."""
+
 
 @dataclass(frozen=True)
 class Observation:
@@ -33,14 +36,15 @@ class Observation:
         """Check shapes and values; a missing keypoint gets confidence 0.
 
         Raises:
-            InvalidInputError: Wrong shapes, infinite pixels, confidences outside [0, 1], a box of no size, or a
-                covariance that is not symmetric positive definite.
+            InvalidInputError: Wrong shapes, infinite pixels or such as no image has, confidences outside [0, 1], a box
+                of no size, or a covariance that is not symmetric positive definite.
         """
         set_ = object.__setattr__
         keypoints = as_shape("keypoints", self.keypoints, (None, 2))
         missing: NDArray[np.bool_] = np.any(np.isnan(keypoints), axis=1)
         if np.isinf(keypoints).any():
             raise InvalidInputError("keypoints", "an infinite pixel", "Give finite pixels, or NaN where not measured.")
+        _check_size("keypoints", keypoints[~missing])
         confidence = as_shape("confidence", self.confidence, (len(keypoints),))
         given = confidence[~missing]
         outside = given[~((given >= 0) & (given <= 1))]
@@ -52,6 +56,7 @@ class Observation:
             box = as_finite("box", self.box, (4,), "Give x1, y1, x2, y2 in pixels.")
             if not (box[2] - box[0] >= 1 and box[3] - box[1] >= 1):
                 raise InvalidInputError("box", box.tolist(), "Give x1 < x2 and y1 < y2, at least a pixel apart.")
+            _check_size("box", box)
             set_(self, "box", box)
         if self.covariance is not None:
             covariance = as_shape("covariance", self.covariance, (len(keypoints), 2, 2))
@@ -73,10 +78,17 @@ class Observation:
         return float(np.ptp(points, axis=0).max()) if len(points) else 0.0
 
 
+def _check_size(field: str, pixels: NDArray[np.float64]) -> None:
+    largest = float(np.abs(pixels).max(initial=0.0))
+    if largest > _LARGEST:
+        raise InvalidInputError(field, largest, f"Give pixels of an image, at most {_LARGEST:g}.")
+
+
 def _check_covariances(covariance: NDArray[np.float64]) -> None:
     fix = "Give symmetric positive definite 2x2 matrices in square pixels."
     if not np.isfinite(covariance).all():
         raise InvalidInputError("covariance", "NaN or infinite", fix)
+    _check_size("covariance", np.sqrt(np.abs(covariance)))
     if covariance.size and (
         np.abs(covariance[:, 0, 1] - covariance[:, 1, 0]).max() > 1e-6 * np.abs(covariance).max()
         or np.linalg.eigvalsh(covariance).min() <= 0

@@ -99,6 +99,8 @@ def test_every_way_to_give_a_camera():
         np.zeros((3, 3)),
         np.diag([700.0, -700.0, 1.0]),
         np.diag([700.0, 700.0, 2.0]),
+        np.diag([1e12, 700.0, 1.0]),
+        np.diag([1e-12, 700.0, 1.0]),
         MATRIX.T,
         np.where(MATRIX == 3.7, np.nan, MATRIX),
         np.eye(4),

@@ -29,7 +29,7 @@ def test_extent_of_box_or_points():
     assert Observation(np.full((4, 2), np.nan), np.ones(4)).extent == 0.0
 
 
-@given(arrays(np.float64, (5, 2), elements=st.floats(allow_infinity=False)), st.integers(0, 1))
+@given(arrays(np.float64, (5, 2), elements=st.floats(-1e7, 1e7) | st.just(np.nan)), st.integers(0, 1))
 @settings(deadline=None, derandomize=True, max_examples=80)
 def test_any_pixels_are_kept_or_missing(pixels, one):
     observation = Observation(pixels, np.full(5, float(one)))
@@ -58,6 +58,9 @@ def spoiled(covariance):
         ("keypoints", {"keypoints": np.zeros((4, 3))}),
         ("keypoints", {"keypoints": "pixels"}),
         ("keypoints", {"keypoints": np.where(np.isnan(PIXELS), np.inf, PIXELS)}),
+        ("keypoints", {"keypoints": np.where(np.isnan(PIXELS), PIXELS, 2e7)}),
+        ("box", {"box": [80.0, 40.0, 1e8, 90.0]}),
+        ("covariance", {"covariance": spoiled(1e20 * np.eye(2))}),
         ("confidence", {"confidence": np.ones(3)}),
         ("confidence", {"confidence": [1.0, 1.1, 0.0, 1.0]}),
         ("confidence", {"confidence": [1.0, -0.1, 0.0, 1.0]}),

@@ -166,7 +166,10 @@ def _from_aspnp(problem: PoseProblem, observation: Observation, camera: Camera, 
 def _by_algorithm1(
     problem: PoseProblem, observation: Observation, camera: Camera, model: VehicleModel, options: Options
 ) -> PoseEstimate:
-    result = algorithm1(problem, observation, camera)
+    try:
+        result = algorithm1(problem, observation, camera)
+    except DegenerateProblemError as error:  # in the words of this function's caller
+        raise DegenerateProblemError("keypoints", error.value, error.fix) from error
     zero = np.zeros((len(result.poses), model.prior.dimension))
     path = Hypotheses(result.poses[:, :3, :3], result.poses[:, :3, 3], zero)
     visibility = problem.visibility(result.poses[-1:])
