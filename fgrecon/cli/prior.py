@@ -1,4 +1,4 @@
-"""`fgrecon prior`: make shape priors. Learning from 2D annotations, showing and comparing register here too."""
+"""`fgrecon prior`: make shape priors, look at them and compare them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from fgrecon.cli.prior_learn import learn_command
+from fgrecon.cli.prior_show import compare_command, show_command
 
 if TYPE_CHECKING:  # the command line must start fast: what a command needs is imported when it runs
     from rich.console import Console
@@ -16,12 +19,11 @@ __all__ = ["app"]
 
 _COUNTS = (0, 1, 2, 3, 5, 8, 10)
 
-app = typer.Typer(help="Make shape priors.", no_args_is_help=True)
+app = typer.Typer(help="Make shape priors, look at them and compare them.", no_args_is_help=True)
 
-
-@app.callback()
-def _group() -> None:
-    """Make shape priors."""
+app.command("learn")(learn_command)
+app.command("show")(show_command)
+app.command("compare")(compare_command)
 
 
 @app.command("build")

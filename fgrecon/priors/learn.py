@@ -84,12 +84,14 @@ def learn_prior(
     size = size or default_size(category)
     result = fit_nrsfm(category, keypoints, options, views=views, progress=progress)
     noise = "Gaussian" if options.dof is None else f"Student's t with {options.dof:g} degrees of freedom"
+    model = "perspective to first order" if options.perspective else "scaled orthography"
+    symmetry = "symmetric" if options.symmetric and category.symmetric_pairs else "as they are"
+    likelihood = "restricted" if options.restricted else "plain"
     how = {
         **(provenance or {}),
         "method": (
-            f"NRSfM (EM-PPCA, scaled orthography) of {int(result.used.sum())} images, "
-            f"{'symmetric' if options.symmetric and category.symmetric_pairs else 'as they are'}, noise {noise}, "
-            f"{'restricted' if options.restricted else 'plain'} likelihood, seed {options.seed}"
+            f"NRSfM (EM-PPCA, {model}) of {int(result.used.sum())} images, {symmetry}, "
+            f"noise {noise}, {likelihood} likelihood, seed {options.seed}"
         ),
         "scale": f"box of {size.name}: {', '.join(f'{x:g}' for x in size.mean)} m",
     }

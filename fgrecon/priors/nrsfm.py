@@ -3,6 +3,7 @@
     annotations (M, K, 2), NaN where unseen
         |  rigid factorisation with missing data, several random starts      `factorisation`
         |  rigid EM, global search for each camera                           `em_acceleration`, `pose_search`
+        |  where asked for: image points freed from perspective              `perspective`
         |  random small basis, EM, search again, EM to convergence
         v  the restart with the best likelihood
     mean, basis, noise, cameras                                               `em_ppca`
@@ -12,7 +13,6 @@ Above `NrsfmOptions.start_images` images, the restarts run on a part, whose winn
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +25,8 @@ from fgrecon.priors.canonical_frame import object_axes
 from fgrecon.priors.em_acceleration import State, em, start_state
 from fgrecon.priors.em_ppca import Cameras, Data, ShapeModel, expected_shapes
 from fgrecon.priors.factorisation import affine_factorisation, metric_upgrade
+from fgrecon.priors.nrsfm_options import NrsfmOptions, Progress, ProgressCallback
+from fgrecon.priors.perspective import draw_nearer, estimate_nearness, without_perspective
 from fgrecon.priors.pose_search import search_cameras, uniform_rotations
 from fgrecon.priors.symmetric_subspace import SymmetricSubspace
 
@@ -35,73 +37,9 @@ _FACTORISATIONS = 4
 _START_NOISE = 0.05
 _START_BASIS = 0.03
 _VANISHED = 1e-3
+_NEARNESS_ROUNDS = 8
+_STRAIGHTENINGS = 3
 _MOST_IMPORTANT = 8.0
-
-
-@dataclass(frozen=True)
-class NrsfmOptions:
-    """How to learn.
-
-    Attributes:
-        basis: Number N of basis vectors.
-        symmetric: Keep mean and basis mirror-symmetric (the category's pairs); without pairs nothing is imposed.
-        dof: Degrees of freedom of Student's t noise, which bears wrong annotations; None for Gaussian noise.
-        restricted: Estimate noise and shape by the restricted likelihood, which allows for the fitted cameras; else
-            by the plain likelihood of Torresani et al.
-        min_visible: Images with fewer annotated keypoints are left out.
-        restarts: Random starts; the one that ends at the best likelihood is kept.
-        iterations: Most EM iterations of the last stage.
-        tolerance: It ends when the bound rises by less, in nats per keypoint and iteration.
-        start_images: Restarts use at most so many images.
-        rotations: Starts of the global search for each camera.
-        seed: Seed of everything random.
-    """
-
-    basis: int = 5
-    symmetric: bool = True
-    dof: float | None = 2.0
-    restricted: bool = True
-    min_visible: int = 8
-    restarts: int = 3
-    iterations: int = 600
-    tolerance: float = 5e-6
-    start_images: int = 600
-    rotations: int = 24
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        """Check the numbers.
-
-        Raises:
-            InvalidInputError: A number is out of its range.
-        """
-        for field, lowest in (("basis", 0), ("min_visible", 4), ("restarts", 1), ("iterations", 2), ("rotations", 0)):
-            if getattr(self, field) < lowest:
-                raise InvalidInputError(f"options.{field}", getattr(self, field), f"Give at least {lowest}.")
-        if self.dof is not None and not self.dof > 0:
-            raise InvalidInputError("options.dof", self.dof, "Give a positive number, or None for Gaussian noise.")
-        if not self.tolerance > 0:
-            raise InvalidInputError("options.tolerance", self.tolerance, "Give a positive number.")
-
-
-@dataclass(frozen=True)
-class Progress:
-    """How far learning has come.
-
-    Attributes:
-        stage: What is being done, in words.
-        fraction: Share of all the work that is behind, an estimate.
-        iteration: Iteration within the stage.
-        bound: Log likelihood (or its lower bound) per keypoint, nats.
-    """
-
-    stage: str
-    fraction: float
-    iteration: int
-    bound: float
-
-
-ProgressCallback = Callable[[Progress], None]
 
 
 @dataclass(frozen=True)
@@ -120,6 +58,7 @@ class NrsfmResult:
         history: Bound after each pair of iterations of the last stage, nats; it never falls.
         converged: Whether the last stage ended by its tolerance.
         restart_bounds: Bound per keypoint at the end of each restart.
+        nearness: Inverse distance of the cameras per unit of the shape; 0 for scaled orthography.
         reversed: Whether the depth of the factorisation had to be reversed to make the object frame right-handed.
     """
 
@@ -134,6 +73,7 @@ class NrsfmResult:
     history: tuple[float, ...]
     converged: bool
     restart_bounds: tuple[float, ...]
+    nearness: float
     reversed: bool
 
     def predict(self) -> Array:
@@ -141,7 +81,8 @@ class NrsfmResult:
         model = ShapeModel(self.mean, self.basis, self.sigma**2)
         shapes = expected_shapes(model, self.coefficients)
         rows, scale = self.cameras.rotation.transpose(0, 2, 1), self.cameras.inverse_scale[:, None, None]
-        return np.asarray((shapes @ rows + self.cameras.translation[:, None]) / scale)
+        points: Array = (shapes @ rows + self.cameras.translation[:, None]) / scale
+        return points if self.nearness == 0 else draw_nearer(points, shapes, self.cameras.rotation, self.nearness)
 
 
 def fit_nrsfm(
@@ -176,8 +117,7 @@ def fit_nrsfm(
     used, data, centre, size = _prepare(category, points, options, views)
     subspace = SymmetricSubspace.of(category.size, category.symmetric_pairs, options.symmetric)
     learner = _Learner(category, subspace, options, progress or (lambda _: None))
-    state, history, converged, bounds = learner.learn(data)
-    return _result(category, subspace, data, state, (used, centre, size), history, converged, bounds)
+    return _result(category, subspace, learner.learn(data), (used, centre, size))
 
 
 def _prepare(
@@ -227,13 +167,25 @@ def _importance(views: ArrayLike | None, used: NDArray[np.bool_]) -> Array:
 
 
 @dataclass(frozen=True)
+class _Learnt:
+    """Where learning ended: the data (without perspective where asked for), the state, and how it went."""
+
+    data: Data
+    state: State
+    history: list[float]
+    converged: bool
+    bounds: tuple[float, ...]
+    nearness: float
+
+
+@dataclass(frozen=True)
 class _Learner:
     category: Category
     subspace: SymmetricSubspace
     options: NrsfmOptions
     progress: ProgressCallback
 
-    def learn(self, data: Data) -> tuple[State, list[float], bool, tuple[float, ...]]:
+    def learn(self, data: Data) -> _Learnt:
         options = self.options
         rng = np.random.default_rng(options.seed)
         part, chosen = data, np.arange(len(data.points))
@@ -241,34 +193,58 @@ class _Learner:
             chance = data.importance / data.importance.sum()
             chosen = np.sort(rng.choice(len(chance), options.start_images, replace=False, p=chance))
             part = replace(data, points=data.points[chosen], seen=data.seen[chosen], importance=np.ones(len(chosen)))
+        nearness = 0.0
+        if options.perspective:
+            part, nearness = self._straightened(part, rng)
         partial = len(chosen) < len(data.points)
-        share = 0.3 if partial else 1.0
+        share = 0.4 if partial or options.perspective else 1.0
         ends = [
             self._restart(part, generator, number, share * number / options.restarts, share / options.restarts)
             for number, generator in enumerate(rng.spawn(options.restarts))
         ]
         bounds = tuple(state.bound / float(part.importance @ part.seen.sum(axis=1)) for state, _, _ in ends)
         state, history, converged = ends[int(np.argmax(bounds))]
-        if not partial:
-            return state, history, converged, bounds
-        state = self._extend(data, chosen, state, rng)
-        state, history, converged = self._em(data, state, "all images", options.iterations, share, 1.0 - share)
-        return state, history, converged, bounds
+        if partial:
+            state = self._extend(data, chosen, state, rng)
+        straight, rounds = data, (_STRAIGHTENINGS if options.perspective else int(partial))
+        for number in range(rounds):
+            if options.perspective:
+                straight = without_perspective(data, state, self._handedness(state), nearness)
+                state = start_state(straight, state.model, state.cameras, options.dof, state.posterior.weight)
+            begun = share + (1.0 - share) * number / rounds
+            state, history, converged = self._em(
+                straight, state, "all images", options.iterations, begun, (1.0 - share) / rounds
+            )
+            state = start_state(straight, state.model, state.cameras, options.dof, state.posterior.weight)
+        return _Learnt(straight, state, history, converged, bounds, nearness)
+
+    def _straightened(self, data: Data, rng: np.random.Generator) -> tuple[Data, float]:
+        """The data without perspective, and the nearness of the cameras, from a rigid shape."""
+        straight, nearness = data, 0.0
+        state = self._rigid(data, rng)
+        for _ in range(_NEARNESS_ROUNDS):
+            state = start_state(straight, state.model, state.cameras, self.options.dof, state.posterior.weight)
+            handedness = self._handedness(state)
+            nearness = max(estimate_nearness(data, state, handedness), 0.0)
+            straight = without_perspective(data, state, handedness, nearness)
+            state = start_state(straight, state.model, state.cameras, self.options.dof, state.posterior.weight)
+            state, _, _ = em(straight, state, self.subspace, dof=self.options.dof, iterations=10, tolerance=1e-4)
+        return straight, nearness
+
+    def _handedness(self, state: State) -> float:
+        return float(np.sign(np.linalg.det(object_axes(self.category, state.model.mean))))
 
     def _restart(
         self, data: Data, rng: np.random.Generator, number: int, behind: float, share: float
     ) -> tuple[State, list[float], bool]:
         options, name = self.options, f"start {number + 1} of {self.options.restarts}"
-        state = self._rigid_start(data, rng)
-        state, _, _ = em(data, state, self.subspace, dof=options.dof, iterations=60, tolerance=1e-4)
+        state = self._rigid(data, rng)
         rotations = uniform_rotations(options.rotations, rng)
-        state = search_cameras(data, state, rotations, options.dof)
-        state, _, _ = em(data, state, self.subspace, dof=options.dof, iterations=20, tolerance=1e-4)
         state = self._with_vectors(data, state, rng)
         state, _, _ = self._em(data, state, name, options.iterations // 4, behind, 0.3 * share)
         state = search_cameras(data, self._with_vectors(data, state, rng), rotations, options.dof)
         state, history, converged = self._em(data, state, name, options.iterations, behind + 0.3 * share, 0.7 * share)
-        return state, history, converged
+        return start_state(data, state.model, state.cameras, options.dof, state.posterior.weight), history, converged
 
     def _with_vectors(self, data: Data, state: State, rng: np.random.Generator) -> State:
         """The state with small random vectors in place of those that are missing or have vanished.
@@ -281,6 +257,15 @@ class _Learner:
         fresh = self.subspace.project(_START_BASIS * rng.standard_normal((self.options.basis - len(kept), *shape)))
         model = replace(state.model, basis=np.concatenate([kept.reshape(-1, *shape), fresh]))
         return start_state(data, model, state.cameras, self.options.dof, state.posterior.weight)
+
+    def _rigid(self, data: Data, rng: np.random.Generator) -> State:
+        """One rigid shape: factorisation, EM, global search for the cameras, EM."""
+        dof = self.options.dof
+        state = self._rigid_start(data, rng)
+        state, _, _ = em(data, state, self.subspace, dof=dof, iterations=60, tolerance=1e-4)
+        state = search_cameras(data, state, uniform_rotations(self.options.rotations, rng), dof)
+        state, _, _ = em(data, state, self.subspace, dof=dof, iterations=20, tolerance=1e-4)
+        return state
 
     def _rigid_start(self, data: Data, rng: np.random.Generator) -> State:
         best: tuple[float, Array, Array] | None = None
@@ -330,18 +315,12 @@ class _Learner:
 
 
 def _result(
-    category: Category,
-    subspace: SymmetricSubspace,
-    data: Data,
-    state: State,
-    prepared: tuple[NDArray[np.bool_], Array, Array],
-    history: list[float],
-    converged: bool,
-    bounds: tuple[float, ...],
+    category: Category, subspace: SymmetricSubspace, learnt: _Learnt, prepared: tuple[NDArray[np.bool_], Array, Array]
 ) -> NrsfmResult:
     """The state turned into the object frame, principal axes and the given pixels."""
     used, centre, size = prepared
-    model, cameras, posterior = state.model, state.cameras, state.posterior
+    data = learnt.data
+    model, cameras, posterior = learnt.state.model, learnt.state.cameras, learnt.state.posterior
     axes = object_axes(category, model.mean)
     count = model.basis.shape[0]
     turn, strength, vectors = np.linalg.svd(model.basis.reshape(count, category.size * 3), full_matrices=False)
@@ -366,8 +345,9 @@ def _result(
         ),
         weights=posterior.weight,
         residual_sigma=np.sqrt(model.variance * weighted / share),
-        history=tuple(history),
-        converged=converged,
-        restart_bounds=bounds,
+        history=tuple(learnt.history),
+        converged=learnt.converged,
+        restart_bounds=learnt.bounds,
+        nearness=learnt.nearness,
         reversed=bool(np.linalg.det(axes) < 0),
     )
