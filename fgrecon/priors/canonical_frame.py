@@ -9,7 +9,7 @@ from fgrecon.category import Category
 from fgrecon.errors import DegenerateProblemError
 from fgrecon.priors.size_prior import SizePrior
 
-__all__ = ["at_ground_level", "metric_scale", "object_axes"]
+__all__ = ["at_ground_level", "levelled", "metric_scale", "object_axes"]
 
 Array = NDArray[np.float64]
 _SEPARATION = 0.05
@@ -109,3 +109,17 @@ def at_ground_level(category: Category, shapes: Array) -> Array:
     else:
         moved[..., 2] -= middle(width.plus, width.minus, 2)[..., None]
     return moved
+
+
+def levelled(category: Category, mean: Array, basis: Array) -> Array:
+    """Basis vectors (N, K, 3) without the turn about z that would tilt the ground keypoints of the mean.
+
+    Images leave the turn of a vector free (the camera turns with it); the object frame does not, to first order.
+    """
+    ground = list(category.ground_keypoints)
+    x = mean[ground, 0] - mean[ground, 0].mean()
+    if np.sqrt(np.square(x).mean()) < _SEPARATION * np.abs(mean).max():
+        return basis
+    slope = basis[:, ground, 1] @ x / np.square(x).sum()
+    turn = np.stack([-mean[:, 1], mean[:, 0], np.zeros(len(mean))], axis=1)
+    return np.asarray(basis - slope[:, None, None] * turn)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.category import Category
 from fgrecon.errors import InvalidInputError
-from fgrecon.priors.canonical_frame import at_ground_level, metric_scale
+from fgrecon.priors.canonical_frame import at_ground_level, levelled, metric_scale
 from fgrecon.priors.nrsfm import NrsfmOptions, NrsfmResult, ProgressCallback, fit_nrsfm
 from fgrecon.priors.shape_prior import ShapePrior
 from fgrecon.priors.size_prior import SIZE_PRIORS, SizePrior
@@ -131,7 +131,7 @@ def to_prior(
     """
     scale = metric_scale(category, result.mean, size)
     mean = at_ground_level(category, scale * result.mean)
-    basis = at_ground_level(category, scale * result.basis)
+    basis = at_ground_level(category, levelled(category, mean, scale * result.basis))
     strength = np.square(result.basis).sum(axis=(1, 2))
     explained = strength / (strength.sum() + 3.0 * np.square(result.residual_sigma).sum())
     if size_vector:

@@ -17,10 +17,10 @@ __all__ = ["MODE_RANGE", "prior_picture"]
 MODE_RANGE = 2.0
 """How far each mode is shown, in standard deviations."""
 
-_VIEWS = {"from the left": (0, 1, 1, -1), "from the front": (2, 1, 1, -1), "from above": (0, 2, 1, 1)}
+_VIEWS = {"from the right": (0, 1, 1, -1), "from the front": (2, 1, 1, -1), "from above": (0, 2, 1, 1)}
 """Horizontal and vertical object axis of each view, and their signs on paper."""
 _CELL = (3.4, 2.3)
-_TITLE = 0.5
+_TITLE = 0.35
 
 
 def prior_picture(prior: ShapePrior, modes: int | None = None) -> Any:
@@ -55,7 +55,9 @@ def prior_picture(prior: ShapePrior, modes: int | None = None) -> Any:
     for row in range(count + 1):
         for column, (name, view) in enumerate(_VIEWS.items()):
             top = 1.0 - (_TITLE + (row + 1) * _CELL[1]) / height
-            axes = figure.add_axes((column / 3 + 0.01, top, 1 / 3 - 0.02, 0.82 * _CELL[1] / height))
+            axes = figure.add_axes(
+                (column / 3 + 0.025, top + 0.06 * _CELL[1] / height, 1 / 3 - 0.035, 0.82 * _CELL[1] / height)
+            )
             _draw_cell(axes, prior, extremes[:, row], view, edges, mean=row == 0)
             _frame(axes, *limits[name])
             title = name if row == 0 else ""
