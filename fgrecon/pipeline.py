@@ -23,9 +23,10 @@ from fgrecon.priors.size_prior import SizePrior
 from fgrecon.priors.size_prior import size_prior as named_size_prior
 from fgrecon.reconstruction import GraphFactor, Reconstruction
 from fgrecon.result import build_result
-from fgrecon.shape.adjust import ShapeEstimate, adjust_shape, graph_weights
+from fgrecon.shape.adjust import ShapeEstimate, adjust_shape
 from fgrecon.shape.covariance import Covariances, covariances
 from fgrecon.shape.graph import Scene, VehicleGraph, build
+from fgrecon.shape.state import graph_weights
 from fgrecon.shape.structure import graph_factors
 
 __all__ = ["ground_plane", "observe", "reconstruct"]

@@ -12,18 +12,21 @@ from factors import check_in_front
 from fgrecon.errors import DegenerateProblemError
 from fgrecon.pose.adjust import PoseEstimate
 from fgrecon.pose.search import PoseProblem
-from fgrecon.pose.terms import Hypotheses
 from fgrecon.reconstruction import Iteration
-from fgrecon.shape.graph import Scene, Terms, VehicleGraph, build, energies
+from fgrecon.shape.graph import Scene, Terms, VehicleGraph, build
 from fgrecon.shape.solver import minimise
+from fgrecon.shape.state import State, graph_weights, iteration, reweigh, robust_energies
 
-__all__ = ["ShapeEstimate", "adjust_shape", "graph_weights"]
+__all__ = ["EARLY_TOLERANCE", "FINAL_TOLERANCE", "SETTLED", "ShapeEstimate", "adjust_shape"]
 
 Array = NDArray[np.float64]
 
-_SETTLED = 1e-3  # weights that change by less have converged
-_EARLY_TOLERANCE = 1e-5  # relative decrease at which a solve ends whose weights are about to change
-_FINAL_TOLERANCE = 1e-10
+SETTLED = 1e-3
+"""Weights that change by less have converged."""
+EARLY_TOLERANCE = 1e-5
+"""Relative decrease at which a solve ends whose weights are about to change."""
+FINAL_TOLERANCE = 1e-10
+"""The same for the last solve."""
 
 
 @dataclass(frozen=True)
@@ -53,18 +56,6 @@ class ShapeEstimate:
     failure: str | None = None
 
 
-@dataclass
-class _State:
-    """Where the optimisation is."""
-
-    pose: gtsam.Pose3
-    coefficients: Array
-    offsets: Array
-    weights: Array
-    visibility: Array
-    box_weights: Array
-
-
 def adjust_shape(scene: Scene, problem: PoseProblem, start: PoseEstimate) -> ShapeEstimate:
     """Minimise the full energy from the pose stage's result.
 
@@ -76,7 +67,7 @@ def adjust_shape(scene: Scene, problem: PoseProblem, start: PoseEstimate) -> Sha
     Returns:
         The result. Where the start is behind the camera or a system is singular, the state so far and why.
     """
-    state = _State(
+    state = State(
         gtsam.Pose3(start.camera_T_object),
         start.coefficients,
         np.zeros((len(start.weights), 3)),
@@ -106,7 +97,7 @@ def adjust_shape(scene: Scene, problem: PoseProblem, start: PoseEstimate) -> Sha
 
 
 def _run_stage(
-    stage: str, scene: Scene, problem: PoseProblem, state: _State, history: list[Iteration]
+    stage: str, scene: Scene, problem: PoseProblem, state: State, history: list[Iteration]
 ) -> dict[str, float]:
     """IRLS updates of one stage, in place; the energies at its end."""
     graph = VehicleGraph(scene, state.pose, pose_free=stage == "joint")
@@ -116,93 +107,21 @@ def _run_stage(
     terms: Terms = {}
     for update in range(updates):
         before = state.weights
-        _reweigh(state, problem, graph, values, update / max(updates - 1, 1))
+        reweigh(state, problem, graph, values, update / max(updates - 1, 1))
         terms = graph.terms(graph_weights(problem, state.weights, state.visibility), state.box_weights)
-        last = update == updates - 1 or (update > 0 and float(np.abs(state.weights - before).max()) < _SETTLED)
+        last = update == updates - 1 or (update > 0 and float(np.abs(state.weights - before).max()) < SETTLED)
         solution = minimise(
             build(terms),
             values,
-            relative_tolerance=_FINAL_TOLERANCE if last else _EARLY_TOLERANCE,
+            relative_tolerance=FINAL_TOLERANCE if last else EARLY_TOLERANCE,
             record=scene.options.keep_history,
         )
         values = solution.values
         history.extend(
-            _iteration(stage, update, step, graph, iterate, state.weights, terms, problem)
+            iteration(stage, update, step, graph, iterate, state.weights, terms, problem)
             for step, iterate in enumerate(solution.path)
         )
         state.pose, state.coefficients, state.offsets = graph.read(values)
         if last:
             break
-    return _energies(graph, values, terms, problem)
-
-
-def _reweigh(state: _State, problem: PoseProblem, graph: VehicleGraph, values: gtsam.Values, progress: float) -> None:
-    """Update visibility and weights at the current state."""
-    strategy, evidence = problem.keypoints.strategy, problem.keypoints.evidence
-    squared = _squared_distances(graph, values, problem)
-    state.visibility = problem.visibility(state.pose.matrix()[None])[0]
-    state.weights = strategy.weights(squared, evidence, state.visibility, previous=state.weights, progress=progress)
-    if problem.box is not None:
-        state.box_weights = problem.box.weights(problem.box.residuals(_hypothesis(graph, values)))[0]
-
-
-def _squared_distances(graph: VehicleGraph, values: gtsam.Values, problem: PoseProblem) -> Array:
-    """(K,) squared Mahalanobis distances of the keypoints' residuals."""
-    residual = graph.kernel.evaluate(values).pixels - problem.keypoints.pixels
-    squared: Array = np.square(problem.keypoints.whitener @ residual[..., None]).sum(axis=(1, 2))
-    return squared
-
-
-def _hypothesis(graph: VehicleGraph, values: gtsam.Values) -> Hypotheses:
-    pose, coefficients, _ = graph.read(values)
-    matrix = pose.matrix()
-    return Hypotheses(matrix[None, :3, :3], matrix[None, :3, 3], coefficients[None])
-
-
-def _energies(graph: VehicleGraph, values: gtsam.Values, terms: Terms, problem: PoseProblem) -> dict[str, float]:
-    """Energy of each term; of keypoints and box the robust one, whose weights the graph holds, as in the pose stage."""
-    result = energies(terms, values)
-    here = _hypothesis(graph, values)
-    visibility = problem.visibility(here.matrices())[0]
-    squared = _squared_distances(graph, values, problem)
-    robust = problem.keypoints.strategy.evaluate(squared, problem.keypoints.evidence, visibility)[1]
-    result["reprojection"] = float(robust)
-    if problem.box is not None:
-        result["box"] = float(problem.box.energy(problem.box.residuals(here))[0])
-    return result
-
-
-def graph_weights(problem: PoseProblem, weights: Array, visibility: Array) -> Array:
-    """(K,) weights of the noise models: without the m-estimator's share where the graph has the m-estimator itself.
-
-    Args:
-        problem: Has strategy and evidence.
-        weights: (K,) weights of the keypoints.
-        visibility: (K,) visibility that they were computed with.
-    """
-    term = problem.keypoints
-    return weights if term.strategy.loss is None else term.strategy.initial_weights(term.evidence, visibility)
-
-
-def _iteration(
-    stage: str,
-    update: int,
-    step: int,
-    graph: VehicleGraph,
-    values: gtsam.Values,
-    weights: Array,
-    terms: Terms,
-    problem: PoseProblem,
-) -> Iteration:
-    pose, coefficients, _ = graph.read(values)
-    return Iteration(
-        stage=stage,
-        irls=update,
-        step=step,
-        camera_T_object=pose.matrix(),
-        coefficients=coefficients,
-        keypoints=graph.shape.points(values),
-        projections=graph.kernel.evaluate(values).pixels,
-        weights=weights,
-        energies=_energies(graph, values, terms, problem),
-    )
+    return robust_energies(graph, values, terms, problem)

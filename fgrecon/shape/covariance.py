@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fgrecon.errors import FactorCallbackError
 from fgrecon.shape.graph import VehicleGraph
 
-__all__ = ["Covariances", "covariances"]
+__all__ = ["Covariances", "covariances", "factorise", "read_covariances"]
 
 Array = NDArray[np.float64]
 
@@ -39,10 +39,25 @@ def covariances(vehicle: VehicleGraph, graph: gtsam.NonlinearFactorGraph, values
         graph: The graph.
         values: Its minimum.
     """
+    marginals = factorise(graph, values)
+    return None if marginals is None else read_covariances(vehicle, marginals)
+
+
+def factorise(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Marginals | None:
+    """The marginals of a graph at its minimum; None where it does not determine its variables."""
+    try:
+        return gtsam.Marginals(graph, values)
+    except FactorCallbackError:
+        raise
+    except RuntimeError:  # GTSAM's only sign of an indeterminate system
+        return None
+
+
+def read_covariances(vehicle: VehicleGraph, marginals: gtsam.Marginals) -> Covariances | None:
+    """What the marginals say of one frame of a vehicle; None where they are not finite or cannot be had."""
     assert vehicle.pose_key is not None
     shape_keys = list(vehicle.shape.keys)
     try:
-        marginals = gtsam.Marginals(graph, values)
         pose = marginals.marginalCovariance(vehicle.pose_key)
         shape = _joint(marginals, shape_keys)
     except FactorCallbackError:

@@ -66,7 +66,16 @@ class VehicleGraph:
         pose_key: Key of the pose, or None where it is a constant.
     """
 
-    def __init__(self, scene: Scene, pose: gtsam.Pose3, *, pose_free: bool, vehicle: int = 0, frame: int = 0) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        pose: gtsam.Pose3,
+        *,
+        pose_free: bool,
+        vehicle: int = 0,
+        frame: int = 0,
+        shape_terms: bool = True,
+    ) -> None:
         """Prepare the graph.
 
         Args:
@@ -75,6 +84,7 @@ class VehicleGraph:
             pose_free: Whether the pose is a variable.
             vehicle: Number of the vehicle in the keys.
             frame: Number of the frame in the keys.
+            shape_terms: Whether to have the terms of the shape alone; of the frames of one vehicle one has them.
         """
         prior, options = scene.model.prior, scene.options
         self.scene = scene
@@ -91,7 +101,7 @@ class VehicleGraph:
             box_shape = LinearShape(scene.box.mean, scene.box.basis, coefficients)
             self._box_kernel = ProjectionKernel(box_shape, scene.camera.matrix, self._bound_pose)
         self._planes: dict[int, NDArray[np.intp] | None] = {}  # keypoints to fit each plane to; None: the medial plane
-        self._static = self._static_terms()
+        self._static = self._static_terms(shape_terms=shape_terms)
 
     def terms(self, weights: Array, box_weights: Array) -> Terms:
         """All factors by energy term, for keypoint weights (K,) and box edge weights (4,)."""
@@ -151,12 +161,12 @@ class VehicleGraph:
             return None
         return RobustLoss.of(strategy.loss, strategy.tuning * weight**0.5)
 
-    def _static_terms(self) -> dict[str, list[gtsam.NonlinearFactor]]:
+    def _static_terms(self, *, shape_terms: bool) -> dict[str, list[gtsam.NonlinearFactor]]:
         """The factors that no weight changes."""
         terms: dict[str, list[gtsam.NonlinearFactor]] = {}
         if self.kernel.keys:
             terms["cheirality"] = [factors.cheirality_factor(self.kernel)]
-        if self.shape.keys:
+        if shape_terms and self.shape.keys:
             terms |= self._shape_terms()
         if self.pose_key is not None and self.scene.ground is not None:
             terms["ground"] = self._ground_factors(self.pose_key, self.scene.ground)

@@ -9,8 +9,9 @@ import pytest
 from fgrecon.catalogue import load_prior
 from fgrecon.pose.adjust import PoseEstimate
 from fgrecon.robust import StrategyName
-from fgrecon.shape.adjust import adjust_shape, graph_weights
+from fgrecon.shape.adjust import adjust_shape
 from fgrecon.shape.graph import VehicleGraph
+from fgrecon.shape.state import graph_weights
 from tests.cars import rotation_angle, yaw_pose
 from tests.shape.energy import minimise_by_scipy
 from tests.shape.support import energy_of, scene_of
