@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from fgrecon.errors import InvalidInputError
 from fgrecon.reconstruction import Iteration
+from fgrecon.track import JointStep
 from fgrecon.viz import entities
 
 __all__ = ["LogLine", "Replay", "Series", "StageSummary", "read"]
 
-_SCALARS = "Scalars:scalars"
+_SCALARS, _NAMES = "Scalars:scalars", "SeriesLines:names"
 _TEXT, _LEVEL = "TextLog:text", "TextLog:level"
 
 
@@ -25,12 +26,26 @@ class Series:
     """One plotted entity.
 
     Attributes:
-        steps: (n,) global steps, increasing.
-        values: (n,) numbers, or (n, M) where the entity holds M series.
+        names: M names of its series, as in the legend.
+        timeline: What `times` counts: `step`, or for numbers by frame of a track `frame`.
+        times: (n,) increasing.
+        values: (n, M) numbers; NaN where a series has none.
     """
 
-    steps: NDArray[np.int64]
+    names: tuple[str, ...]
+    timeline: str
+    times: NDArray[np.int64]
     values: NDArray[np.float64]
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        """(n,) values of the series of a name.
+
+        Raises:
+            KeyError: There is none.
+        """
+        if name not in self.names:
+            raise KeyError(name)
+        return self.values[:, self.names.index(name)]
 
 
 @dataclass(frozen=True)
@@ -58,14 +73,22 @@ class Replay:
     """What a recording holds apart from what it draws.
 
     Attributes:
-        history: Every step of the optimisation, equal to the recorded one to the last bit.
-        scalars: Plotted series by entity, such as `energy/total`, `weights`, `error/translation_m`.
+        frames: Every step of the optimisation by number of the frame, equal to the recorded one to the last bit; a
+            single vehicle's only frame has number 0.
+        joint: Of a track every step of its joint optimisation, to the last bit too; else empty.
+        scalars: Plotted series by entity, such as `energy`, `weights`, `error/translation_m`.
         log: The text log in order; its last line says how it ended and why.
     """
 
-    history: tuple[Iteration, ...]
+    frames: Mapping[int, tuple[Iteration, ...]]
+    joint: tuple[JointStep, ...]
     scalars: Mapping[str, Series]
     log: tuple[LogLine, ...]
+
+    @property
+    def history(self) -> tuple[Iteration, ...]:
+        """Every step, frame after frame."""
+        return tuple(step for steps in self.frames.values() for step in steps)
 
     def summary(self) -> tuple[StageSummary, ...]:
         """The stages in order of their first step."""
@@ -79,7 +102,7 @@ class Replay:
 
 
 def read(path: str | Path) -> Replay:
-    """Read a recording that `fgrecon.viz.record` wrote.
+    """Read a recording that `fgrecon.viz.record` or `fgrecon.viz.record_track` wrote.
 
     Raises:
         InvalidInputError: There is no such file, or it is no recording of fgrecon.
@@ -89,18 +112,27 @@ def read(path: str | Path) -> Replay:
     fix = "Give a .rrd file that fgrecon wrote."
     if not Path(path).is_file():
         raise InvalidInputError("recording", str(path), fix)
-    history: list[tuple[int, Iteration]] = []
-    rows: dict[str, list[tuple[int, NDArray[np.float64]]]] = {}
+    history: list[tuple[int, int, Iteration]] = []
+    joint: list[tuple[int, JointStep]] = []
+    rows: dict[str, list[tuple[int, list[float]]]] = {}
+    names: dict[str, tuple[str, ...]] = {}
     log: list[LogLine] = []
     try:
         for chunk in RrdReader(path).stream():
             columns = chunk.to_record_batch().to_pydict()
             entity = str(chunk.entity_path).strip("/")
-            steps = columns.get(entities.STEP)
-            if entity == entities.HISTORY and steps is not None:
-                history += [(step, _iteration(columns, i)) for i, step in enumerate(steps)]
-            elif _SCALARS in columns and steps is not None:
-                rows.setdefault(entity, []).extend(zip(steps, map(np.array, columns[_SCALARS]), strict=True))
+            steps, at_frames = columns.get(entities.STEP), columns.get(entities.FRAME)
+            if entity == entities.HISTORY and steps is not None and at_frames is not None:
+                history += [
+                    (f, s, _iteration(columns, i)) for i, (f, s) in enumerate(zip(at_frames, steps, strict=True))
+                ]
+            elif entity == entities.TRACK and steps is not None:
+                joint += [(step, _joint_step(columns, i)) for i, step in enumerate(steps)]
+            elif _SCALARS in columns:
+                times = at_frames if _by_frame(entity) else steps
+                rows.setdefault(entity, []).extend(zip(times or [], columns[_SCALARS], strict=True))
+            elif _NAMES in columns:
+                names[entity] = tuple(columns[_NAMES][0])
             elif entity == entities.LOG and _TEXT in columns:
                 log += _lines(columns, steps)
     except (RuntimeError, ValueError, KeyError, OSError) as error:
@@ -108,15 +140,31 @@ def read(path: str | Path) -> Replay:
     if not log:
         raise InvalidInputError("recording", f"{path} holds no log of fgrecon", fix)
     log.sort(key=lambda line: -1 if line.step is None else line.step)
-    history.sort(key=lambda item: item[0])
-    return Replay(tuple(step for _, step in history), {name: _series(rows[name]) for name in sorted(rows)}, tuple(log))
+    return Replay(
+        frames=_by_number(history),
+        joint=tuple(step for _, step in sorted(joint, key=lambda item: item[0])),
+        scalars={entity: _series(entity, rows[entity], names.get(entity, ())) for entity in sorted(rows)},
+        log=tuple(log),
+    )
 
 
-def _series(rows: list[tuple[int, NDArray[np.float64]]]) -> Series:
+def _by_frame(entity: str) -> bool:
+    return entity.startswith(f"{entities.FRAMES}/")
+
+
+def _by_number(history: list[tuple[int, int, Iteration]]) -> dict[int, tuple[Iteration, ...]]:
+    """The steps of each frame, in order."""
+    found: dict[int, list[Iteration]] = {}
+    for frame, _, step in sorted(history, key=lambda item: item[:2]):
+        found.setdefault(frame, []).append(step)
+    return {frame: tuple(steps) for frame, steps in found.items()}
+
+
+def _series(entity: str, rows: list[tuple[int, list[float]]], names: tuple[str, ...]) -> Series:
     rows.sort(key=lambda row: row[0])
-    values = np.stack([value for _, value in rows])
-    steps = np.array([step for step, _ in rows], dtype=np.int64)
-    return Series(steps, values[:, 0] if values.shape[1] == 1 else values)
+    times = np.array([time for time, _ in rows], dtype=np.int64)
+    values = np.array([numbers for _, numbers in rows], dtype=np.float64)
+    return Series(names, entities.FRAME if _by_frame(entity) else entities.STEP, times, values)
 
 
 def _lines(columns: Mapping[str, Any], steps: list[int] | None) -> list[LogLine]:
@@ -126,21 +174,42 @@ def _lines(columns: Mapping[str, Any], steps: list[int] | None) -> list[LogLine]
 
 
 def _iteration(columns: Mapping[str, Any], row: int) -> Iteration:
-    def field(name: str) -> list[Any]:
-        values: list[Any] = columns[f"{entities.HISTORY_ARCHETYPE}:{name}"][row] or []
+    fields = _Row(columns, entities.HISTORY_ARCHETYPE, row)
+    return Iteration(
+        stage=fields.all("stage")[0],
+        irls=fields.all("irls")[0],
+        step=fields.all("step")[0],
+        camera_T_object=fields.array("camera_T_object", 4, 4),
+        coefficients=fields.array("coefficients", -1),
+        keypoints=fields.array("keypoints", -1, 3),
+        projections=fields.array("projections", -1, 2),
+        weights=fields.array("weights", -1),
+        energies=dict(zip(fields.all("terms"), fields.all("energies"), strict=True)),
+    )
+
+
+def _joint_step(columns: Mapping[str, Any], row: int) -> JointStep:
+    fields = _Row(columns, entities.JOINT_ARCHETYPE, row)
+    return JointStep(
+        irls=fields.all("irls")[0],
+        step=fields.all("step")[0],
+        poses=fields.array("poses", -1, 4, 4),
+        coefficients=fields.array("coefficients", -1),
+        energies=dict(zip(fields.all("terms"), fields.all("energies"), strict=True)),
+    )
+
+
+@dataclass(frozen=True)
+class _Row:
+    """One row of the columns of an archetype."""
+
+    columns: Mapping[str, Any]
+    archetype: str
+    row: int
+
+    def all(self, name: str) -> list[Any]:
+        values: list[Any] = self.columns[f"{self.archetype}:{name}"][self.row] or []
         return values
 
-    def array(name: str, *shape: int) -> NDArray[np.float64]:
-        return np.array(field(name), dtype=np.float64).reshape(shape)
-
-    return Iteration(
-        stage=field("stage")[0],
-        irls=field("irls")[0],
-        step=field("step")[0],
-        camera_T_object=array("camera_T_object", 4, 4),
-        coefficients=array("coefficients", -1),
-        keypoints=array("keypoints", -1, 3),
-        projections=array("projections", -1, 2),
-        weights=array("weights", -1),
-        energies=dict(zip(field("terms"), field("energies"), strict=True)),
-    )
+    def array(self, name: str, *shape: int) -> NDArray[np.float64]:
+        return np.array(self.all(name), dtype=np.float64).reshape(shape)

@@ -4,7 +4,7 @@ Nothing that computes imports this package, so a solve that is not drawn pays no
 neither rerun nor matplotlib: they are imported on use.
 
 - `record` writes a rerun recording: `fgrecon.viz.recording`, laid out by `fgrecon.viz.blueprint` under the names of
-  `fgrecon.viz.entities`; `fgrecon.replay` reads it back.
+  `fgrecon.viz.entities`; `fgrecon.replay` reads it back. `record_track` does the same for a whole track.
 - `picture`, `contact_sheet` and `save_picture` draw without a viewer: `fgrecon.viz.picture`.
 - Both share colours (`fgrecon.viz.style`), geometry (`fgrecon.viz.geometry`), words (`fgrecon.viz.describe`) and
   `Truth`.
@@ -12,6 +12,19 @@ neither rerun nor matplotlib: they are imported on use.
 
 from fgrecon.viz.picture import Sight, as_rgb, contact_sheet, picture, save_picture
 from fgrecon.viz.recording import log_reconstruction, record
+from fgrecon.viz.track_recording import TrackSight, log_track, record_track
 from fgrecon.viz.truth import Truth
 
-__all__ = ["Sight", "Truth", "as_rgb", "contact_sheet", "log_reconstruction", "picture", "record", "save_picture"]
+__all__ = [
+    "Sight",
+    "TrackSight",
+    "Truth",
+    "as_rgb",
+    "contact_sheet",
+    "log_reconstruction",
+    "log_track",
+    "picture",
+    "record",
+    "record_track",
+    "save_picture",
+]

@@ -1,21 +1,36 @@
-"""How the viewer lays out a recording: image and 3D scene above, plots and words below."""
+"""How the viewer lays out a recording: image and 3D scene above; plots, factor graph and words below."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fgrecon.observation import Observation
 from fgrecon.reconstruction import Reconstruction
 from fgrecon.viz import entities, style
-from fgrecon.viz.geometry import crop_around
-from fgrecon.viz.truth import Truth
+from fgrecon.viz.factor_graph import Layout, lay_out
+from fgrecon.viz.geometry import Box, crop_around
+from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR, Truth
 
-__all__ = ["blueprint"]
+__all__ = [
+    "blueprint",
+    "error_views",
+    "eye",
+    "graph_view",
+    "image_view",
+    "look",
+    "page",
+    "plot_view",
+    "scene_view",
+    "word_views",
+]
 
 _ASPECT = 1.6
 _STEPS_PER_SECOND = 8.0
+_GRAPH_MARGIN = (75.0, 30.0)  # half a label beyond the outermost nodes
 _NEAR, _CLOSE_UP = 14.0, 8.0  # metres: how far a camera may be to stay in the view, and what is looked at without it
 
 
@@ -23,73 +38,126 @@ def blueprint(reconstruction: Reconstruction, observation: Observation, truth: T
     """The `rerun.blueprint.Blueprint` of a recording, zoomed to the vehicle in the image and in the scene."""
     import rerun.blueprint as rrb
 
-    x1, y1, x2, y2 = crop_around(observation, reconstruction.wireframe_uv, aspect=_ASPECT)
-    image = rrb.Spatial2DView(
+    crop = crop_around(observation, reconstruction.wireframe_uv, aspect=_ASPECT)
+    plots = [
+        plot_view("Energy [nats]", entities.ENERGY),
+        plot_view("Weights", entities.WEIGHTS, low=-0.02, high=1.02),
+        plot_view("Shape", entities.COEFFICIENTS),
+    ]
+    if truth is not None:
+        plots.append(error_views(entities.ERROR, shape=truth.keypoints is not None))
+    structure = [graph_view(lay_out(reconstruction.graph))] if reconstruction.graph else []
+    below = [rrb.Tabs(*plots), *structure, word_views()]
+    return page(
+        [image_view(crop), scene_view(eye(reconstruction))],
+        below,
+        name="One vehicle: from keypoints to pose and shape",
+        timeline=entities.STEP,
+    )
+
+
+def page(above: Sequence[Any], below: Sequence[Any], *, name: str, timeline: str) -> Any:
+    """Two rows of views, and no panels but the player; the last view below has words and a little more room."""
+    import rerun.blueprint as rrb
+
+    return rrb.Blueprint(
+        rrb.Vertical(
+            rrb.Horizontal(*above, column_shares=[1] * len(above)),
+            rrb.Horizontal(*below, column_shares=[5] * (len(below) - 1) + [6]),
+            row_shares=[4, 3],
+            name=name,
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=timeline, fps=_STEPS_PER_SECOND, play_state="following"),
+    )
+
+
+def image_view(crop: Box) -> Any:
+    """The image, zoomed to a crop."""
+    import rerun.blueprint as rrb
+
+    x1, y1, x2, y2 = crop
+    return rrb.Spatial2DView(
         name="Image: keypoints by weight, projected wireframe, residuals",
         origin=f"/{entities.CAMERA}",
         background=style.SCREEN_BACKGROUND,
         visual_bounds=rrb.VisualBounds2D(x_range=(x1, x2), y_range=(y1, y2)),
     )
+
+
+def scene_view(controls: Any) -> Any:
+    """The 3D scene without what the image alone shows."""
+    import rerun.blueprint as rrb
+
     only_in_image = (
         entities.BOX_2D,
         entities.KEYPOINTS_2D,
         entities.WIREFRAME_2D,
+        entities.PREVIOUS_2D,
         entities.RESIDUALS,
         entities.TRUTH_2D,
     )
-    scene = rrb.Spatial3DView(
+    return rrb.Spatial3DView(
         name="Scene: camera frame, metres",
         origin=f"/{entities.SCENE}",
         contents=["$origin/**", *(f"- /{entity}/**" for entity in only_in_image)],
-        eye_controls=_eye(reconstruction),
+        eye_controls=controls,
         line_grid=False,
     )
+
+
+def plot_view(name: str, entity: str, *, low: float | None = None, high: float | None = None) -> Any:
+    """One plot; its range is that of the data where none is given."""
+    import rerun.blueprint as rrb
+
     legend = rrb.PlotLegend(rrb.Corner2D.RightTop)
-    plots = [
-        rrb.TimeSeriesView(name="Energy by term", origin=f"/{entities.ENERGY}", plot_legend=legend),
-        rrb.TimeSeriesView(
-            name="Weight by keypoint",
-            origin=f"/{entities.WEIGHTS}",
-            axis_y=rrb.ScalarAxis(range=(-0.02, 1.02)),
-            plot_legend=legend,
-        ),
-        rrb.TimeSeriesView(name="Shape coefficients", origin=f"/{entities.COEFFICIENTS}", plot_legend=legend),
-    ]
-    if truth is not None:
-        plots.append(
-            rrb.TimeSeriesView(name="Error against the truth", origin=f"/{entities.ERROR}", plot_legend=legend)
-        )
-    words = [
-        rrb.TextLogView(name="Log", origin=f"/{entities.LOG}", columns=_log_columns()),
-        rrb.TextDocumentView(name="Result", origin=f"/{entities.SUMMARY}"),
-    ]
-    return rrb.Blueprint(
-        rrb.Vertical(
-            rrb.Horizontal(image, scene, column_shares=[1, 1]),
-            rrb.Horizontal(rrb.Tabs(*plots), rrb.Tabs(*words), column_shares=[1, 1]),
-            row_shares=[4, 3],
-            name="One vehicle: from keypoints to pose and shape",
-        ),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=entities.STEP, fps=_STEPS_PER_SECOND, play_state="following"),
+    axis = None if low is None or high is None else rrb.ScalarAxis(range=(low, high))
+    return rrb.TimeSeriesView(name=name, origin=f"/{entity}", plot_legend=legend, axis_y=axis)
+
+
+def error_views(entity: str, *, shape: bool) -> Any:
+    """Distances from the truth, one plot above the other: they have different units."""
+    import rerun.blueprint as rrb
+
+    measures = [("Orientation error [degrees]", ORIENTATION_ERROR), ("Translation error [m]", TRANSLATION_ERROR)]
+    measures += [("Error of the 3D keypoints [m]", SHAPE_ERROR)] if shape else []
+    return rrb.Vertical(*(plot_view(name, f"{entity}/{m}") for name, m in measures), name="Errors")
+
+
+def graph_view(layout: Layout, name: str = "Factor graph: keypoints by weight") -> Any:
+    """The factor graph, with every node where it was put and all of them in the view."""
+    import rerun.blueprint as rrb
+    import rerun.blueprint.archetypes as forces
+
+    low, high = layout.positions.min(axis=0) - _GRAPH_MARGIN, layout.positions.max(axis=0) + _GRAPH_MARGIN
+    return rrb.GraphView(
+        name=name,
+        visual_bounds=rrb.VisualBounds2D(x_range=(low[0], high[0]), y_range=(low[1], high[1])),
+        origin=f"/{entities.GRAPH}",
+        force_link=forces.ForceLink(enabled=False),
+        force_many_body=forces.ForceManyBody(enabled=False),
+        force_center=forces.ForceCenter(enabled=False),
+        force_collision_radius=forces.ForceCollisionRadius(enabled=False),
     )
 
 
-def _log_columns() -> Any:
-    """Level and text beside the step: every line comes from one entity, whose name says nothing."""
+def word_views() -> Any:
+    """The log and the summary. Every line of the log comes from one entity, whose name says nothing."""
     import rerun.blueprint as rrb
 
-    return rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])
+    columns = rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])
+    return rrb.Tabs(
+        rrb.TextLogView(name="Log", origin=f"/{entities.LOG}", columns=columns),
+        rrb.TextDocumentView(name="Result", origin=f"/{entities.SUMMARY}"),
+    )
 
 
-def _eye(reconstruction: Reconstruction) -> Any:
+def eye(reconstruction: Reconstruction) -> Any:
     """An eye beside the line of sight, on the side of the flank that the camera sees; None where there is no result.
 
     A camera nearby is in the view; one farther away is not, so that the vehicle keeps its size.
     """
-    import rerun.blueprint as rrb
-
     at = reconstruction.location
     if not np.isfinite(at).all():
         return None
@@ -101,7 +169,14 @@ def _eye(reconstruction: Reconstruction) -> Any:
     aside = -aside if flank @ aside < 0 else aside
     near = at[2] <= _NEAR
     span = max(float(at[2]), _CLOSE_UP) if near else _CLOSE_UP
-    target = at - (0.4 * span if near else 0.0) * towards - (0.0, 0.6, 0.0)
+    target = at - (0.32 * span if near else 0.0) * towards - (0.0, 0.6, 0.0)
     # In a close-up the eye stands a little towards the camera, or an end-on vehicle would show its other flank only.
-    position = target + 0.85 * span * aside - (0.0, 0.35 * span, 0.0) - (0.0 if near else 0.4 * span) * towards
+    position = target + 0.75 * span * aside - (0.0, 0.3 * span, 0.0) - (0.0 if near else 0.4 * span) * towards
+    return look(position, target)
+
+
+def look(position: NDArray[np.float64], target: NDArray[np.float64]) -> Any:
+    """An eye at a position that looks at a target; camera frame, metres."""
+    import rerun.blueprint as rrb
+
     return rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=(0.0, -1.0, 0.0))

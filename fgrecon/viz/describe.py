@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.observation import Observation
 from fgrecon.reconstruction import Iteration, Reconstruction
+from fgrecon.track import TrackReconstruction
 from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR, Truth
 
-__all__ = ["describe_errors", "describe_update", "median_residual", "summary_table", "total_energy", "weight_updates"]
+__all__ = [
+    "describe_errors",
+    "describe_stop",
+    "describe_update",
+    "median_residual",
+    "summary_table",
+    "total_energy",
+    "track_table",
+    "weight_updates",
+]
 
 _TRUSTED = 0.5
+_SETTLED = 1e-2  # weights that change by less look settled to a reader
 
 
 def total_energy(iteration: Iteration) -> float:
@@ -43,8 +54,24 @@ def describe_update(steps: Sequence[Iteration], residual: float) -> str:
     first, last = steps[0], steps[-1]
     before, after = total_energy(first), total_energy(last)
     change = f"{after:.4g}" if len(steps) == 1 else f"{before:.4g} to {after:.4g} in {len(steps)} steps"
-    trusted = f"{np.count_nonzero(last.weights >= _TRUSTED)} of {len(last.weights)} keypoints trusted"
-    return f"{last.stage}, weight update {last.irls}: energy {change}; {trusted}, off by {residual:.2f} px"
+    trusted = f"{np.count_nonzero(last.weights >= _TRUSTED)} of {len(last.weights)} trusted"
+    return f"{last.stage} {last.irls}: energy {change}; {trusted}, off by {residual:.1f} px"
+
+
+def describe_stop(before: Iteration | None, steps: Sequence[Iteration]) -> str:
+    """Why a stage stopped: how much its last weight update still changed.
+
+    Args:
+        before: Last step of the weight update before, or None where there is none.
+        steps: Steps of the last weight update.
+    """
+    last = steps[-1]
+    if before is None or before.stage != last.stage:
+        return f"{last.stage} ended after one weight update"
+    change = float(np.abs(last.weights - before.weights).max())
+    energy = total_energy(last) - total_energy(before)
+    verdict = "weights settled" if change < _SETTLED else f"weights still changed by {change:.2g}"
+    return f"{last.stage} ended after update {last.irls}: {verdict}, energy by {energy:+.2g}"
 
 
 def describe_errors(truth: Truth, camera_T_object: NDArray[np.float64], keypoints: NDArray[np.float64]) -> str:
@@ -74,6 +101,24 @@ def summary_table(reconstruction: Reconstruction, observation: Observation, trut
     ]
     if truth is not None:
         rows.append(("Error against the truth", describe_errors(truth, result.camera_T_object, result.wireframe)))
+    lines = "\n".join(f"| {name} | {value.replace('|', '/')} |" for name, value in rows)
+    return f"| | |\n|---|---|\n{lines}\n"
+
+
+def track_table(track: TrackReconstruction, errors: Sequence[Mapping[str, float]]) -> str:
+    """The result of a track as a Markdown table, with mean and median of the frames' errors where they are known."""
+    length, width, height = track.box_size
+    rows = [
+        ("Status", f"**{track.status.value}**: {track.message}"),
+        ("Prior", f"{track.frames[0].prior} ({track.frames[0].category})"),
+        ("Images", f"{len(track.frames)} solved, {len(track.refused)} refused"),
+        ("Length, width, height", f"{length:.2f}, {width:.2f}, {height:.2f} m"),
+        ("Time", ", ".join(f"{stage} {ms:.0f} ms" for stage, ms in track.milliseconds.items())),
+    ]
+    for name, measure, unit in (("Yaw error", ORIENTATION_ERROR, "°"), ("Position error", TRANSLATION_ERROR, " m")):
+        if errors:
+            values = [error[measure] for error in errors]
+            rows.append((name, f"mean {np.mean(values):.2f}{unit}, median {np.median(values):.2f}{unit}"))
     lines = "\n".join(f"| {name} | {value.replace('|', '/')} |" for name, value in rows)
     return f"| | |\n|---|---|\n{lines}\n"
 

@@ -3,30 +3,43 @@
 | entity | what | when |
 |---|---|---|
 | `scene` | the 3D world: the camera's frame, x right, y down, z forward, metres | once |
-| `scene/camera` | the pinhole camera; its image plane holds the next six | once |
-| `.../image` | the photograph | once |
-| `.../box` | the 2D box of the observation | once |
+| `scene/camera` | the pinhole camera; its image plane holds the next seven | once |
+| `.../image` | the photograph | each frame |
+| `.../box` | the 2D box of the observation | each frame |
 | `.../keypoints` | detected keypoints, colour and size by weight | every step |
 | `.../wireframe/{left,right,across}` | projected wireframe | every step |
+| `.../previous` | the same, faint, as it was after the weight update before | every step |
 | `.../residuals` | line from each detected keypoint to its projection | every step |
-| `.../truth` | the true box in the image | once |
+| `.../truth` | the true box in the image | each frame |
 | `scene/vehicle` | `camera_T_object`; what is below it is in the object frame | every step |
 | `.../keypoints` | 3D keypoints, colour by weight | every step |
 | `.../wireframe/{left,right,across}` | 3D wireframe | every step |
+| `.../planes/<face>`, `.../planes/medial` | faces' planes and the medial plane, fitted to keypoints | every step |
 | `.../surface`, `.../box`, `.../uncertainty` | surface, box, one-sigma ellipsoids of the keypoints | at the result |
-| `scene/truth`, `.../box`, `.../keypoints` | true pose, box and keypoints | once |
+| `scene/previous` | wireframe in the camera frame, faint, after the weight update before | every step |
+| `scene/truth`, `.../box`, `.../keypoints` | true pose, box and keypoints | each frame |
 | `scene/ground` | grid on the ground | once |
-| `energy/<term>`, `energy/total` | energy by term | every step |
+| `graph` | the factor graph: variables and factors; keypoints' factors coloured by weight | every step |
+| `energy` | energy by term, and their total; NaN where a step has no such term | every step |
 | `weights`, `coefficients` | one series per keypoint, per coefficient | every step |
 | `error/<measure>` | distance from the truth | every step |
 | `log` | what happened, and why it stopped | each weight update |
 | `summary` | the result as a table | once |
 | `history` | every field of every `Iteration`, in full precision | every step |
 
-Timelines: `step` counts the steps across all stages and `irls` the weight updates across all stages; one more per stage
-(`initialisation`, `pose`, `shape`, `joint`, or `result` where no history was kept) counts the steps within it. Drawn
-geometry is in single precision, as viewers want it; plots and `history` are in double, and `fgrecon.replay` reads them
-back to the last bit.
+The recording of a track (`fgrecon.viz.track_recording`) has the same for every frame, and in addition
+
+| entity | what | when |
+|---|---|---|
+| `scene/path`, `scene/path/truth` | origins of the vehicle up to a frame, estimated and true | each frame |
+| `scene/track` | wireframes of all frames | each joint step |
+| `frames/weights`, `frames/energy` | weight by keypoint, energy by term | each frame |
+| `frames/error/<measure>` | distance from the truth | each frame |
+| `track` | every field of every `JointStep`, in full precision | each joint step |
+
+Timelines: `step` counts the steps across all stages (and, of a track, all frames), `stage` the stages, `irls` the
+weight updates across all stages, and `frame` is the number of the image. Drawn geometry is in single precision, as
+viewers want it; plots and `history` are in double, and `fgrecon.replay` reads them back to the last bit.
 """
 
 from __future__ import annotations
@@ -37,20 +50,33 @@ __all__ = [
     "COEFFICIENTS",
     "ENERGY",
     "ERROR",
+    "FRAME",
+    "FRAMES",
+    "GRAPH",
     "GROUND",
     "HISTORY",
     "HISTORY_ARCHETYPE",
     "IMAGE",
     "IRLS",
+    "JOINT_ARCHETYPE",
     "KEYPOINTS_2D",
     "KEYPOINTS_3D",
     "LOG",
+    "MEDIAL",
+    "PATH",
+    "PLANES",
+    "PREVIOUS_2D",
+    "PREVIOUS_3D",
     "RESIDUALS",
     "SCENE",
+    "STAGE",
     "STEP",
     "SUMMARY",
     "SURFACE",
     "TOTAL",
+    "TRACK",
+    "TRACK_3D",
+    "TRUE_PATH",
     "TRUTH_2D",
     "TRUTH_3D",
     "UNCERTAINTY",
@@ -62,7 +88,9 @@ __all__ = [
 ]
 
 STEP = "step"
+STAGE = "stage"
 IRLS = "irls"
+FRAME = "frame"
 
 SCENE = "scene"
 CAMERA = "scene/camera"
@@ -70,18 +98,23 @@ IMAGE = "scene/camera/image"
 BOX_2D = "scene/camera/box"
 KEYPOINTS_2D = "scene/camera/keypoints"
 WIREFRAME_2D = "scene/camera/wireframe"
+PREVIOUS_2D = "scene/camera/previous"
 RESIDUALS = "scene/camera/residuals"
 TRUTH_2D = "scene/camera/truth"
 
 VEHICLE = "scene/vehicle"
 KEYPOINTS_3D = "scene/vehicle/keypoints"
 WIREFRAME_3D = "scene/vehicle/wireframe"
+PLANES = "scene/vehicle/planes"
+MEDIAL = "medial"
 SURFACE = "scene/vehicle/surface"
 VEHICLE_BOX = "scene/vehicle/box"
 UNCERTAINTY = "scene/vehicle/uncertainty"
+PREVIOUS_3D = "scene/previous"
 TRUTH_3D = "scene/truth"
 GROUND = "scene/ground"
 
+GRAPH = "graph"
 ENERGY = "energy"
 TOTAL = "total"
 WEIGHTS = "weights"
@@ -92,3 +125,10 @@ LOG = "log"
 SUMMARY = "summary"
 HISTORY = "history"
 HISTORY_ARCHETYPE = "fgrecon.Iteration"
+
+PATH = "scene/path"
+TRUE_PATH = "scene/path/truth"
+TRACK_3D = "scene/track"
+FRAMES = "frames"
+TRACK = "track"
+JOINT_ARCHETYPE = "fgrecon.JointStep"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -19,38 +19,37 @@ from fgrecon.viz.geometry import image_points
 from fgrecon.viz.style import Side
 from fgrecon.viz.truth import Truth
 
-__all__ = ["RESULT", "Playback", "Stage"]
+__all__ = ["RESULT", "Column", "Playback", "log_once"]
 
 RESULT = "result"
 """Stage of the only step of a recording without a history."""
 
 
 @dataclass(frozen=True)
-class Stage:
-    """The steps of one stage: their rows in the history, and the weight update that each belongs to."""
-
-    name: str
-    rows: NDArray[np.int64]
-    irls: NDArray[np.int64]
-
-    def times(self, rows: NDArray[np.int64]) -> list[Any]:
-        """Time columns of some of the stage's rows."""
-        import rerun as rr
-
-        local = np.searchsorted(self.rows, rows)
-        indices = {entities.STEP: rows, entities.IRLS: self.irls[local], self.name: local}
-        return [rr.TimeColumn(timeline, sequence=index) for timeline, index in indices.items()]
-
-
-@dataclass(frozen=True)
 class Playback:
-    """One reconstruction on its way into a stream, its history as arrays."""
+    """One reconstruction on its way into a stream, its history as arrays.
+
+    Attributes:
+        stream: A `rerun.RecordingStream`.
+        reconstruction: The result.
+        observation: The keypoints that it was solved from.
+        camera: The camera that saw them.
+        truth: What is known to be true, or None.
+        frame: Number of the image on the timeline `frame`.
+        numbers: (n,) numbers of the steps on the timeline `step`; None counts them from 0.
+        updates: (n,) numbers of their weight updates on the timeline `irls`; None counts them from 0.
+        logged: Entities of the stream that have what does not change; shared by all frames of a track.
+    """
 
     stream: Any
     reconstruction: Reconstruction
     observation: Observation
     camera: Camera
     truth: Truth | None
+    frame: int = 0
+    numbers: NDArray[np.int64] | None = None
+    updates: NDArray[np.int64] | None = None
+    logged: set[str] = field(default_factory=set)
 
     @cached_property
     def steps(self) -> tuple[Iteration, ...]:
@@ -72,12 +71,21 @@ class Playback:
         return (last,)
 
     @cached_property
-    def stages(self) -> tuple[Stage, ...]:
-        """The stages in order of their first step."""
-        names, irls = np.array([step.stage for step in self.steps]), weight_updates(self.steps)
-        ordered = dict.fromkeys(names.tolist())
-        groups = {name: np.flatnonzero(names == name).astype(np.int64) for name in ordered}
-        return tuple(Stage(name, rows, irls[rows]) for name, rows in groups.items())
+    def irls(self) -> NDArray[np.int64]:
+        """(n,) index of each step's weight update, counted across all stages."""
+        return weight_updates(self.steps)
+
+    @cached_property
+    def times(self) -> Mapping[str, NDArray[np.int64]]:
+        """(n,) position of every step on each timeline."""
+        names = [step.stage for step in self.steps]
+        order = {name: index for index, name in enumerate(dict.fromkeys(names))}
+        return {
+            entities.STEP: np.arange(len(names)) if self.numbers is None else self.numbers,
+            entities.STAGE: np.array([order[name] for name in names], dtype=np.int64),
+            entities.IRLS: self.irls if self.updates is None else self.updates,
+            entities.FRAME: np.full(len(names), self.frame, dtype=np.int64),
+        }
 
     @cached_property
     def weights(self) -> NDArray[np.float64]:
@@ -85,14 +93,33 @@ class Playback:
         return np.stack([step.weights for step in self.steps])
 
     @cached_property
+    def poses(self) -> NDArray[np.float64]:
+        """(n, 4, 4) pose of every step."""
+        return np.stack([step.camera_T_object for step in self.steps])
+
+    @cached_property
     def keypoints(self) -> NDArray[np.float64]:
         """(n, K, 3) keypoints of every step in the object frame."""
         return np.stack([step.keypoints for step in self.steps])
 
     @cached_property
+    def keypoints_in_camera(self) -> NDArray[np.float64]:
+        """(n, K, 3) keypoints of every step in the camera frame."""
+        turned = np.einsum("nij,nkj->nki", self.poses[:, :3, :3], self.keypoints)
+        in_camera: NDArray[np.float64] = turned + self.poses[:, None, :3, 3]
+        return in_camera
+
+    @cached_property
     def pixels(self) -> NDArray[np.float64]:
         """(n, K, 2) where the real image shows the wireframe of every step; NaN where it does not."""
-        return np.stack([image_points(self.camera, step.camera_T_object, step.keypoints) for step in self.steps])
+        points = self.keypoints_in_camera
+        return image_points(self.camera, np.eye(4), points.reshape(-1, 3)).reshape(*points.shape[:2], 2)
+
+    @cached_property
+    def previous(self) -> NDArray[np.int64]:
+        """(n,) row of the last step of the weight update before each step's; its own first row in the first update."""
+        starts = np.searchsorted(self.irls, self.irls)
+        return np.maximum(starts - 1, 0)
 
     @cached_property
     def edges(self) -> Mapping[Side, NDArray[np.int64]]:
@@ -102,45 +129,64 @@ class Playback:
 
     def once(self, entity: str, *archetypes: Any) -> None:
         """Log what does not change; together with `every_step` it fills in the components that stay the same."""
-        for archetype in archetypes:
-            self.stream.log(entity, archetype, static=True)
+        if entity not in self.logged:
+            self.logged.add(entity)
+            log_once(self.stream, entity, *archetypes)
 
-    def every_step(self, entity: str, columns: Iterable[Any], present: NDArray[np.bool_] | None = None) -> None:
-        """Send one row per step, or per step that is `present` (n,), from rerun component columns of n rows."""
-        whole = [(column.component_descriptor(), column.as_arrow_array()) for column in columns]
-        for stage in self.stages:
-            rows = stage.rows if present is None else stage.rows[present[stage.rows]]
-            if len(rows):
-                # The arrays are made once and cut by stage: making them costs more than sending them.
-                parts = [_Column(descriptor, array.take(rows)) for descriptor, array in whole]
-                self.stream.send_columns(entity, stage.times(rows), parts)
+    def every_step(self, entity: str, columns: Iterable[Any], rows: NDArray[np.int64] | None = None) -> None:
+        """Send component columns with one row per step, or one per step of `rows` (m,)."""
+        times = self._all_times if rows is None else self._times_at(rows)
+        self.stream.send_columns(entity, times, columns)
 
     def strips(self, entity: str, archetype: Any, strips: NDArray[np.float64]) -> None:
         """Send line strips (n, S, P, D), one batch per step; strips with a point that is not finite are left out."""
         drawn: NDArray[np.bool_] = np.all(np.isfinite(strips), axis=(2, 3))
         self.every_step(entity, archetype.columns(strips=strips[drawn]).partition(drawn.sum(axis=1)))
 
+    def at_start(self, entity: str, *archetypes: Any) -> None:
+        """Log what belongs to the frame: at its first step, or once for all where there are no steps."""
+        self._at(0, entity, archetypes)
+
     def at_result(self, entity: str, *archetypes: Any) -> None:
         """Log what only the result has: at the last step, or once for all where there are no steps."""
+        self._at(len(self.steps) - 1, entity, archetypes)
+
+    def _at(self, row: int, entity: str, archetypes: tuple[Any, ...]) -> None:
         if not self.steps:
-            self.once(entity, *archetypes)
+            log_once(self.stream, entity, *archetypes)
             return
-        last = np.array([len(self.steps) - 1])
-        stage = next(stage for stage in self.stages if stage.name == self.steps[-1].stage)
-        batches = [batch for archetype in archetypes for batch in archetype.as_component_batches()]
+        made = [a if isinstance(a, list) else a.as_component_batches() for a in archetypes]
+        batches = [batch for part in made for batch in part]
         columns = [batch.partition([len(batch.as_arrow_array())]) for batch in batches]
-        self.stream.send_columns(entity, stage.times(last), columns)
+        self.every_step(entity, columns, np.array([row]))
+
+    @cached_property
+    def _all_times(self) -> list[Any]:
+        return self._times_at(np.arange(len(self.steps)))
+
+    def _times_at(self, rows: NDArray[np.int64]) -> list[Any]:
+        import rerun as rr
+
+        return [rr.TimeColumn(timeline, sequence=at[rows]) for timeline, at in self.times.items()]
+
+
+def log_once(stream: Any, entity: str, *archetypes: Any) -> None:
+    """Log archetypes, or lists of component batches made before, without a time."""
+    for archetype in archetypes:
+        stream.log(entity, archetype, static=True)
 
 
 @dataclass(frozen=True)
-class _Column:
-    """Arrow data that rerun takes as a component column."""
+class Column:
+    """Arrow data that rerun takes as a component column: its own constructors cost many times as much."""
 
     descriptor: Any
     array: Any
 
     def component_descriptor(self) -> Any:
+        """Name and type of the component."""
         return self.descriptor
 
     def as_arrow_array(self) -> Any:
+        """One list per row."""
         return self.array

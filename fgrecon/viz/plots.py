@@ -2,104 +2,170 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.reconstruction import Status
+from fgrecon.reconstruction import Iteration, Status
 from fgrecon.viz import entities, style
-from fgrecon.viz.describe import describe_update, median_residual, summary_table, total_energy
-from fgrecon.viz.playback import Playback
+from fgrecon.viz.describe import describe_stop, describe_update, median_residual, summary_table
+from fgrecon.viz.playback import Column, Playback
 from fgrecon.viz.style import Colour
 
-__all__ = ["log_history", "log_plots", "log_words"]
+__all__ = [
+    "energy_series",
+    "error_series",
+    "exact_columns",
+    "keypoint_series",
+    "log_history",
+    "log_plots",
+    "log_words",
+    "series_columns",
+    "series_style",
+    "status_line",
+]
+
+Names = tuple[str, ...]
 
 
 def log_plots(play: Playback) -> None:
     """Energy by term, weight by keypoint, coefficients and, where the truth is known, errors."""
     steps = play.steps
-    terms = list(dict.fromkeys(term for step in steps for term in step.energies))
-    for index, term in enumerate(terms):
-        series = [step.energies.get(term) for step in steps]
-        _plot(play, f"{entities.ENERGY}/{term}", series, style.energy_colour(term, index))
-    totals = [total_energy(step) for step in steps]
-    _plot(play, f"{entities.ENERGY}/{entities.TOTAL}", totals, style.energy_colour(entities.TOTAL, 0))
-    sides = style.keypoint_sides(play.reconstruction.keypoint_names, play.reconstruction.wireframe)
-    names = [name.replace("_", " ") for name in play.reconstruction.keypoint_names]
-    _plots(play, entities.WEIGHTS, play.weights, names, style.series_colours(sides))
+    names, energies = energy_series([step.energies for step in steps])
+    _plot(play, entities.ENERGY, energies, names, tuple(style.energy_colour(n, i) for i, n in enumerate(names)))
+    names, colours = keypoint_series(play)
+    _plot(play, entities.WEIGHTS, play.weights, names, colours)
     coefficients = np.stack([step.coefficients for step in steps])
     numbers = range(coefficients.shape[1])
-    names = [f"lambda {j + 1}" for j in numbers]
-    _plots(play, entities.COEFFICIENTS, coefficients, names, [style.categorical(j) for j in numbers])
+    names = tuple(f"lambda {j + 1}" for j in numbers)
+    _plot(play, entities.COEFFICIENTS, coefficients, names, tuple(style.categorical(j) for j in numbers))
     if play.truth is not None:
         errors = [play.truth.errors(step.camera_T_object, step.keypoints) for step in steps]
-        for index, measure in enumerate(errors[0]):
-            series = [error[measure] for error in errors]
-            what, _, unit = measure.rpartition("_")
-            _plot(play, f"{entities.ERROR}/{measure}", series, style.categorical(index), f"{what} [{unit}]")
+        for index, (measure, values) in enumerate(error_series(errors).items()):
+            entity = f"{entities.ERROR}/{measure}"
+            _plot(play, entity, values, (measure_name(measure),), (style.categorical(index),))
 
 
-def _plot(play: Playback, entity: str, values: Sequence[float | None], colour: Colour, name: str = "") -> None:
-    """One series, with no row where a step has no value; named after its entity unless told otherwise."""
+def _plot(play: Playback, entity: str, values: NDArray[np.float64], names: Names, colours: tuple[Colour, ...]) -> None:
+    """The series (n, M) of one entity."""
+    if values.shape[1]:
+        play.once(entity, series_style(names, colours))
+        play.every_step(entity, series_columns(values))
+
+
+@lru_cache(maxsize=64)
+def series_style(names: Names, colours: tuple[Colour, ...]) -> Any:
+    """Component batches that name and colour the series of a plot; the total is a thinner line."""
     import rerun as rr
 
-    present = np.array([value is not None for value in values])
-    series = np.array([np.nan if value is None else value for value in values])
-    name = name or entity.rpartition("/")[2]
-    play.once(entity, rr.SeriesLines(names=name, colors=colour, widths=1.0 if name == entities.TOTAL else 2.0))
-    play.every_step(entity, rr.Scalars.columns(scalars=series), present)
+    widths = [1.0 if name == entities.TOTAL else 2.0 for name in names]
+    return rr.SeriesLines(names=list(names), colors=list(colours), widths=widths).as_component_batches()
 
 
-def _plots(
-    play: Playback, entity: str, values: NDArray[np.float64], names: Sequence[str], colours: Sequence[Colour]
-) -> None:
-    """Several series (n, M) of one entity."""
+def series_columns(values: NDArray[np.float64]) -> Any:
+    """Component columns of series (n, M), in double."""
     import rerun as rr
 
-    size = values.shape[1]
-    if size:
-        play.once(entity, rr.SeriesLines(names=list(names), colors=list(colours), widths=[1.5] * size))
-        play.every_step(entity, rr.Scalars.columns(scalars=values.ravel()).partition([size] * len(values)))
+    return rr.Scalars.columns(scalars=values.ravel()).partition([values.shape[1]] * len(values))
+
+
+def energy_series(energies: Sequence[Mapping[str, float]]) -> tuple[Names, NDArray[np.float64]]:
+    """Names of the terms and `total`, and (n, M) energies of n states; NaN where a state has no such term."""
+    terms = tuple(dict.fromkeys(term for state in energies for term in state))
+    rows = [[state.get(term, np.nan) for term in terms] + [sum(state.values())] for state in energies]
+    return (*terms, entities.TOTAL), np.array(rows, dtype=np.float64).reshape(len(energies), -1)
+
+
+def keypoint_series(play: Playback) -> tuple[Names, tuple[Colour, ...]]:
+    """Names and colours of one series per keypoint."""
+    sides = style.keypoint_sides(play.reconstruction.keypoint_names, play.reconstruction.wireframe)
+    names = tuple(name.replace("_", " ") for name in play.reconstruction.keypoint_names)
+    return names, tuple(style.series_colours(sides))
+
+
+def error_series(errors: Sequence[Mapping[str, float]]) -> dict[str, NDArray[np.float64]]:
+    """(n, 1) distances from the truth by measure; NaN where a state lacks one."""
+    measures = dict.fromkeys(measure for state in errors for measure in state)
+    return {measure: np.array([[state.get(measure, np.nan)] for state in errors]) for measure in measures}
+
+
+def measure_name(measure: str) -> str:
+    """`translation_m` as `translation [m]`."""
+    what, _, unit = measure.rpartition("_")
+    return f"{what} [{unit}]"
 
 
 def log_history(play: Playback) -> None:
     """Every field of every step, to the last bit: what `fgrecon.replay` makes the history of again."""
+    arrays = ("camera_T_object", "coefficients", "keypoints", "projections", "weights")
+    names = ("stage", "irls", "step", *arrays)
+    fields: dict[str, list[Any]] = {name: [getattr(step, name) for step in play.steps] for name in names}
+    fields |= _energy_fields(play.steps)
+    play.every_step(entities.HISTORY, exact_columns(entities.HISTORY_ARCHETYPE, fields))
+
+
+def _energy_fields(steps: Sequence[Iteration]) -> dict[str, list[Any]]:
+    return {
+        "terms": [list(step.energies) for step in steps],
+        "energies": [np.array(list(step.energies.values()), dtype=np.float64) for step in steps],
+    }
+
+
+def exact_columns(archetype: str, fields: Mapping[str, Sequence[Any]]) -> list[Column]:
+    """Component columns whose row i holds all elements of values[i]: arrays, numbers, texts or lists of texts."""
+    import pyarrow as pa
     import rerun as rr
 
-    steps = play.steps
-
-    def column(name: str, values: Sequence[Any]) -> Any:
-        """One component, whose row i holds all elements of values[i]."""
-        parts = [np.atleast_1d(value).ravel() for value in values]
-        (batch,) = rr.DynamicArchetype.columns(entities.HISTORY_ARCHETYPE, components={name: np.concatenate(parts)})
-        return batch.partition([len(part) for part in parts])
-
-    arrays = ("camera_T_object", "coefficients", "keypoints", "projections", "weights")
-    values = {name: [getattr(step, name) for step in steps] for name in ("stage", "irls", "step", *arrays)}
-    values["terms"] = [np.array(list(step.energies), dtype=np.str_) for step in steps]
-    values["energies"] = [np.array(list(step.energies.values()), dtype=np.float64) for step in steps]
-    play.every_step(entities.HISTORY, [column(name, part) for name, part in values.items()])
+    columns = []
+    for name, values in fields.items():
+        if isinstance(values[0], str | list):
+            parts: list[Any] = [[value] if isinstance(value, str) else value for value in values]
+            flat = pa.array([text for part in parts for text in part], pa.string())
+        else:
+            parts = [np.ravel(value) for value in values]
+            flat = pa.array(np.concatenate(parts))
+        ends = np.concatenate([[0], np.cumsum([len(part) for part in parts])]).astype(np.int32)
+        descriptor = rr.ComponentDescriptor(f"{archetype}:{name}", archetype=archetype)
+        columns.append(Column(descriptor, pa.ListArray.from_arrays(ends, flat)))
+    return columns
 
 
 def log_words(play: Playback) -> None:
-    """One line per weight update, how it ended and why; and the summary."""
+    """One line per weight update, why each stage stopped, how it ended and why; and the summary."""
     import rerun as rr
 
-    result = play.reconstruction
-    levels = {Status.CONVERGED: rr.TextLogLevel.INFO, Status.FAILED: rr.TextLogLevel.ERROR}
-    end = rr.TextLog(f"{result.status.value}: {result.message}", level=levels.get(result.status, rr.TextLogLevel.WARN))
-    for stage in play.stages:
-        rows, texts = [], []
-        for update in np.unique(stage.irls):
-            members = stage.rows[stage.irls == update]
-            steps = [play.steps[row] for row in members]
-            residual = median_residual(play.observation, play.pixels[members[-1]], steps[-1].weights)
-            rows.append(members[-1])
-            texts.append(describe_update(steps, residual))
+    rows, texts = _lines(play) if play.steps else ([], [])
+    if rows:
         columns = rr.TextLog.columns(text=texts, level=[str(rr.TextLogLevel.INFO)] * len(texts))
-        play.stream.send_columns(entities.LOG, stage.times(np.array(rows)), columns)
-    play.at_result(entities.LOG, end)
-    table = summary_table(result, play.observation, play.truth)
+        play.every_step(entities.LOG, columns, np.array(rows))
+    play.at_result(entities.LOG, status_line(play.reconstruction.status, play.reconstruction.message))
+    table = summary_table(play.reconstruction, play.observation, play.truth)
     play.once(entities.SUMMARY, rr.TextDocument(table, media_type=rr.MediaType.MARKDOWN))
+
+
+def status_line(status: Status, message: str) -> Any:
+    """How it ended, and why."""
+    import rerun as rr
+
+    levels = {Status.CONVERGED: rr.TextLogLevel.INFO, Status.FAILED: rr.TextLogLevel.ERROR}
+    return rr.TextLog(f"{status.value}: {message}", level=levels.get(status, rr.TextLogLevel.WARN))
+
+
+def _lines(play: Playback) -> tuple[list[int], list[str]]:
+    """Steps and lines of the log: every weight update, and after the last one of a stage why it stopped."""
+    rows, texts = [], []
+    stages = play.times[entities.STAGE]
+    ends = np.flatnonzero(np.diff(play.irls, append=-1))
+    for start, end in zip([0, *(ends[:-1] + 1)], ends, strict=True):
+        residual = median_residual(play.observation, play.pixels[end], play.weights[end])
+        rows.append(int(end))
+        texts.append(describe_update(play.steps[start : end + 1], residual))
+        if end + 1 == len(play.steps) or stages[end + 1] != stages[end]:
+            before = ends[ends < start]
+            previous = play.steps[before[-1]] if len(before) else None
+            rows.append(int(end))
+            texts.append(describe_stop(previous, play.steps[start : end + 1]))
+    return rows, texts

@@ -21,18 +21,21 @@ __all__ = [
     "HAIRLINE",
     "INK",
     "PAPER",
+    "PREVIOUS",
     "SCREEN_BACKGROUND",
     "SCREEN_INK",
     "SIDE_COLOURS",
     "SURFACE",
     "TRUTH",
     "UNCERTAINTY",
+    "VARIABLE",
     "Colour",
     "Side",
     "categorical",
     "edge_sides",
     "energy_colour",
     "keypoint_sides",
+    "plane_colour",
     "series_colours",
     "weight_colours",
     "weight_radii",
@@ -56,6 +59,10 @@ TRUTH: Colour = (40, 185, 110)
 """What is known to be true: green."""
 UNCERTAINTY: Colour = (230, 60, 160)
 """Ellipsoids of the keypoints' covariance."""
+PREVIOUS: Colour = (255, 255, 255)
+"""The estimate before, drawn faintly in a recording."""
+VARIABLE: Colour = (255, 255, 255)
+"""Variables of a factor graph in a recording."""
 SURFACE: Colour = (196, 204, 214)
 """The reconstructed surface."""
 GROUND: Colour = (96, 96, 96)
@@ -103,6 +110,7 @@ _CATEGORICAL: tuple[Colour, ...] = (
     (127, 127, 127),
     (188, 189, 34),
 )
+_PLANES: tuple[Colour, ...] = ((86, 180, 233), (230, 159, 0), (204, 121, 167), (0, 200, 150), (240, 228, 66))
 # Nine samples of viridis, from dark violet (weight 0) to yellow (weight 1).
 _WEIGHT_MAP = np.array(
     [
@@ -144,6 +152,11 @@ def categorical(index: int) -> Colour:
 def energy_colour(term: str, index: int) -> Colour:
     """Colour of an energy term: its own, else the categorical one of its index."""
     return ENERGY_COLOURS.get(term, categorical(index))
+
+
+def plane_colour(index: int) -> Colour:
+    """Colour of the plane with this index: light ones, which show on a dark screen."""
+    return _PLANES[index % len(_PLANES)]
 
 
 def series_colours(sides: Sequence[Side]) -> list[Colour]:

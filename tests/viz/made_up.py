@@ -10,7 +10,7 @@ import numpy as np
 from fgrecon.camera import Camera, Ground
 from fgrecon.catalogue import load_prior
 from fgrecon.observation import Observation
-from fgrecon.reconstruction import Alternative, Iteration, Reconstruction, Status
+from fgrecon.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status
 from fgrecon.viz.truth import Truth
 
 STAGES = {"initialisation": (1, 1), "pose": (5, 1), "shape": (3, 4), "joint": (2, 3)}
@@ -83,6 +83,13 @@ def make_example(seed: int = 0) -> Example:
         milliseconds={"pose": 3.1, "shape": 6.2, "joint": 2.9},
         surface_vertices=prior.surface.vertices(last.coefficients),
         surface_faces=np.asarray(prior.surface.faces, dtype=np.int64),
+        faces={face.name: face.keypoints for face in prior.category.faces},
+        symmetric_pairs=np.array(prior.category.symmetric_pairs),
+        graph=(
+            *(GraphFactor("reprojection", name, ("X(v=0,t=0)", "L(v=0)")) for name in prior.category.keypoints),
+            GraphFactor("box", "", ("X(v=0,t=0)", "L(v=0)")),
+            GraphFactor("planarity", "wheels", ("L(v=0)", "P(v=0,f=0)")),
+        ),
     )
     truth = Truth(true_pose.matrix(), prior.box_size(coefficients), shape)
     return Example(reconstruction, observation, camera, _photograph(rng), truth, Ground.level(1.65))

@@ -13,7 +13,7 @@ import pytest
 from fgrecon import replay
 from fgrecon.errors import InvalidInputError
 from fgrecon.reconstruction import Iteration, Reconstruction, Status
-from fgrecon.viz import entities, log_reconstruction, record
+from fgrecon.viz import entities, log_reconstruction, record, style
 from tests.viz.made_up import STAGES, Example
 
 
@@ -58,22 +58,27 @@ def test_history_reads_back_to_the_last_bit(example: Example, recording: Path) -
 def test_every_plotted_scalar_equals_the_history(example: Example, recording: Path) -> None:
     steps = example.reconstruction.history
     scalars = replay.read(recording).scalars
-    for term in {term for step in steps for term in step.energies}:
-        series = scalars[f"{entities.ENERGY}/{term}"]
-        expected = [(i, step.energies[term]) for i, step in enumerate(steps) if term in step.energies]
-        assert list(zip(series.steps.tolist(), series.values.tolist(), strict=True)) == expected
-    total = scalars[f"{entities.ENERGY}/{entities.TOTAL}"]
-    assert total.values.tolist() == [sum(step.energies.values()) for step in steps]
+    energy = scalars[entities.ENERGY]
+    assert energy.names == ("reprojection", "prior", "dimensions", entities.TOTAL)
+    assert (energy.timeline, energy.times.tolist()) == (entities.STEP, list(range(len(steps))))
+    for term in energy.names[:-1]:
+        expected = np.array([step.energies.get(term, np.nan) for step in steps])
+        assert energy[term].tobytes() == expected.tobytes()
+    assert energy[entities.TOTAL].tolist() == [sum(step.energies.values()) for step in steps]
     assert np.array_equal(scalars[entities.WEIGHTS].values, [step.weights for step in steps])
+    assert scalars[entities.WEIGHTS].names[0] == "left front wheel"
     assert np.array_equal(scalars[entities.COEFFICIENTS].values, [step.coefficients for step in steps])
     errors = [example.truth.errors(step.camera_T_object, step.keypoints) for step in steps]
     for measure in errors[0]:
-        assert scalars[f"{entities.ERROR}/{measure}"].values.tolist() == [error[measure] for error in errors]
-    assert set(scalars) == (
-        {f"{entities.ENERGY}/{term}" for term in ("reprojection", "prior", "dimensions", "total")}
-        | {f"{entities.ERROR}/{measure}" for measure in errors[0]}
-        | {entities.WEIGHTS, entities.COEFFICIENTS}
-    )
+        series = scalars[f"{entities.ERROR}/{measure}"]
+        assert series.values[:, 0].tolist() == [error[measure] for error in errors]
+    assert set(scalars) == {f"{entities.ERROR}/{measure}" for measure in errors[0]} | {
+        entities.ENERGY,
+        entities.WEIGHTS,
+        entities.COEFFICIENTS,
+    }
+    with pytest.raises(KeyError):
+        energy["unknown"]
 
 
 def test_error_against_the_truth_falls(recording: Path) -> None:
@@ -92,26 +97,71 @@ def test_summary_lists_the_stages(example: Example, recording: Path) -> None:
     assert summary[-1].last_energy == sum(example.reconstruction.history[-1].energies.values())
 
 
-def test_timelines_count_across_and_within_the_stages(example: Example, recording: Path) -> None:
-    times: dict[str, list[int]] = {}
-    for chunk in chunks(recording)[entities.HISTORY]:
-        columns = chunk.to_record_batch().to_pydict()
-        for timeline in chunk.timeline_names:
-            times.setdefault(timeline, []).extend(columns[timeline])
-    updates = sum(updates for updates, _ in STAGES.values())
-    assert sorted(times[entities.STEP]) == list(range(len(example.reconstruction.history)))
-    assert sorted(set(times[entities.IRLS])) == list(range(updates))
-    for stage, (count, steps) in STAGES.items():
-        assert times[stage] == list(range(count * steps))
+def test_timelines_count_steps_stages_updates_and_frames(example: Example, recording: Path) -> None:
+    (chunk,) = chunks(recording)[entities.HISTORY]
+    columns = chunk.to_record_batch().to_pydict()
+    steps = example.reconstruction.history
+    updates = list(dict.fromkeys((step.stage, step.irls) for step in steps))
+    assert columns[entities.STEP] == list(range(len(steps)))
+    assert columns[entities.STAGE] == [list(STAGES).index(step.stage) for step in steps]
+    assert columns[entities.IRLS] == [updates.index((step.stage, step.irls)) for step in steps]
+    assert columns[entities.FRAME] == [0] * len(steps)
+    assert set(chunk.timeline_names) == {entities.STEP, entities.STAGE, entities.IRLS, entities.FRAME}
 
 
-def test_log_ends_with_status_and_message(example: Example, recording: Path) -> None:
+def test_log_says_why_each_stage_and_all_of_it_stopped(example: Example, recording: Path) -> None:
     log = replay.read(recording).log
     updates = sum(updates for updates, _ in STAGES.values())
-    assert len(log) == updates + 1
+    assert len(log) == updates + len(STAGES) + 1
     assert log[-1].text == f"converged: {example.reconstruction.message}"
     assert log[-1].level == "INFO"
-    assert log[0].text.startswith("initialisation, weight update 0: energy ")
+    assert log[0].text.startswith("initialisation 0: energy ")
+    assert log[1].text == "initialisation ended after one weight update"
+    ends = [line.text for line in log if " ended after update " in line.text]
+    assert [text.partition(" ")[0] for text in ends] == ["pose", "shape", "joint"]
+    first, last = (example.reconstruction.history[i].weights for i in (-4, -1))
+    assert f"weights still changed by {np.abs(last - first).max():.2g}," in ends[-1]
+
+
+def test_the_previous_estimate_is_that_of_the_weight_update_before(example: Example, recording: Path) -> None:
+    steps = example.reconstruction.history
+    (drawn,) = (chunk for chunk in chunks(recording)[entities.PREVIOUS_3D] if not chunk.is_static)
+    strips = drawn.to_record_batch().to_pydict()["LineStrips3D:strips"]
+    last = max(i for i, step in enumerate(steps) if (step.stage, step.irls) == ("joint", 0))
+    pose = steps[last].camera_T_object
+    expected = steps[last].keypoints @ pose[:3, :3].T + pose[:3, 3]
+    np.testing.assert_allclose(strips[-1], expected[example.reconstruction.edges], atol=1e-5)
+    assert strips[0] == strips[1]  # before the second update lies the first
+
+
+def test_planes_lie_where_the_keypoints_are(example: Example, recording: Path) -> None:
+    found, result = chunks(recording), example.reconstruction
+    for name in (*result.faces, entities.MEDIAL):
+        (drawn,) = (chunk for chunk in found[f"{entities.PLANES}/{name}"] if not chunk.is_static)
+        corners = np.array(drawn.to_record_batch().to_pydict()["Mesh3D:vertex_positions"][-1])
+        if name == entities.MEDIAL:
+            assert np.abs(corners[:, 2]).max() < 1e-6
+            assert np.ptp(corners[:, 0]) > 3.0
+        else:
+            assert np.abs(corners - result.wireframe[list(result.faces[name])]).max() < 0.02
+            assert np.linalg.matrix_rank(corners - corners.mean(axis=0), tol=1e-5) == 2
+
+
+def test_the_factor_graph_has_every_factor_and_its_variables(example: Example, recording: Path) -> None:
+    graph = example.reconstruction.graph
+    static, moving = sorted(chunks(recording)[entities.GRAPH], key=lambda chunk: not chunk.is_static)
+    columns = static.to_record_batch().to_pydict()
+    variables = ["X(v=0,t=0)", "L(v=0)", "P(v=0,f=0)"]
+    nodes = columns["GraphNodes:node_ids"][0]
+    assert nodes == variables + [f"{factor.term} {i}" for i, factor in enumerate(graph)]
+    expected = [(f"{factor.term} {i}", variable) for i, factor in enumerate(graph) for variable in factor.variables]
+    edges = [tuple(edge.values()) for edge in columns["GraphEdges:edges"][0]]
+    assert edges == expected
+    assert len({tuple(place) for place in columns["GraphNodes:positions"][0]}) == len(nodes)
+    colours = np.array(moving.to_record_batch().to_pydict()["GraphNodes:colors"])
+    weights = np.array([step.weights[0] for step in example.reconstruction.history])
+    assert len(set(colours[:, 3])) == len(np.unique(style.weight_colours(weights), axis=0))
+    assert len(set(colours[:, 0])) == 1
 
 
 def test_every_entity_is_there(recording: Path) -> None:
@@ -123,8 +173,10 @@ def test_every_entity_is_there(recording: Path) -> None:
         entities.BOX_2D,
         entities.KEYPOINTS_2D,
         entities.RESIDUALS,
+        entities.PREVIOUS_2D,
         entities.TRUTH_2D,
         entities.VEHICLE,
+        entities.GRAPH,
         entities.KEYPOINTS_3D,
         entities.SURFACE,
         entities.VEHICLE_BOX,
@@ -208,8 +260,8 @@ def test_a_result_without_history_is_its_only_step(example: Example, tmp_path: P
     back = replay.read(path)
     assert back.history == ()
     assert back.scalars[entities.WEIGHTS].values.tolist() == [bare.weights.tolist()]
-    assert back.scalars[f"{entities.ENERGY}/{entities.TOTAL}"].values.tolist() == [sum(bare.energies.values())]
-    assert [line.step for line in back.log] == [0, 0]
+    assert back.scalars[entities.ENERGY][entities.TOTAL].tolist() == [sum(bare.energies.values())]
+    assert [line.step for line in back.log] == [0, 0, 0]
     assert {entities.KEYPOINTS_2D, entities.SURFACE, f"{entities.WIREFRAME_2D}/left"} <= set(chunks(path))
 
 

@@ -1,0 +1,49 @@
+"""Planes of a wireframe as quads to draw: faces, and the medial plane, fitted to the keypoints of every step."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["face_outlines", "fan", "medial_outlines"]
+
+
+def face_outlines(keypoints: NDArray[np.float64], face: tuple[int, ...]) -> NDArray[np.float64]:
+    """(n, F, 3) keypoints of a face, moved onto the plane that fits them best.
+
+    Args:
+        keypoints: (n, K, 3) keypoints of n steps.
+        face: F indices in order around the face, at least three.
+    """
+    points = keypoints[:, list(face)]
+    centred = points - points.mean(axis=1, keepdims=True)
+    normals = np.linalg.svd(centred, full_matrices=False)[2][:, -1]
+    outline: NDArray[np.float64] = points - (centred @ normals[..., None]) * normals[:, None]
+    return outline
+
+
+def medial_outlines(keypoints: NDArray[np.float64], pairs: NDArray[np.int64]) -> NDArray[np.float64]:
+    """(n, 4, 3) corners of a rectangle in the plane halfway between mirrored keypoints, as large as the wireframe.
+
+    Args:
+        keypoints: (n, K, 3) keypoints of n steps, object frame.
+        pairs: (P, 2) indices (left, right), at least one pair.
+    """
+    left, right = keypoints[:, pairs[:, 0]], keypoints[:, pairs[:, 1]]
+    middle = ((left + right) / 2).mean(axis=1)
+    normal = (left - right).sum(axis=1)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    forward = np.array([1.0, 0.0, 0.0]) - normal[:, :1] * normal
+    forward /= np.linalg.norm(forward, axis=1, keepdims=True)
+    axes = np.stack([forward, np.cross(normal, forward)], axis=1)
+    extents = (keypoints - middle[:, None]) @ axes.transpose(0, 2, 1)
+    low, high = extents.min(axis=1), extents.max(axis=1)
+    corners = np.stack([low, np.stack([high[:, 0], low[:, 1]], 1), high, np.stack([low[:, 0], high[:, 1]], 1)], axis=1)
+    outline: NDArray[np.float64] = middle[:, None] + corners @ axes
+    return outline
+
+
+def fan(corners: int) -> NDArray[np.int64]:
+    """(T, 3) triangles of a convex polygon, seen from both sides."""
+    front = np.array([(0, i, i + 1) for i in range(1, corners - 1)], dtype=np.int64).reshape(-1, 3)
+    return np.concatenate([front, front[:, ::-1]])
