@@ -128,7 +128,7 @@ def test_accelerated_iterations_never_lower_the_bound(seed, vectors, dof):
     points = (world.complete - world.complete.mean(axis=1, keepdims=True)) / 100 * seen[:, :, None]
     data = Data(points, seen.astype(float), np.ones(25))
     rng = np.random.default_rng(seed)
-    subspace = SymmetricSubspace.of(11, chair().symmetric_pairs, True)
+    subspace = SymmetricSubspace.of(11, chair().symmetric_pairs, symmetric=True)
     model = ShapeModel(
         subspace.project(rng.standard_normal((11, 3))), subspace.project(rng.standard_normal((vectors, 11, 3))), 0.5
     )
