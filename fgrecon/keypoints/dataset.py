@@ -1,0 +1,139 @@
+"""Photographs, car masks and labels, prepared once in memory-mapped arrays, and training samples drawn from them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.images import read_image
+from fgrecon.keypoints.augment import Sample, Street, View
+from fgrecon.keypoints.labels import Labels, ShapeFit
+from fgrecon.keypoints.posed_cars import PosedCar
+from fgrecon.priors.shape_prior import ShapePrior
+
+__all__ = ["SIDE", "Photographs", "azimuth_weights", "draw_mask", "prepare_photographs"]
+
+SIDE = 192
+"""Longest side of the prepared photographs, pixels."""
+
+_BINS = 36
+_FILES = ("images.npy", "masks.npy", "sizes.npy", "scales.npy")
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Photographs:
+    """Prepared photographs; arrays of M, read from disk on use.
+
+    Attributes:
+        images: (M, 192, 192, 3) RGB, each in the upper left corner.
+        masks: (M, 192, 192) 255 on the car.
+        sizes: (M, 2) width and height.
+        scales: (M,) prepared pixels per pixel of the file.
+        keypoints: (M, K, 2) labels in prepared pixels.
+        visible: (M, K) probability that each keypoint can be seen.
+        azimuth: (M,) direction from the car to the camera, radians.
+    """
+
+    images: NDArray[np.uint8]
+    masks: NDArray[np.uint8]
+    sizes: NDArray[np.int64]
+    scales: Array
+    keypoints: Array
+    visible: Array
+    azimuth: Array
+
+    @classmethod
+    def load(cls, folder: Path, labels: Labels, azimuth: Array) -> Photographs:
+        """What `prepare_photographs` wrote, with labels in pixels of the files."""
+        images, masks, sizes, scales = (np.load(folder / name, mmap_mode="r") for name in _FILES)
+        keypoints = (labels.keypoints + 0.5) * scales[:, None, None] - 0.5
+        return cls(images, masks, np.asarray(sizes), np.asarray(scales), keypoints, labels.visible, azimuth)
+
+    def view(self, index: int) -> View:
+        """One photograph with its labels."""
+        width, height = self.sizes[index]
+        return View(
+            np.asarray(self.images[index, :height, :width]),
+            np.asarray(self.masks[index, :height, :width]),
+            self.keypoints[index],
+            self.visible[index],
+            float(self.azimuth[index]),
+        )
+
+    def draw(
+        self, chosen: NDArray[np.intp], weights: Array, street: Street, partner: NDArray[np.intp], seed: Sequence[int]
+    ) -> Sample:
+        """A sample, fully determined by the seed: the photograph drawn by weight, occluders from the same ones."""
+        rng = np.random.default_rng(list(seed))
+        index = int(rng.choice(chosen, p=weights))
+        return street.sample(self.view(index), lambda: self.view(int(rng.choice(chosen))), partner, rng)
+
+
+def prepare_photographs(cars: Sequence[PosedCar], fits: Sequence[ShapeFit], prior: ShapePrior, folder: Path) -> None:
+    """Resize all photographs and draw their masks into memory-mapped arrays (about 0.15 MB a photograph).
+
+    Args:
+        cars: The photographs.
+        fits: The shape of each.
+        prior: The model that the shapes are of.
+        folder: Where to write; made if missing.
+    """
+    import cv2
+
+    folder.mkdir(parents=True, exist_ok=True)
+    shape = (len(cars), SIDE, SIDE)
+    images = np.lib.format.open_memmap(folder / _FILES[0], "w+", np.uint8, (*shape, 3))
+    masks = np.lib.format.open_memmap(folder / _FILES[1], "w+", np.uint8, shape)
+    sizes, scales = np.zeros((len(cars), 2), dtype=np.int64), np.ones(len(cars))
+    for i, (car, fit) in enumerate(zip(cars, fits, strict=True)):
+        image = read_image(car.image)
+        scales[i] = min(1.0, SIDE / max(image.shape[:2]))
+        width, height = (max(round(n * float(scales[i])), 1) for n in (image.shape[1], image.shape[0]))
+        sizes[i] = width, height
+        images[i, :height, :width] = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+        masks[i, :height, :width] = draw_mask(car, fit, prior, float(scales[i]))[:height, :width]
+    images.flush()
+    masks.flush()
+    np.save(folder / _FILES[2], sizes)
+    np.save(folder / _FILES[3], scales)
+
+
+def draw_mask(car: PosedCar, fit: ShapeFit, prior: ShapePrior, scale: float = 1.0) -> NDArray[np.uint8]:
+    """(192, 192) 255 where the projected surface covers the photograph resized by `scale`."""
+    import cv2
+
+    surface = prior.surface
+    if surface is None:
+        raise ValueError("the prior has no surface")
+    pixels = (car.project(surface.vertices(fit.coefficients)) + 0.5) * scale - 0.5
+    mask = np.zeros((SIDE, SIDE), dtype=np.uint8)
+    corners = np.clip(np.rint(pixels[surface.faces] * 16), -1e6, 1e6).astype(np.int32)
+    for triangle in corners:
+        cv2.fillConvexPoly(mask, triangle, (255,), shift=4)
+    return mask
+
+
+def azimuth_weights(azimuth: Array, chosen: NDArray[np.intp], strength: float = 0.8, limit: float = 8.0) -> Array:
+    """Probabilities with which to draw photographs so that all directions come up about equally often.
+
+    Mirroring makes directions to the left and right alike, so only the angle from the front counts.
+
+    Args:
+        azimuth: (M,) radians.
+        chosen: Which photographs to draw from.
+        strength: 0 leaves the photographs as they are, 1 evens out fully.
+        limit: How much more often than the most frequent direction a rare one's photographs may be drawn.
+    """
+    angle = np.abs((azimuth[chosen] + np.pi) % (2 * np.pi) - np.pi)
+    which = np.minimum((angle / np.pi * _BINS / 2).astype(int), _BINS // 2 - 1)
+    count = np.bincount(which, minlength=_BINS // 2).astype(np.float64)
+    smooth = np.convolve(np.pad(count, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
+    weight = np.minimum((smooth.max() / np.maximum(smooth, 1e-9)) ** strength, limit)[which]
+    probability: Array = weight / weight.sum()
+    return probability

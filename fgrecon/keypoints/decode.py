@@ -1,0 +1,144 @@
+"""From likelihood maps to positions, confidences and covariances. Plain numpy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Calibration", "Decoded", "decode", "log_softmax", "softmax"]
+
+Array = NDArray[np.float64]
+
+_WINDOW = 3  # cells around the peak over which position and covariance are taken
+_TINY = 1e-6
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """What the maps of B crops say about K keypoints.
+
+    Attributes:
+        points: (B, K, 2) positions in pixels of the crop, to sub-pixel.
+        covariance: (B, K, 2, 2) of the likelihood around the peak, square pixels of the crop.
+        mass: (B, K) share of the likelihood within `reach` of the position: how sure the map is.
+    """
+
+    points: Array
+    covariance: Array
+    mass: Array
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Logistic regression from what the network says to the probability that a point is visible and right.
+
+    confidence = sigmoid(bias + visible * v + mass * m + product * v m'), with v the visibility's logit, m the log odds
+    of the map's mass near the position, both limited to [-6, 6], and m' = m / 6.
+
+    Attributes:
+        bias: Constant.
+        visible: Factor of v.
+        mass: Factor of m.
+        product: Factor of v m'.
+    """
+
+    bias: float = 0.0
+    visible: float = 1.0
+    mass: float = 0.5
+    product: float = 0.0
+
+    def confidence(self, visible: Array, mass: Array) -> Array:
+        """(B, K) confidences in (0, 1) from visibility logits and masses (B, K)."""
+        return sigmoid(self.features(visible, mass) @ np.array([self.bias, self.visible, self.mass, self.product]))
+
+    @staticmethod
+    def features(visible: Array, mass: Array) -> Array:
+        """(..., 4) what the factors multiply."""
+        odds = np.log(np.clip(mass, _TINY, 1.0) / np.clip(1.0 - mass, _TINY, 1.0))
+        v, m = np.clip(visible, -6.0, 6.0), np.clip(odds, -6.0, 6.0)
+        return np.stack([np.ones_like(v), v, m, v * m / 6.0], axis=-1)
+
+    @classmethod
+    def fit(cls, visible: Array, mass: Array, right: NDArray[np.bool_], ridge: float = 1e-3) -> Calibration:
+        """Maximum likelihood on examples (any shape): `right` where the point was visible and near enough."""
+        x = cls.features(visible, mass).reshape(-1, 4)
+        y, w = right.ravel().astype(np.float64), np.zeros(4)
+        for _ in range(50):  # Newton's method
+            p = sigmoid(x @ w)
+            gradient = x.T @ (p - y) + ridge * len(y) * w * [0.0, 1.0, 1.0, 1.0]
+            curvature = (x * (p * (1 - p))[:, None]).T @ x + ridge * len(y) * np.diag([1e-6, 1.0, 1.0, 1.0])
+            step = np.linalg.solve(curvature, gradient)
+            w = w - step
+            if np.abs(step).max() < 1e-9:
+                break
+        return cls(*(float(value) for value in w))
+
+    def to_dict(self) -> dict[str, float]:
+        """Plain numbers for a file."""
+        return {"bias": self.bias, "visible": self.visible, "mass": self.mass, "product": self.product}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, float]) -> Calibration:
+        """The reverse of `to_dict`."""
+        return cls(*(float(data[name]) for name in ("bias", "visible", "mass", "product")))
+
+
+def sigmoid(x: Array) -> Array:
+    """1 / (1 + exp(-x)) without overflow."""
+    result: Array = 0.5 * (1.0 + np.tanh(0.5 * x))
+    return result
+
+
+def log_softmax(logits: NDArray[np.floating]) -> Array:
+    """Over the last axis."""
+    shifted = np.asarray(logits, dtype=np.float64)
+    shifted = shifted - shifted.max(axis=-1, keepdims=True)
+    result: Array = shifted - np.log(np.exp(shifted).sum(axis=-1, keepdims=True))
+    return result
+
+
+def softmax(logits: NDArray[np.floating]) -> Array:
+    """Over the last axis."""
+    return np.exp(log_softmax(logits))
+
+
+def decode(likelihood: Array, stride: float, reach: float) -> Decoded:
+    """Position, spread and mass of likelihood maps.
+
+    The position is the mean of the likelihood in a window around the peak of the smoothed map (3 x 3 mean: a peak
+    split between two cells counts as one).
+
+    Args:
+        likelihood: (B, K, H, W), each map sums to one.
+        stride: Pixels of the crop per cell; the centre of cell i is at (i + 0.5) * stride - 0.5.
+        reach: Radius in pixels of the crop within which the mass is counted.
+    """
+    batch, count, height, width = likelihood.shape
+    flat = likelihood.reshape(batch * count, height, width)
+    padded = np.pad(flat, ((0, 0), (1, 1), (1, 1)))
+    rows = padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]
+    smooth = rows[..., :-2] + rows[..., 1:-1] + rows[..., 2:]
+    peak = smooth.reshape(len(flat), -1).argmax(axis=1)
+    r0, c0 = np.divmod(peak, width)
+    span = np.arange(-_WINDOW, _WINDOW + 1)
+    r, c = r0[:, None, None] + span[:, None], c0[:, None, None] + span
+    inside = (r >= 0) & (r < height) & (c >= 0) & (c < width)
+    many = np.arange(len(flat))[:, None, None]
+    local = np.where(inside, flat[many, np.clip(r, 0, height - 1), np.clip(c, 0, width - 1)], 0.0)
+    total = np.maximum(local.sum(axis=(1, 2)), _TINY**2)
+    share = local / total[:, None, None]
+    y, x = (share * r).sum(axis=(1, 2)), (share * c).sum(axis=(1, 2))
+    dy, dx = r - y[:, None, None], c - x[:, None, None]
+    # A cell's own extent has the variance 1/12; it is part of what is not known.
+    xx, yy = ((share * d * d).sum(axis=(1, 2)) + 1.0 / 12.0 for d in (dx, dy))
+    xy = (share * dx * dy).sum(axis=(1, 2))
+    covariance = np.stack([np.stack([xx, xy], axis=-1), np.stack([xy, yy], axis=-1)], axis=-2) * stride**2
+    points = (np.stack([x, y], axis=-1) + 0.5) * stride - 0.5
+    row, column = np.mgrid[:height, :width]
+    distance = (row - y[:, None, None]) ** 2 + (column - x[:, None, None]) ** 2
+    mass = np.where(distance <= (reach / stride) ** 2, flat, 0.0).sum(axis=(1, 2))
+    shape = (batch, count)
+    return Decoded(points.reshape(*shape, 2), covariance.reshape(*shape, 2, 2), np.minimum(mass, 1.0).reshape(shape))

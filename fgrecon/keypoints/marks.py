@@ -1,0 +1,96 @@
+"""Keypoints marked by hand, with their photographs: the judge of the networks, never learnt from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.errors import InvalidInputError
+from fgrecon.json_fields import Fields, read_json
+
+__all__ = ["Mark", "read_photograph_marks", "read_street_marks"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Mark:
+    """One car with its keypoints.
+
+    Attributes:
+        image: The photograph's file.
+        name: Name of the car.
+        group: What it is counted under: `photographs`, or `easy`, `moderate`, `hard`.
+        box: (4,) x1, y1, x2, y2 in pixels.
+        keypoints: (K, 2) pixels.
+        visible: (K,) whether each can be seen; others hold a guess and are not scored.
+    """
+
+    image: Path
+    name: str
+    group: str
+    box: Array
+    keypoints: Array
+    visible: NDArray[np.bool_]
+
+    @property
+    def extent(self) -> float:
+        """Longer side of the box, pixels."""
+        return float((self.box[2:] - self.box[:2]).max())
+
+
+def read_photograph_marks(path: Path, images: Path, size: int = 14) -> list[Mark]:
+    """Marks on photographs that show one car each and are cropped to it.
+
+    Args:
+        path: JSON file.
+        images: Folder of the photographs.
+        size: Number K of keypoints.
+
+    Raises:
+        InvalidInputError: The file is malformed; names the field.
+    """
+    marks = []
+    for fields in _entries(path):
+        name = fields.get("image", str)
+        width, height = fields.get("width", int), fields.get("height", int)
+        box = np.array([-0.5, -0.5, width - 0.5, height - 0.5])
+        marks.append(Mark(images / name, name, "photographs", box, *_keypoints(fields, size)))
+    return marks
+
+
+def read_street_marks(path: Path, images: Path, size: int = 14) -> list[Mark]:
+    """Marks on the cars of street images; the name is `frame/line of the label file`.
+
+    Args:
+        path: JSON file.
+        images: Folder of the images.
+        size: Number K of keypoints.
+
+    Raises:
+        InvalidInputError: The file is malformed; names the field.
+    """
+    marks = []
+    for fields in _entries(path):
+        frame = fields.get("frame", str)
+        name = f"{frame}/{fields.get('object_index', int)}"
+        box = fields.numbers("box_xyxy", (4,))
+        marks.append(Mark(images / f"{frame}.png", name, fields.get("regime", str), box, *_keypoints(fields, size)))
+    return marks
+
+
+def _entries(path: Path) -> list[Fields]:
+    entries = read_json(path)
+    if not isinstance(entries, list):
+        raise InvalidInputError(str(path), type(entries).__name__, "Give a list of marked cars.")
+    return [Fields(entry, f"{path}: [{number}].") for number, entry in enumerate(entries)]
+
+
+def _keypoints(fields: Fields, size: int) -> tuple[Array, NDArray[np.bool_]]:
+    visible = fields.get("visible", list)
+    if len(visible) != size or not all(isinstance(seen, bool) for seen in visible):
+        raise InvalidInputError(f"{fields.where}visible", visible, f"Give a list of {size} true or false.")
+    return fields.numbers("keypoints_uv", (size, 2)), np.array(visible, dtype=bool)

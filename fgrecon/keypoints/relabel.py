@@ -1,0 +1,142 @@
+"""Labels corrected by a factor graph over all photographs of one shape.
+
+    N(0, I) ---- L(0) ------- reprojection, robust, 14 x 2 per photograph ------- X(0, t) ---- measured pose
+    offsets ---- O(0) ---------------+                                           (one each)
+    prior          |
+                symmetry ---- M(0)
+
+The keypoints that the network found in the photographs of a shape, each with its covariance and confidence, meet in one
+shape: coefficients and a small free offset per keypoint, shared by all. The measured poses are good to a few degrees;
+each photograph may correct its own within that. What the network gets wrong on single photographs the robust loss and
+the others outvote; what the first labels had wrong for the whole shape the network's view of all shapes corrects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+import factors
+from factors import L, LinearShape, M, O, ProjectionKernel, RobustLoss, X
+from fgrecon.keypoints.labels import ShapeFit
+from fgrecon.keypoints.posed_cars import PosedCar
+from fgrecon.priors.shape_prior import ShapePrior
+
+__all__ = ["Found", "Relabelled", "relabel_shape"]
+
+Array = NDArray[np.float64]
+
+_TURN_SIGMA = np.deg2rad(5.0)  # of the measured poses
+_SHIFT_SIGMA = np.array([0.02, 0.02, 0.06])  # across, down and along the view, in diagonals of the car's box
+_OFFSET_SIGMA = 0.02  # of a keypoint's free offset per axis: 10 cm on a car of 5 m
+_SYMMETRY_SIGMA = 0.002
+_POINT_SIGMA = 0.02  # of the network's points, as a fraction of the photograph's longer side, beside their covariance
+_LOSS = RobustLoss.of("geman_mcclure", 2.0)
+_LEAST_CONFIDENCE = 0.05
+_DISAGREES = np.deg2rad(12.0)  # a photograph whose pose had to turn further is left out
+_SUPPORT = 0.4  # share of the confidence that has to agree with the shape
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the network found in M photographs.
+
+    Attributes:
+        keypoints: (M, K, 2) pixels.
+        confidence: (M, K).
+        covariance: (M, K, 2, 2) square pixels.
+    """
+
+    keypoints: Array
+    confidence: Array
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class Relabelled:
+    """The corrected shape and poses of a group.
+
+    Attributes:
+        fit: The shape, with free offsets.
+        cars: The photographs with corrected poses.
+        trusted: (M,) whether a photograph agrees with the shape well enough to learn from.
+        residual: (M, K) distance of the network's points from the labels as a fraction of the longer side.
+    """
+
+    fit: ShapeFit
+    cars: tuple[PosedCar, ...]
+    trusted: NDArray[np.bool_]
+    residual: Array
+
+
+def relabel_shape(prior: ShapePrior, cars: Sequence[PosedCar], start: ShapeFit, found: Found) -> Relabelled:
+    """Correct shape and poses of the photographs of one shape.
+
+    Args:
+        prior: Model of the shapes, in the unit of the poses.
+        cars: The photographs with their measured poses.
+        start: The shape so far.
+        found: What the network found in them.
+    """
+    shape = LinearShape(prior.mean, prior.basis, L(0), O(0))
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph.add(factors.coefficients_prior(L(0), prior.dimension))
+    graph.add(factors.offsets_prior(O(0), np.full(prior.category.size, _OFFSET_SIGMA)))
+    graph.add(factors.symmetry_factor(shape, prior.category.symmetric_pairs, M(0), _SYMMETRY_SIGMA))
+    values.insert(L(0), start.coefficients)
+    values.insert(O(0), start.offsets.ravel())
+    values.insert(M(0), gtsam.OrientedPlane3(np.array([0.0, 0.0, 1.0, 0.0])))
+    extent = np.array([max(car.size) for car in cars], dtype=np.float64)
+    covariance = found.covariance + (_POINT_SIGMA * extent)[:, None, None, None] ** 2 * np.eye(2)
+    covariance = (covariance + covariance.swapaxes(-1, -2)) / 2
+    weights = np.where(found.confidence < _LEAST_CONFIDENCE, 0.0, found.confidence)
+    for number, car in enumerate(cars):
+        pose = gtsam.Pose3(gtsam.Rot3(car.rotation), car.translation)
+        values.insert(X(0, number), pose)
+        # GTSAM's increments are in the object's frame; the shift's spread is given in the camera's.
+        spread = car.rotation.T @ np.diag(_SHIFT_SIGMA**2) @ car.rotation
+        full = np.zeros((6, 6))
+        full[:3, :3], full[3:, 3:] = _TURN_SIGMA**2 * np.eye(3), (spread + spread.T) / 2
+        graph.add(gtsam.PriorFactorPose3(X(0, number), pose, gtsam.noiseModel.Gaussian.Covariance(full)))
+        if weights[number].any():
+            kernel = ProjectionKernel(shape, car.matrix, X(0, number))
+            graph.add(
+                factors.stacked_reprojection_factor(
+                    kernel,
+                    found.keypoints[number],
+                    weights[number],
+                    1.0,
+                    covariances=covariance[number],
+                    robust=_LOSS,
+                )
+            )
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setMaxIterations(30)
+    parameters.setRelativeErrorTol(1e-4)
+    solved = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
+    fit = ShapeFit(solved.atVector(L(0)), solved.atVector(O(0)).reshape(-1, 3), start.edge_error)
+    poses = [solved.atPose3(X(0, number)) for number in range(len(cars))]
+    corrected = tuple(
+        replace(car, rotation=pose.rotation().matrix(), translation=pose.translation())
+        for car, pose in zip(cars, poses, strict=True)
+    )
+    points = prior.keypoints(fit.coefficients, fit.offsets)
+    projected = np.array([car.project(points) for car in corrected])
+    difference = found.keypoints - projected
+    distance = np.sqrt(np.einsum("mki,mkij,mkj->mk", difference, np.linalg.inv(covariance), difference))
+    # GTSAM's loss sees the distance times the root of the weight, as its noise models do.
+    agrees = _LOSS.weights(distance * np.sqrt(weights)) > 0.5
+    support = (weights * agrees).sum(axis=1) / np.maximum(weights.sum(axis=1), 1e-9)
+    turned = np.array([_angle(a.rotation, b.rotation) for a, b in zip(cars, corrected, strict=True)])
+    trusted = (support >= _SUPPORT) & (turned < _DISAGREES)
+    residual = np.linalg.norm(difference, axis=-1) / extent[:, None]
+    return Relabelled(fit, corrected, trusted, residual)
+
+
+def _angle(first: Array, second: Array) -> float:
+    """Angle between two rotations, radians."""
+    return float(np.arccos(np.clip((np.trace(first.T @ second) - 1.0) / 2.0, -1.0, 1.0)))

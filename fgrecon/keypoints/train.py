@@ -1,0 +1,237 @@
+"""Training of KNet: resumable, the same samples for the same seed however often it is interrupted."""
+
+from __future__ import annotations
+
+import copy
+import io
+import pickle
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch.utils.data import DataLoader, Dataset
+
+from fgrecon.errors import InvalidInputError
+from fgrecon.files import write_bytes
+from fgrecon.keypoints.augment import Street
+from fgrecon.keypoints.dataset import Photographs
+from fgrecon.keypoints.knet import KNet, KNetSettings, load_imagenet
+from fgrecon.keypoints.losses import knet_loss
+
+__all__ = ["Progress", "Training", "load_checkpoint", "train_knet"]
+
+Array = NDArray[np.float64]
+
+_CLIP = 5.0  # largest norm of a step's gradient
+
+
+@dataclass(frozen=True)
+class Training:
+    """How KNet is trained.
+
+    Attributes:
+        steps: Gradient steps in all; the last `decay` of them lower the rate to zero.
+        decay: Share of the steps.
+        batch: Samples per step.
+        rate: Learning rate; the pretrained encoder's is half of it.
+        warmup: Steps over which the rate rises.
+        sigma: Standard deviation of the target Gaussians, pixels of the crop.
+        average: Decay per step of the moving average of the weights, which is what is kept.
+        seed: Of samples and first weights.
+        save_every: Steps between checkpoints.
+        workers: Processes that make samples; 0 makes them in this one.
+        network: Sizes.
+        street: Augmentation.
+    """
+
+    steps: int = 4000
+    decay: float = 0.25
+    batch: int = 32
+    rate: float = 1e-3
+    warmup: int = 100
+    sigma: float = 2.5
+    average: float = 0.998
+    seed: int = 0
+    save_every: int = 100
+    workers: int = 1
+    network: KNetSettings = field(default_factory=KNetSettings)
+    street: Street = field(default_factory=Street)
+
+    def rate_at(self, step: int) -> float:
+        """Learning rate of a step: up, level, and down to zero."""
+        start = round(self.steps * (1.0 - self.decay))
+        down = 1.0 if step < start else (self.steps - step) / max(self.steps - start, 1)
+        return self.rate * min(1.0, (step + 1) / max(self.warmup, 1)) * max(down, 0.0)
+
+
+@dataclass(frozen=True)
+class Progress:
+    """A step's losses, for display.
+
+    Attributes:
+        step: Steps done.
+        steps: Of how many.
+        losses: Mean of each part of the loss since the last report.
+    """
+
+    step: int
+    steps: int
+    losses: dict[str, float]
+
+
+class _Samples(Dataset):  # type: ignore[misc]
+    """Sample number i of the training, whichever step or process asks for it."""
+
+    def __init__(
+        self,
+        photographs: Photographs,
+        chosen: NDArray[np.intp],
+        weights: Array,
+        partner: NDArray[np.intp],
+        how: Training,
+    ) -> None:
+        self.photographs, self.chosen, self.weights, self.partner, self.how = photographs, chosen, weights, partner, how
+
+    def __getitem__(self, number: int) -> tuple[Any, ...]:
+        drawn = self.photographs.draw(
+            self.chosen, self.weights, self.how.street, self.partner, (self.how.seed, int(number))
+        )
+        numbers = (drawn.keypoints, drawn.visible, np.array(drawn.azimuth))
+        return (torch.from_numpy(drawn.crop), *(torch.from_numpy(n.astype(np.float32)) for n in numbers))
+
+
+def train_knet(
+    photographs: Photographs,
+    chosen: NDArray[np.intp],
+    weights: Array,
+    partner: NDArray[np.intp],
+    checkpoint: Path,
+    how: Training,
+    *,
+    imagenet: dict[str, Any] | None = None,
+    device: str = "cpu",
+    report: Callable[[Progress], None] | None = None,
+    stop: Callable[[], bool] | None = None,
+) -> KNet:
+    """Train, or go on where the checkpoint ends.
+
+    Args:
+        photographs: Prepared photographs with labels.
+        chosen: Which of them to learn from.
+        weights: How often to draw each.
+        partner: (K,) index of each keypoint's mirror image.
+        checkpoint: File to go on from and to write to.
+        how: Settings.
+        imagenet: Weights to start the encoder from, without a checkpoint.
+        device: Torch's name of the device; mixed precision on a GPU.
+        report: Called after every `save_every` steps.
+        stop: Asked after every step whether to end early, after a last checkpoint.
+
+    Returns:
+        The averaged network, in evaluation mode.
+    """
+    torch.manual_seed(how.seed)
+    network = KNet(how.network)
+    if imagenet is not None:
+        load_imagenet(network, imagenet)
+    average = copy.deepcopy(network)
+    encoder = [p for part in (network.stem, network.stages) for p in part.parameters()]
+    inner = {id(p) for p in encoder}
+    others = [p for p in network.parameters() if id(p) not in inner]
+    optimizer = torch.optim.AdamW([{"params": encoder, "share": 0.5}, {"params": others, "share": 1.0}], lr=how.rate)
+    first = 0
+    if checkpoint.exists():
+        first = _restore(checkpoint, network, average, optimizer, how)
+    for part in (network, average):
+        part.to(device=device, memory_format=torch.channels_last)
+    network.train()
+    sums: dict[str, float] = {}
+    samples = _Samples(photographs, chosen, weights, partner, how)
+    for step, batch in enumerate(_batches(samples, how, first), start=first):
+        crops, points, visible, azimuth = (b.to(device) for b in batch)
+        crops = crops.permute(0, 3, 1, 2).float()
+        for group in optimizer.param_groups:
+            group["lr"] = how.rate_at(step) * group["share"]
+        with torch.autocast(device, dtype=torch.bfloat16, enabled=device != "cpu"):
+            output = network(crops)
+        losses = knet_loss(output, points, visible, azimuth, how.sigma)
+        optimizer.zero_grad(set_to_none=True)
+        losses["total"].backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), _CLIP)
+        optimizer.step()
+        _follow(average, network, min(how.average, (step + 1) / (step + 10)))
+        for name, value in losses.items():
+            sums[name] = sums.get(name, 0.0) + float(value.detach())
+        ending = step + 1 == how.steps or (stop is not None and stop())
+        if (step + 1) % how.save_every == 0 or ending:
+            _save(checkpoint, network, average, optimizer, step + 1, how)
+            if report is not None:
+                count = (step % how.save_every) + 1
+                report(Progress(step + 1, how.steps, {name: value / count for name, value in sums.items()}))
+            sums = {}
+        if ending:
+            break
+    average.eval()
+    return average
+
+
+def _batches(samples: _Samples, how: Training, first: int) -> Iterator[Any]:
+    numbers = range(first * how.batch, how.steps * how.batch)
+    yield from DataLoader(
+        samples,
+        batch_size=how.batch,
+        sampler=list(numbers),
+        num_workers=how.workers,
+        worker_init_fn=_quiet if how.workers else None,
+        prefetch_factor=4 if how.workers else None,
+    )
+
+
+def _quiet(_: int) -> None:
+    """A worker is one thread: the cores belong to the network."""
+    import cv2
+
+    cv2.setNumThreads(1)
+
+
+def _follow(average: KNet, network: KNet, decay: float) -> None:
+    with torch.no_grad():
+        for kept, value in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
+            if kept.dtype.is_floating_point:
+                kept.lerp_(value, 1.0 - decay)
+            else:
+                kept.copy_(value)
+
+
+def _save(path: Path, network: KNet, average: KNet, optimizer: Any, step: int, how: Training) -> None:
+    content = io.BytesIO()
+    states = {"network": network.state_dict(), "average": average.state_dict(), "optimizer": optimizer.state_dict()}
+    torch.save({**states, "step": step, "settings": how.network.to_dict()}, content)
+    write_bytes(path, content.getvalue())
+
+
+def _restore(path: Path, network: KNet, average: KNet, optimizer: Any, how: Training) -> int:
+    content = load_checkpoint(path)
+    if content["settings"] != how.network.to_dict():
+        raise InvalidInputError("checkpoint", content["settings"], "Give a checkpoint of a network of the same sizes.")
+    network.load_state_dict(content["network"])
+    average.load_state_dict(content["average"])
+    optimizer.load_state_dict(content["optimizer"])
+    return int(content["step"])
+
+
+def load_checkpoint(path: Path) -> dict[str, Any]:
+    """The content of a checkpoint.
+
+    Raises:
+        InvalidInputError: The file is no checkpoint.
+    """
+    try:
+        content: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+    except (OSError, RuntimeError, EOFError, ValueError, KeyError, pickle.UnpicklingError) as error:
+        raise InvalidInputError("checkpoint", str(path), "Give a checkpoint that the training wrote.") from error
+    return content

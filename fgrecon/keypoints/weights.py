@@ -1,0 +1,97 @@
+"""The network's weights as a safetensors file: half precision, with sizes and calibration beside them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from fgrecon.errors import InvalidInputError
+from fgrecon.files import write_bytes
+from fgrecon.keypoints.decode import Calibration
+
+__all__ = ["FORMAT", "Stored", "load_weights", "save_weights", "shipped"]
+
+FORMAT = "fgrecon.knet/1"
+
+_NAME = "knet-car14.safetensors"
+
+
+@dataclass(frozen=True)
+class Stored:
+    """A network as it is kept.
+
+    Attributes:
+        state: Tensors by name.
+        settings: Sizes of the network.
+        calibration: From its outputs to confidences.
+        provenance: Learnt from what (plain strings).
+    """
+
+    state: Mapping[str, Any]
+    settings: Mapping[str, int]
+    calibration: Calibration
+    provenance: Mapping[str, str]
+
+
+def shipped() -> Path:
+    """The file that comes with the package.
+
+    Raises:
+        InvalidInputError: This installation has none.
+    """
+    path = Path(str(resources.files("fgrecon") / "data" / "weights" / _NAME))
+    if not path.is_file():
+        fix = "Train a network with `fgrecon keypoints train` and give its file, or give the keypoints yourself."
+        raise InvalidInputError("weights", "this installation has no keypoint network", fix)
+    return path
+
+
+def save_weights(path: Path, stored: Stored) -> Path:
+    """Write a network; numbers become half precision (the loss in accuracy is far below a pixel)."""
+    import torch
+    from safetensors.torch import save
+
+    tensors = {}
+    for name, value in stored.state.items():
+        if value.dtype.is_floating_point:
+            value = value.clamp(-6e4, 6e4).to(torch.float16)
+        if not name.endswith("num_batches_tracked"):
+            tensors[name] = value.cpu().contiguous().clone()
+    about = {
+        "format": FORMAT,
+        "settings": json.dumps(dict(stored.settings)),
+        "calibration": json.dumps(stored.calibration.to_dict()),
+        "provenance": json.dumps(dict(stored.provenance)),
+    }
+    return write_bytes(path, save(tensors, about))
+
+
+def load_weights(path: Path) -> Stored:
+    """Read a network.
+
+    Raises:
+        InvalidInputError: The file cannot be read or is no network of ours.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    fix = "Give a file that `fgrecon keypoints train` wrote."
+    try:
+        with safe_open(str(path), framework="pt") as file:
+            about = file.metadata() or {}
+            if about.get("format") != FORMAT:
+                raise InvalidInputError("weights", str(path), fix)
+            state = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118
+        return Stored(
+            state,
+            json.loads(about["settings"]),
+            Calibration.from_dict(json.loads(about["calibration"])),
+            json.loads(about["provenance"]),
+        )
+    except (SafetensorError, OSError, ValueError, KeyError) as error:
+        if isinstance(error, InvalidInputError):
+            raise
+        raise InvalidInputError("weights", f"{path}: {error}", fix) from error

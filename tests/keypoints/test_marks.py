@@ -1,0 +1,35 @@
+"""Reading keypoints marked by hand."""
+
+import json
+
+import numpy as np
+import pytest
+
+from fgrecon.errors import InvalidInputError
+from fgrecon.keypoints.marks import read_photograph_marks, read_street_marks
+
+POINTS = {"keypoints_uv": [[1.0, 2.0]] * 14, "visible": [True] + [False] * 13}
+
+
+def written(path, entries):
+    path.write_text(json.dumps(entries))
+    return path
+
+
+def test_photographs_and_streets(tmp_path):
+    photo = {"image": "a.jpg", "width": 20, "height": 10, **POINTS}
+    (mark,) = read_photograph_marks(written(tmp_path / "p.json", [photo]), tmp_path)
+    assert (mark.name, mark.group, mark.extent) == ("a.jpg", "photographs", 20.0)
+    street = {"frame": "000003", "object_index": 2, "regime": "easy", "box_xyxy": [0, 0, 30, 40], **POINTS}
+    (mark,) = read_street_marks(written(tmp_path / "s.json", [street]), tmp_path)
+    assert (mark.name, mark.group, mark.extent) == ("000003/2", "easy", 40.0)
+    assert mark.image == tmp_path / "000003.png"
+    np.testing.assert_array_equal(mark.visible, [True] + [False] * 13)
+
+
+def test_what_is_wrong_is_named(tmp_path):
+    photo = {"image": "a.jpg", "width": 20, "height": 10, **POINTS, "visible": [1] * 14}
+    with pytest.raises(InvalidInputError, match=r"\[0\].visible"):
+        read_photograph_marks(written(tmp_path / "p.json", [photo]), tmp_path)
+    with pytest.raises(InvalidInputError, match="list of marked cars"):
+        read_street_marks(written(tmp_path / "s.json", {}), tmp_path)

@@ -1,0 +1,58 @@
+"""The factor graph over all photographs of one shape."""
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+
+from fgrecon.keypoints.labels import ShapeFit
+from fgrecon.keypoints.relabel import Found, relabel_shape
+from tests.keypoints.support import made_up_cars, unit_car_prior
+
+
+def test_shape_and_poses_are_corrected_and_lies_outvoted():
+    rng = np.random.default_rng(3)
+    prior = unit_car_prior()
+    truth, offsets = np.array([0.9, -0.7, 0.4, 0.3, 0.0]), np.zeros((14, 3))
+    offsets[4:6, 1] = 0.02  # both headlights lower than any shape of the model has them
+    points = prior.keypoints(truth, offsets)
+    cars = made_up_cars(prior, truth, 30, rng)
+    extent = np.array([max(car.size) for car in cars])[:, None, None]
+    keypoints = np.array([car.project(points) for car in cars])
+    keypoints += rng.normal(0, 0.01, keypoints.shape) * extent
+    wrong = rng.random((30, 14)) < 0.15
+    keypoints[wrong] += (rng.normal(0, 0.3, keypoints.shape) * extent)[wrong]
+    covariance = np.broadcast_to(np.eye(2), (30, 14, 2, 2)).copy()
+    measured = []
+    for car in cars:
+        pose = gtsam.Pose3(gtsam.Rot3(car.rotation), car.translation)
+        pose = pose.retract(rng.normal(0, 1, 6) * [0.02, 0.05, 0.02, 0.005, 0.005, 0.01])
+        measured.append(replace(car, rotation=pose.rotation().matrix(), translation=pose.translation()))
+    start = ShapeFit(np.zeros(5), np.zeros((14, 3)), np.zeros((30, 4)))
+    found = Found(keypoints, np.full((30, 14), 0.8), covariance)
+
+    result = relabel_shape(prior, measured, start, found)
+
+    shape = prior.keypoints(result.fit.coefficients, result.fit.offsets)
+
+    def label_error(photographs, shape):
+        projected = np.array([car.project(shape) for car in photographs])
+        exact = np.array([car.project(points) for car in cars])
+        return np.median(np.linalg.norm(projected - exact, axis=-1) / extent[..., 0])
+
+    assert label_error(result.cars, shape) < 0.35 * label_error(measured, prior.mean)
+    assert label_error(result.cars, shape) < 0.01
+    assert result.trusted.mean() > 0.9
+    assert np.abs(shape * [1, 1, -1] - shape[prior.category.mirror]).max() < 0.01
+
+
+def test_a_photograph_that_contradicts_the_shape_is_not_trusted():
+    rng = np.random.default_rng(4)
+    prior = unit_car_prior()
+    cars = made_up_cars(prior, np.zeros(5), 15, rng)
+    keypoints = np.array([car.project(prior.mean) for car in cars])
+    keypoints[7] = rng.uniform(0, 200, (14, 2))
+    found = Found(keypoints, np.full((15, 14), 0.8), np.broadcast_to(np.eye(2), (15, 14, 2, 2)).copy())
+    result = relabel_shape(prior, cars, ShapeFit(np.zeros(5), np.zeros((14, 3)), np.zeros((15, 4))), found)
+    assert not result.trusted[7]
+    assert result.trusted.sum() >= 13
