@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fgrecon.cli import evaluate_icra2017, evaluate_shape
 from fgrecon.cli.common import GroundOption, JsonOption, PriorOption, check_output, console, ground_plane
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
@@ -29,6 +30,10 @@ _FAILURES_SHOWN = 5
 app = typer.Typer(help="Compare fgrecon with other methods on data with known poses.", no_args_is_help=True)
 
 
+app.command("shape")(evaluate_shape.shape_command)
+app.command("icra2017")(evaluate_icra2017.icra2017_command)
+
+
 @app.callback()
 def _group() -> None:
     """Compare fgrecon with other methods on data with known poses."""
@@ -38,7 +43,11 @@ def _group() -> None:
 def tracks_command(
     files: Annotated[list[Path], typer.Argument(help="Tracks with keypoints and labelled poses (JSON).")],
     method: Annotated[
-        list[str] | None, typer.Option(help="Run this method alone; give it again for more.", show_default="all")
+        list[str] | None,
+        typer.Option(
+            help="Run this method alone; give it again for more. With another robust strategy: fgrecon+size:paper.",
+            show_default="all",
+        ),
     ] = None,
     prior: PriorOption = "car14",
     size_prior: Annotated[

@@ -2,7 +2,8 @@
 
 A method is bound once to what is known about the scene (shape prior, ground plane, fleet size) and then maps an
 observation and a camera to a pose. The part of a name after `+` says what the method was told: `+size` the mean size of
-the fleet, `+ground` the ground plane; a method without them is not shown these values.
+the fleet, `+ground` the ground plane; a method without them is not shown these values. A robust strategy may follow
+after a colon (`fgrecon+ground+size:paper`): see `fgrecon.robust`; `none` keeps the first weights (Eq. 4).
 
 The baselines fit the prior's mean shape, scaled per axis to the fleet's mean size where they are told it.
 """
@@ -22,8 +23,19 @@ from fgrecon.errors import FgreconError, InvalidInputError
 from fgrecon.observation import Observation
 from fgrecon.priors.shape_prior import ShapePrior
 from fgrecon.priors.size_prior import SizePrior
+from fgrecon.robust import RobustStrategy, StrategyName, strategy
 
-__all__ = ["CONFIDENT", "METHODS", "RANSAC_TOLERANCE", "Estimate", "Method", "Scene", "select"]
+__all__ = [
+    "CONFIDENT",
+    "METHODS",
+    "NO_UPDATES",
+    "RANSAC_TOLERANCE",
+    "Estimate",
+    "Method",
+    "Scene",
+    "named_strategy",
+    "select",
+]
 
 CONFIDENT = 0.3
 """Confidence above which `sqpnp_confident` uses a point."""
@@ -32,6 +44,10 @@ RANSAC_TOLERANCE = 0.12
 """Inlier threshold of the RANSAC baseline relative to the longer side of the box: on real network keypoints the best of
 0.05 to 0.2, so that the baseline is not handicapped (0.1, the tolerance of the APK, costs it two flips in 76)."""
 
+NO_UPDATES = "none"
+"""Name of the strategy that keeps the paper's first weights (Eq. 4): no IRLS."""
+
+_OURS = "fgrecon"
 _MINIMUM = 4  # fewer points leave several poses
 
 
@@ -88,14 +104,28 @@ def select(names: Iterable[str] | None = None) -> tuple[Method, ...]:
     """The methods of the given names in this order without repetitions, or all of them.
 
     Raises:
-        InvalidInputError: There is no method of a name.
+        InvalidInputError: There is no method, or no robust strategy, of a name.
     """
     chosen: dict[str, Method] = {}
     for name in METHODS if names is None else names:
-        if name not in METHODS:
-            raise InvalidInputError("method", name, f"Use one of {', '.join(METHODS)}.")
-        chosen[name] = METHODS[name]
+        method, _, robust = name.partition(":")
+        if method not in METHODS or (robust and not method.startswith(_OURS)):
+            fix = f"Use one of {', '.join(METHODS)}; after {_OURS}... also a robust strategy, as in {_OURS}:paper."
+            raise InvalidInputError("method", name, fix)
+        chosen[name] = METHODS[method]
+        if robust:
+            told = method.split("+")
+            chosen[name] = _fgrecon(name, ground="ground" in told, size="size" in told, robust=named_strategy(robust))
     return tuple(chosen.values())
+
+
+def named_strategy(name: str) -> RobustStrategy:
+    """A robust strategy by its name, or `NO_UPDATES`.
+
+    Raises:
+        InvalidInputError: There is none of that name.
+    """
+    return RobustStrategy(name=StrategyName.PAPER, updates=0) if name == NO_UPDATES else strategy(name)
 
 
 Shape = NDArray[np.float64]
@@ -196,14 +226,14 @@ def _baseline(name: str, summary: str, load: Callable[[], PnP], *, size: bool) -
     return Method(f"{name}+size" if size else name, summary, bind, lambda scene: f"mean shape of {prior(scene).name}")
 
 
-def _fgrecon(name: str, *, ground: bool, size: bool) -> Method:
+def _fgrecon(name: str, *, ground: bool, size: bool, robust: RobustStrategy | None = None) -> Method:
     def bind(scene: Scene) -> Solver:
         from fgrecon.options import BoxModel, Options
         from fgrecon.pipeline import reconstruct
         from fgrecon.reconstruction import Status
 
         # KITTI's 2D boxes are its 3D boxes projected, to within 1 % of their size.
-        options = Options(box_model=BoxModel.CUBOID, keep_history=False)
+        options = Options(strategy=robust or RobustStrategy(), box_model=BoxModel.CUBOID, keep_history=False)
 
         def solve(observation: Observation, camera: Camera) -> Estimate:
             result = reconstruct(
