@@ -62,7 +62,10 @@ def read_pascal3d(paths: list[Path], category: Category, rename: Mapping[str, st
 
 def _objects(path: Path) -> list[dict[str, Any]]:
     """The anchors of each object of a file, by name; empty where an object has none."""
+    import zlib
+
     from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
 
     fix = "Give a file of PASCAL3D+'s Annotations folder (MATLAB 5 to 7.2 format)."
     try:
@@ -74,7 +77,7 @@ def _objects(path: Path) -> list[dict[str, Any]]:
         raise InvalidInputError(f"{path}: record", "no such variable", fix) from None
     except AttributeError:
         raise InvalidInputError(f"{path}: record.objects", "no such field", fix) from None
-    except (OSError, ValueError, TypeError, NotImplementedError, EOFError) as error:
+    except (MatReadError, zlib.error, OSError, ValueError, TypeError, NotImplementedError) as error:
         raise InvalidInputError(str(path), f"not readable: {error}", fix) from error
     anchors = [getattr(item, "anchors", None) for item in objects]
     return [

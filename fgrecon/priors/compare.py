@@ -14,7 +14,7 @@ from fgrecon.priors.shape_prior import ShapePrior
 __all__ = ["PriorComparison", "align", "compare_priors", "expression_error", "mean_error"]
 
 Array = NDArray[np.float64]
-_ITERATIONS = 30
+_ITERATIONS = 10
 
 
 @dataclass(frozen=True)
@@ -108,16 +108,25 @@ def expression_error(prior: ShapePrior, shapes: ArrayLike, *, similarity: bool =
         InvalidInputError: Wrong shapes or values.
     """
     points = as_finite("shapes", shapes, (None, prior.category.size, 3))
-    columns = prior.basis.reshape(prior.dimension, prior.mean.size).T
-    errors = np.empty(len(points))
-    for row, shape in enumerate(points):
-        fitted = prior.mean
-        for _ in range(_ITERATIONS if similarity else 1):  # alternate: coefficients, similarity
-            target, scale = align(shape, fitted)[:2] if similarity else (shape, 1.0)
-            coefficients = np.linalg.lstsq(columns, (target - prior.mean).ravel(), rcond=None)[0]
-            fitted = prior.keypoints(coefficients)
-        errors[row] = np.sqrt(np.square(fitted - target).sum(axis=1).mean()) / scale
-    return errors
+    return np.array([_expression_error(prior, shape, similarity=similarity) for shape in points])
+
+
+def _expression_error(prior: ShapePrior, shape: Array, *, similarity: bool) -> float:
+    """Gauss-Newton over coefficients and similarity together, the similarity made exact after each step."""
+    coefficients = np.zeros(prior.dimension)
+    moved, scale, rotation = prior.mean, 1.0, np.eye(3)
+    for _ in range(_ITERATIONS if similarity else 1):
+        if similarity:
+            moved, scale, rotation = align(prior.keypoints(coefficients), shape)
+        columns = (scale * prior.basis @ rotation.T).reshape(prior.dimension, -1)
+        if similarity:
+            columns = np.concatenate([columns, _motions(moved)])
+        step = np.linalg.lstsq(columns.T, (shape - moved).ravel(), rcond=1e-9)[0]
+        coefficients += step[: prior.dimension]
+        moved = prior.keypoints(coefficients)
+    if similarity:
+        moved = align(moved, shape)[0]
+    return float(np.sqrt(np.square(moved - shape).sum(axis=1).mean()))
 
 
 def compare_priors(first: ShapePrior, second: ShapePrior) -> PriorComparison:
@@ -156,12 +165,17 @@ def compare_priors(first: ShapePrior, second: ShapePrior) -> PriorComparison:
 
 def _without_similarities(basis: Array, mean: Array) -> Array:
     """(N, 3K) vectors without the parts that move, turn or scale the mean as a whole."""
-    centred = mean - mean.mean(axis=0)
-    motions = [np.tile(axis, (len(mean), 1)) for axis in np.eye(3)]
-    motions += [np.cross(axis, centred) for axis in np.eye(3)] + [centred]
-    frame = np.linalg.qr(np.array(motions).reshape(7, -1).T)[0]
+    frame = np.linalg.qr(_motions(mean).T)[0]
     flat = basis.reshape(len(basis), -1)
     return np.asarray(flat - flat @ frame @ frame.T)
+
+
+def _motions(shape: Array) -> Array:
+    """(7, 3K) changes of a shape (K, 3) by translation, rotation and scale."""
+    centred = shape - shape.mean(axis=0)
+    motions = [np.tile(axis, (len(shape), 1)) for axis in np.eye(3)]
+    motions += [np.cross(axis, centred) for axis in np.eye(3)] + [centred]
+    return np.array(motions).reshape(7, -1)
 
 
 def _span(rows: Array) -> Array:
