@@ -134,8 +134,8 @@ class KeypointTerm:
         total.energy += np.where(near, np.inf, energy)
         scale = np.sqrt(weights)
         by_camera = self.whitener @ pixel_jacobian(self.matrix, camera) * scale[..., None, None]
-        by_object = by_camera @ h.rotation[:, None]
         count, size = len(h), len(self.mean)
+        by_object = (by_camera.reshape(count, 2 * size, 3) @ h.rotation).reshape(count, size, 2, 3)
         jacobian = np.concatenate(
             [cross(points[:, :, None, :], by_object), by_camera, by_object @ self.basis.transpose(1, 2, 0)], axis=-1
         )
@@ -195,19 +195,37 @@ class BoxTerm:
         total.energy += np.where(near, np.inf, self.energy(residual))
         scale = np.sqrt(self.weights(residual))
         share = share * (scale / self.sigma)[..., None]
-        by_camera = pixel_jacobian(self.matrix, camera)
-        by_object = by_camera @ h.rotation[:, None]
-        by_turn = cross(points[:, :, None], by_object)
+        total.add(residual * scale, self._jacobian(points, camera, share, h))
+
+    def _jacobian(self, points: Array, camera: Array, share: Array, h: Hypotheses) -> Array:
+        """(H, 4, 6 + N) derivative of the edges, for their derivative `share` (H, 4, P) by each point's pixel.
+
+        Points come last in memory, and sums over them are one product: with g_p the derivative of an edge by the object
+        point X_p, sum_p g_p (X_p, 1)' holds that by the translation, and in its antisymmetric part X_p x g_p, that by
+        the turn.
+        """
         count, size = len(h), len(self.mean)
-        flat_basis = self.basis.reshape(len(self.basis), 3 * size).T
+        inverse = 1.0 / camera[..., 2]
+        x, y = camera[..., 0] * inverse, camera[..., 1] * inverse
+        gradient = np.zeros((count, 2, 3, size))
+        gradient[:, 0, 0] = self.matrix[0, 0] * inverse
+        gradient[:, 0, 1] = self.matrix[0, 1] * inverse
+        gradient[:, 1, 1] = self.matrix[1, 1] * inverse
+        gradient[:, 0, 2] = -(self.matrix[0, 0] * x + self.matrix[0, 1] * y) * inverse
+        gradient[:, 1, 2] = -self.matrix[1, 1] * y * inverse
+        gradient = h.rotation.transpose(0, 2, 1)[:, None] @ gradient
+        by_point = (share.reshape(count, 2, 2, 1, size) * gradient[:, None]).reshape(count, 4, 3, size)
+        homogeneous = np.ones((count, 1, size, 4))
+        homogeneous[:, 0, :, :3] = points
+        moment = by_point @ homogeneous
         jacobian = np.empty((count, 4, 6 + len(self.basis)))
-        for axis in (0, 1):
-            of_axis = share[:, axis::2]  # (H, 2, P): the lower and the upper edge
-            jacobian[:, axis::2, :3] = of_axis @ by_turn[:, :, axis]
-            jacobian[:, axis::2, 3:6] = of_axis @ by_camera[:, :, axis]
-            weighted = of_axis[..., None] * by_object[:, None, :, axis]
-            jacobian[:, axis::2, 6:] = weighted.reshape(count, 2, 3 * size) @ flat_basis
-        total.add(residual * scale, jacobian)
+        jacobian[..., 0] = moment[..., 2, 1] - moment[..., 1, 2]
+        jacobian[..., 1] = moment[..., 0, 2] - moment[..., 2, 0]
+        jacobian[..., 2] = moment[..., 1, 0] - moment[..., 0, 1]
+        jacobian[..., 3:6] = moment[..., 3] @ h.rotation.transpose(0, 2, 1)
+        flat_basis = self.basis.transpose(0, 2, 1).reshape(len(self.basis), 3 * size)
+        jacobian[..., 6:] = by_point.reshape(count, 4, 3 * size) @ flat_basis.T
+        return jacobian
 
     def _points(self, h: Hypotheses) -> Array:
         points: Array = self.mean + np.tensordot(h.coefficients, self.basis, axes=1)
@@ -217,7 +235,8 @@ class BoxTerm:
         """Extents (H, 4) of pixels (H, P, 2), and their derivative (H, 4, P) by the pixels of their axis."""
         upright = pixels.transpose(0, 2, 1)
         outward = np.concatenate([-upright, upright], axis=1)  # (H, 4, P): x1, y1, x2, y2
-        weight = np.exp((outward - outward.max(axis=2, keepdims=True)) / self.softness)
+        # Beyond 40 softnesses a weight is below the rounding of the sum; numbers near the smallest float are slow.
+        weight = np.exp(np.maximum((outward - outward.max(axis=2, keepdims=True)) / self.softness, -40.0))
         weight /= weight.sum(axis=2, keepdims=True)
         extent = (weight * outward).sum(axis=2)
         share = weight * (1.0 + (outward - extent[..., None]) / self.softness)
