@@ -2,8 +2,13 @@
 
 The weights start from the detector's confidence and the visibility (Eq. 4), a globally optimal weighted PnP gives the
 pose, and five updates (Eq. 5) follow, each with its own pose. The global solver runs first and last; in between the
-pose changes little, so the weighted reprojection error is minimised from the pose before. Over 10,000 random problems
-that ended no worse than solving globally each time (`benchmarks/bench_irls.py`).
+pose changes little, so the weighted reprojection error is minimised from the pose before.
+
+Over 10,000 simulated cars with network-like keypoints (`benchmarks/bench_irls.py`) that is a quarter faster and ends no
+worse than a global solve at each update: rotation error 7.36 degrees in the median and 10.6 in the mean, against 7.44
+and 10.8. The last weighted cost is smaller on two thirds of the cars and larger on the others, by 0.5 % in the median
+and 47 % at most. On 9 % the two poses are over a degree apart, and on four fifths of those the short way's is the
+closer one to the truth.
 """
 
 from __future__ import annotations
