@@ -59,9 +59,6 @@ def learn_command(
     even_views: Annotated[
         bool, typer.Option(help="Let each view class count alike, where the files tell the views.")
     ] = True,
-    size_vector: Annotated[
-        bool, typer.Option("--size-vector", help="Append one vector that scales the shape by the spread of the length.")
-    ] = False,
     restarts: Annotated[int, typer.Option(min=1, help="Random starts; the best likelihood is kept.")] = 3,
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
     name: Annotated[str | None, typer.Option(help="Name of the prior.", show_default="the file's")] = None,
@@ -103,7 +100,6 @@ def learn_command(
             size=size,
             options=options,
             views=data.views if even_views else None,
-            size_vector=size_vector,
             name=name or out.stem,
             provenance={"source": data.source},
             progress=progress,

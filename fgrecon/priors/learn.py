@@ -55,7 +55,6 @@ def learn_prior(
     size: SizePrior | None = None,
     options: NrsfmOptions | None = None,
     views: ArrayLike | None = None,
-    size_vector: bool = False,
     name: str = "nrsfm",
     provenance: Mapping[str, str] | None = None,
     progress: ProgressCallback | None = None,
@@ -68,7 +67,6 @@ def learn_prior(
         size: Mean size of the fleet, which sets the scale in metres; for cars that of the 79 car models by default.
         options: How to learn.
         views: (M,) class of each image's viewing direction, where known; the classes then count alike.
-        size_vector: See `to_prior`.
         name: Name of the prior.
         provenance: What it was learnt from; how is added here.
         progress: Told of the progress; it may raise to stop.
@@ -95,7 +93,7 @@ def learn_prior(
         ),
         "scale": f"box of {size.name}: {', '.join(f'{x:g}' for x in size.mean)} m",
     }
-    return to_prior(category, result, size, size_vector=size_vector, name=name, provenance=how)
+    return to_prior(category, result, size, name=name, provenance=how)
 
 
 def to_prior(
@@ -103,7 +101,6 @@ def to_prior(
     result: NrsfmResult,
     size: SizePrior,
     *,
-    size_vector: bool = False,
     name: str = "nrsfm",
     provenance: Mapping[str, str] | None = None,
 ) -> LearntPrior:
@@ -116,10 +113,7 @@ def to_prior(
     Args:
         category: The category that was learnt.
         result: What NRSfM found.
-        size: Mean size of the fleet and its spread.
-        size_vector: Append one vector that scales the whole shape by the spread of the fleet's length: scaled
-            orthography sees no difference between a large vehicle and a near one, so that the learnt vectors hold
-            differences of proportion alone.
+        size: Mean size of the fleet; how much each dimension counts for the common scale follows from its spread.
         name: Name of the prior.
         provenance: Plain strings about where it came from.
 
@@ -134,9 +128,6 @@ def to_prior(
     basis = at_ground_level(category, levelled(category, mean, scale * result.basis))
     strength = np.square(result.basis).sum(axis=(1, 2))
     explained = strength / (strength.sum() + 3.0 * np.square(result.residual_sigma).sum())
-    if size_vector:
-        basis = np.concatenate([basis, mean[None] * (size.sigma[0] / size.mean[0])])
-        explained = np.append(explained, 0.0)
     variance = np.square(scale * result.residual_sigma)
     prior = ShapePrior(
         category=category,
