@@ -1,0 +1,84 @@
+"""How sure a table's numbers are: percentile intervals of the bootstrap."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fgrecon.checks import as_shape
+from fgrecon.errors import InvalidInputError
+
+__all__ = ["Interval", "mean_interval", "resampled", "statistic_interval"]
+
+_SAMPLES = 1000
+_LEVEL = 0.95
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A statistic and the interval that holds it with 95 % confidence."""
+
+    value: float
+    low: float
+    high: float
+
+
+def mean_interval(values: ArrayLike, groups: ArrayLike | None = None, seed: int = 0) -> Interval:
+    """Mean of values (M,) with its interval.
+
+    Args:
+        values: One number an instance.
+        groups: (M,) whole numbers: instances of one group (such as one image) are drawn together, since what goes
+            wrong in one may go wrong in the others; None draws each by itself.
+        seed: Seed of the resampling.
+
+    Raises:
+        InvalidInputError: There is no value, or the lengths differ.
+    """
+    numbers = _checked(values)
+    sums, counts = _per_group(numbers, groups)
+    weights = np.random.default_rng(seed).multinomial(len(sums), np.full(len(sums), 1.0 / len(sums)), _SAMPLES)
+    means = weights @ sums / (weights @ counts)
+    return _interval(float(numbers.mean()), means)
+
+
+def statistic_interval(values: ArrayLike, statistic: Callable[[NDArray[np.float64]], float], seed: int = 0) -> Interval:
+    """Any statistic of values (M,), such as the median, with its interval; each value is drawn by itself."""
+    numbers = _checked(values)
+    return _interval(statistic(numbers), np.array([statistic(sample) for sample in resampled(numbers, seed)]))
+
+
+def resampled(values: NDArray[np.float64], seed: int = 0) -> NDArray[np.float64]:
+    """(S, M) samples drawn from the values (M,) with replacement."""
+    rng = np.random.default_rng(seed)
+    drawn: NDArray[np.float64] = values[rng.integers(len(values), size=(_SAMPLES, len(values)))]
+    return drawn
+
+
+def _checked(values: ArrayLike) -> NDArray[np.float64]:
+    numbers = as_shape("values", values, (None,))
+    if not len(numbers):
+        raise InvalidInputError("values", "no instance", "Give at least one.")
+    return numbers
+
+
+def _per_group(
+    values: NDArray[np.float64], groups: ArrayLike | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    if groups is None:
+        return values, np.ones(len(values))
+    labels = np.asarray(groups)
+    if labels.shape != values.shape:
+        raise InvalidInputError("groups", f"shape {labels.shape}", f"Give {len(values)} numbers.")
+    _, index = np.unique(labels, return_inverse=True)
+    return np.bincount(index, values).astype(np.float64), np.bincount(index).astype(np.float64)
+
+
+def _interval(value: float, samples: NDArray[np.float64]) -> Interval:
+    tail = 50.0 * (1.0 - _LEVEL)
+    with np.errstate(invalid="ignore"):
+        low, high = np.percentile(samples, [tail, 100.0 - tail], method="nearest")
+    return Interval(value, float(low), float(high))
