@@ -118,7 +118,7 @@ def _expression_error(prior: ShapePrior, shape: Array, *, similarity: bool) -> f
     for _ in range(_ITERATIONS if similarity else 1):
         if similarity:
             moved, scale, rotation = align(prior.keypoints(coefficients), shape)
-        columns = (scale * prior.basis @ rotation.T).reshape(prior.dimension, -1)
+        columns = (scale * prior.basis @ rotation.T).reshape(prior.dimension, shape.size)
         if similarity:
             columns = np.concatenate([columns, _motions(moved)])
         step = np.linalg.lstsq(columns.T, (shape - moved).ravel(), rcond=1e-9)[0]
@@ -166,7 +166,7 @@ def compare_priors(first: ShapePrior, second: ShapePrior) -> PriorComparison:
 def _without_similarities(basis: Array, mean: Array) -> Array:
     """(N, 3K) vectors without the parts that move, turn or scale the mean as a whole."""
     frame = np.linalg.qr(_motions(mean).T)[0]
-    flat = basis.reshape(len(basis), -1)
+    flat = basis.reshape(len(basis), mean.size)
     return np.asarray(flat - flat @ frame @ frame.T)
 
 

@@ -149,6 +149,8 @@ def test_expression_error_of_shapes_in_the_span_is_zero():
     assert expression_error(prior, shapes).max() < 1e-9
     inside = np.stack([prior.keypoints(c) for c in np.eye(5)])
     assert expression_error(prior, inside, similarity=False).max() < 1e-9
+    assert expression_error(prior.truncated(0), 2.0 * prior.mean[None])[0] == pytest.approx(0, abs=1e-12)
+    assert compare_priors(prior.truncated(0), prior).shared_variance[0] == 0
 
 
 @pytest.mark.data
