@@ -17,7 +17,7 @@ _LARGEST = 1e9
 """No focal length is longer, in pixels; beyond, squares of numbers soon overflow."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Camera:
     """Pinhole camera: pixel = K [x/z, y/z, 1], pixel centres at integer coordinates.
 
@@ -115,7 +115,7 @@ class Camera:
         return pixels
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Ground:
     """The ground plane in the camera frame: points with normal . x = distance.
 

@@ -73,6 +73,8 @@ def load_prior(source: ShapePrior | str | Path) -> ShapePrior:
     """
     if isinstance(source, ShapePrior):
         return source
+    if not isinstance(source, str | Path):
+        raise InvalidInputError("prior", source, f"Give a prior, a path, or one of {', '.join(shipped_priors())}.")
     if isinstance(source, str) and source in shipped_priors():
         return _shipped_prior(source)
     return _prior_from_npz(str(source), _read(Path(source), "prior", shipped_priors()))
@@ -158,6 +160,7 @@ def _category_from_json(source: str, content: str | bytes) -> Category:
         raise InvalidInputError(f"{source}: {error.field}", error.value, error.fix) from error
 
 
+@lru_cache(maxsize=16)  # one object for one content, so that what is prepared for it is found again
 def _prior_from_npz(source: str, content: bytes) -> ShapePrior:
     fix = "Give an npz file that `fgrecon.catalogue.save_prior` or `fgrecon prior` wrote."
     if not zipfile.is_zipfile(io.BytesIO(content)):

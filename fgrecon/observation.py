@@ -16,7 +16,7 @@ _LARGEST = 1e7
 """No image is larger, in pixels; beyond, squares of numbers soon overflow."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Observation:
     """Keypoints of one vehicle, as a detector or a person gave them.
 

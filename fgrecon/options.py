@@ -74,7 +74,7 @@ class Options:
     symmetry_sigma: float = 0.03
     rectangularity_sigma: float = 0.05
     parallel_sigma: float = 0.03
-    laplacian_sigma: float = 0.15
+    laplacian_sigma: float = 0.5
     literal_laplacian: bool = False
     plane_penalty: float | None = None
     disabled_terms: frozenset[str] = frozenset()

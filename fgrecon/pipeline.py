@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.camera import Camera, Ground
 from fgrecon.catalogue import load_prior
 from fgrecon.checks import as_finite, as_shape
+from fgrecon.errors import InvalidInputError
 from fgrecon.model import prepare
 from fgrecon.observation import Observation
 from fgrecon.options import Options
@@ -71,6 +72,8 @@ def reconstruct(
         DegenerateProblemError: The keypoints do not determine a pose.
     """
     options = Options() if options is None else options
+    if not isinstance(options, Options):
+        raise InvalidInputError("options", options, "Give an `fgrecon.Options`.")
     shape_prior = load_prior(prior)
     camera = Camera.of(intrinsics, distortion)
     plane = ground_plane(ground)

@@ -127,6 +127,11 @@ class RobustStrategy:
         return self.name in (StrategyName.PAPER, StrategyName.PAPER_LITERAL)
 
     @property
+    def anneals(self) -> bool:
+        """Whether the weights depend on the progress, so that all updates have to be made."""
+        return self.name is StrategyName.GNC
+
+    @property
     def loss(self) -> str | None:
         """Name of the m-estimator that the factor graph puts around each keypoint, or None where weights say it all."""
         return self.name.value if self.name in _IN_GRAPH else None
@@ -157,10 +162,11 @@ class RobustStrategy:
         previous: Array | None = None,
         progress: float = 1.0,
     ) -> tuple[Array, Array]:
-        """Weights (..., K) in [0, 1] and energies (...) in nats, comparable between poses of one problem.
+        """Weights (..., K) in [0, 1] and energies (...) in nats.
 
-        The energy of `mixture` is the negative logarithm of the likelihood; that of the others the sum of the initial
-        weights times the loss (`paper`: Geman and McClure's, since Eqs. 4-5 define no energy of their own).
+        The energy of `mixture` is the negative logarithm of the likelihood: it charges for hidden and for ignored
+        points, so that poses can be compared by it. That of the others, the sum of the initial weights times the loss
+        (`paper`: Geman and McClure's, since Eqs. 4-5 define no energy), favours a pose that hides points.
 
         Args:
             squared_distance: (..., K) squared Mahalanobis distances of the residuals.

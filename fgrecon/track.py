@@ -220,7 +220,7 @@ def _solve(frames: list[_Frame], options: Options, history: list[JointStep]) -> 
     updates = max(options.strategy.updates, 1)
     for update in range(updates):
         change = max([_reweigh(frame, values, update / max(updates - 1, 1)) for frame in frames])
-        last = update == updates - 1 or (update > 0 and change < SETTLED)
+        last = update == updates - 1 or (update > 0 and change < SETTLED and not options.strategy.anneals)
         solution = minimise(
             _graph(frames),
             values,

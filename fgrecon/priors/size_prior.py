@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,8 @@ SIZE_PRIORS = {
 }
 """The named fleets."""
 
+_FIX = f"Use {', '.join(SIZE_PRIORS)} or length,width,height[,sigma_l,sigma_w,sigma_h] in metres."
+
 
 def size_prior(value: SizePrior | str) -> SizePrior:
     """A size prior by its name (`kitti`, `apollo79`) or from `length,width,height[,sigma_l,sigma_w,sigma_h]`.
@@ -59,14 +62,18 @@ def size_prior(value: SizePrior | str) -> SizePrior:
     """
     if isinstance(value, SizePrior):
         return value
-    if value in SIZE_PRIORS:
-        return SIZE_PRIORS[value]
+    if not isinstance(value, str):
+        raise InvalidInputError("size_prior", value, _FIX)
+    return SIZE_PRIORS[value] if value in SIZE_PRIORS else _parsed(value)
+
+
+@lru_cache(maxsize=64)  # one object for one text, so that what is prepared for it is found again
+def _parsed(text: str) -> SizePrior:
     try:
-        numbers = np.array([float(part) for part in value.split(",")])
+        numbers = np.array([float(part) for part in text.split(",")])
     except ValueError:
         numbers = np.empty(0)
     if len(numbers) not in (3, 6):
-        fix = f"Use {', '.join(SIZE_PRIORS)} or length,width,height[,sigma_l,sigma_w,sigma_h] in metres."
-        raise InvalidInputError("size_prior", value, fix)
+        raise InvalidInputError("size_prior", text, _FIX)
     mean = numbers[:3]
-    return SizePrior(value, mean, numbers[3:] if len(numbers) == 6 else 0.02 * np.abs(mean))
+    return SizePrior(text, mean, numbers[3:] if len(numbers) == 6 else 0.02 * np.abs(mean))

@@ -109,7 +109,8 @@ def _run_stage(
         before = state.weights
         reweigh(state, problem, graph, values, update / max(updates - 1, 1))
         terms = graph.terms(graph_weights(problem, state.weights, state.visibility), state.box_weights)
-        last = update == updates - 1 or (update > 0 and float(np.abs(state.weights - before).max()) < SETTLED)
+        settled = update > 0 and float(np.abs(state.weights - before).max()) < SETTLED
+        last = update == updates - 1 or (settled and not scene.options.strategy.anneals)
         solution = minimise(
             build(terms),
             values,
@@ -123,5 +124,9 @@ def _run_stage(
         )
         state.pose, state.coefficients, state.offsets = graph.read(values)
         if last:
+            if not solution.converged:
+                raise DegenerateProblemError(
+                    "keypoints", f"no minimum in {solution.iterations} iterations", "Give better keypoints or priors."
+                )
             break
     return robust_energies(graph, values, terms, problem)

@@ -13,14 +13,26 @@ from fgrecon.errors import DegenerateProblemError, FactorCallbackError
 __all__ = ["Solution", "minimise"]
 
 
+_NEGLIGIBLE = 1e-6  # relative decrease at which a minimum is reached for all that anyone can tell
+
+
 @dataclass(frozen=True)
 class Solution:
-    """Values at the minimum and, if asked for, after every accepted iteration; and the final error."""
+    """What a minimisation ends with.
+
+    Attributes:
+        values: Values at the minimum.
+        path: Values after every accepted iteration, if asked for.
+        error: The graph's error there.
+        iterations: Number of iterations.
+        converged: Whether the last iteration lowered the error by hardly anything.
+    """
 
     values: gtsam.Values
     path: tuple[gtsam.Values, ...]
     error: float
     iterations: int
+    converged: bool
 
 
 def minimise(
@@ -28,7 +40,7 @@ def minimise(
     start: gtsam.Values,
     *,
     relative_tolerance: float = 1e-9,
-    max_iterations: int = 30,
+    max_iterations: int = 50,
     record: bool = False,
 ) -> Solution:
     """Minimise the graph's error from a start.
@@ -45,15 +57,22 @@ def minimise(
             determines is no error here: damping keeps it where it is. `fgrecon.shape.covariance` finds it.)
     """
     if start.empty():  # a constant shape at a fixed pose
-        return Solution(start, (), float(graph.error(start)), 0)
+        return Solution(start, (), float(graph.error(start)), 0, converged=True)
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setRelativeErrorTol(relative_tolerance)
     parameters.setAbsoluteErrorTol(1e-12)
     parameters.setMaxIterations(max_iterations)
     path: list[gtsam.Values] = []  # copies: GTSAM hands out references into the optimizer
     optimizers: list[Any] = []
-    if record:
-        parameters.iterationHook = lambda *_: path.append(gtsam.Values(optimizers[0].values()))
+    decrease = 0.0
+
+    def observe(_: Any, before: Any, after: Any) -> None:
+        nonlocal decrease
+        decrease = float(before) - float(after)
+        if record:
+            path.append(gtsam.Values(optimizers[0].values()))
+
+    parameters.iterationHook = observe
     optimizers.append(gtsam.LevenbergMarquardtOptimizer(graph, start, parameters))
     try:
         values = gtsam.Values(optimizers[0].optimize())
@@ -66,4 +85,5 @@ def minimise(
     error = float(optimizer.error())
     if not math.isfinite(error):  # GTSAM returns such a start as it is, without a word
         raise DegenerateProblemError("start", f"energy {error}", "Start with every keypoint in front of the camera.")
-    return Solution(values, tuple(path), error, int(optimizer.iterations()))
+    converged = decrease <= max(relative_tolerance, _NEGLIGIBLE) * max(error, 1.0)
+    return Solution(values, tuple(path), error, int(optimizer.iterations()), converged)
