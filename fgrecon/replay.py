@@ -59,13 +59,23 @@ class LogLine:
 
 @dataclass(frozen=True)
 class StageSummary:
-    """One stage: how many weight updates and steps it took, and the total energy at its first and last step."""
+    """One stage, of a track over all frames.
+
+    Attributes:
+        stage: Its name.
+        weight_updates: How many weight updates it took, of a track in all frames together.
+        steps: How many steps, likewise.
+        first_energy: Total energy at its first step, nats.
+        last_energy: Total energy at its last step.
+        terms: Energy by term at its last step.
+    """
 
     stage: str
     weight_updates: int
     steps: int
     first_energy: float
     last_energy: float
+    terms: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -91,14 +101,40 @@ class Replay:
         return tuple(step for steps in self.frames.values() for step in steps)
 
     def summary(self) -> tuple[StageSummary, ...]:
-        """The stages in order of their first step."""
+        """The stages in order of their first step. A track's joint stage is told once, with the terms of the shape."""
         stages = dict.fromkeys(step.stage for step in self.history)
-        return tuple(self._summarise(stage) for stage in stages)
+        told = [_of_frames(stage, self.frames) for stage in stages if not (self.joint and stage == "joint")]
+        return (*told, _of_joint(self.joint)) if self.joint else tuple(told)
 
-    def _summarise(self, stage: str) -> StageSummary:
-        steps = [step for step in self.history if step.stage == stage]
-        first, last = (float(sum(step.energies.values())) for step in (steps[0], steps[-1]))
-        return StageSummary(stage, len({step.irls for step in steps}), len(steps), first, last)
+
+def _of_frames(stage: str, frames: Mapping[int, tuple[Iteration, ...]]) -> StageSummary:
+    """A stage over all frames: counts and energies are added up."""
+    members = [steps for steps in (_members(stage, steps) for steps in frames.values()) if steps]
+    terms: dict[str, float] = {}
+    for steps in members:
+        for name, energy in steps[-1].energies.items():
+            terms[name] = terms.get(name, 0.0) + energy
+    return StageSummary(
+        stage=stage,
+        weight_updates=sum(len({step.irls for step in steps}) for steps in members),
+        steps=sum(len(steps) for steps in members),
+        first_energy=sum(_total(steps[0].energies) for steps in members),
+        last_energy=sum(_total(steps[-1].energies) for steps in members),
+        terms=terms,
+    )
+
+
+def _members(stage: str, steps: tuple[Iteration, ...]) -> list[Iteration]:
+    return [step for step in steps if step.stage == stage]
+
+
+def _of_joint(steps: tuple[JointStep, ...]) -> StageSummary:
+    first, last = _total(steps[0].energies), _total(steps[-1].energies)
+    return StageSummary("joint", len({step.irls for step in steps}), len(steps), first, last, dict(steps[-1].energies))
+
+
+def _total(energies: Mapping[str, float]) -> float:
+    return float(sum(energies.values()))
 
 
 def read(path: str | Path) -> Replay:

@@ -7,9 +7,9 @@ import pytest
 
 from .conftest import REPOSITORY
 
-EDGE = ("fgrecon.cli", "fgrecon.viz", "fgrecon.evaluation", "fgrecon.replay")
+EDGE = ("fgrecon.cli", "fgrecon.viz", "fgrecon.evaluation", "fgrecon.replay", "fgrecon.export")
 CORE = ("pipeline", "model", "shape", "pose", "priors", "catalogue", "category", "camera", "observation", "options")
-CORE += ("reconstruction", "robust", "checks", "errors")
+CORE += ("reconstruction", "result", "track", "robust", "checks", "errors")
 
 
 def imports(*places):

@@ -9,7 +9,8 @@ from typing import Annotated
 
 import typer
 
-from fgrecon.cli.common import console
+from fgrecon.cli.common import check_output, console
+from fgrecon.cli.deliver import ConnectOption, SpawnOption, check_delivery, deliver
 
 __all__ = ["demo_command"]
 
@@ -18,6 +19,9 @@ def demo_command(
     out: Annotated[Path, typer.Option(help="Folder for the results; made where it does not exist.")] = Path("demo"),
     seed: Annotated[int, typer.Option(min=0, help="Of car, pose, keypoints and scenery.")] = 7,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    animation: Annotated[Path | None, typer.Option(metavar="FILE", help="Animate the optimisation (gif, mp4).")] = None,
+    connect: ConnectOption = None,
+    spawn: SpawnOption = False,
 ) -> None:
     """Render a car, perturb and hide its keypoints, reconstruct it, and compare with the truth.
 
@@ -29,8 +33,13 @@ def demo_command(
     from fgrecon.files import write_text
     from fgrecon.images import write_png
     from fgrecon.pipeline import reconstruct
-    from fgrecon.viz import picture, record, save_picture
+    from fgrecon.viz import animate, picture, recording_of, save_picture
+    from fgrecon.viz.animation import check_format
 
+    check_delivery(None, connect)
+    if animation is not None:
+        check_output(animation)
+        check_format(animation)
     out.mkdir(parents=True, exist_ok=True)
     prior = load_prior("car14")
     scene = demo_scene(prior, seed)
@@ -45,7 +54,10 @@ def demo_command(
     write_text(out / "keypoints.json", json.dumps(report.keypoint_file(scene, prior.category), indent=1) + "\n")
     write_text(out / "result.json", document)
     save_picture(out / "picture.png", picture(result, seen, camera, image=image, truth=truth))
-    record(out / "recording.rrd", result, seen, camera, image=image, truth=truth, ground=scene.ground)
+    recording = recording_of(result, seen, camera, image=image, truth=truth, ground=scene.ground)
+    deliver([("demo", recording)], out / "recording.rrd", connect, spawn=spawn, several=False)
+    if animation is not None:
+        animate(animation, result, seen, camera, image=image, truth=truth)
 
     if as_json:
         sys.stdout.write(document)
@@ -56,7 +68,7 @@ def demo_command(
     for line in (
         f"A simulated car with {len(seen.keypoints)} keypoints: {hidden} hidden, {wrong} measured in a wrong place.",
         f"{result.status.value}: {result.message}",
-        f"See {out / 'picture.png'}, play it back with: rerun {out / 'recording.rrd'}",
+        f"See {out / 'picture.png'}, play it back with: fgrecon replay {out / 'recording.rrd'}",
         f"Do it again with: fgrecon reconstruct {again}",
     ):
         shown.print(line, markup=False)

@@ -13,7 +13,10 @@ import typer
 
 from fgrecon.cli import evaluate, prior
 from fgrecon.cli.demo import demo_command
+from fgrecon.cli.export import export_command
 from fgrecon.cli.reconstruct import reconstruct_command
+from fgrecon.cli.replay import replay_command
+from fgrecon.cli.track import track_command
 from fgrecon.errors import FgreconError
 
 __all__ = ["app", "main"]
@@ -29,6 +32,9 @@ app = typer.Typer(
 
 app.command("demo")(demo_command)
 app.command("reconstruct")(reconstruct_command)
+app.command("track")(track_command)
+app.command("replay")(replay_command)
+app.command("export")(export_command)
 app.add_typer(evaluate.app, name="evaluate")
 app.add_typer(prior.app, name="prior")
 

@@ -17,6 +17,7 @@ from fgrecon.cli.common import (
     console,
     ground_plane,
 )
+from fgrecon.cli.deliver import ConnectOption, SaveOption, SpawnOption, check_delivery, deliver
 from fgrecon.errors import InvalidInputError
 from fgrecon.options import BoxModel
 from fgrecon.robust import StrategyName
@@ -58,9 +59,12 @@ def reconstruct_command(
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Draw the result (png, svg, pdf, jpg); several: a sheet.")
     ] = None,
-    save: Annotated[
-        Path | None, typer.Option(metavar="FILE.rrd", help="Record for the rerun viewer; several: FILE-ID.rrd each.")
+    animation: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Animate the optimisation of a single vehicle (gif, mp4).")
     ] = None,
+    save: SaveOption = None,
+    connect: ConnectOption = None,
+    spawn: SpawnOption = False,
     json_out: JsonOption = None,
 ) -> None:
     """Reconstruct the pose and shape of the vehicles in a keypoint file.
@@ -77,7 +81,8 @@ def reconstruct_command(
     from fgrecon.priors.size_prior import size_prior as parse_size
     from fgrecon.robust import strategy as tuned
 
-    _check_outputs(picture, save, json_out)
+    _check_outputs(picture, animation, json_out)
+    check_delivery(save, connect)
     plane = ground_plane(ground, camera_height)
     settings = batch.Settings(
         prior=load_prior(prior),
@@ -102,18 +107,22 @@ def reconstruct_command(
             write_text(json_out, text)
     if picture is not None:
         show.draw(picture, outcomes, photograph)
-    if save is not None:
-        show.record_all(save, outcomes, photograph, settings.ground)
+    if animation is not None:
+        show.draw_moving(animation, outcomes, photograph)
+    if save is not None or connect is not None or spawn:
+        recordings = show.recordings(outcomes, photograph, settings.ground)
+        deliver(recordings, save, connect, spawn=spawn, several=len(outcomes) > 1)
     if not batch.check_any(keypoints, outcomes):
         raise typer.Exit(1)
 
 
-def _check_outputs(picture: Path | None, save: Path | None, json_out: str | None) -> None:
+def _check_outputs(picture: Path | None, animation: Path | None, json_out: str | None) -> None:
+    from fgrecon.viz.animation import check_format
     from fgrecon.viz.picture import FORMATS
 
-    for path in (picture, save, None if json_out in (None, "-") else Path(str(json_out))):
+    for path in (picture, animation, None if json_out in (None, "-") else Path(str(json_out))):
         check_output(path)
     if picture is not None and picture.suffix.lower().removeprefix(".") not in FORMATS:
         raise InvalidInputError("picture", str(picture), f"Let the name end in one of {', '.join(FORMATS)}.")
-    if save is not None and save.suffix != ".rrd":
-        raise InvalidInputError("save", str(save), "Let the name end in .rrd.")
+    if animation is not None:
+        check_format(animation)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
@@ -20,9 +19,19 @@ from fgrecon.camera import Camera, Ground
 from fgrecon.cli.batch import Outcome, Settings
 from fgrecon.errors import InvalidInputError
 from fgrecon.priors.size_prior import SizePrior
-from fgrecon.viz import Sight, contact_sheet, picture, record, save_picture
+from fgrecon.viz import Recording, Sight, animate, contact_sheet, picture, recording_of, save_picture
 
-__all__ = ["FORMAT", "document", "draw", "print_table", "record_all"]
+__all__ = [
+    "FORMAT",
+    "document",
+    "draw",
+    "draw_moving",
+    "plain_camera",
+    "plain_ground",
+    "plain_size",
+    "print_table",
+    "recordings",
+]
 
 FORMAT = "fgrecon.reconstructions/1"
 
@@ -72,8 +81,8 @@ def document(path: Path, outcomes: Sequence[Outcome], settings: Settings) -> str
         "file": str(path),
         "settings": {
             "prior": settings.prior.name,
-            "ground": _plain_ground(settings.ground),
-            "size_prior": _plain_size(settings.size_prior),
+            "ground": plain_ground(settings.ground),
+            "size_prior": plain_size(settings.size_prior),
             "strategy": options.strategy.name.value,
             "box_model": options.box_model.value,
             "joint": options.joint,
@@ -84,15 +93,18 @@ def document(path: Path, outcomes: Sequence[Outcome], settings: Settings) -> str
     return json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n"
 
 
-def _plain_ground(ground: Ground | None) -> dict[str, Any] | None:
+def plain_ground(ground: Ground | None) -> dict[str, Any] | None:
+    """A ground plane for JSON."""
     return None if ground is None else {"normal": ground.normal.tolist(), "distance": ground.distance}
 
 
-def _plain_size(size: SizePrior | None) -> dict[str, Any] | None:
+def plain_size(size: SizePrior | None) -> dict[str, Any] | None:
+    """A size prior for JSON."""
     return None if size is None else {"name": size.name, "mean": size.mean.tolist(), "sigma": size.sigma.tolist()}
 
 
-def _plain_camera(camera: Camera) -> dict[str, Any]:
+def plain_camera(camera: Camera) -> dict[str, Any]:
+    """A camera for JSON."""
     return {
         "matrix": camera.matrix.tolist(),
         "distortion": None if camera.distortion is None else camera.distortion.tolist(),
@@ -102,7 +114,12 @@ def _plain_camera(camera: Camera) -> dict[str, Any]:
 
 def _entry(outcome: Outcome) -> dict[str, Any]:
     result, error, offset = outcome.result, outcome.error, outcome.task.label_offset
-    entry: dict[str, Any] = {"id": outcome.name, "camera": _plain_camera(outcome.task.camera)}
+    box = outcome.task.instance.box
+    entry: dict[str, Any] = {
+        "id": outcome.name,
+        "camera": plain_camera(outcome.task.camera),
+        "box": None if box is None else np.asarray(box, dtype=np.float64).tolist(),
+    }
     if result is not None:
         entry |= {"rotation_y": result.rotation_y, "location": result.location.tolist()}
         if offset is not None:
@@ -128,12 +145,29 @@ def draw(path: Path, outcomes: Sequence[Outcome], image: NDArray[np.uint8] | Non
         save_picture(path, contact_sheet(sights))
 
 
-def record_all(path: Path, outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None, ground: Ground | None) -> None:
-    """Record every result: into the file, or where the run has several vehicles into a file for each with its id."""
-    for outcome in outcomes:
-        if outcome.result is None:
-            continue
-        identity = re.sub(r"[^\w.-]+", "-", outcome.name)
-        target = path if len(outcomes) == 1 else path.with_name(f"{path.stem}-{identity}{path.suffix}")
-        task = outcome.task
-        record(target, outcome.result, task.observation, task.camera, image=image, ground=ground)
+def draw_moving(path: Path, outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None) -> None:
+    """Animate the optimisation of the only result; nothing where there is none.
+
+    Raises:
+        InvalidInputError: There are several.
+    """
+    found = [outcome for outcome in outcomes if outcome.result is not None]
+    if len(found) > 1:
+        raise InvalidInputError("animation", f"{len(found)} vehicles", "Reconstruct one vehicle to animate it.")
+    for outcome in found:
+        assert outcome.result is not None
+        animate(path, outcome.result, outcome.task.observation, outcome.task.camera, image=image)
+
+
+def recordings(
+    outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None, ground: Ground | None
+) -> list[tuple[str, Recording]]:
+    """Id and recording of every result."""
+    return [
+        (
+            outcome.name,
+            recording_of(outcome.result, outcome.task.observation, outcome.task.camera, image=image, ground=ground),
+        )
+        for outcome in outcomes
+        if outcome.result is not None
+    ]

@@ -1,9 +1,10 @@
 """Tracks of vehicles with network keypoints and labelled poses, one JSON file per track.
 
 A file holds `K`, `P2` (KITTI's projection of the colour camera), `keypoint_names` and `frames`; each frame holds
-`frame`, `box_xyxy`, `keypoints_uv`, `confidence` and `gt` with `location` and `rotation_y`. A keypoint without any
-measurement is `[null, null]`. Labels are in the rectified reference camera: a labelled point in the frame of the colour
-camera, which took the image, is X + t2 with t2 = K^-1 P2[:, 3]; the yaw is the same in both.
+`frame`, `box_xyxy`, `keypoints_uv`, `confidence` and `gt` with `location`, `rotation_y` and, where known, `length`,
+`width` and `height`. A keypoint without any measurement is `[null, null]`. Labels are in the rectified reference
+camera: a labelled point in the frame of the colour camera, which took the image, is X + t2 with t2 = K^-1 P2[:, 3]; the
+yaw is the same in both.
 """
 
 from __future__ import annotations
@@ -34,10 +35,12 @@ class GroundTruth:
     Attributes:
         location: (3,) origin of the vehicle (centre of its bottom face) in the label's frame, metres.
         rotation_y: Yaw about the camera's y axis, radians; 0 when the vehicle faces camera +x.
+        box_size: (3,) length, width and height, metres, or None where the file does not tell them.
     """
 
     location: NDArray[np.float64]
     rotation_y: float
+    box_size: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)
@@ -137,9 +140,13 @@ def _frame(record: Any, position: int, track: str, order: NDArray[np.intp], wher
     except InvalidInputError as error:
         name = {"keypoints": "keypoints_uv", "box": "box_xyxy"}.get(error.field, error.field)
         raise InvalidInputError(f"{where}{name}", error.value, error.fix) from error
-    label = Fields(fields.get("gt", dict), f"{where}gt.")
+    content = fields.get("gt", dict)
+    label = Fields(content, f"{where}gt.")
+    dimensions = ("length", "width", "height")
+    told = all(name in content for name in dimensions)
+    size = np.array([float(label.numbers(name, ())) for name in dimensions]) if told else None
     return Frame(
         name=f"{track}:{number}",
         observation=observation if observation.measured.any() else None,
-        truth=GroundTruth(label.numbers("location", (3,)), float(label.numbers("rotation_y", ()))),
+        truth=GroundTruth(label.numbers("location", (3,)), float(label.numbers("rotation_y", ())), size),
     )

@@ -4,21 +4,27 @@ Nothing that computes imports this package, so a solve that is not drawn pays no
 neither rerun nor matplotlib: they are imported on use.
 
 - `record` writes a rerun recording: `fgrecon.viz.recording`, laid out by `fgrecon.viz.blueprint` under the names of
-  `fgrecon.viz.entities`; `fgrecon.replay` reads it back. `record_track` does the same for a whole track.
-- `picture`, `contact_sheet` and `save_picture` draw without a viewer: `fgrecon.viz.picture`.
+  `fgrecon.viz.entities`; `fgrecon.replay` reads it back. `record_track` does the same for a whole track, and a
+  `Recording` can also be sent to a viewer.
+- `picture`, `contact_sheet` and `save_picture` draw without a viewer: `fgrecon.viz.picture`; `animate` writes the
+  optimisation as GIF or MP4.
 - Both share colours (`fgrecon.viz.style`), geometry (`fgrecon.viz.geometry`), words (`fgrecon.viz.describe`) and
   `Truth`.
 """
 
+from fgrecon.viz.animation import animate
 from fgrecon.viz.picture import Sight, as_rgb, contact_sheet, picture, save_picture
-from fgrecon.viz.recording import log_reconstruction, record
-from fgrecon.viz.track_recording import TrackSight, log_track, record_track
+from fgrecon.viz.recording import log_reconstruction, record, recording_of
+from fgrecon.viz.sinks import Recording
+from fgrecon.viz.track_recording import TrackSight, log_track, record_track, track_recording_of
 from fgrecon.viz.truth import Truth
 
 __all__ = [
+    "Recording",
     "Sight",
     "TrackSight",
     "Truth",
+    "animate",
     "as_rgb",
     "contact_sheet",
     "log_reconstruction",
@@ -26,5 +32,7 @@ __all__ = [
     "picture",
     "record",
     "record_track",
+    "recording_of",
     "save_picture",
+    "track_recording_of",
 ]

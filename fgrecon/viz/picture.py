@@ -28,7 +28,17 @@ from fgrecon.viz.solid import draw_from_above, draw_three_quarter
 from fgrecon.viz.style import Side
 from fgrecon.viz.truth import Truth
 
-__all__ = ["FORMATS", "Sight", "as_rgb", "contact_sheet", "picture", "save_picture"]
+__all__ = [
+    "FORMATS",
+    "Sight",
+    "as_rgb",
+    "contact_sheet",
+    "new_figure",
+    "picture",
+    "place_axes",
+    "save_picture",
+    "split_edges",
+]
 
 FORMATS = ("png", "svg", "pdf", "jpg", "jpeg")
 """File types that `save_picture` writes, by the ending of the name."""
@@ -100,17 +110,17 @@ def picture(
     """
     photograph = None if image is None else as_image(image)
     sight = Sight(reconstruction, observation, camera, photograph, truth)
-    figure = _figure(_WIDTH, _HEIGHT)
+    figure = new_figure(_WIDTH, _HEIGHT)
     crop = crop_around(observation, reconstruction.wireframe_uv, aspect=_ASPECT)
-    edges, height = _edges(reconstruction), _PANEL / _ASPECT
+    edges, height = split_edges(reconstruction), _PANEL / _ASPECT
     for column, (title, moment) in enumerate(_moments(reconstruction)):
-        axes = _axes(figure, _GAP + column * (_PANEL + _GAP), _BOTTOM, _PANEL, height)
+        axes = place_axes(figure, _GAP + column * (_PANEL + _GAP), _BOTTOM, _PANEL, height)
         _draw_moment(axes, sight, crop, title, moment, edges)
     if np.isfinite(reconstruction.camera_T_object).all():
-        solid = _axes(figure, 7.32, _BOTTOM, 1.85, height)
+        solid = place_axes(figure, 7.32, _BOTTOM, 1.85, height)
         corner = draw_three_quarter(solid, reconstruction, edges)
         _title(solid, "In 3D", f"from the {corner}")
-        above = _axes(figure, 9.52, _BOTTOM + 0.28, 1.42, height - 0.28)
+        above = place_axes(figure, 9.52, _BOTTOM + 0.28, 1.42, height - 0.28)
         draw_from_above(above, reconstruction, edges, truth)
         _title(above, "From above", "")
     _draw_legend(figure, truth)
@@ -138,13 +148,15 @@ def contact_sheet(sights: Sequence[Sight], *, columns: int = 4) -> Any:
     columns = min(columns, len(sights))
     rows = -(-len(sights) // columns)
     height = _CELL / _CELL_ASPECT
-    figure = _figure(columns * (_CELL + _GAP) + _GAP, rows * (height + _CELL_HEADING) + _GAP)
+    figure = new_figure(columns * (_CELL + _GAP) + _GAP, rows * (height + _CELL_HEADING) + _GAP)
     for index, sight in enumerate(sights):
         row, column = divmod(index, columns)
         bottom = (rows - 1 - row) * (height + _CELL_HEADING) + _GAP
-        axes = _axes(figure, _GAP + column * (_CELL + _GAP), bottom, _CELL, height)
+        axes = place_axes(figure, _GAP + column * (_CELL + _GAP), bottom, _CELL, height)
         crop = crop_around(sight.observation, sight.reconstruction.wireframe_uv, aspect=_CELL_ASPECT)
-        _draw_moment(axes, sight, crop, _heading(sight), _result(sight.reconstruction), _edges(sight.reconstruction))
+        _draw_moment(
+            axes, sight, crop, _heading(sight), _result(sight.reconstruction), split_edges(sight.reconstruction)
+        )
     return figure
 
 
@@ -179,7 +191,8 @@ def save_picture(path: str | Path, figure: Any, dpi: float = _DPI) -> Path:
     return write_bytes(path, buffer.getvalue())
 
 
-def _figure(width: float, height: float) -> Any:
+def new_figure(width: float, height: float) -> Any:
+    """A figure of a size in inches, with a canvas of its own."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -188,13 +201,14 @@ def _figure(width: float, height: float) -> Any:
     return figure
 
 
-def _axes(figure: Any, left: float, bottom: float, width: float, height: float) -> Any:
+def place_axes(figure: Any, left: float, bottom: float, width: float, height: float) -> Any:
     """Axes at a place given in inches."""
     across, up = figure.get_size_inches()
     return figure.add_axes((left / across, bottom / up, width / across, height / up))
 
 
-def _edges(reconstruction: Reconstruction) -> Mapping[Side, NDArray[np.int64]]:
+def split_edges(reconstruction: Reconstruction) -> Mapping[Side, NDArray[np.int64]]:
+    """The wireframe's edges by side."""
     sides = style.keypoint_sides(reconstruction.keypoint_names, reconstruction.wireframe)
     return style.edge_sides(reconstruction.edges, sides)
 
@@ -297,7 +311,7 @@ def _draw_legend(figure: Any, truth: Truth | None) -> None:
         "borderpad": 0.0,
     }
     figure.legend(handles=handles, ncols=len(handles), fontsize=8, frameon=False, columnspacing=1.4, **place)
-    scale = _axes(figure, 9.52, 0.62, 1.3, 0.08)
+    scale = place_axes(figure, 9.52, 0.62, 1.3, 0.08)
     scale.imshow(style.weight_colours(np.linspace(0, 1, 128))[None], aspect="auto", extent=(0, 1, 0, 1))
     scale.set_yticks([])
     scale.set_xticks([0, 0.5, 1])

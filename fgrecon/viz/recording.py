@@ -21,10 +21,10 @@ from fgrecon.viz.geometry import as_image
 from fgrecon.viz.playback import Playback
 from fgrecon.viz.plots import log_history, log_plots, log_words
 from fgrecon.viz.scene import log_camera, log_frame, log_ground, log_result, log_steps, log_truth
-from fgrecon.viz.sinks import write_recording
+from fgrecon.viz.sinks import Recording
 from fgrecon.viz.truth import Truth
 
-__all__ = ["log_reconstruction", "record"]
+__all__ = ["log_reconstruction", "record", "recording_of"]
 
 
 def record(
@@ -54,12 +54,25 @@ def record(
     Raises:
         InvalidInputError: The file cannot be written, or the image is not (H, W, 3) of bytes.
     """
+    return recording_of(reconstruction, observation, camera, image=image, truth=truth, ground=ground).write(path)
+
+
+def recording_of(
+    reconstruction: Reconstruction,
+    observation: Observation,
+    camera: Camera,
+    *,
+    image: NDArray[np.uint8] | None = None,
+    truth: Truth | None = None,
+    ground: Ground | None = None,
+) -> Recording:
+    """The recording that `record` writes, to be sent elsewhere; the arguments are those of `record`."""
     from fgrecon.viz.blueprint import blueprint
 
     def log(stream: Any) -> None:
         log_reconstruction(stream, reconstruction, observation, camera, image=image, truth=truth, ground=ground)
 
-    return write_recording(path, log, blueprint(reconstruction, observation, truth))
+    return Recording(log, lambda: blueprint(reconstruction, observation, truth))
 
 
 def log_reconstruction(

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from fgrecon.errors import InvalidInputError
 from fgrecon.files import write_bytes
 
-__all__ = ["APPLICATION", "LOOPBACK", "send_recording", "start_viewer", "viewer_command", "write_recording"]
+__all__ = ["APPLICATION", "LOOPBACK", "Recording", "check_viewer", "free_port", "start_viewer", "viewer_command"]
 
 APPLICATION = "fgrecon"
 """First part of the application that a recording names; the second is the recording's own name. Viewers keep one layout
@@ -23,61 +26,102 @@ LOOPBACK = "127.0.0.1"
 """Address that every server listens on unless told otherwise; rerun's own default is all addresses."""
 
 _PATIENCE = 15.0  # seconds for a viewer to start listening
-Log = Callable[[Any], None]
 
 
-def write_recording(path: str | Path, log: Log, blueprint: Any) -> Path:
-    """Write what `log` sends into a stream to a `.rrd` file, whole or not at all.
+@dataclass(frozen=True)
+class Recording:
+    """What a recording will hold; nothing is sent before it is written or sent somewhere.
 
-    Args:
-        path: File to write.
-        log: Called with the `rerun.RecordingStream`.
-        blueprint: Layout for the viewer.
-
-    Raises:
-        InvalidInputError: The file cannot be written.
+    Attributes:
+        log: Sends everything into a `rerun.RecordingStream`.
+        layout: Makes the `rerun.blueprint.Blueprint` for the viewer.
     """
-    import rerun as rr  # on use: importing fgrecon must not import rerun
 
-    stream = rr.RecordingStream(f"{APPLICATION}: {Path(path).stem}")
-    with tempfile.TemporaryDirectory() as folder:
-        part = Path(folder) / "recording.rrd"
-        stream.save(part, default_blueprint=blueprint)
-        log(stream)
+    log: Callable[[Any], None]
+    layout: Callable[[], Any]
+
+    def write(self, path: str | Path) -> Path:
+        """Write it to a `.rrd` file, whole or not at all.
+
+        Raises:
+            InvalidInputError: The file cannot be written.
+        """
+        import rerun as rr  # on use: importing fgrecon must not import rerun
+
+        stream = rr.RecordingStream(f"{APPLICATION}: {Path(path).stem}")
+        with tempfile.TemporaryDirectory() as folder:
+            part = Path(folder) / "recording.rrd"
+            stream.save(part, default_blueprint=self.layout())
+            self.log(stream)
+            stream.disconnect()
+            return write_bytes(path, part.read_bytes())
+
+    def send(self, name: str, address: str) -> None:
+        """Send it to a viewer that listens.
+
+        Args:
+            name: Name of the recording.
+            address: `host:port`, or rerun's own `rerun+http://host:port/proxy`.
+
+        Raises:
+            InvalidInputError: Nobody listens there.
+        """
+        import rerun as rr
+
+        host, port = check_viewer(address)
+        stream = rr.RecordingStream(f"{APPLICATION}: {name}")
+        stream.connect_grpc(f"rerun+http://{host}:{port}/proxy", default_blueprint=self.layout())
+        self.log(stream)
+        stream.flush()
         stream.disconnect()
-        return write_bytes(path, part.read_bytes())
 
 
-def send_recording(name: str, log: Log, blueprint: Any, address: str) -> None:
-    """Send what `log` sends into a stream to a viewer that listens.
+def check_viewer(address: str) -> tuple[str, int]:
+    """Host and port of a viewer that listens.
 
     Args:
-        name: Name of the recording.
-        log: Called with the `rerun.RecordingStream`.
-        blueprint: Layout for the viewer.
         address: `host:port`, or rerun's own `rerun+http://host:port/proxy`.
 
     Raises:
-        InvalidInputError: Nobody listens there.
+        InvalidInputError: It is no address, or nobody listens there.
     """
-    import rerun as rr
-
-    host, port = _host_and_port(address)
+    host, _, text = address.removeprefix("rerun+http://").removesuffix("/proxy").rpartition(":")
+    if not host or not text.isdecimal() or not 0 < int(text) < 65536:
+        raise InvalidInputError("connect", address, "Give host:port, such as 127.0.0.1:9876.")
+    port = int(text)
     if not _listens(host, port):
         fix = f"Start a viewer there first: rerun --bind {LOOPBACK} --port {port}."
-        raise InvalidInputError("connect", address, fix)
-    stream = rr.RecordingStream(f"{APPLICATION}: {name}")
-    stream.connect_grpc(f"rerun+http://{host}:{port}/proxy", default_blueprint=blueprint)
-    log(stream)
-    stream.flush()
-    stream.disconnect()
+        raise InvalidInputError("connect", f"{address}, where no viewer listens", fix)
+    return host, port
 
 
 def viewer_command(*arguments: str, bind: str = LOOPBACK) -> list[str]:
-    """The command line that runs rerun's viewer, its servers bound to an address."""
-    import sys
+    """The command line that runs rerun's viewer, its servers bound to an address.
 
-    return [sys.executable, "-m", "rerun_cli", "--bind", bind, *arguments]
+    The viewer's own program where it is found, not the script around it: that would outlive its parent's end.
+    """
+    import rerun_cli
+
+    folder = Path(rerun_cli.__file__).parent
+    bundled = folder / "Rerun.app" / "Contents" / "MacOS" / "Rerun"
+    given = os.environ.get("RERUN_CLI_PATH")
+    program = Path(given) if given else bundled if bundled.exists() else folder / "rerun"
+    start = [str(program)] if program.exists() else [sys.executable, "-m", "rerun_cli"]
+    return [*start, "--bind", bind, *arguments]
+
+
+def free_port(bind: str = LOOPBACK) -> int:
+    """A port of an address that nobody listens on.
+
+    Raises:
+        InvalidInputError: It is no address of this machine.
+    """
+    try:
+        with socket.socket(socket.AF_INET6 if ":" in bind else socket.AF_INET) as probe:
+            probe.bind((bind, 0))
+            return int(probe.getsockname()[1])
+    except OSError as error:
+        raise InvalidInputError("bind", bind, f"Give an address of this machine ({error.strerror}).") from error
 
 
 def start_viewer(bind: str = LOOPBACK) -> str:
@@ -89,9 +133,7 @@ def start_viewer(bind: str = LOOPBACK) -> str:
     Raises:
         InvalidInputError: It does not start.
     """
-    with socket.socket() as probe:
-        probe.bind((bind, 0))
-        port = int(probe.getsockname()[1])
+    port = free_port(bind)
     viewer = subprocess.Popen(  # noqa: S603 - our own command line
         viewer_command("--port", str(port), "--expect-data-soon", bind=bind),
         stdin=subprocess.DEVNULL,
@@ -108,14 +150,6 @@ def start_viewer(bind: str = LOOPBACK) -> str:
         viewer.terminate()
     fix = "Use --save FILE.rrd, and open the file where there is a display."
     raise InvalidInputError("spawn", "the viewer does not start here", fix)
-
-
-def _host_and_port(address: str) -> tuple[str, int]:
-    """Host and port of `host:port` or `rerun+http://host:port/proxy`."""
-    host, _, port = address.removeprefix("rerun+http://").removesuffix("/proxy").rpartition(":")
-    if not host or not port.isdecimal() or not 0 < int(port) < 65536:
-        raise InvalidInputError("connect", address, "Give host:port, such as 127.0.0.1:9876.")
-    return host, int(port)
 
 
 def _listens(host: str, port: int) -> bool:

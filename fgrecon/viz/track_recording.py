@@ -37,10 +37,10 @@ from fgrecon.viz.plots import (
     status_line,
 )
 from fgrecon.viz.scene import line_style, log_camera, log_frame, log_ground, log_result, log_steps, log_truth
-from fgrecon.viz.sinks import write_recording
+from fgrecon.viz.sinks import Recording
 from fgrecon.viz.truth import Truth
 
-__all__ = ["TrackSight", "image_reach", "log_track", "record_track"]
+__all__ = ["TrackSight", "image_reach", "log_track", "record_track", "track_recording_of"]
 
 _FAINT = 110
 _STAGE = 2  # of the joint optimisation on the timeline `stage`: initialisation and pose come before
@@ -99,9 +99,14 @@ def record_track(path: str | Path, track: TrackReconstruction, sight: TrackSight
     Raises:
         InvalidInputError: The file cannot be written, or an image is not (H, W, 3) of bytes.
     """
+    return track_recording_of(track, sight).write(path)
+
+
+def track_recording_of(track: TrackReconstruction, sight: TrackSight) -> Recording:
+    """The recording that `record_track` writes, to be sent elsewhere; the arguments are those of `record_track`."""
     from fgrecon.viz.track_blueprint import track_blueprint
 
-    return write_recording(path, lambda stream: log_track(stream, track, sight), track_blueprint(track, sight))
+    return Recording(lambda stream: log_track(stream, track, sight), lambda: track_blueprint(track, sight))
 
 
 def log_track(stream: Any, track: TrackReconstruction, sight: TrackSight) -> None:

@@ -1,0 +1,73 @@
+"""Where the recordings of a solving command go: files, a viewer that listens, a viewer of their own."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
+    from fgrecon.viz import Recording
+
+__all__ = ["ConnectOption", "SaveOption", "SpawnOption", "check_delivery", "deliver"]
+
+SaveOption = Annotated[
+    Path | None, typer.Option(metavar="FILE.rrd", help="Record for the rerun viewer; several: FILE-ID.rrd each.")
+]
+ConnectOption = Annotated[
+    str | None, typer.Option(metavar="HOST:PORT", help="Send the recording to a rerun viewer that listens there.")
+]
+SpawnOption = Annotated[bool, typer.Option("--spawn", help="Show the recording in a new rerun viewer.")]
+
+
+def check_delivery(save: Path | None, connect: str | None) -> None:
+    """Refuse before the work what could not be delivered after it.
+
+    Raises:
+        InvalidInputError: The file cannot be written or is not to be named `.rrd`, or no viewer listens.
+    """
+    from fgrecon.cli.common import check_output
+    from fgrecon.errors import InvalidInputError
+    from fgrecon.viz.sinks import check_viewer
+
+    check_output(save)
+    if save is not None and save.suffix != ".rrd":
+        raise InvalidInputError("save", str(save), "Let the name end in .rrd.")
+    if connect is not None:
+        check_viewer(connect)
+
+
+def deliver(
+    recordings: Sequence[tuple[str, Recording]], save: Path | None, connect: str | None, *, spawn: bool, several: bool
+) -> list[Path]:
+    """Write and send recordings.
+
+    Args:
+        recordings: Id and recording of each.
+        save: File to write; where there are several, each goes to a file with its id in the name.
+        connect: Address of a viewer that listens.
+        spawn: Start a viewer and send them there.
+        several: Whether the run was about several, even if only one is left.
+
+    Returns:
+        The files written.
+
+    Raises:
+        InvalidInputError: A file cannot be written, or there is no viewer.
+    """
+    from fgrecon.viz.sinks import start_viewer
+
+    written = []
+    for identity, recording in recordings if save is not None else ():
+        assert save is not None
+        suffix = re.sub(r"[^\w.-]+", "-", identity)
+        target = save.with_name(f"{save.stem}-{suffix}{save.suffix}") if several else save
+        written.append(recording.write(target))
+    addresses = [address for address in (connect, start_viewer() if spawn and recordings else None) if address]
+    for address in addresses:
+        for identity, recording in recordings:
+            recording.send(identity, address)
+    return written

@@ -1,0 +1,115 @@
+"""`fgrecon replay`: look at a recording, or read its numbers back without a viewer."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
+    from rich.table import Table
+
+    from fgrecon.replay import Replay
+
+__all__ = ["replay_command"]
+
+_WEB_PORT = 9090
+
+
+def replay_command(
+    recording: Annotated[Path, typer.Argument(metavar="FILE.rrd", help="Recording, as written by --save.")],
+    summary: Annotated[bool, typer.Option("--summary", help="Print stages, iterations and energies instead.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+    web: Annotated[bool, typer.Option("--web", help="Serve the viewer to a browser instead of a window.")] = False,
+    bind: Annotated[str, typer.Option(metavar="ADDRESS", help="Address that the viewer's servers listen on.")] = (
+        "127.0.0.1"
+    ),
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of --web; 0 for a free one.")] = _WEB_PORT,
+) -> None:
+    """Play a recording in rerun's viewer.
+
+    The servers that it starts listen on this machine alone, unless --bind says otherwise.
+    """
+    from fgrecon.replay import read
+
+    if summary or as_json:
+        content = read(recording)
+        if as_json:
+            sys.stdout.write(json.dumps(_document(recording, content), allow_nan=False) + "\n")
+        else:
+            _print(content)
+        return
+    read(recording)  # a file that is none is refused here, in words, and not by the viewer
+    _become(_viewer(recording, bind, port, web=web))
+
+
+def _viewer(recording: Path, bind: str, port: int, *, web: bool) -> list[str]:
+    """The viewer's command line; tells where to find it in a browser."""
+    from urllib.parse import quote
+
+    from fgrecon.viz.sinks import free_port, viewer_command
+
+    server = free_port(bind)
+    if not web:
+        return viewer_command("--port", str(server), str(recording), bind=bind)
+    page = port or free_port(bind)
+    host = "127.0.0.1" if bind in ("0.0.0.0", "::") else bind  # noqa: S104 - what a browser here can open
+    source = quote(f"rerun+http://{host}:{server}/proxy", safe="")
+    typer.echo(f"Open http://{host}:{page}?url={source} in a browser; end with Ctrl-C.")
+    ports = ("--port", str(server), "--web-viewer-port", str(page))
+    return viewer_command(*ports, "--serve-web", str(recording), bind=bind)
+
+
+def _become(command: list[str]) -> None:
+    """Let the viewer take this process's place, so that whoever ends this command ends the viewer."""
+    sys.stdout.flush()
+    os.execv(command[0], command)  # noqa: S606 - our own command line
+
+
+def _print(content: Replay) -> None:
+    from fgrecon.cli.common import console
+
+    out = console(error=False)
+    out.print(_table(content))
+    if len(content.frames) > 1:
+        out.print(f"{len(content.frames)} frames, {min(content.frames)} to {max(content.frames)}.", markup=False)
+    last = content.log[-1]
+    out.print(f"{last.level}: {last.text}", markup=False)
+
+
+def _table(content: Replay) -> Table:
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True)
+    for heading in ("stage", "weight updates", "iterations", "energy first", "last", "by term at the end (nats)"):
+        text = heading.startswith(("stage", "by"))
+        table.add_column(heading, justify="left" if text else "right", overflow="fold")
+    for stage in content.summary():
+        terms = ", ".join(f"{name} {energy:.2f}" for name, energy in stage.terms.items())
+        counts = (str(stage.weight_updates), str(stage.steps))
+        table.add_row(stage.stage, *counts, f"{stage.first_energy:.3f}", f"{stage.last_energy:.3f}", terms)
+    return table
+
+
+def _document(recording: Path, content: Replay) -> dict[str, Any]:
+    """The summary as plain values; energies that are not finite become strings."""
+    return {
+        "format": "fgrecon.replay/1",
+        "recording": str(recording),
+        "stages": [_plain(asdict(stage)) for stage in content.summary()],
+        "frames": {str(number): len(steps) for number, steps in content.frames.items()},
+        "log": [asdict(line) for line in content.log],
+    }
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value

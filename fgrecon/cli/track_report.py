@@ -1,0 +1,245 @@
+"""The work of `fgrecon track`: reading, solving, table, JSON, sheet, recording. Imported when it runs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from importlib import metadata
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from fgrecon.cli.batch import CameraSource, Settings, Task, read_tasks, run
+from fgrecon.cli.show import plain_camera, plain_ground, plain_size
+from fgrecon.errors import InvalidInputError
+from fgrecon.evaluation.tracks import Track, parse_track
+from fgrecon.images import read_image
+from fgrecon.json_fields import read_json
+from fgrecon.reconstruction import Reconstruction
+from fgrecon.simulate import yaw_pose
+from fgrecon.track import TrackReconstruction, reconstruct_track
+from fgrecon.viz import Recording, Sight, TrackSight, Truth, contact_sheet, save_picture, track_recording_of
+
+__all__ = ["FORMAT", "Solved", "document", "draw", "solve", "table"]
+
+FORMAT = "fgrecon.track/1"
+
+_ENDINGS = (".png", ".jpg", ".jpeg")
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A track, its result, and where labels are known the results of its images one by one.
+
+    Attributes:
+        name: Name of the track.
+        file: Where it is from.
+        tasks: Its images.
+        sight: What it was solved from.
+        result: The result.
+        alone: Results of the images one by one, aligned with those of the track; empty without labels.
+    """
+
+    name: str
+    file: Path
+    tasks: tuple[Task, ...]
+    sight: TrackSight
+    result: TrackReconstruction
+    alone: tuple[Reconstruction | None, ...]
+
+    @property
+    def recording(self) -> Recording:
+        """Its recording."""
+        return track_recording_of(self.result, self.sight)
+
+    @property
+    def truths(self) -> list[Truth | None]:
+        """What is known to be true about each image that was solved."""
+        truths = self.sight.truths
+        return [None if truths is None else truths[index] for index in self.result.numbers]
+
+
+def solve(file: Path, source: CameraSource, settings: Settings, images: Path | None) -> Solved:
+    """Read a track and solve it.
+
+    Args:
+        file: Track, or keypoint file whose instances are the images of one vehicle.
+        source: The command line's camera.
+        settings: What holds for all images.
+        images: Folder with photographs, or None.
+
+    Raises:
+        InvalidInputError: The file is malformed, or an image is missing.
+    """
+    tasks, _ = read_tasks(file, settings.prior.category, source)
+    labelled = _labels(file, settings)
+    numbers = _numbers(tasks)
+    truths = None if labelled is None else [_truth(labelled, index) for index in range(len(tasks))]
+    measured = [task.observation.measured.any() for task in tasks]
+    sight = TrackSight(
+        observations=[task.observation if seen else None for task, seen in zip(tasks, measured, strict=True)],
+        cameras=[task.camera for task in tasks],
+        numbers=numbers,
+        images=None if images is None else [_image(images, number) for number in numbers],
+        truths=truths,
+        ground=settings.ground,
+    )
+    result = reconstruct_track(
+        sight.observations,
+        sight.cameras,
+        prior=settings.prior,
+        ground=settings.ground,
+        size_prior=settings.size_prior,
+        options=settings.options,
+    )
+    quiet = replace(settings, options=replace(settings.options, keep_history=False))
+    solved = [tasks[index] for index in result.numbers] if truths is not None else []
+    alone = tuple(run(task, quiet).result for task in solved)
+    return Solved(file.stem, file, tuple(tasks), sight, result, alone)
+
+
+def _labels(file: Path, settings: Settings) -> Track | None:
+    """The track with its labels; None where the file is a keypoint file."""
+    data = read_json(file)
+    if not isinstance(data, dict) or "frames" not in data:
+        return None
+    return parse_track(data, file.stem, settings.prior.category, where=f"{file}: ")
+
+
+def _truth(track: Track, index: int) -> Truth:
+    """The labelled pose and box in the camera's frame."""
+    truth = track.frames[index].truth
+    return Truth(yaw_pose(truth.rotation_y, truth.location + track.label_offset), truth.box_size)
+
+
+def _numbers(tasks: Sequence[Task]) -> list[int]:
+    """Numbers of the images, from their names where these end in increasing numbers, else from 0."""
+    ends = [task.instance.name.rpartition(":")[2] for task in tasks]
+    if all(end.isdecimal() for end in ends):
+        numbers = [int(end) for end in ends]
+        if all(a < b for a, b in pairwise(numbers)):
+            return numbers
+    return list(range(len(tasks)))
+
+
+def _image(folder: Path, number: int) -> NDArray[np.uint8]:
+    for ending in _ENDINGS:
+        path = folder / f"{number:06d}{ending}"
+        if path.is_file():
+            return read_image(path)
+    raise InvalidInputError("images", str(folder / f"{number:06d}.png"), "Give a folder that has every image.")
+
+
+def table(tracks: Sequence[Solved]) -> Table:
+    """One row per track; errors are mean yaw and median position, in brackets those of the images one by one."""
+    result = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True)
+    labelled = any(track.sight.truths is not None for track in tracks)
+    headings = ["track", "images", "refused", "status", "l, w, h m", "ms per image"]
+    headings += ["Δ yaw ° (alone)", "Δ position m (alone)", "Δ size m (alone)"] if labelled else []
+    for heading in headings:
+        result.add_column(heading, justify="left" if heading in ("track", "status") else "right", overflow="fold")
+    for track in tracks:
+        solved = track.result
+        cells = [
+            track.name,
+            str(len(solved.frames)),
+            str(len(solved.refused)),
+            solved.status.value,
+            ", ".join(f"{number:.2f}" for number in solved.box_size),
+            f"{sum(solved.milliseconds.values()) / len(solved.frames):.1f}",
+        ]
+        result.add_row(*cells, *(_error_cells(track) if labelled else []))
+    return result
+
+
+def _error_cells(track: Solved) -> list[str]:
+    if track.sight.truths is None:
+        return ["", "", ""]
+    together = _errors(track.result.frames, track.truths)
+    alone = _errors(track.alone, track.truths)
+    return [f"{a:.2f} ({b:.2f})" if np.isfinite(a) else "" for a, b in zip(together, alone, strict=True)]
+
+
+def _errors(results: Sequence[Reconstruction | None], truths: Sequence[Truth | None]) -> tuple[float, float, float]:
+    """Mean of yaw in degrees, median of position and mean of size in metres; NaN where not known."""
+    pairs = [(r, t) for r, t in zip(results, truths, strict=True) if r is not None and t is not None]
+    if not pairs:
+        return (float("nan"),) * 3
+    yaws = [t.errors(r.camera_T_object, r.wireframe) for r, t in pairs]
+    sizes = [np.abs(r.box_size - t.box_size).mean() for r, t in pairs if t.box_size is not None]
+    return (
+        float(np.mean([error["orientation_deg"] for error in yaws])),
+        float(np.median([error["translation_m"] for error in yaws])),
+        float(np.mean(sizes)) if sizes else float("nan"),
+    )
+
+
+def document(tracks: Sequence[Solved], settings: Settings) -> str:
+    """The JSON text of a run; its instances are the images of all tracks, as `fgrecon export` reads them."""
+    options = settings.options
+    content = {
+        "format": FORMAT,
+        "fgrecon": metadata.version("fgrecon"),
+        "settings": {
+            "prior": settings.prior.name,
+            "ground": plain_ground(settings.ground),
+            "size_prior": plain_size(settings.size_prior),
+            "strategy": options.strategy.name.value,
+            "box_model": options.box_model.value,
+        },
+        "tracks": [_entry(track) for track in tracks],
+        "instances": [entry for track in tracks for entry in _instances(track)],
+    }
+    return json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n"
+
+
+def _entry(track: Solved) -> dict[str, Any]:
+    result = track.result
+    return {
+        "track": track.name,
+        "file": str(track.file),
+        "status": result.status.value,
+        "message": result.message,
+        "coefficients": result.coefficients.tolist(),
+        "box_size": result.box_size.tolist(),
+        "energies": dict(result.energies),
+        "milliseconds": dict(result.milliseconds),
+        "refused": {track.tasks[index].instance.name: reason for index, reason in result.refused.items()},
+    }
+
+
+def _instances(track: Solved) -> list[dict[str, Any]]:
+    """One entry per image that was solved."""
+    entries = []
+    for index, frame in zip(track.result.numbers, track.result.frames, strict=True):
+        task = track.tasks[index]
+        box = task.instance.box
+        entry: dict[str, Any] = {
+            "id": task.instance.name,
+            "track": track.name,
+            "camera": plain_camera(task.camera),
+            "box": None if box is None else np.asarray(box, dtype=np.float64).tolist(),
+            "rotation_y": frame.rotation_y,
+            "location": frame.location.tolist(),
+        }
+        if task.label_offset is not None:
+            entry["location_in_label_frame"] = (frame.location - task.label_offset).tolist()
+        entries.append(entry | {"error": None, "result": frame.to_dict()})
+    return entries
+
+
+def draw(path: Path, tracks: Sequence[Solved]) -> None:
+    """A sheet of all images."""
+    sights = []
+    for track in tracks:
+        for index, frame, truth in zip(track.result.numbers, track.result.frames, track.truths, strict=True):
+            image = None if track.sight.images is None else track.sight.images[index]
+            task = track.tasks[index]
+            sights.append(Sight(frame, task.observation, task.camera, image, truth, task.instance.name))
+    save_picture(path, contact_sheet(sights))

@@ -1,0 +1,180 @@
+"""Animations of an optimisation without a viewer: the image, the view from above and the energy, step by step."""
+
+from __future__ import annotations
+
+import io
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.camera import Camera
+from fgrecon.errors import InvalidInputError
+from fgrecon.files import write_bytes
+from fgrecon.observation import Observation
+from fgrecon.reconstruction import Iteration, Reconstruction
+from fgrecon.viz import style
+from fgrecon.viz.describe import describe_errors, total_energy
+from fgrecon.viz.geometry import BOX_EDGES, as_image, box_corners, crop_around, image_points, transform
+from fgrecon.viz.marks import draw_box, draw_crop, draw_edges, draw_keypoints, draw_true_box, unit
+from fgrecon.viz.picture import as_rgb, new_figure, place_axes, split_edges
+from fgrecon.viz.style import Side
+from fgrecon.viz.truth import Truth
+
+__all__ = ["FORMATS", "animate", "check_format"]
+
+FORMATS = ("gif", "mp4")
+"""File types that `animate` writes, by the ending of the name."""
+
+_DPI = 100
+_WIDTH, _HEIGHT, _PANEL, _LOW = 9.0, 3.2, 2.72, 0.1  # inches
+_ASPECT = 1.5
+_PER_SECOND = 6
+_HOLD = 12  # frames that the result stays
+_REACH = 3.4  # metres around the result that the view from above shows
+
+Edges = Mapping[Side, NDArray[np.int64]]
+
+
+def check_format(path: str | Path) -> str:
+    """The ending of the name, in lower case.
+
+    Raises:
+        InvalidInputError: Nothing is written with that ending.
+    """
+    kind = Path(path).suffix.lower().removeprefix(".")
+    if kind not in FORMATS:
+        raise InvalidInputError(str(path), kind or "no ending", f"Let the name end in one of {', '.join(FORMATS)}.")
+    return kind
+
+
+def animate(
+    path: str | Path,
+    reconstruction: Reconstruction,
+    observation: Observation,
+    camera: Camera,
+    *,
+    image: NDArray[np.uint8] | None = None,
+    truth: Truth | None = None,
+) -> Path:
+    """Write an animation of the optimisation, whole or not at all.
+
+    Args:
+        path: `.gif` or `.mp4` file to write.
+        reconstruction: The result; its history is what is shown.
+        observation: The keypoints that it was solved from.
+        camera: The camera that saw them.
+        image: (H, W, 3) RGB photograph, or None.
+        truth: What is known to be true, drawn in green.
+
+    Returns:
+        The path written to.
+
+    Raises:
+        InvalidInputError: Another ending, a result without a history, an image that is not (H, W, 3) of bytes, or the
+            file cannot be written.
+    """
+    kind = check_format(path)
+    if not reconstruction.history:
+        raise InvalidInputError("history", "empty", "Reconstruct with keep_history=True.")
+    photograph = None if image is None else as_image(image)
+    frames = list(_frames(reconstruction, observation, camera, photograph, truth))
+    return write_bytes(path, _gif(frames) if kind == "gif" else _mp4(frames))
+
+
+def _frames(
+    result: Reconstruction,
+    observation: Observation,
+    camera: Camera,
+    image: NDArray[np.uint8] | None,
+    truth: Truth | None,
+) -> Iterator[NDArray[np.uint8]]:
+    """One picture per step. What does not move is drawn once."""
+    figure = new_figure(_WIDTH, _HEIGHT)
+    photo = place_axes(figure, 0.08, _LOW, _PANEL * _ASPECT, _PANEL)
+    draw_crop(photo, image, camera, crop_around(observation, result.wireframe_uv, aspect=_ASPECT))
+    if observation.box is not None:
+        draw_box(photo, observation.box)
+    above = place_axes(figure, 4.72, 0.5, 2.0, _PANEL - 0.4)
+    _draw_ground(above, result, truth)
+    if truth is not None:
+        draw_true_box(photo, truth, camera)
+    energy = place_axes(figure, 7.25, 0.5, 1.65, _PANEL - 0.4)
+    totals = _prepare_energy(energy, result)
+    heading = figure.text(0.1 / _WIDTH, 1 - 0.2 / _HEIGHT, "", fontsize=9, va="center")
+    edges = split_edges(result)
+    for row, step in enumerate(result.history):
+        fixed = {axes: set(axes.get_children()) for axes in (photo, above, energy)}
+        projections = image_points(camera, step.camera_T_object, step.keypoints)
+        draw_edges(photo, projections, edges)
+        draw_keypoints(photo, observation, step.weights, projections)
+        draw_edges(above, transform(step.camera_T_object, step.keypoints)[:, [0, 2]], edges)
+        energy.plot(totals[: row + 1], color=unit(style.INK), linewidth=1.2)
+        energy.plot(row, totals[row], "o", color=unit(style.INK), markersize=3)
+        heading.set_text(_heading(step, truth))
+        yield as_rgb(figure, _DPI)
+        for axes, kept in fixed.items():
+            for artist in set(axes.get_children()) - kept:
+                artist.remove()
+
+
+def _heading(step: Iteration, truth: Truth | None) -> str:
+    text = f"{step.stage.capitalize()}, weight update {step.irls}, step {step.step}"
+    return text if truth is None else f"{text}; off by {describe_errors(truth, step.camera_T_object, step.keypoints)}"
+
+
+def _draw_ground(axes: Any, result: Reconstruction, truth: Truth | None) -> None:
+    """The view from above, around the result, with the box of the truth."""
+    x, _, z = np.nan_to_num(result.location)
+    if truth is not None and truth.box_size is not None:
+        corners = transform(truth.camera_T_object, box_corners(truth.box_size)[BOX_EDGES[:4, 0]])[[0, 1, 2, 3, 0]]
+        axes.plot(corners[:, 0], corners[:, 2], color=unit(style.TRUTH), linewidth=1.2, zorder=2)
+    axes.set_xlim(x - _REACH, x + _REACH)
+    axes.set_ylim(z - _REACH, z + _REACH)
+    axes.set_aspect("equal")
+    axes.set_title("From above [m]", fontsize=8, loc="left", pad=3)
+    axes.tick_params(labelsize=6, length=2, pad=1.5)
+    axes.grid(visible=True, color=unit(style.HAIRLINE), linewidth=0.5)
+    axes.set_axisbelow(True)
+
+
+def _prepare_energy(axes: Any, result: Reconstruction) -> NDArray[np.float64]:
+    """Axes for the energy, as large as all of it; (n,) totals."""
+    totals = np.array([total_energy(step) for step in result.history])
+    finite = totals[np.isfinite(totals)]
+    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
+    margin = 0.06 * max(high - low, 1e-3)
+    axes.set_xlim(-0.5, len(totals) - 0.5)
+    axes.set_ylim(low - margin, high + margin)
+    axes.set_title("Energy [nats] by step", fontsize=8, loc="left", pad=3)
+    axes.tick_params(labelsize=6, length=2, pad=1.5)
+    axes.grid(visible=True, color=unit(style.HAIRLINE), linewidth=0.5)
+    return totals
+
+
+def _gif(frames: list[NDArray[np.uint8]]) -> bytes:
+    from PIL import Image  # matplotlib brings it
+
+    pictures = [Image.fromarray(frame).quantize(128, dither=Image.Dither.NONE) for frame in frames]
+    duration = [1000 // _PER_SECOND] * (len(pictures) - 1) + [1000 * _HOLD // _PER_SECOND]
+    content = io.BytesIO()
+    pictures[0].save(content, "GIF", save_all=True, append_images=pictures[1:], duration=duration, loop=0)
+    return content.getvalue()
+
+
+def _mp4(frames: list[NDArray[np.uint8]]) -> bytes:
+    import cv2
+
+    height, width = (size - size % 2 for size in frames[0].shape[:2])  # the codec wants even sizes
+    with tempfile.TemporaryDirectory() as folder:
+        part = Path(folder) / "animation.mp4"
+        writer = cv2.VideoWriter(str(part), cv2.VideoWriter.fourcc(*"mp4v"), _PER_SECOND, (width, height))
+        if not writer.isOpened():
+            raise InvalidInputError("animation", "mp4", "This OpenCV has no video encoder: write a GIF instead.")
+        for frame in [*frames, *[frames[-1]] * _HOLD]:
+            writer.write(np.ascontiguousarray(frame[:height, :width, ::-1]))
+        writer.release()
+        return part.read_bytes()

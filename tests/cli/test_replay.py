@@ -1,0 +1,165 @@
+"""`fgrecon replay`, and where recordings can be sent."""
+
+import json
+import socket
+import subprocess
+import time
+import urllib.request
+
+import pytest
+from typer.testing import CliRunner
+
+from fgrecon import replay
+from fgrecon.cli import main
+from fgrecon.cli import replay as command
+from fgrecon.viz import record
+from fgrecon.viz.sinks import LOOPBACK, check_viewer, free_port, viewer_command
+from tests.cli.conftest import INTRINSICS
+from tests.viz.made_up import STAGES, make_example
+
+
+def run(*arguments):
+    return CliRunner().invoke(main.app, [*map(str, arguments)])
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    car = make_example()
+    path = tmp_path_factory.mktemp("replay") / "car.rrd"
+    return record(path, car.reconstruction, car.observation, car.camera)
+
+
+def listening(port):
+    try:
+        with socket.create_connection((LOOPBACK, port), timeout=1.0):
+            return True
+    except OSError:
+        return False
+
+
+def wait_for(condition, seconds=20.0):
+    until = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < until
+        time.sleep(0.05)
+
+
+@pytest.fixture
+def start():
+    """Starts programs, and ends them with the test."""
+    started = []
+
+    def begin(arguments):
+        process = subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        started.append(process)
+        return process
+
+    yield begin
+    for process in started:
+        process.terminate()
+        process.wait(timeout=20)
+
+
+def test_summary_prints_stages_iterations_and_energies(recording):
+    done = run("replay", recording, "--summary")
+    assert done.exit_code == 0, done.output
+    lines = done.stdout.splitlines()
+    for stage, (updates, steps) in STAGES.items():
+        (row,) = (line.split() for line in lines if line.startswith(stage))
+        assert row[1:3] == [str(updates), str(updates * steps)]
+    assert "reprojection" in done.stdout
+    assert lines[-1].startswith("INFO: converged: ")
+
+
+def test_summary_as_json_has_the_numbers(recording):
+    done = run("replay", recording, "--summary", "--json")
+    content = json.loads(done.stdout)
+    expected = replay.read(recording).summary()
+    assert [stage["stage"] for stage in content["stages"]] == list(STAGES)
+    assert [stage["last_energy"] for stage in content["stages"]] == [stage.last_energy for stage in expected]
+    assert content["stages"][-1]["terms"] == dict(expected[-1].terms)
+    assert content["frames"] == {"0": sum(updates * steps for updates, steps in STAGES.values())}
+    assert content["log"][-1]["level"] == "INFO"
+
+
+@pytest.mark.parametrize("flag", [(), ("--web",), ("--summary",)])
+def test_what_is_no_recording_is_refused(tmp_path, flag, monkeypatch):
+    monkeypatch.setattr(command, "_become", pytest.fail)
+    (tmp_path / "x.rrd").write_text("nothing")
+    done = run("replay", tmp_path / "x.rrd", *flag)
+    assert done.exit_code != 0
+    assert "recording" in str(done.exception)
+
+
+@pytest.mark.parametrize("flags", [(), ("--web",), ("--bind", "127.0.0.2")])
+def test_the_viewer_listens_on_this_machine_alone_unless_told(recording, monkeypatch, flags):
+    commands = []
+    monkeypatch.setattr(command, "_become", commands.append)
+    done = run("replay", recording, *flags)
+    assert done.exit_code == 0, done.output
+    ((*_, last),) = commands
+    assert last == str(recording)
+    bind = flags[1] if "--bind" in flags else LOOPBACK
+    assert commands[0][commands[0].index("--bind") + 1] == bind
+    assert ("--serve-web" in commands[0]) == ("--web" in flags)
+
+
+def test_the_web_viewer_is_served_on_the_loopback_address(recording, monkeypatch, start):
+    commands = []
+    monkeypatch.setattr(command, "_become", commands.append)
+    port = free_port()
+    shown = run("replay", recording, "--web", "--port", port).stdout
+    assert f"http://{LOOPBACK}:{port}?url=" in shown
+    start(commands[0])
+    wait_for(lambda: listening(port))
+    with urllib.request.urlopen(f"http://{LOOPBACK}:{port}", timeout=10) as page:
+        assert b"Rerun" in page.read()
+    own = next((ip for ip in socket.gethostbyname_ex(socket.gethostname())[2] if not ip.startswith("127.")), None)
+    if own is not None:
+        with socket.socket() as outside:
+            outside.settimeout(2.0)
+            assert outside.connect_ex((own, port)) != 0
+
+
+@pytest.mark.filterwarnings("ignore:RRD file has no footer")  # a server that is ended does not write one
+def test_connect_sends_the_recording_to_a_viewer_that_listens(write, instance, tmp_path, start):
+    port, received = free_port(), tmp_path / "received.rrd"
+    server = start(viewer_command("--port", str(port), "--save", str(received)))
+    wait_for(lambda: listening(port))
+    saved = tmp_path / "saved.rrd"
+    done = run("reconstruct", write(instance), INTRINSICS, "--connect", f"{LOOPBACK}:{port}", "--save", saved)
+    assert done.exit_code == 0, done.output
+    expected = replay.read(saved)
+
+    def complete():
+        try:
+            return replay.read(received).log == expected.log
+        except ValueError:
+            return False
+
+    wait_for(complete)
+    server.terminate()
+    server.wait(timeout=20)
+    back = replay.read(received)
+    assert [step.energies for step in back.history] == [step.energies for step in expected.history]
+    assert all(
+        (a.camera_T_object == b.camera_T_object).all() for a, b in zip(back.history, expected.history, strict=True)
+    )
+
+
+@pytest.mark.parametrize("address", ["nowhere", "127.0.0.1:", "127.0.0.1:99999", f"127.0.0.1:{free_port()}"])
+def test_an_address_without_a_viewer_is_refused_before_solving(write, instance, address, monkeypatch):
+    monkeypatch.setattr("fgrecon.cli.batch.run", pytest.fail)
+    done = run("reconstruct", write(instance), INTRINSICS, "--connect", address)
+    assert "connect" in str(done.exception)
+    with pytest.raises(ValueError, match="connect"):
+        check_viewer(address)
+
+
+def test_spawn_starts_a_viewer_and_sends_there(write, instance, monkeypatch):
+    sent = []
+    monkeypatch.setattr("fgrecon.viz.sinks.start_viewer", lambda: "127.0.0.1:1234")
+    monkeypatch.setattr("fgrecon.viz.sinks.Recording.send", lambda _, name, address: sent.append((name, address)))
+    cars = {"instances": [{"id": "one", **instance}, {"id": "two", **instance}]}
+    assert run("reconstruct", write(cars), INTRINSICS, "--spawn").exit_code == 0
+    assert sent == [("one", "127.0.0.1:1234"), ("two", "127.0.0.1:1234")]

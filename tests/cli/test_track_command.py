@@ -1,0 +1,112 @@
+"""`fgrecon track` and `fgrecon export` from the outside."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from fgrecon import replay
+from fgrecon.cli import main
+from fgrecon.export import read_results
+from fgrecon.images import read_image, write_png
+from tests.cli.conftest import INTRINSICS, K, car
+
+
+def run(*arguments):
+    return CliRunner().invoke(main.app, [*map(str, arguments)])
+
+
+@pytest.fixture
+def drive():
+    """Three images of one car, as instances of a keypoint file."""
+    poses = [(-2.2 + 0.15 * t, (-2.0 + 0.6 * t, 1.65, 11.0 - t)) for t in range(3)]
+    return {"instances": [{"id": f"image:{5 + 2 * t}", **car(*pose)} for t, pose in enumerate(poses)]}, poses
+
+
+def test_a_keypoint_file_with_the_images_of_one_vehicle(write, drive, tmp_path):
+    content, poses = drive
+    out, rrd, sheet = tmp_path / "track.json", tmp_path / "track.rrd", tmp_path / "sheet.png"
+    done = run(
+        "track", write(content), INTRINSICS, "--camera-height", 1.65, "--json", out, "--save", rrd, "--picture", sheet
+    )
+    assert done.exit_code == 0, done.output
+    assert "3 images share one shape" in done.stdout
+    data = json.loads(out.read_text())
+    assert [entry["id"] for entry in data["instances"]] == ["image:5", "image:7", "image:9"]
+    for entry, (yaw, location) in zip(data["instances"], poses, strict=True):
+        assert abs(entry["rotation_y"] - yaw) < np.radians(2)
+        assert np.linalg.norm(np.array(entry["location"]) - location) < 0.3
+        assert entry["result"]["coefficients"] == data["tracks"][0]["coefficients"]
+    back = replay.read(rrd)
+    assert list(back.frames) == [5, 7, 9]
+    assert len(back.joint) > 0
+    assert read_image(sheet).std() > 5
+
+
+def test_results_of_a_track_are_exported(write, drive, tmp_path):
+    out = tmp_path / "track.json"
+    assert run("track", write(drive[0]), INTRINSICS, "--json", out).exit_code == 0
+    assert [item.name for item in read_results(out)] == ["image:5", "image:7", "image:9"]
+    done = run("export", out, tmp_path / "cars.csv")
+    assert done.exit_code == 0
+    assert done.stdout.startswith("3 vehicles to ")
+    assert len((tmp_path / "cars.csv").read_text().splitlines()) == 4
+
+
+def test_photographs_come_from_a_folder(write, drive, tmp_path):
+    folder = tmp_path / "images"
+    folder.mkdir()
+    content = drive[0]
+    for number in (5, 7):
+        write_png(folder / f"{number:06d}.png", np.full((375, 1242, 3), 90, np.uint8))
+    done = run("track", write(content), INTRINSICS, "--images", folder)
+    assert "000009.png" in str(done.exception)
+    write_png(folder / "000009.png", np.full((375, 1242, 3), 90, np.uint8))
+    done = run("track", write(content), INTRINSICS, "--images", folder, "--save", tmp_path / "t.rrd")
+    assert done.exit_code == 0, done.output
+
+
+def test_labels_give_errors_beside_those_of_the_images_alone(write, drive):
+    content, poses = drive
+    frames = [
+        {
+            "frame": 5 + t,
+            "box_xyxy": instance["box"],
+            "keypoints_uv": instance["keypoints"],
+            "confidence": instance["confidence"],
+            "gt": {"location": list(location), "rotation_y": yaw, "length": 4.4, "width": 1.8, "height": 1.5},
+        }
+        for t, (instance, (yaw, location)) in enumerate(zip(content["instances"], poses, strict=True))
+    ]
+    from fgrecon.catalogue import load_category
+
+    names = list(load_category("car14").keypoints)
+    projection = np.column_stack([K, np.zeros(3)]).tolist()
+    track = {"K": K.tolist(), "P2": projection, "keypoint_names": names, "frames": frames}
+    done = run("track", write(track, "drive.json"))
+    assert done.exit_code == 0, done.output
+    (row,) = (line for line in done.stdout.splitlines() if line.startswith("drive ") and "(" in line)
+    assert float(row.split()[-6]) < 2.0  # yaw
+    assert "Δ yaw ° (alone)" in done.stdout
+
+
+def test_bad_names_and_files_are_refused_before_the_work(write, drive, tmp_path, monkeypatch):
+    monkeypatch.setattr("fgrecon.cli.track_report.solve", pytest.fail)
+    for option, value in (("--save", "a.png"), ("--picture", tmp_path / "no" / "a.png"), ("--connect", "x")):
+        done = run("track", write(drive[0]), INTRINSICS, option, value)
+        assert done.exit_code != 0
+        assert isinstance(done.exception, ValueError)
+    for name in ("a.obj", "no/a.csv"):
+        assert isinstance(run("export", write(drive[0]), tmp_path / name).exception, ValueError)
+    assert "format" in str(run("export", write(drive[0]), tmp_path / "a.csv").exception)
+
+
+def test_an_animation_of_one_vehicle(write, instance, tmp_path):
+    done = run("reconstruct", write(instance), INTRINSICS, "--no-joint", "--animation", tmp_path / "a.gif")
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "a.gif").read_bytes()[:4] == b"GIF8"
+    two = {"instances": [instance, instance]}
+    done = run("reconstruct", write(two), INTRINSICS, "--animation", tmp_path / "b.gif")
+    assert "animation" in str(done.exception)
+    assert "gif, mp4" in str(run("reconstruct", write(instance), INTRINSICS, "--animation", "b.png").exception)

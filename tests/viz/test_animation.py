@@ -1,0 +1,68 @@
+"""Animations have one picture per step, move, and are whole or absent."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from fgrecon.errors import InvalidInputError
+from fgrecon.viz import animate
+from tests.viz.made_up import Example
+
+
+@pytest.fixture(scope="module")
+def short(example: Example) -> Example:
+    history = example.reconstruction.history
+    return replace(
+        example, reconstruction=replace(example.reconstruction, history=(history[0], history[3], history[-1]))
+    )
+
+
+def arguments(example: Example) -> tuple:
+    return example.reconstruction, example.observation, example.camera
+
+
+def test_gif_has_a_picture_per_step(short: Example, tmp_path) -> None:
+    from PIL import Image
+
+    path = animate(tmp_path / "a.gif", *arguments(short), image=short.image, truth=short.truth)
+    with Image.open(path) as animation:
+        assert animation.n_frames == 3
+        pictures, durations = [], []
+        for frame in range(3):
+            animation.seek(frame)
+            pictures.append(np.asarray(animation.convert("RGB"), dtype=int))
+            durations.append(animation.info["duration"])
+    assert all(np.abs(a - b).mean() > 0.1 for a, b in pairwise(pictures))
+    assert durations[-1] > 5 * durations[0]
+
+
+def test_mp4_has_the_steps_and_holds_the_result(short: Example, tmp_path) -> None:
+    import cv2
+
+    video = cv2.VideoCapture(str(animate(tmp_path / "a.mp4", *arguments(short))))
+    frames = []
+    while True:
+        more, frame = video.read()
+        if not more:
+            break
+        frames.append(frame.astype(int))
+    assert len(frames) == 3 + 12
+    assert np.abs(frames[0] - frames[2]).mean() > 0.1
+    assert np.abs(frames[3] - frames[-1]).mean() < 1.0
+
+
+@pytest.mark.parametrize("name", ["a.png", "a"])
+def test_other_endings_are_refused(short: Example, tmp_path, name: str) -> None:
+    with pytest.raises(InvalidInputError, match="gif, mp4"):
+        animate(tmp_path / name, *arguments(short))
+
+
+def test_without_a_history_there_is_nothing_to_animate(short: Example, tmp_path) -> None:
+    still = replace(short.reconstruction, history=())
+    with pytest.raises(InvalidInputError, match="keep_history"):
+        animate(tmp_path / "a.gif", still, short.observation, short.camera)
+    assert not list(tmp_path.iterdir())
