@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fgrecon.keypoints.crops import FILL, MARGIN
 
-__all__ = ["Sample", "Street", "View"]
+__all__ = ["Another", "Sample", "Street", "View"]
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.uint8]
@@ -65,6 +65,10 @@ class Sample:
     azimuth: float
 
 
+Another = Callable[[float | None], View]
+"""Draws a photograph; one seen from about an azimuth in radians where that is given."""
+
+
 @dataclass(frozen=True)
 class Street:
     """How photographs are turned into samples; the numbers are probabilities where nothing else is said.
@@ -74,6 +78,7 @@ class Street:
         cut_out: The car alone is placed before another background.
         neighbour: Another car behind.
         covered: Another car in front.
+        aligned: Other cars point the same way.
         block: A block in front.
         truncated: The image's border cuts the car off.
         extent: Range of the car's longer side in pixels before it is resampled to the crop.
@@ -84,21 +89,21 @@ class Street:
     size: int = 96
     cut_out: float = 0.45
     neighbour: float = 0.35
-    covered: float = 0.3
+    covered: float = 0.4
+    aligned: float = 0.6
     block: float = 0.2
     truncated: float = 0.12
     extent: tuple[float, float] = (24.0, 220.0)
     jitter: float = 0.035
     roll: float = 3.0
 
-    def sample(
-        self, view: View, another: Callable[[], View], partner: NDArray[np.intp], rng: np.random.Generator
-    ) -> Sample:
+    def sample(self, view: View, another: Another, partner: NDArray[np.intp], rng: np.random.Generator) -> Sample:
         """Make one sample.
 
         Args:
             view: The car.
-            another: Draws another photograph, for backgrounds and occluders.
+            another: Draws another photograph, for backgrounds and occluders; one seen from about an azimuth where that
+                is given.
             partner: (K,) index of each keypoint's mirror image.
             rng: Source of randomness.
         """
@@ -109,7 +114,7 @@ class Street:
         canvas = self._background(another, rng)
         if rng.random() < self.cut_out:
             for _ in range(int(rng.random() < self.neighbour) + int(rng.random() < 0.3)):
-                canvas = self._paste(canvas, another(), rng)[0]
+                canvas = self._paste(canvas, self._other(view, another, rng), rng)[0]
             alpha = cv2.blur(mask, (3, 3))
         else:
             whole = np.full(view.mask.shape, 255, dtype=np.uint8)
@@ -119,17 +124,18 @@ class Street:
         visible = view.visible.copy()
         cover = np.zeros((self.size, self.size), dtype=np.uint8)
         if rng.random() < self.covered:
-            canvas, cover = self._paste(canvas, another(), rng)
+            canvas, cover = self._paste(canvas, self._other(view, another, rng), rng)
         if rng.random() < self.block:
             canvas, cover = self._block(canvas, cover, rng)
-        if border is not None:
-            outside = _beyond(border, self.size)
-            canvas[outside], cover[outside] = FILL, 255
+        outside = np.zeros(cover.shape, dtype=bool) if border is None else _beyond(border, self.size)
+        cover[outside] = 255
         at = np.rint(keypoints).astype(int)
         inside = ((at >= 0) & (at < self.size)).all(axis=1)
         column, row = np.clip(at, 0, self.size - 1).T
         visible[~inside | (cover[row, column] > 127)] = 0.0
-        return Sample(self._degrade(canvas, rng), keypoints, visible, view.azimuth)
+        crop = self._degrade(canvas, rng)
+        crop[outside] = FILL  # what the camera does to its image does not happen beyond it
+        return Sample(crop, keypoints, visible, view.azimuth)
 
     def _placement(self, view: View, rng: np.random.Generator) -> tuple[Array, tuple[str, float] | None]:
         """(2, 3) map from the photograph to the crop, and the image border in the crop (side and coordinate)."""
@@ -153,7 +159,11 @@ class Street:
         corner = turn @ (low if side == "left" else high) + matrix[:, 2]
         return matrix, (side, float(corner[1 if side == "bottom" else 0]))
 
-    def _background(self, another: Callable[[], View], rng: np.random.Generator) -> Pixels:
+    def _other(self, view: View, another: Another, rng: np.random.Generator) -> View:
+        """A car beside this one: in a street, cars mostly point the same way."""
+        return another(view.azimuth if rng.random() < self.aligned else None)
+
+    def _background(self, another: Another, rng: np.random.Generator) -> Pixels:
         kind = rng.random()
         if kind < 0.2:
             return np.full((self.size, self.size, 3), FILL, dtype=np.uint8)
@@ -162,7 +172,7 @@ class Street:
             smooth = cv2.resize(low, (self.size, self.size), interpolation=cv2.INTER_CUBIC)
             noise = rng.normal(0.0, rng.uniform(0, 25), smooth.shape)
             return _bytes(smooth + noise)
-        other = another().image
+        other = another(None).image
         height, width = other.shape[:2]
         scale = self.size / min(height, width) * np.exp(rng.uniform(0.0, 1.2))
         shift = rng.uniform(0, 1, 2) * (self.size - scale * np.array([width, height]))
@@ -177,8 +187,6 @@ class Street:
         middle = self.size * (0.5 + np.array([away, rng.normal(0.08, 0.15)]))
         shift = middle - scale * np.array([width, height]) / 2
         matrix = np.array([[scale, 0.0, shift[0]], [0.0, scale, shift[1]]])
-        if rng.random() < 0.5:
-            other = other.mirrored(np.arange(len(other.visible)))
         mask = _warp(other.mask, matrix, self.size)
         return _blend(canvas, _warp(other.image, matrix, self.size), cv2.blur(mask, (3, 3))), mask
 
@@ -214,6 +222,11 @@ class Street:
             light = (np.arange(256) / 255.0) ** np.exp(rng.normal(0.0, 0.35))
             light = (light - 0.5) * rng.uniform(0.6, 1.4) + 0.5 + rng.normal(0.0, 0.1)
             canvas = _bytes(255.0 * light)[canvas]
+        if rng.random() < 0.08:  # too bright or too dark for the camera
+            canvas = _bytes(canvas * (rng.uniform(1.4, 2.2) if rng.random() < 0.6 else rng.uniform(0.3, 0.6)))
+        if rng.random() < 0.12:  # light spilling over
+            glare = cv2.GaussianBlur(np.where(canvas > 190, canvas, 0).astype(np.float32), (0, 0), rng.uniform(1, 3))
+            canvas = _bytes(canvas + rng.uniform(0.3, 1.0) * glare)
         if rng.random() < 0.5:
             canvas = _bytes(canvas * np.exp(rng.normal(0.0, 0.08, 3)))
         if rng.random() < 0.12:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.images import read_image
 from fgrecon.keypoints.augment import Sample, Street, View
@@ -21,6 +21,7 @@ SIDE = 192
 """Longest side of the prepared photographs, pixels."""
 
 _BINS = 36
+_TRIES = 12
 _FILES = ("images.npy", "masks.npy", "sizes.npy", "scales.npy")
 
 Array = NDArray[np.float64]
@@ -72,7 +73,18 @@ class Photographs:
         """A sample, fully determined by the seed: the photograph drawn by weight, occluders from the same ones."""
         rng = np.random.default_rng(list(seed))
         index = int(rng.choice(chosen, p=weights))
-        return street.sample(self.view(index), lambda: self.view(int(rng.choice(chosen))), partner, rng)
+
+        def another(azimuth: float | None) -> View:
+            some = rng.choice(chosen, _TRIES)
+            if azimuth is None:
+                view = self.view(int(some[0]))
+                return view.mirrored(partner) if rng.random() < 0.5 else view
+            # Of a handful the one most alike; the mirror image of a photograph from the other side will do as well.
+            away = np.abs(np.abs(_wrapped(self.azimuth[some])) - abs(_wrapped(azimuth)))
+            view = self.view(int(some[away.argmin()]))
+            return view if view.azimuth * azimuth > 0 else view.mirrored(partner)
+
+        return street.sample(self.view(index), another, partner, rng)
 
 
 def prepare_photographs(cars: Sequence[PosedCar], fits: Sequence[ShapeFit], prior: ShapePrior, folder: Path) -> None:
@@ -119,7 +131,7 @@ def draw_mask(car: PosedCar, fit: ShapeFit, prior: ShapePrior, scale: float = 1.
     return mask
 
 
-def azimuth_weights(azimuth: Array, chosen: NDArray[np.intp], strength: float = 0.8, limit: float = 8.0) -> Array:
+def azimuth_weights(azimuth: Array, chosen: NDArray[np.intp], strength: float = 1.0, limit: float = 12.0) -> Array:
     """Probabilities with which to draw photographs so that all directions come up about equally often.
 
     Mirroring makes directions to the left and right alike, so only the angle from the front counts.
@@ -130,10 +142,16 @@ def azimuth_weights(azimuth: Array, chosen: NDArray[np.intp], strength: float = 
         strength: 0 leaves the photographs as they are, 1 evens out fully.
         limit: How much more often than the most frequent direction a rare one's photographs may be drawn.
     """
-    angle = np.abs((azimuth[chosen] + np.pi) % (2 * np.pi) - np.pi)
+    angle = np.abs(_wrapped(azimuth[chosen]))
     which = np.minimum((angle / np.pi * _BINS / 2).astype(int), _BINS // 2 - 1)
     count = np.bincount(which, minlength=_BINS // 2).astype(np.float64)
     smooth = np.convolve(np.pad(count, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
     weight = np.minimum((smooth.max() / np.maximum(smooth, 1e-9)) ** strength, limit)[which]
     probability: Array = weight / weight.sum()
     return probability
+
+
+def _wrapped(angle: ArrayLike) -> Array:
+    """Angles in radians brought to [-pi, pi)."""
+    wrapped: Array = (np.asarray(angle, dtype=np.float64) + np.pi) % (2.0 * np.pi) - np.pi
+    return wrapped

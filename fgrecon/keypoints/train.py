@@ -115,7 +115,7 @@ def train_knet(
     imagenet: dict[str, Any] | None = None,
     device: str = "cpu",
     report: Callable[[Progress], None] | None = None,
-    stop: Callable[[], bool] | None = None,
+    until: int | None = None,
 ) -> KNet:
     """Train, or go on where the checkpoint ends.
 
@@ -129,7 +129,7 @@ def train_knet(
         imagenet: Weights to start the encoder from, without a checkpoint.
         device: Torch's name of the device; mixed precision on a GPU.
         report: Called after every `save_every` steps.
-        stop: Asked after every step whether to end early, after a last checkpoint.
+        until: Step after which to end with a checkpoint; None for the last.
 
     Returns:
         The averaged network, in evaluation mode.
@@ -151,6 +151,9 @@ def train_knet(
     network.train()
     sums: dict[str, float] = {}
     samples = _Samples(photographs, chosen, weights, partner, how)
+    if first >= (how.steps if until is None else until):
+        average.eval()
+        return average
     for step, batch in enumerate(_batches(samples, how, first), start=first):
         crops, points, visible, azimuth = (b.to(device) for b in batch)
         crops = crops.permute(0, 3, 1, 2).float()
@@ -166,7 +169,7 @@ def train_knet(
         _follow(average, network, min(how.average, (step + 1) / (step + 10)))
         for name, value in losses.items():
             sums[name] = sums.get(name, 0.0) + float(value.detach())
-        ending = step + 1 == how.steps or (stop is not None and stop())
+        ending = step + 1 >= (how.steps if until is None else until)
         if (step + 1) % how.save_every == 0 or ending:
             _save(checkpoint, network, average, optimizer, step + 1, how)
             if report is not None:

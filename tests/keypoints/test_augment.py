@@ -38,7 +38,7 @@ def test_keypoints_stay_on_their_dots():
     row, column = np.mgrid[:96, :96]
     distances = []
     for seed in range(12):
-        sample = street.sample(view, lambda: view, MIRROR, np.random.default_rng(seed))
+        sample = street.sample(view, lambda _: view, MIRROR, np.random.default_rng(seed))
         for (u, v), seen in zip(sample.keypoints, sample.visible, strict=True):
             if not seen or not (5 < u < 90 and 5 < v < 90):
                 continue
@@ -63,8 +63,8 @@ def test_mirroring_swaps_left_and_right_and_turns_the_azimuth():
 def test_the_same_seed_gives_the_same_sample():
     view = made_up_view(np.random.default_rng(2))
     street = Street()
-    first, again = (street.sample(view, lambda: view, MIRROR, np.random.default_rng(5)) for _ in range(2))
-    other = street.sample(view, lambda: view, MIRROR, np.random.default_rng(6))
+    first, again = (street.sample(view, lambda _: view, MIRROR, np.random.default_rng(5)) for _ in range(2))
+    other = street.sample(view, lambda _: view, MIRROR, np.random.default_rng(6))
     np.testing.assert_array_equal(first.crop, again.crop)
     assert (first.crop != other.crop).any()
     assert first.crop.shape == (96, 96, 3)
@@ -74,13 +74,13 @@ def test_the_same_seed_gives_the_same_sample():
 def test_what_is_covered_is_not_visible(what):
     view = made_up_view(np.random.default_rng(3))
     street = replace(PLAIN, **{what: 1.0})
-    seen = [street.sample(view, lambda: view, MIRROR, np.random.default_rng(s)).visible.mean() for s in range(20)]
-    plain = [PLAIN.sample(view, lambda: view, MIRROR, np.random.default_rng(s)).visible.mean() for s in range(20)]
+    seen = [street.sample(view, lambda _: view, MIRROR, np.random.default_rng(s)).visible.mean() for s in range(20)]
+    plain = [PLAIN.sample(view, lambda _: view, MIRROR, np.random.default_rng(s)).visible.mean() for s in range(20)]
     assert np.mean(seen) < np.mean(plain) - 0.05
 
 
 def test_beyond_the_border_nothing_is_visible_and_the_crop_follows_the_box():
     view = made_up_view(np.random.default_rng(4))
     street = replace(PLAIN, truncated=1.0, roll=0.0)
-    share = [street.sample(view, lambda: view, MIRROR, np.random.default_rng(s)).visible.mean() for s in range(20)]
+    share = [street.sample(view, lambda _: view, MIRROR, np.random.default_rng(s)).visible.mean() for s in range(20)]
     assert 0.3 < np.mean(share) < 0.95

@@ -108,8 +108,7 @@ def test_an_interrupted_training_ends_like_an_uninterrupted_one(photographs, tmp
     chosen, weights = np.arange(4), np.full(4, 0.25)
     reports = []
     whole = train_knet(prepared, chosen, weights, MIRROR, tmp_path / "a.pt", how, report=reports.append)
-    steps = iter([False, True])
-    train_knet(prepared, chosen, weights, MIRROR, tmp_path / "b.pt", how, stop=lambda: next(steps))
+    train_knet(prepared, chosen, weights, MIRROR, tmp_path / "b.pt", how, until=2)
     assert load_checkpoint(tmp_path / "b.pt")["step"] == 2
     resumed = train_knet(prepared, chosen, weights, MIRROR, tmp_path / "b.pt", how)
     for name, value in whole.state_dict().items():

@@ -1,0 +1,175 @@
+"""The second half of the cascade: one small network per keypoint looks at patches around KNet's estimate.
+
+    crop at twice KNet's resolution -- N patches of 32 x 32 around each of K estimates
+        (B N, 3 K, 32, 32) -- grouped convolutions, K groups --> (B N, K, 32, 32) likelihoods over the patches
+            -- averaged where patches overlap, times KNet's own likelihood --> position, covariance
+
+All K x N patches of all vehicles run in one batch: a convolution with K groups is K networks side by side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional
+
+__all__ = ["PATCH", "RefineNet", "RefineSettings", "cut_patches", "fuse", "patch_offsets", "run_networks", "window_of"]
+
+Array = NDArray[np.float64]
+
+PATCH = 32
+"""Side of a patch, pixels."""
+
+_SPREAD = 3.0  # standard deviation of the patches' centres around the estimate, pixels of the finer crop
+_FURTHEST = 7.0  # the estimate stays well inside every patch
+_WINDOW = 40  # side of the window over which the patches' likelihoods are averaged
+
+
+@dataclass(frozen=True)
+class RefineSettings:
+    """Sizes of the networks.
+
+    Attributes:
+        keypoints: Number K of keypoints, each with a network of its own.
+        crop: Side of the crop that patches are cut from, pixels.
+        width: Channels of each network.
+    """
+
+    keypoints: int = 14
+    crop: int = 176
+    width: int = 16
+
+    def to_dict(self) -> dict[str, int]:
+        """Plain numbers for a file."""
+        return asdict(self)
+
+
+class _Grouped(nn.Module):  # type: ignore[misc]
+    """Convolution in K groups, batch normalisation, ReLU."""
+
+    def __init__(self, groups: int, inputs: int, outputs: int, stride: int = 1, dilation: int = 1) -> None:
+        super().__init__()
+        self.conv = nn.Conv2d(
+            groups * inputs, groups * outputs, 3, stride, dilation, dilation=dilation, groups=groups, bias=False
+        )
+        self.norm = nn.BatchNorm2d(groups * outputs)
+
+    def forward(self, x: Tensor) -> Tensor:
+        return functional.relu(self.norm(self.conv(x)), inplace=True)
+
+
+class RefineNet(nn.Module):  # type: ignore[misc]
+    """K small networks side by side; see the module's docstring."""
+
+    def __init__(self, settings: RefineSettings | None = None) -> None:
+        """Build with random weights."""
+        super().__init__()
+        self.settings = settings = RefineSettings() if settings is None else settings
+        k, w = settings.keypoints, settings.width
+        self.layers = nn.Sequential(
+            _Grouped(k, 3, w, stride=2),
+            _Grouped(k, w, w),
+            _Grouped(k, w, w, dilation=2),
+            _Grouped(k, w, w, dilation=3),
+            _Grouped(k, w, w),
+        )
+        self.head = nn.Conv2d(k * w, 4 * k, 1, groups=k)
+
+    def forward(self, patches: Tensor) -> Tensor:
+        """Logits (M, K, 32, 32) over patches (M, K, 3, 32, 32) of RGB values from 0 to 255."""
+        x = ((patches - 127.0) / 128.0).flatten(1, 2)
+        return functional.pixel_shuffle(self.head(self.layers(x)), 2)
+
+
+def patch_offsets(count: int, keypoints: int, seed: int = 0) -> NDArray[np.int64]:
+    """(N, K, 2) whole pixels by which patches' centres are off the estimate; the first is centred."""
+    rng = np.random.default_rng(seed)
+    drawn = np.clip(rng.normal(0.0, _SPREAD, (count, keypoints, 2)), -_FURTHEST, _FURTHEST)
+    drawn[:1] = 0.0
+    return np.rint(drawn).astype(np.int64)
+
+
+def cut_patches(crops: NDArray[np.uint8], corners: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Patches (B, N, K, 3, 32, 32) of crops (B, S, S, 3) at upper left corners (B, N, K, 2); edges are repeated."""
+    size = crops.shape[1]
+    span = np.arange(PATCH)
+    column = np.clip(corners[..., 0, None] + span, 0, size - 1)
+    row = np.clip(corners[..., 1, None] + span, 0, size - 1)
+    many = np.arange(len(crops))[:, None, None, None, None]
+    return np.moveaxis(crops[many, row[..., :, None], column[..., None, :]], -1, -3)
+
+
+def fuse(
+    patch_log: Array, corners: NDArray[np.int64], centres: NDArray[np.int64], before_log: Array, trust: float
+) -> tuple[Array, NDArray[np.int64]]:
+    """One likelihood per keypoint from those of its patches and of KNet.
+
+    Args:
+        patch_log: (B, N, K, 32, 32) log likelihoods over the patches.
+        corners: (B, N, K, 2) upper left corners of the patches, pixels of the finer crop.
+        centres: (B, K, 2) rounded estimates.
+        before_log: (B, K, W, W) KNet's log likelihood over the windows.
+        trust: How much the patches count beside KNet.
+
+    Returns:
+        (B, K, W, W) normalised likelihoods over windows of `_WINDOW` pixels, and (B, K, 2) their upper left corners.
+    """
+    batch, count, keypoints = patch_log.shape[:3]
+    origin = centres - _WINDOW // 2
+    place = corners - origin[:, None]
+    total = np.zeros((batch, keypoints, _WINDOW, _WINDOW))
+    seen = np.zeros(total.shape)
+    span = np.arange(PATCH)
+    b, k = np.mgrid[:batch, :keypoints]
+    for n in range(count):
+        column, row = place[:, n, :, 0, None] + span, place[:, n, :, 1, None] + span
+        inside = ((row >= 0) & (row < _WINDOW))[..., :, None] & ((column >= 0) & (column < _WINDOW))[..., None, :]
+        r, c = np.clip(row, 0, _WINDOW - 1)[..., :, None], np.clip(column, 0, _WINDOW - 1)[..., None, :]
+        index = (b[..., None, None], k[..., None, None], r, c)
+        np.add.at(total, index, np.where(inside, patch_log[:, n], 0.0))
+        np.add.at(seen, index, inside.astype(np.float64))
+    mean = np.where(seen > 0, total / np.maximum(seen, 1.0), total.min(axis=(2, 3), keepdims=True))
+    joint = trust * mean + before_log
+    joint = joint - joint.max(axis=(2, 3), keepdims=True)
+    likelihood = np.exp(joint)
+    return likelihood / likelihood.sum(axis=(2, 3), keepdims=True), origin
+
+
+def window_of(likelihood: Array, centres: NDArray[np.int64], size: int) -> Array:
+    """KNet's log likelihood (B, K, W, W) per pixel of the windows around centres in a finer crop of S pixels.
+
+    Args:
+        likelihood: (B, K, H, H) KNet's maps over the same crop.
+        centres: (B, K, 2) pixels of the finer crop.
+        size: S.
+    """
+    side = likelihood.shape[-1]
+    span = np.arange(_WINDOW) - _WINDOW // 2
+    logs = np.log(likelihood + 1e-7)
+    # Bilinear: a pixel of the finer crop lies between cells.
+    place = (centres[..., None, :] + span[:, None] + 0.5) * (side / size) - 0.5  # (B, K, W, 2)
+    low = np.clip(np.floor(place), 0, side - 2).astype(np.int64)
+    part = np.clip(place - low, 0.0, 1.0)
+    b, k = (i[..., None, None] for i in np.mgrid[: len(likelihood), : likelihood.shape[1]])
+    r, c = low[..., 1][..., :, None], low[..., 0][..., None, :]
+    y, x = part[..., 1][..., :, None], part[..., 0][..., None, :]
+    above = logs[b, k, r, c] * (1 - x) + logs[b, k, r, c + 1] * x
+    below = logs[b, k, r + 1, c] * (1 - x) + logs[b, k, r + 1, c + 1] * x
+    result: Array = above * (1 - y) + below * y
+    return result
+
+
+def run_networks(network: Any, patches: NDArray[np.uint8], device: str = "cpu") -> Array:
+    """Log likelihoods (B, N, K, 32, 32) over patches (B, N, K, 3, 32, 32)."""
+    batch, count, keypoints = patches.shape[:3]
+    with torch.inference_mode():
+        flat = torch.from_numpy(np.ascontiguousarray(patches.reshape(batch * count, keypoints, 3, PATCH, PATCH)))
+        logits = network(flat.to(device).float()).float()
+        logs = torch.log_softmax(logits.flatten(2), dim=2)
+        array: Array = logs.cpu().numpy().astype(np.float64).reshape(batch, count, keypoints, PATCH, PATCH)
+    return array

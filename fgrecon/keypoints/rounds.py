@@ -1,0 +1,272 @@
+"""The whole training in rounds: labels from boxes, training, labels corrected by the network, training on.
+
+Everything lives in one folder, so that an interrupted run goes on where it was: `photographs/` (prepared images),
+`labels-0.npz`, `labels-1.npz`, ... (one per round) and `knet.pt` (the checkpoint).
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.errors import InvalidInputError
+from fgrecon.files import write_bytes
+from fgrecon.keypoints.crops import MARGIN, crop_of, extract
+from fgrecon.keypoints.dataset import Photographs, azimuth_weights, prepare_photographs
+from fgrecon.keypoints.decode import Calibration, decode
+from fgrecon.keypoints.detect import REACH, Detector
+from fgrecon.keypoints.labels import Labels, ShapeFit, fit_shape, project_labels, unit_prior
+from fgrecon.keypoints.posed_cars import PosedCar, groups, read_posed_cars, read_validation_ids
+from fgrecon.keypoints.relabel import Found, relabel_shape
+from fgrecon.keypoints.train import Progress, Training, load_checkpoint, train_knet
+from fgrecon.keypoints.weights import Stored, save_weights
+from fgrecon.priors.apollo79 import load_apollo79
+from fgrecon.priors.shape_prior import ShapePrior
+
+__all__ = ["Labelling", "Source", "corrected", "first_labelling", "open_photographs", "read_source", "train_in_rounds"]
+
+Array = NDArray[np.float64]
+
+_FIRST_SIGMA = 2.5
+"""Spread of the targets in pixels of the crop while the labels are those of the boxes, which are less exact."""
+
+_BATCH = 32
+
+
+@dataclass(frozen=True)
+class Source:
+    """What the training reads.
+
+    Attributes:
+        cars: All photographs.
+        learn: (N,) indices of those to learn from.
+        validate: Indices of those set aside.
+        prior: Model of the shapes in the unit of the photographs' poses.
+    """
+
+    cars: Sequence[PosedCar]
+    learn: NDArray[np.intp]
+    validate: NDArray[np.intp]
+    prior: ShapePrior
+
+
+@dataclass(frozen=True)
+class Labelling:
+    """Labels of all photographs, and the shapes behind them.
+
+    Attributes:
+        labels: Keypoints in pixels of the files, and visibilities.
+        fits: Shape of each `cad_id`.
+        cars: The photographs with their poses as corrected so far.
+        trusted: (M,) which photographs to learn from.
+    """
+
+    labels: Labels
+    fits: dict[str, ShapeFit]
+    cars: Sequence[PosedCar]
+    trusted: NDArray[np.bool_]
+
+    def save(self, path: Path) -> None:
+        """Write to an npz file, whole or not at all."""
+        names = sorted(self.fits)
+        content = io.BytesIO()
+        np.savez(
+            content,
+            keypoints=self.labels.keypoints,
+            visible=self.labels.visible,
+            trusted=self.trusted,
+            rotation=np.array([car.rotation for car in self.cars]),
+            translation=np.array([car.translation for car in self.cars]),
+            names=np.array(names),
+            coefficients=np.array([self.fits[name].coefficients for name in names]),
+            offsets=np.array([self.fits[name].offsets for name in names]),
+        )
+        write_bytes(path, content.getvalue())
+
+    @classmethod
+    def load(cls, path: Path, cars: Sequence[PosedCar]) -> Labelling:
+        """The reverse of `save`, for the same photographs.
+
+        Raises:
+            InvalidInputError: The file holds labels of others.
+        """
+        with np.load(path, allow_pickle=False) as file:
+            stored = {name: file[name] for name in file.files}
+        if len(stored["trusted"]) != len(cars):
+            raise InvalidInputError(str(path), f"{len(stored['trusted'])} photographs", "Train in an empty folder.")
+        posed = [
+            replace(car, rotation=r, translation=t)
+            for car, r, t in zip(cars, stored["rotation"], stored["translation"], strict=True)
+        ]
+        fits = {
+            str(name): ShapeFit(c, o, np.zeros((0, 4)))
+            for name, c, o in zip(stored["names"], stored["coefficients"], stored["offsets"], strict=True)
+        }
+        return cls(Labels(stored["keypoints"], stored["visible"]), fits, posed, stored["trusted"])
+
+
+def read_source(data: Path) -> Source:
+    """Read what the training needs from the data folder: `posed_cars`, `apollo79` and the validation shapes.
+
+    Raises:
+        InvalidInputError: A file is missing or malformed.
+    """
+    cars = read_posed_cars(data / "posed_cars")
+    apart = read_validation_ids(data / "hand_labels" / "validation_cad_ids.json")
+    held = np.array([car.cad_id in apart for car in cars])
+    return Source(cars, np.flatnonzero(~held), np.flatnonzero(held), unit_prior(load_apollo79(data)))
+
+
+def first_labelling(source: Source) -> Labelling:
+    """Labels from the shapes that explain the boxes (about half a minute for 6,000 photographs)."""
+    cars, found = source.cars, groups(source.cars)
+    fits: dict[str, ShapeFit] = {}
+    for name, members in found.items():
+        fits[name] = fit_shape(source.prior, [cars[i] for i in members])
+    return _labelling(source.prior, cars, fits, found, np.ones(len(cars), dtype=bool))
+
+
+def corrected(source: Source, before: Labelling, detector: Detector, photographs: Photographs) -> Labelling:
+    """Labels corrected by what the network finds in all photographs of each shape.
+
+    The measured poses are the evidence in every round; the corrected ones of the last round are not built upon.
+    """
+    members = groups(source.cars)
+    found = _find(source.cars, detector, photographs, source.prior.category.mirror)
+    fits: dict[str, ShapeFit] = {}
+    cars, trusted = list(source.cars), np.ones(len(source.cars), dtype=bool)
+    for name, rows in members.items():
+        seen = Found(found.keypoints[rows], found.confidence[rows], found.covariance[rows])
+        result = relabel_shape(source.prior, [source.cars[i] for i in rows], before.fits[name], seen)
+        fits[name] = result.fit
+        trusted[rows] = result.trusted
+        for row, car in zip(rows, result.cars, strict=True):
+            cars[row] = car
+    return _labelling(source.prior, cars, fits, members, trusted)
+
+
+def open_photographs(source: Source, labelling: Labelling, folder: Path) -> Photographs:
+    """The prepared photographs with these labels; prepares them where that has not been done."""
+    if not (folder / "scales.npy").exists():  # the last file that is written
+        fits = [labelling.fits[car.cad_id] for car in source.cars]
+        prepare_photographs(source.cars, fits, source.prior, folder)
+    return Photographs.load(folder, labelling.labels, np.array([car.azimuth for car in labelling.cars]))
+
+
+def train_in_rounds(
+    source: Source,
+    folder: Path,
+    how: Training,
+    relabel_at: Sequence[int],
+    *,
+    imagenet: dict[str, Any] | None = None,
+    device: str = "cpu",
+    report: Callable[[Progress], None] | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+) -> tuple[Any, Labelling, Photographs]:
+    """Train KNet, correcting the labels at given steps.
+
+    Args:
+        source: What to learn from.
+        folder: Where everything is kept; goes on from what is there.
+        how: Settings of the training.
+        relabel_at: Steps after which the labels are corrected, in rising order.
+        imagenet: Weights to start the encoder from.
+        device: Torch's name of the device.
+        report: Called with the progress.
+        tell: Called with a line about what begins.
+
+    Returns:
+        The averaged network, and the last labels with their photographs.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    checkpoint, partner = folder / "knet.pt", source.prior.category.mirror
+    stops = [*(step for step in relabel_at if step < how.steps), how.steps]
+    network: Any = None
+    labelling: Labelling | None = None
+    photographs: Photographs | None = None
+    for number, last in enumerate(stops):
+        path = folder / f"labels-{number}.npz"
+        if path.exists():
+            labelling = Labelling.load(path, source.cars)
+        elif labelling is None:
+            tell("Labels from the boxes")
+            labelling = first_labelling(source)
+            labelling.save(path)
+        else:
+            tell(f"Labels corrected by the network, round {number}")
+            detector = _as_detector(load_checkpoint(checkpoint), folder, device)
+            prepared = open_photographs(source, labelling, folder / "photographs")
+            labelling = corrected(source, labelling, detector, prepared)
+            labelling.save(path)
+        photographs = open_photographs(source, labelling, folder / "photographs")
+        if checkpoint.exists() and load_checkpoint(checkpoint)["step"] >= last and number < len(stops) - 1:
+            continue
+        tell(f"Training to step {last}")
+        chosen = source.learn[labelling.trusted[source.learn]]
+        sigma = _FIRST_SIGMA if number == 0 else how.sigma
+        network = train_knet(
+            photographs,
+            chosen,
+            azimuth_weights(photographs.azimuth, chosen),
+            partner,
+            checkpoint,
+            replace(how, sigma=sigma),
+            imagenet=imagenet,
+            device=device,
+            report=report,
+            until=last,
+        )
+    if labelling is None or photographs is None:
+        raise InvalidInputError("steps", how.steps, "Give at least one step.")
+    return network, labelling, photographs
+
+
+def _as_detector(content: dict[str, Any], folder: Path, device: str) -> Detector:
+    """The checkpoint's averaged network at work; confidences as an untrained calibration has them."""
+    path = folder / "round.safetensors"
+    save_weights(path, Stored(content["average"], content["settings"], Calibration(), {}))
+    return Detector(path, device=device)
+
+
+def _labelling(
+    prior: ShapePrior,
+    cars: Sequence[PosedCar],
+    fits: dict[str, ShapeFit],
+    members: dict[str, list[int]],
+    trusted: NDArray[np.bool_],
+) -> Labelling:
+    keypoints = np.zeros((len(cars), prior.category.size, 2))
+    visible = np.zeros(keypoints.shape[:2])
+    for name, rows in members.items():
+        labels = project_labels(prior, fits[name], [cars[i] for i in rows])
+        keypoints[rows], visible[rows] = labels.keypoints, labels.visible
+    return Labelling(Labels(keypoints, visible), fits, cars, trusted)
+
+
+def _find(cars: Sequence[PosedCar], detector: Detector, photographs: Photographs, partner: NDArray[np.intp]) -> Found:
+    """Keypoints in all prepared photographs, in pixels of the files; each seen as it is and mirrored."""
+    size = detector.network.settings.crop
+    keypoints = np.zeros((len(cars), len(partner), 2))
+    confidence, covariance = np.zeros(keypoints.shape[:2]), np.zeros((*keypoints.shape, 2))
+    for start in range(0, len(cars), _BATCH):
+        rows = range(start, min(start + _BATCH, len(cars)))
+        images = [np.ascontiguousarray(photographs.view(i).image) for i in rows]
+        crops = [crop_of([-0.5, -0.5, p.shape[1] - 0.5, p.shape[0] - 0.5], size) for p in images]
+        pixels = np.stack([extract(image, crop) for image, crop in zip(images, crops, strict=True)])
+        maps, visible, _ = detector.forward(pixels)
+        mirrored, visible_too, _ = detector.forward(np.ascontiguousarray(pixels[:, :, ::-1]))
+        maps = (maps + mirrored[:, partner][..., ::-1]) / 2
+        found = decode(maps, size / maps.shape[-1], REACH * size / MARGIN)
+        sure = detector.calibration.confidence((visible + visible_too[:, partner]) / 2, found.mass)
+        for row, i in enumerate(rows):
+            scale = float(photographs.scales[i])
+            keypoints[i] = (crops[row].to_image(found.points[row]) + 0.5) / scale - 0.5
+            confidence[i], covariance[i] = sure[row], found.covariance[row] / (crops[row].scale * scale) ** 2
+    return Found(keypoints, confidence, covariance)
