@@ -14,8 +14,8 @@ The strategies:
 - `paper`: Eqs. (4) and (5) of Murthy et al. 2017, w(0) = mu0 w_cnn + (1 - mu0) w_vis(0) and
   w(t+1) = mu1 w(t) + (1 - mu1) [mu2 s(t) + (1 - mu2) w_vis(t)]. The paper prints the reprojection error e_i(t),
   normalised over the instances, in the place of s, which would raise the weight of the worst point. Its text says that
-  "weights assigned to incorrectly estimated keypoints get reduced every iteration", so s = 1 - e_i / max_j e_j.
-  `paper_literal` is the printed form, kept to show the difference (docs/method.md has the numbers).
+  "weights assigned to incorrectly estimated keypoints get reduced every iteration", so s = exp(-e_i / mean_j e_j).
+  `paper_literal` is the printed form, e_i / max_j e_j (docs/method.md compares these and other readings).
 - `huber`, `cauchy`, `geman_mcclure`, `tukey`: the m-estimator's weight times the weight of Eq. (4).
 - `gnc`: graduated non-convexity with the Geman-McClure loss (Yang et al., RA-L 2020): its control parameter falls
   geometrically to 1 over the updates.
@@ -186,8 +186,11 @@ class RobustStrategy:
             estimator = _m_estimator_weight(self.name, squared_distance, self.tuning, self._control(progress))
             return initial * estimator, energy
         error = np.where(evidence.measured, np.sqrt(squared_distance), 0.0)
-        normalised = error / np.maximum(error.max(axis=-1, keepdims=True), 1e-12)
-        term = normalised if self.name is StrategyName.PAPER_LITERAL else 1.0 - normalised
+        if self.name is StrategyName.PAPER_LITERAL:
+            term = error / np.maximum(error.max(axis=-1, keepdims=True), 1e-12)
+        else:
+            mean = error.sum(axis=-1, keepdims=True) / max(int(np.count_nonzero(evidence.measured)), 1)
+            term = np.exp(-error / np.maximum(mean, 1e-12))
         update = self.mu2 * term + (1.0 - self.mu2) * visibility
         weights = self.mu1 * (initial if previous is None else previous) + (1.0 - self.mu1) * update
         return np.where(evidence.measured, weights, 0.0), energy

@@ -84,10 +84,10 @@ RIGHT, VISIBLE = np.array([0.9, 0.5, 0.1]), np.array([1.0, 0.5, 0.0])
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        # mu0 = 0.5, mu1 = 0.5, mu2 = 0.7; errors 0, 2, 4 divided by the largest: 0, 0.5, 1.
-        # w(0) = (0.95, 0.5, 0.05); s = 1 - e for `paper`, e for `paper_literal`:
-        # w(1) = 0.5 w(0) + 0.5 (0.7 s + 0.3 w_vis)
-        ("paper", [0.475 + 0.5 * (0.7 + 0.3), 0.25 + 0.5 * (0.35 + 0.15), 0.025]),
+        # mu0 = 0.5, mu1 = 0.5, mu2 = 0.7; errors 0, 2, 4. w(0) = (0.95, 0.5, 0.05).
+        # s = exp(-e) of the errors divided by their mean for `paper`, the errors divided by the largest for
+        # `paper_literal`: w(1) = 0.5 w(0) + 0.5 (0.7 s + 0.3 w_vis)
+        ("paper", [0.475 + 0.5, 0.25 + 0.5 * (0.7 * np.exp(-1) + 0.15), 0.025 + 0.5 * 0.7 * np.exp(-2)]),
         ("paper_literal", [0.475 + 0.5 * 0.3, 0.25 + 0.5 * (0.35 + 0.15), 0.025 + 0.5 * 0.7]),
     ],
 )
@@ -141,7 +141,7 @@ def test_weights_fall_with_the_distance(name, progress):
     seen, visible = evidence(np.full(401, 0.8)), np.full(401, 0.8)
     weights = strategy(name).evaluate(d2, seen, visible, progress=progress)[0]
     assert (np.diff(weights) <= 0).all()
-    assert weights[0] > 1.5 * weights[-1]
+    assert weights[0] > 1.4 * weights[-1]
 
 
 def test_gnc_starts_convex_and_ends_at_geman_mcclure():
