@@ -183,11 +183,7 @@ def reconstruct_track(
         raise DegenerateProblemError("observations", "no pose in any image", "Give more, or better spread, keypoints.")
     posed = perf_counter()
     history: list[JointStep] = []
-    failure = None
-    try:
-        values = _solve(frames, options, history)
-    except DegenerateProblemError as error:
-        failure, values = str(error), _start(frames)
+    values, failure = _solve(frames, options, history)
     milliseconds = {"pose": (posed - started) * 1e3, "joint": (perf_counter() - posed) * 1e3}
     return _result(frames, refused, values, history, failure, milliseconds)
 
@@ -211,30 +207,38 @@ def _start(frames: list[_Frame]) -> gtsam.Values:
     return values
 
 
-def _solve(frames: list[_Frame], options: Options, history: list[JointStep]) -> gtsam.Values:
-    """IRLS updates over the joint graph; states, terms and histories of the frames follow."""
+def _solve(frames: list[_Frame], options: Options, history: list[JointStep]) -> tuple[gtsam.Values, str | None]:
+    """IRLS updates over the joint graph; states, terms and histories of the frames follow.
+
+    Returns:
+        The values, and why the optimisation gave up, or None.
+    """
     values = _start(frames)
     for frame in frames:
-        check_in_front(frame.graph.kernel, values)
         _follow(frame, values)
     updates = max(options.strategy.updates, 1)
-    for update in range(updates):
-        change = max([_reweigh(frame, values, update / max(updates - 1, 1)) for frame in frames])
-        last = update == updates - 1 or (update > 0 and change < SETTLED and not options.strategy.anneals)
-        solution = minimise(
-            _graph(frames),
-            values,
-            relative_tolerance=FINAL_TOLERANCE if last else EARLY_TOLERANCE,
-            record=options.keep_history,
-        )
-        for step, iterate in enumerate(solution.path):
-            history.append(_record(frames, update, step, iterate))
-        values = solution.values
+    try:
         for frame in frames:
-            _follow(frame, values)
-        if last:
-            break
-    return values
+            check_in_front(frame.graph.kernel, values)
+        for update in range(updates):
+            change = max([_reweigh(frame, values, update / max(updates - 1, 1)) for frame in frames])
+            last = update == updates - 1 or (update > 0 and change < SETTLED and not options.strategy.anneals)
+            solution = minimise(
+                _graph(frames),
+                values,
+                relative_tolerance=FINAL_TOLERANCE if last else EARLY_TOLERANCE,
+                record=options.keep_history,
+            )
+            for step, iterate in enumerate(solution.path):
+                history.append(_record(frames, update, step, iterate))
+            values = solution.values
+            for frame in frames:
+                _follow(frame, values)
+            if last:
+                break
+    except DegenerateProblemError as error:
+        return values, str(error)
+    return values, None if solution.converged else f"no minimum in {solution.iterations} iterations"
 
 
 def _follow(frame: _Frame, values: gtsam.Values) -> None:

@@ -143,6 +143,23 @@ def test_what_cannot_be_solved_is_refused(car):
         reconstruct_track(seen, KITTI_CAMERA, options=fgrecon.Options(joint=False))
 
 
+def test_a_solve_that_gives_up_says_so_and_keeps_the_state_before(car, monkeypatch):
+    _, seen = drive(car, np.random.default_rng(4), count=2)
+
+    def give_up(*_arguments, **_settings):
+        raise DegenerateProblemError("keypoints", "a singular system", "Give more.")
+
+    monkeypatch.setattr("fgrecon.track.minimise", give_up)
+    track = reconstruct_track(seen, KITTI_CAMERA)
+    assert track.status is Status.FAILED
+    assert "singular" in track.message
+    assert track.history == ()
+    for frame in track.frames:
+        assert np.isfinite(frame.camera_T_object).all()
+        np.testing.assert_array_equal(frame.coefficients, track.coefficients)
+        assert {step.stage for step in frame.history} == {"initialisation", "pose"}
+
+
 @pytest.mark.data
 def test_a_real_track_has_a_better_size_than_its_images_alone(data):
     file = data / "kitti_tracking_keypoints14" / "seq0005_track12_from182.json"
