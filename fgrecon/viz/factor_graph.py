@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ class Layout:
     """A graph as it is drawn: V variables, then F factors.
 
     Attributes:
+        key: What is laid out.
         nodes: V + F unique names.
         labels: V + F texts.
         positions: (V + F, 2) places, x to the right, y down.
@@ -37,6 +39,7 @@ class Layout:
         edges: Pairs (factor, variable) of names.
     """
 
+    key: tuple[GraphFactor, ...]
     nodes: tuple[str, ...]
     labels: tuple[str, ...]
     positions: NDArray[np.float64]
@@ -65,8 +68,15 @@ def log_graph(play: Playback) -> None:
 
 def log_layout(stream: Any, layout: Layout, *, colours: bool = False) -> None:
     """Log nodes and edges without a time; the colours too, where no step changes them."""
+    stream.log(entities.GRAPH, _batches(layout.key, colours=colours), static=True)
+
+
+@lru_cache(maxsize=16)
+def _batches(key: tuple[GraphFactor, ...], *, colours: bool) -> list[Any]:
+    """Component batches of nodes and edges, made once: one category gives the same graph again and again."""
     import rerun as rr
 
+    layout = lay_out(key)
     count = len(layout.nodes)
     nodes = rr.GraphNodes(
         node_ids=list(layout.nodes),
@@ -76,16 +86,19 @@ def log_layout(stream: Any, layout: Layout, *, colours: bool = False) -> None:
         show_labels=True,
         radii=[_LARGE] * layout.variables + [_SMALL] * (count - layout.variables),
     )
-    stream.log(entities.GRAPH, nodes, rr.GraphEdges(edges=list(layout.edges), graph_type="undirected"), static=True)
+    edges = rr.GraphEdges(edges=list(layout.edges), graph_type="undirected")
+    return [*nodes.as_component_batches(), *edges.as_component_batches()]
 
 
-def lay_out(graph: Sequence[GraphFactor]) -> Layout:
+@lru_cache(maxsize=16)
+def lay_out(graph: tuple[GraphFactor, ...]) -> Layout:
     """Place variables and factors: in rows, or for several frames in a table with one row for each."""
     names = list(dict.fromkeys(variable for factor in graph for variable in factor.variables))
     several = sum(name.startswith("X") for name in names) > 1
     places = _table(names, graph) if several else _stack(names, graph)
     factors = [f"{factor.term} {index}" for index, factor in enumerate(graph)]
     return Layout(
+        key=graph,
         nodes=(*names, *factors),
         labels=(*(_describe(name) for name in names), *(_label(factor) for factor in graph)),
         positions=np.array(places).reshape(-1, 2),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from fgrecon.viz.geometry import image_points
 from fgrecon.viz.style import Side
 from fgrecon.viz.truth import Truth
 
-__all__ = ["RESULT", "Column", "Playback", "log_once"]
+__all__ = ["RESULT", "Column", "Playback", "log_once", "strip_column"]
 
 RESULT = "result"
 """Stage of the only step of a recording without a history."""
@@ -140,8 +140,7 @@ class Playback:
 
     def strips(self, entity: str, archetype: Any, strips: NDArray[np.float64]) -> None:
         """Send line strips (n, S, P, D), one batch per step; strips with a point that is not finite are left out."""
-        drawn: NDArray[np.bool_] = np.all(np.isfinite(strips), axis=(2, 3))
-        self.every_step(entity, archetype.columns(strips=strips[drawn]).partition(drawn.sum(axis=1)))
+        self.every_step(entity, [strip_column(archetype, strips)])
 
     def at_start(self, entity: str, *archetypes: Any) -> None:
         """Log what belongs to the frame: at its first step, or once for all where there are no steps."""
@@ -174,6 +173,29 @@ def log_once(stream: Any, entity: str, *archetypes: Any) -> None:
     """Log archetypes, or lists of component batches made before, without a time."""
     for archetype in archetypes:
         stream.log(entity, archetype, static=True)
+
+
+def strip_column(archetype: Any, strips: NDArray[np.float64]) -> Column:
+    """The strips (n, S, P, D) of `LineStrips2D` or `LineStrips3D` as n rows; those that are not finite are left out."""
+    import pyarrow as pa
+
+    rows, strip, point = _strip_types(archetype, strips.shape[3])
+    drawn: NDArray[np.bool_] = np.all(np.isfinite(strips), axis=(2, 3))
+    found = strips[drawn]
+    numbers = pa.array(found.astype(np.float32).ravel())
+    points = pa.FixedSizeListArray.from_arrays(numbers, type=point)
+    ends = np.arange(0, len(found) * strips.shape[2] + 1, strips.shape[2], dtype=np.int32)
+    lists = pa.ListArray.from_arrays(ends, points, type=strip)
+    starts = np.concatenate([[0], np.cumsum(drawn.sum(axis=1))]).astype(np.int32)
+    return Column(archetype.descriptor_strips(), pa.ListArray.from_arrays(starts, lists, type=rows))
+
+
+@lru_cache(maxsize=4)
+def _strip_types(archetype: Any, dimension: int) -> tuple[Any, Any, Any]:
+    """Arrow types of rows of strips, of a strip, and of a point, as rerun itself makes them."""
+    (column,) = archetype.columns(strips=np.zeros((1, 2, dimension)))
+    rows = column.as_arrow_array().type
+    return rows, rows.value_type, rows.value_type.value_type
 
 
 @dataclass(frozen=True)

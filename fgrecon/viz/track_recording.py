@@ -24,7 +24,7 @@ from fgrecon.viz import entities, style
 from fgrecon.viz.describe import track_table
 from fgrecon.viz.factor_graph import lay_out, log_layout
 from fgrecon.viz.geometry import as_image, image_points
-from fgrecon.viz.playback import Playback, log_once
+from fgrecon.viz.playback import Playback, log_once, strip_column
 from fgrecon.viz.plots import (
     energy_series,
     error_series,
@@ -280,10 +280,9 @@ def _log_joint(whole: _Track) -> None:
     history, times = whole.track.history, whole.joint_times()
     edges = whole.track.frames[0].edges
     shapes = np.stack([play.keypoints_in_camera[-len(history) :] for play in whole.plays], axis=1)  # (n, T, K, 3)
-    strips = shapes[:, :, edges].reshape(len(history), -1, 2, 3)
+    strips = shapes[:, :, edges].reshape(len(history), -1, 2, 3)  # strips of all frames at each step
     log_once(whole.stream, entities.TRACK_3D, line_style(3, (*style.SCREEN_INK, _FAINT), 0.6))
-    columns = rr.LineStrips3D.columns(strips=strips.reshape(-1, 2, 3)).partition([strips.shape[1]] * len(history))
-    whole.stream.send_columns(entities.TRACK_3D, times, columns)
+    whole.stream.send_columns(entities.TRACK_3D, times, [strip_column(rr.LineStrips3D, strips)])
     names, energies = energy_series([step.energies for step in history])
     log_once(
         whole.stream,
