@@ -2,8 +2,12 @@
 
 import re
 import runpy
+import sys
 
+import numpy as np
 import pytest
+
+from fgrecon import replay
 
 from .conftest import REPOSITORY
 
@@ -46,3 +50,27 @@ def test_own_category(capsys):
     yaw, true_yaw = map(float, re.search(rf"yaw {NUMBER} \(true {NUMBER}\)", output).groups())
     assert abs(yaw - true_yaw) < 2.0
     assert output.startswith("converged")
+
+
+def test_track(capsys, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["04_track.py"])
+    output = run("04", capsys)
+    together, alone = map(float, re.search(rf"off by {NUMBER} cm, image by image {NUMBER} cm", output).groups())
+    assert together < alone
+    assert output.startswith("converged")
+    assert np.median([float(off) for off in re.findall(rf"off by {NUMBER} m", output)]) < 1.0
+
+
+def test_track_records_when_asked(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["04_track.py", str(tmp_path / "track.rrd")])
+    run("04", capsys)
+    back = replay.read(tmp_path / "track.rrd")
+    assert len(back.frames) == 12
+    assert len(back.joint) > 0
+
+
+def test_learn_a_prior(capsys):
+    output = run("05", capsys)
+    assert float(re.search(f"mean shape off by {NUMBER} cm", output)[1]) < 8.0
+    yaw, true_yaw = map(float, re.search(f"yaw {NUMBER} degrees, true {NUMBER}", output).groups())
+    assert abs(yaw - true_yaw) < 3.0
