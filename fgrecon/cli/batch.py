@@ -14,11 +14,13 @@ from fgrecon.category import Category
 from fgrecon.cli.common import parse_numbers
 from fgrecon.errors import FgreconError, InvalidInputError
 from fgrecon.evaluation.tracks import parse_track
+from fgrecon.from_image import reconstruct_detection
 from fgrecon.json_fields import read_json
 from fgrecon.keypoint_file import Instance, parse_keypoints
+from fgrecon.keypoints.detect import CONFIDENCE_MIDPOINT, Detection
 from fgrecon.kitti import read_calibration
 from fgrecon.observation import Observation
-from fgrecon.options import Options
+from fgrecon.options import BoxModel, Options
 from fgrecon.pipeline import reconstruct
 from fgrecon.priors.shape_prior import ShapePrior
 from fgrecon.priors.size_prior import SizePrior
@@ -101,11 +103,15 @@ class Task:
         camera: The camera that saw it.
         label_offset: (3,) where KITTI's label frame lies from the camera's (a labelled point is at X + offset), or
             None.
+        detection: What the networks found, where the keypoints are from an image.
+        box_model: What its 2D box encloses, where that is not the run's setting.
     """
 
     instance: Instance
     camera: Camera
     label_offset: NDArray[np.float64] | None = None
+    detection: Detection | None = None
+    box_model: BoxModel | None = None
 
     @property
     def observation(self) -> Observation:
@@ -181,7 +187,13 @@ def _track_instances(data: object, path: Path, category: Category) -> tuple[list
 def run(task: Task, settings: Settings) -> Outcome:
     """Reconstruct one vehicle; an error that fgrecon raises on purpose becomes its outcome."""
     instance = task.instance
+    options = settings.options if task.box_model is None else replace(settings.options, box_model=task.box_model)
     try:
+        if task.detection is not None:
+            probable = replace(options, confidence_midpoint=CONFIDENCE_MIDPOINT)
+            known = {"prior": settings.prior, "ground": settings.ground, "size_prior": settings.size_prior}
+            found = reconstruct_detection(task.detection, task.camera, options=probable, **known)
+            return Outcome(task, found, None)
         result = reconstruct(
             instance.keypoints,
             task.camera,
@@ -192,7 +204,7 @@ def run(task: Task, settings: Settings) -> Outcome:
             ground=settings.ground,
             size_prior=settings.size_prior,
             initial=instance.initial,
-            options=settings.options,
+            options=options,
         )
     except FgreconError as error:
         return Outcome(task, None, error)

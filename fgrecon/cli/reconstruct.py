@@ -1,4 +1,4 @@
-"""`fgrecon reconstruct`: pose and shape of every vehicle in a keypoint file."""
+"""`fgrecon reconstruct`: pose and shape of every vehicle in a keypoint file, or in boxes of an image."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ __all__ = ["reconstruct_command"]
 
 
 def reconstruct_command(
-    keypoints: Annotated[Path, typer.Argument(help="Keypoints (JSON, format in the README), or a track.")],
+    keypoints: Annotated[Path, typer.Argument(help="Keypoints (JSON, format in the README), a track, or an image.")],
     calib: Annotated[Path | None, typer.Option(help="KITTI calibration file; its P2 is the camera.")] = None,
     intrinsics: Annotated[
         str | None, typer.Option(metavar="FX,FY,CX,CY", help="Camera in pixels.", show_default="from the file")
@@ -47,14 +47,25 @@ def reconstruct_command(
     ] = None,
     strategy: Annotated[StrategyName, typer.Option(help="Robust strategy.")] = StrategyName.MIXTURE,
     box_model: Annotated[
-        BoxModel, typer.Option(help="What 2D boxes enclose: the outline or the 3D box; off: they are no evidence.")
-    ] = BoxModel.SURFACE,
+        BoxModel | None,
+        typer.Option(
+            help="What 2D boxes enclose: the outline or the 3D box; off: they are no evidence.",
+            show_default="surface; cuboid for KITTI's boxes",
+        ),
+    ] = None,
     joint: Annotated[
         bool, typer.Option("--joint/--no-joint", help="Let pose and shape move together at the end.")
     ] = True,
     free_offsets: Annotated[
         bool, typer.Option("--free-offsets", help="Let every keypoint leave the shape prior by a small offset.")
     ] = False,
+    box: Annotated[
+        list[str] | None, typer.Option(metavar="X1,Y1,X2,Y2", help="2D box of a car in the image; repeat for more.")
+    ] = None,
+    boxes: Annotated[
+        Path | None, typer.Option(help="Boxes of cars in the image: KITTI labels or detections, or COCO JSON.")
+    ] = None,
+    weights: Annotated[Path | None, typer.Option(help="Keypoint network.", show_default="the shipped one")] = None,
     image: Annotated[Path | None, typer.Option(help="The photograph: to draw on, and for its size.")] = None,
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Draw the result (png, svg, pdf, jpg); several: a sheet.")
@@ -67,14 +78,14 @@ def reconstruct_command(
     spawn: SpawnOption = False,
     json_out: JsonOption = None,
 ) -> None:
-    """Reconstruct the pose and shape of the vehicles in a keypoint file.
+    """Reconstruct the pose and shape of the vehicles in a keypoint file, or in boxes of an image.
 
     A vehicle that is refused is reported, and the others go on.
 
     Exit code 0: at least one was reconstructed; 1: none, since solving failed; 2: none, since the input is bad.
     """
     from fgrecon.catalogue import load_prior
-    from fgrecon.cli import batch, show
+    from fgrecon.cli import batch, picture_tasks, show
     from fgrecon.files import write_text
     from fgrecon.images import read_image
     from fgrecon.options import Options
@@ -88,14 +99,30 @@ def reconstruct_command(
         prior=load_prior(prior),
         ground=None if plane is None else plane[0],
         size_prior=None if size_prior is None else parse_size(size_prior),
-        options=Options(strategy=tuned(strategy), joint=joint, free_offsets=free_offsets, box_model=box_model),
+        options=Options(
+            strategy=tuned(strategy), joint=joint, free_offsets=free_offsets, box_model=box_model or BoxModel.SURFACE
+        ),
     )
+    pictured = picture_tasks.is_image(keypoints)
+    if pictured:
+        image = keypoints
+    else:
+        picture_tasks.refuse_image_options(box or (), boxes, weights)
     photograph = None if image is None else read_image(image)
     source = batch.CameraSource(calib, intrinsics, distortion, photograph)
-    tasks, ignored = batch.read_tasks(keypoints, settings.prior.category, source)
+    ignored: tuple[str, ...] = ()
+    warning: str | None = None
+    if pictured and photograph is not None:
+        tasks, warning = picture_tasks.read_image_tasks(
+            keypoints, photograph, source, box=box or (), boxes=boxes, weights=weights, box_model=box_model
+        )
+    else:
+        tasks, ignored = batch.read_tasks(keypoints, settings.prior.category, source)
     outcomes = [batch.run(task, settings) for task in tasks]
 
     out = console(error=json_out == "-")
+    if warning is not None:
+        console(error=True).print(f"Warning: {warning}", markup=False)
     show.print_table(out, outcomes)
     if ignored:
         out.print(f"Fields of the file without a meaning here: {', '.join(ignored)}.", markup=False)

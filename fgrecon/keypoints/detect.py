@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.checks import as_finite
 from fgrecon.errors import InvalidInputError
 from fgrecon.keypoints.crops import MARGIN, Crop, crop_of, extract
-from fgrecon.keypoints.decode import Calibration, decode, softmax
+from fgrecon.keypoints.decode import Calibration, Decoded, decode, softmax
 from fgrecon.keypoints.weights import load_weights, shipped
 from fgrecon.observation import Observation
 
@@ -28,6 +29,7 @@ CONFIDENCE_MIDPOINT = 0.5
 """`Options.confidence_midpoint` for these confidences, which are probabilities: right as often as wrong at 0.5."""
 
 _SMALLEST_BOX = 8.0  # pixels: a smaller vehicle has no keypoints to see
+_PATCHES = 4  # per keypoint
 _INSIDE = 0.2  # share of the box that must lie in the image
 
 
@@ -56,11 +58,12 @@ class Detection:
 class Detector:
     """The networks, loaded once."""
 
-    def __init__(self, weights: str | Path | None = None, *, device: str = "cpu") -> None:
+    def __init__(self, weights: str | Path | None = None, *, refine: bool = True, device: str = "cpu") -> None:
         """Load a network.
 
         Args:
             weights: File; None for the one that comes with the package.
+            refine: Whether the refinement networks follow KNet, where the file has them.
             device: Torch's name of the device.
 
         Raises:
@@ -81,6 +84,14 @@ class Detector:
         except RuntimeError as error:
             raise InvalidInputError("weights", str(path), "Give a network of this version.") from error
         self.network.eval().to(device=device, memory_format=torch.channels_last)
+        self.trust = stored.trust
+        self.refinement: Any = None
+        if stored.refinement is not None and stored.refine_settings is not None and refine:
+            from fgrecon.keypoints.refine import RefineNet, RefineSettings
+
+            self.refinement = RefineNet(RefineSettings(**stored.refine_settings))
+            self.refinement.load_state_dict(stored.refinement, strict=False)
+            self.refinement.eval().to(device=device)
 
     def __call__(
         self, image: NDArray[Any], boxes: ArrayLike, *, maps: bool = False, batch: int = 32
@@ -103,24 +114,47 @@ class Detector:
             check_box(box, pixels, f"boxes[{number}]")
         found: list[Detection] = []
         for start in range(0, len(corners), batch):
-            found += self._run(pixels, corners[start : start + batch], maps)
+            some = corners[start : start + batch]
+            found += self.together([pixels] * len(some), some, maps=maps)
         return found
 
-    def _run(self, pixels: NDArray[np.uint8], boxes: Array, keep: bool) -> list[Detection]:
-        crops = [crop_of(box, self.network.settings.crop) for box in boxes]
-        heads = self.forward(np.stack([extract(pixels, crop) for crop in crops]))
-        likelihood, visible, azimuth = heads
+    def together(
+        self, images: Sequence[NDArray[np.uint8]], boxes: NDArray[np.float64], *, maps: bool = False
+    ) -> list[Detection]:
+        """Keypoints of one box (B, 4) in each of B RGB images (H, W, 3), in one batch; nothing is checked."""
         size = self.network.settings.crop
+        crops = [crop_of(box, size) for box in boxes]
+        pixels = np.stack([extract(image, crop) for image, crop in zip(images, crops, strict=True)])
+        likelihood, visible, azimuth = self.forward(pixels)
         decoded = decode(likelihood, size / likelihood.shape[-1], REACH * size / MARGIN)
         confidence = self.calibration.confidence(visible, decoded.mass)
+        if self.refinement is not None:
+            decoded = self._refine(images, boxes, likelihood, decoded)
         found = []
         for row, (box, crop) in enumerate(zip(boxes, crops, strict=True)):
             observation = Observation(
                 crop.to_image(decoded.points[row]), confidence[row], box, decoded.covariance[row] / crop.scale**2
             )
             seen = 0.5 * (1.0 + np.tanh(0.5 * visible[row]))
-            found.append(Detection(observation, azimuth[row], seen, crop, likelihood[row] if keep else None))
+            found.append(Detection(observation, azimuth[row], seen, crop, likelihood[row] if maps else None))
         return found
+
+    def _refine(self, images: Sequence[NDArray[np.uint8]], boxes: Array, likelihood: Array, first: Decoded) -> Decoded:
+        """KNet's positions and covariances corrected by the refinement networks; pixels of KNet's crop."""
+        from fgrecon.keypoints import refine
+
+        size, finer = self.network.settings.crop, self.refinement.settings.crop
+        fine = np.stack([extract(image, crop_of(box, finer)) for image, box in zip(images, boxes, strict=True)])
+        ratio = finer / size
+        centres = np.rint((first.points + 0.5) * ratio - 0.5).astype(np.int64)
+        offsets = refine.patch_offsets(_PATCHES, centres.shape[1])
+        corners = centres[:, None] + offsets - refine.PATCH // 2
+        patches = refine.run_networks(self.refinement, refine.cut_patches(fine, corners), self.device)
+        before = refine.window_of(likelihood, centres, finer)
+        joint, origin = refine.fuse(patches, corners, centres, before, self.trust)
+        found = decode(joint, 1.0, REACH * finer / MARGIN)
+        points = (found.points + origin + 0.5) / ratio - 0.5
+        return Decoded(points, found.covariance / ratio**2, first.mass)
 
     def forward(self, crops: NDArray[np.uint8]) -> tuple[Array, Array, Array]:
         """Likelihood maps (B, K, H, W), visibility logits (B, K) and directions (B, A) of crops (B, S, S, 3)."""

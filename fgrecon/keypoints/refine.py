@@ -27,7 +27,7 @@ PATCH = 32
 
 _SPREAD = 3.0  # standard deviation of the patches' centres around the estimate, pixels of the finer crop
 _FURTHEST = 7.0  # the estimate stays well inside every patch
-_WINDOW = 40  # side of the window over which the patches' likelihoods are averaged
+_WINDOW = 48  # side of the window over which the patches' likelihoods are averaged: holds every patch whole
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,8 @@ def fuse(
 
     Args:
         patch_log: (B, N, K, 32, 32) log likelihoods over the patches.
-        corners: (B, N, K, 2) upper left corners of the patches, pixels of the finer crop.
+        corners: (B, N, K, 2) upper left corners of the patches, pixels of the finer crop: `patch_offsets` from those
+            of patches centred at the estimates.
         centres: (B, K, 2) rounded estimates.
         before_log: (B, K, W, W) KNet's log likelihood over the windows.
         trust: How much the patches count beside KNet.
@@ -125,14 +126,11 @@ def fuse(
     total = np.zeros((batch, keypoints, _WINDOW, _WINDOW))
     seen = np.zeros(total.shape)
     span = np.arange(PATCH)
-    b, k = np.mgrid[:batch, :keypoints]
+    b, k = (i[..., None, None] for i in np.mgrid[:batch, :keypoints])
     for n in range(count):
-        column, row = place[:, n, :, 0, None] + span, place[:, n, :, 1, None] + span
-        inside = ((row >= 0) & (row < _WINDOW))[..., :, None] & ((column >= 0) & (column < _WINDOW))[..., None, :]
-        r, c = np.clip(row, 0, _WINDOW - 1)[..., :, None], np.clip(column, 0, _WINDOW - 1)[..., None, :]
-        index = (b[..., None, None], k[..., None, None], r, c)
-        np.add.at(total, index, np.where(inside, patch_log[:, n], 0.0))
-        np.add.at(seen, index, inside.astype(np.float64))
+        index = (b, k, (place[:, n, :, 1, None] + span)[..., :, None], (place[:, n, :, 0, None] + span)[..., None, :])
+        total[index] += patch_log[:, n]
+        seen[index] += 1.0
     mean = np.where(seen > 0, total / np.maximum(seen, 1.0), total.min(axis=(2, 3), keepdims=True))
     joint = trust * mean + before_log
     joint = joint - joint.max(axis=(2, 3), keepdims=True)

@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 
 from fgrecon.errors import InvalidInputError
 from fgrecon.files import write_bytes
-from fgrecon.keypoints.crops import MARGIN, crop_of, extract
 from fgrecon.keypoints.dataset import Photographs, azimuth_weights, prepare_photographs
-from fgrecon.keypoints.decode import Calibration, decode
-from fgrecon.keypoints.detect import REACH, Detector
+from fgrecon.keypoints.decode import Calibration
+from fgrecon.keypoints.detect import Detector
 from fgrecon.keypoints.labels import Labels, ShapeFit, fit_shape, project_labels, unit_prior
 from fgrecon.keypoints.posed_cars import PosedCar, groups, read_posed_cars, read_validation_ids
 from fgrecon.keypoints.relabel import Found, relabel_shape
@@ -138,7 +137,7 @@ def corrected(source: Source, before: Labelling, detector: Detector, photographs
     The measured poses are the evidence in every round; the corrected ones of the last round are not built upon.
     """
     members = groups(source.cars)
-    found = _find(source.cars, detector, photographs, source.prior.category.mirror)
+    found = _find(source.cars, detector, photographs)
     fits: dict[str, ShapeFit] = {}
     cars, trusted = list(source.cars), np.ones(len(source.cars), dtype=bool)
     for name, rows in members.items():
@@ -250,23 +249,16 @@ def _labelling(
     return Labelling(Labels(keypoints, visible), fits, cars, trusted)
 
 
-def _find(cars: Sequence[PosedCar], detector: Detector, photographs: Photographs, partner: NDArray[np.intp]) -> Found:
-    """Keypoints in all prepared photographs, in pixels of the files; each seen as it is and mirrored."""
-    size = detector.network.settings.crop
-    keypoints = np.zeros((len(cars), len(partner), 2))
+def _find(cars: Sequence[PosedCar], detector: Detector, photographs: Photographs) -> Found:
+    """Keypoints in all prepared photographs, in pixels of the files."""
+    keypoints = np.zeros((len(cars), detector.network.settings.keypoints, 2))
     confidence, covariance = np.zeros(keypoints.shape[:2]), np.zeros((*keypoints.shape, 2))
     for start in range(0, len(cars), _BATCH):
         rows = range(start, min(start + _BATCH, len(cars)))
         images = [np.ascontiguousarray(photographs.view(i).image) for i in rows]
-        crops = [crop_of([-0.5, -0.5, p.shape[1] - 0.5, p.shape[0] - 0.5], size) for p in images]
-        pixels = np.stack([extract(image, crop) for image, crop in zip(images, crops, strict=True)])
-        maps, visible, _ = detector.forward(pixels)
-        mirrored, visible_too, _ = detector.forward(np.ascontiguousarray(pixels[:, :, ::-1]))
-        maps = (maps + mirrored[:, partner][..., ::-1]) / 2
-        found = decode(maps, size / maps.shape[-1], REACH * size / MARGIN)
-        sure = detector.calibration.confidence((visible + visible_too[:, partner]) / 2, found.mass)
-        for row, i in enumerate(rows):
-            scale = float(photographs.scales[i])
-            keypoints[i] = (crops[row].to_image(found.points[row]) + 0.5) / scale - 0.5
-            confidence[i], covariance[i] = sure[row], found.covariance[row] / (crops[row].scale * scale) ** 2
+        boxes = np.array([[-0.5, -0.5, image.shape[1] - 0.5, image.shape[0] - 0.5] for image in images])
+        for i, detection in zip(rows, detector.together(images, boxes), strict=True):
+            seen, scale = detection.observation, float(photographs.scales[i])
+            keypoints[i], confidence[i] = (seen.keypoints + 0.5) / scale - 0.5, seen.confidence
+            covariance[i] = np.eye(2) if seen.covariance is None else seen.covariance / scale**2
     return Found(keypoints, confidence, covariance)

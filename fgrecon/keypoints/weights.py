@@ -15,9 +15,10 @@ from fgrecon.keypoints.decode import Calibration
 
 __all__ = ["FORMAT", "Stored", "load_weights", "save_weights", "shipped"]
 
-FORMAT = "fgrecon.knet/1"
+FORMAT = "fgrecon.keypoints/1"
 
-_NAME = "knet-car14.safetensors"
+_NAME = "keypoints-car14.safetensors"
+_KNET, _REFINEMENT = "knet.", "refine."
 
 
 @dataclass(frozen=True)
@@ -29,12 +30,18 @@ class Stored:
         settings: Sizes of the network.
         calibration: From its outputs to confidences.
         provenance: Learnt from what (plain strings).
+        refinement: Tensors of the refinement networks, or None without them.
+        refine_settings: Their sizes, or None.
+        trust: How much their likelihoods count beside KNet's.
     """
 
     state: Mapping[str, Any]
     settings: Mapping[str, int]
     calibration: Calibration
     provenance: Mapping[str, str]
+    refinement: Mapping[str, Any] | None = None
+    refine_settings: Mapping[str, int] | None = None
+    trust: float = 0.5
 
 
 def shipped() -> Path:
@@ -56,7 +63,8 @@ def save_weights(path: Path, stored: Stored) -> Path:
     from safetensors.torch import save
 
     tensors = {}
-    for name, value in stored.state.items():
+    parts = {_KNET: stored.state, _REFINEMENT: stored.refinement or {}}
+    for name, value in ((part + name, value) for part, state in parts.items() for name, value in state.items()):
         if value.dtype.is_floating_point:
             value = value.clamp(-6e4, 6e4).to(torch.float16)
         if not name.endswith("num_batches_tracked"):
@@ -66,6 +74,8 @@ def save_weights(path: Path, stored: Stored) -> Path:
         "settings": json.dumps(dict(stored.settings)),
         "calibration": json.dumps(stored.calibration.to_dict()),
         "provenance": json.dumps(dict(stored.provenance)),
+        "refinement": json.dumps(stored.refine_settings and dict(stored.refine_settings)),
+        "trust": json.dumps(stored.trust),
     }
     return write_bytes(path, save(tensors, about))
 
@@ -84,12 +94,19 @@ def load_weights(path: Path) -> Stored:
             about = file.metadata() or {}
             if about.get("format") != FORMAT:
                 raise InvalidInputError("weights", str(path), fix)
-            state = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118
+            tensors = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118
+        state, refinement = (
+            {name.removeprefix(part): value for name, value in tensors.items() if name.startswith(part)}
+            for part in (_KNET, _REFINEMENT)
+        )
         return Stored(
             state,
             json.loads(about["settings"]),
             Calibration.from_dict(json.loads(about["calibration"])),
             json.loads(about["provenance"]),
+            refinement or None,
+            json.loads(about["refinement"]),
+            float(about["trust"]),
         )
     except (SafetensorError, OSError, ValueError, KeyError) as error:
         if isinstance(error, InvalidInputError):

@@ -1,0 +1,178 @@
+"""What `fgrecon keypoints` prints, and the work of its `train`. Imported when it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from fgrecon.cli.common import console
+from fgrecon.keypoints.detect import CONFIDENCE_MIDPOINT, Detector
+from fgrecon.keypoints.evaluate import (
+    GROUPS,
+    Localisation,
+    Scored,
+    azimuth_errors,
+    localisation,
+    marks_reliability,
+)
+
+__all__ = ["end_to_end", "marks_document", "print_marks", "run_training"]
+
+_SIZES = (0.0, 60.0, 120.0)  # pixels of the box's longer side from which street cars are counted
+
+
+def print_marks(out: Console, scored: Sequence[Scored], names: Sequence[str]) -> None:
+    """Tables of the shares of visible keypoints that are found, by group, by size, by keypoint, and by confidence."""
+    table = _table("group", "cars", "points", "PCK 0.1", "PCK 0.05", "median %")
+    for name, groups in GROUPS.items():
+        _row(table, name, localisation(scored, groups))
+    _row(table, "hard alone", localisation(scored, ("hard",)))
+    for least in _SIZES[1:]:
+        _row(table, f"street, from {least:.0f} px", localisation(scored, GROUPS["hard"], least=least))
+    out.print(table)
+    by_keypoint = _table("keypoint", "photographs 0.1", "0.05", "street 0.1", "0.05")
+    photographs, street = localisation(scored, GROUPS["photographs"]), localisation(scored, GROUPS["hard"])
+    for keypoint, name in enumerate(names):
+        shares = [*photographs.keypoints[keypoint], *street.keypoints[keypoint]]
+        by_keypoint.add_row(name, *("" if np.isnan(share) else f"{100 * share:.0f}" for share in shares))
+    out.print(by_keypoint)
+    found = marks_reliability(scored)
+    by_confidence = _table("confidence", "right", "points")
+    for sure, right, count in zip(found.confidence, found.right, found.count, strict=True):
+        by_confidence.add_row(f"{sure:.2f}", f"{right:.2f}", str(count))
+    out.print(by_confidence)
+    out.print(f"Expected calibration error: {found.error:.3f}")
+
+
+def marks_document(scored: Sequence[Scored], names: Sequence[str]) -> dict[str, Any]:
+    """The same numbers as plain values."""
+
+    def plain(result: Localisation) -> dict[str, Any]:
+        shares = {
+            name: [None if np.isnan(share) else float(share) for share in row]
+            for name, row in zip(names, result.keypoints, strict=False)
+        }
+        return {
+            "cars": result.cars,
+            "points": result.points,
+            "pck_0.1": result.within_tenth,
+            "pck_0.05": result.within_twentieth,
+            "median": result.median,
+            "keypoints": shares,
+        }
+
+    found = marks_reliability(scored)
+    return {
+        "marks": {name: plain(localisation(scored, groups)) for name, groups in GROUPS.items()},
+        "reliability": {
+            "confidence": found.confidence.tolist(),
+            "right": found.right.tolist(),
+            "count": found.count.tolist(),
+            "expected_calibration_error": found.error,
+        },
+    }
+
+
+def end_to_end(out: Console, detector: Detector, data: Path, count: int, seed: int) -> dict[str, Any]:
+    """Directions of validation photographs after pose and shape adjustment, intrinsics given."""
+    from fgrecon.catalogue import load_prior
+    from fgrecon.from_image import reconstruct_detection
+    from fgrecon.keypoints.posed_cars import read_posed_cars, read_validation_ids
+    from fgrecon.options import Options
+
+    apart = read_validation_ids(data / "hand_labels" / "validation_cad_ids.json")
+    cars = [car for car in read_posed_cars(data / "posed_cars") if car.cad_id in apart]
+    chosen = np.sort(np.random.default_rng(seed).choice(len(cars), min(count, len(cars)), replace=False))
+    prior, options = load_prior("car14"), Options(confidence_midpoint=CONFIDENCE_MIDPOINT, keep_history=False)
+    score = azimuth_errors(
+        detector,
+        [cars[i] for i in chosen],
+        lambda detection, camera: reconstruct_detection(detection, camera, options=options, prior=prior),
+    )
+    numbers = {"photographs": len(chosen), "median_degrees": score.median}
+    numbers |= {f"within_{degrees}": score.within(degrees) for degrees in (5, 15, 30)}
+    out.print(
+        f"End to end on {len(chosen)} validation photographs: median {score.median:.1f}°, "
+        f"within 5/15/30°: {100 * score.within(5):.1f}/{100 * score.within(15):.1f}/{100 * score.within(30):.1f} %"
+    )
+    return numbers
+
+
+def run_training(
+    data: Path,
+    work: Path,
+    out: Path,
+    *,
+    imagenet: Path | None,
+    steps: int,
+    batch: int,
+    relabel_at: Sequence[int],
+    refine_steps: int,
+    seed: int,
+    device: str,
+    workers: int,
+) -> None:
+    """The work of `fgrecon keypoints train`."""
+    import torch
+
+    from fgrecon.keypoints.calibrate import calibrate
+    from fgrecon.keypoints.dataset import azimuth_weights
+    from fgrecon.keypoints.decode import Calibration
+    from fgrecon.keypoints.rounds import read_source, train_in_rounds
+    from fgrecon.keypoints.train import Progress, Training
+    from fgrecon.keypoints.train_refine import RefineTraining, train_refinement
+    from fgrecon.keypoints.weights import Stored, save_weights
+
+    shown = console(error=True)
+
+    def report(progress: Progress) -> None:
+        losses = ", ".join(f"{name} {value:.3f}" for name, value in progress.losses.items())
+        shown.print(f"step {progress.step} of {progress.steps}: {losses}", markup=False)
+
+    source = read_source(data)
+    pretrained = None if imagenet is None else torch.load(imagenet, map_location="cpu", weights_only=True)
+    how = Training(steps=steps, batch=batch, seed=seed, workers=workers)
+    network, labelling, photographs = train_in_rounds(
+        source, work, how, relabel_at, imagenet=pretrained, device=device, report=report, tell=shown.print
+    )
+    partner = source.prior.category.mirror
+    provenance = {
+        "data": f"{len(source.learn)} photographs of posed cars; shapes from 79 car models",
+        "start": "EfficientNet-lite0, ImageNet" if imagenet else "random weights",
+        "training": f"{steps} steps of {batch}, labels corrected at {list(relabel_at)}, seed {seed}",
+    }
+    stored = Stored(network.state_dict(), how.network.to_dict(), Calibration(), provenance)
+    if refine_steps:
+        shown.print("Refinement networks")
+        chosen = source.learn[labelling.trusted[source.learn]]
+        refining = RefineTraining(steps=refine_steps, seed=seed)
+        weights = azimuth_weights(photographs.azimuth, chosen)
+        refinement = train_refinement(
+            photographs, chosen, weights, partner, work / "refine.pt", refining, device=device, report=report
+        )
+        stored = replace(stored, refinement=refinement.state_dict(), refine_settings=refining.network.to_dict())
+    save_weights(out, stored)
+    shown.print("Calibration")
+    held = source.validate[labelling.trusted[source.validate]]
+    fitted = calibrate(Detector(out, device=device), photographs, held, partner, seed=seed + 1)
+    save_weights(out, replace(stored, calibration=fitted))
+
+
+def _table(*headings: str) -> Table:
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    for number, heading in enumerate(headings):
+        table.add_column(heading, justify="right" if number else "left")
+    return table
+
+
+def _row(table: Table, name: str, result: Localisation) -> None:
+    shares = (result.within_tenth, result.within_twentieth, result.median)
+    cells = ["" if np.isnan(share) else f"{100 * share:.1f}" for share in shares]
+    table.add_row(name, str(result.cars), str(result.points), *cells)

@@ -1,0 +1,96 @@
+"""The image input of `fgrecon reconstruct`: boxes, keypoints by the networks, the camera. Imported when it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.boxes import boxes_of
+from fgrecon.camera import Camera
+from fgrecon.cli.batch import CameraSource, Task
+from fgrecon.cli.common import parse_numbers
+from fgrecon.errors import InvalidInputError
+from fgrecon.keypoint_file import Instance
+from fgrecon.keypoints.detect import Detector, check_box
+from fgrecon.options import BoxModel
+
+__all__ = ["DEFAULT_FIELD_OF_VIEW", "default_camera", "is_image", "read_image_tasks", "refuse_image_options"]
+
+DEFAULT_FIELD_OF_VIEW = 60.0
+"""Horizontal field of view in degrees where nothing is known about the camera: distances are then rough."""
+
+_IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
+
+
+def is_image(path: Path) -> bool:
+    """Whether a file is an image, by its ending."""
+    return path.suffix.lower() in _IMAGES
+
+
+def default_camera(width: int, height: int) -> Camera:
+    """A camera with the default field of view, looking straight at the middle of an image of that many pixels."""
+    focal = width / 2 / np.tan(np.radians(DEFAULT_FIELD_OF_VIEW) / 2)
+    return Camera.of([focal, focal, (width - 1) / 2, (height - 1) / 2])
+
+
+def read_image_tasks(
+    path: Path,
+    image: NDArray[np.uint8],
+    source: CameraSource,
+    *,
+    box: Sequence[str],
+    boxes: Path | None,
+    weights: Path | None,
+    box_model: BoxModel | None,
+) -> tuple[list[Task], str | None]:
+    """The vehicles in the boxes of an image, with the keypoints that the networks find; all in one batch.
+
+    Args:
+        path: The image's file.
+        image: (H, W, 3) its pixels.
+        source: The command line's camera.
+        box: Boxes as `x1,y1,x2,y2`.
+        boxes: File of boxes, or None.
+        weights: Network, or None for the shipped one.
+        box_model: What the boxes enclose, or None for what their source says.
+
+    Returns:
+        The vehicles, and a warning where the camera had to be assumed.
+
+    Raises:
+        InvalidInputError: A box cannot be used, or there is no network.
+    """
+    wanted = "x1,y1,x2,y2: four numbers in pixels"
+    named = boxes_of(path, [parse_numbers("box", text, wanted, (4,)) for text in box], boxes)
+    for item in named:
+        check_box(item.corners, image, f"box {item.name}")
+    camera, offset = source.camera()
+    warning = None
+    if camera is None:
+        camera = default_camera(image.shape[1], image.shape[0])
+        warning = (
+            f"No camera is given: a horizontal field of view of {DEFAULT_FIELD_OF_VIEW:g} degrees is assumed, and "
+            "distances are rough. Give --calib or --intrinsics."
+        )
+    complete = source.complete(camera, declared=False)
+    found = Detector(weights)(image, [item.corners for item in named])
+    tasks = []
+    for item, detection in zip(named, found, strict=True):
+        seen = detection.observation
+        instance = Instance(item.name, seen.keypoints, seen.confidence, seen.box, seen.covariance)
+        tasks.append(Task(instance, complete, offset, detection, item.model if box_model is None else box_model))
+    return tasks, warning
+
+
+def refuse_image_options(box: Sequence[str], boxes: Path | None, weights: Path | None) -> None:
+    """Refuse what means nothing for a keypoint file.
+
+    Raises:
+        InvalidInputError: Boxes or a network are given.
+    """
+    for field, value in (("box", box), ("boxes", boxes), ("weights", weights)):
+        if value:
+            raise InvalidInputError(field, str(value), "Give an image instead of keypoints, or leave this out.")
