@@ -42,4 +42,6 @@ def _others(vehicle: VehicleGraph, terms: Terms) -> Iterator[GraphFactor]:
             keys = list(factor.keys())
             planes = [decode_key(key).low for key in keys if decode_key(key).letter == "P"]
             label = faces[planes[0]].name + (" level" if len(keys) == 1 else "") if planes else ""
+            if term == "ground":
+                label = "height" if factor.dim() == 1 else "upright"
             yield GraphFactor(term, label, tuple(key_name(key) for key in keys))

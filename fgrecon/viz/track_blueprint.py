@@ -24,8 +24,7 @@ def track_blueprint(track: TrackReconstruction, sight: TrackSight) -> Any:
 
     by_frame = []
     if sight.truths is not None and any(truth is not None for truth in sight.truths):
-        shape = any(truth is not None and truth.keypoints is not None for truth in sight.truths)
-        by_frame.append(error_views(f"{entities.FRAMES}/{entities.ERROR}", shape=shape))
+        by_frame.append(error_views(f"{entities.FRAMES}/{entities.ERROR}", shape=False))  # that is one number
     by_frame += [
         plot_view("Weights", f"{entities.FRAMES}/{entities.WEIGHTS}", low=-0.02, high=1.02),
         plot_view("Energy [nats]", f"{entities.FRAMES}/{entities.ENERGY}"),
