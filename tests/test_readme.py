@@ -54,12 +54,13 @@ def test_links_lead_somewhere(document):
 
 def test_every_named_option_exists():
     help_text = ""
-    for command in (["demo"], ["reconstruct"], ["evaluate", "tracks"], ["prior", "build"]):
+    for command in (["demo"], ["reconstruct"], ["track"], ["replay"], ["evaluate", "tracks"], ["prior", "build"]):
         help_text += CliRunner().invoke(main.app, [*command, "--help"], terminal_width=200).stdout
     shell = "\n".join(re.findall(r"```bash\n(.*?)```", README, re.DOTALL))
     named = set(re.findall(r"(--[a-z-]+)", shell + "\n".join(re.findall(r"`(--[^`]+)`", README))))
     assert named - {"--quiet", "--help"} <= set(re.findall(r"--[a-z-]+", help_text))
 
 
-def test_the_picture_is_small():
-    assert (REPOSITORY / "docs/images/demo.png").stat().st_size < 400_000
+@pytest.mark.parametrize("name", ["demo", "recording"])
+def test_the_pictures_are_small(name):
+    assert (REPOSITORY / f"docs/images/{name}.png").stat().st_size < 400_000
