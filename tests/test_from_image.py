@@ -41,7 +41,7 @@ def detection(pose, confidence, azimuth):
     pixels = CAMERA.project(prior.mean @ pose[:3, :3].T + pose[:3, 3])
     box = np.concatenate([pixels.min(axis=0) - 5, pixels.max(axis=0) + 5])
     observation = Observation(pixels, confidence, box, np.broadcast_to(4.0 * np.eye(2), (14, 2, 2)))
-    return Detection(observation, seen_from(azimuth), confidence, crop_of(box, 96))
+    return Detection(observation, seen_from(azimuth), confidence, confidence, crop_of(box, 96))
 
 
 @pytest.mark.parametrize("turn", np.radians([-170, -60, 0, 45, 100]))

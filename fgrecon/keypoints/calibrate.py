@@ -10,12 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.keypoints.augment import Street
 from fgrecon.keypoints.crops import MARGIN
 from fgrecon.keypoints.dataset import Photographs, azimuth_weights
-from fgrecon.keypoints.decode import Calibration, decode
+from fgrecon.keypoints.decode import Calibration, logit
 from fgrecon.keypoints.detect import REACH, Detector
 
 __all__ = ["Reliability", "calibrate", "reliability"]
 
 _BATCH = 32
+_SIDE = 176  # pixels of the samples: as fine as the networks look
 _SEEN = 0.5  # a label counts as visible from this probability
 
 
@@ -63,7 +64,7 @@ def calibrate(
     """Fit the calibration on street-like samples of photographs that the network has not learnt from.
 
     Args:
-        detector: The network.
+        detector: The network, without a calibration of its spread so far.
         photographs: With labels.
         chosen: Which of them to use.
         partner: (K,) index of each keypoint's mirror image.
@@ -71,19 +72,24 @@ def calibrate(
         samples: How many samples.
         seed: Of the samples.
     """
-    size = detector.network.settings.crop
     scene = replace(Street(), covered=0.25, block=0.1) if street is None else street
-    scene = replace(scene, size=size)
+    scene = replace(scene, size=_SIDE)
+    extent = _SIDE / MARGIN
+    box = (_SIDE - 1) / 2 + np.array([-0.5, -0.5, 0.5, 0.5]) * extent
     weights = azimuth_weights(photographs.azimuth, chosen)
-    visible, mass, right = [], [], []
+    visible, mass, right, spread, error = [], [], [], [], []
     for start in range(0, samples, _BATCH):
         count = min(_BATCH, samples - start)
         drawn = [photographs.draw(chosen, weights, scene, partner, (seed, start + i)) for i in range(count)]
-        maps, seen, _ = detector.forward(np.stack([sample.crop for sample in drawn]))
-        found = decode(maps, size / maps.shape[-1], REACH * size / MARGIN)
-        away = np.linalg.norm(found.points - np.array([sample.keypoints for sample in drawn]), axis=-1)
-        truly = np.array([sample.visible for sample in drawn]) > _SEEN
-        visible.append(seen)
-        mass.append(found.mass)
-        right.append(truly & (away <= REACH * size / MARGIN))
-    return Calibration.fit(np.concatenate(visible), np.concatenate(mass), np.concatenate(right))
+        found = detector.together([sample.crop for sample in drawn], np.tile(box, (count, 1)))
+        for sample, detection in zip(drawn, found, strict=True):
+            away = (detection.observation.keypoints - sample.keypoints) / extent
+            hit = (sample.visible > _SEEN) & (np.linalg.norm(away, axis=1) <= REACH)
+            visible.append(logit(detection.visible))
+            mass.append(detection.mass)
+            right.append(hit)
+            if detection.observation.covariance is not None:
+                spread.append(detection.observation.covariance[hit] / extent**2)
+                error.append(away[hit])
+    fitted = Calibration.fit(np.array(visible), np.array(mass), np.array(right))
+    return fitted.with_spread(np.concatenate(spread), np.concatenate(error))

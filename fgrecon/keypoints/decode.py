@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Calibration", "Decoded", "decode", "log_softmax", "softmax"]
+__all__ = ["Calibration", "Decoded", "decode", "log_softmax", "logit", "sigmoid", "softmax"]
 
 Array = NDArray[np.float64]
 
@@ -43,12 +43,17 @@ class Calibration:
         visible: Factor of v.
         mass: Factor of m.
         product: Factor of v m'.
+        scale: Factor of the likelihood's standard deviations.
+        floor: Standard deviation per axis that is added in quadrature, as a fraction of the box's longer side: what
+            a likelihood cannot know, such as how annotators see a keypoint.
     """
 
     bias: float = 0.0
     visible: float = 1.0
     mass: float = 0.5
     product: float = 0.0
+    scale: float = 1.0
+    floor: float = 0.0
 
     def confidence(self, visible: Array, mass: Array) -> Array:
         """(B, K) confidences in (0, 1) from visibility logits and masses (B, K)."""
@@ -76,14 +81,43 @@ class Calibration:
                 break
         return cls(*(float(value) for value in w))
 
+    def covariance(self, likelihood: Array, extent: float) -> Array:
+        """Covariances (..., 2, 2) from those of the likelihood, for a box of that longer side in the same unit."""
+        return self.scale**2 * likelihood + (self.floor * extent) ** 2 * np.eye(2)
+
+    def with_spread(self, likelihood: Array, error: Array) -> Calibration:
+        """The scale and floor under which errors of right points are most probable (Laplace-like tails).
+
+        Args:
+            likelihood: (M, 2, 2) covariances of the likelihood, in units of the box's longer side.
+            error: (M, 2) errors in the same unit.
+        """
+        best, least = (self.scale, self.floor), np.inf
+        for scale in (0.5, 0.7, 1.0, 1.4, 2.0):
+            for floor in (0.0, 0.005, 0.01, 0.015, 0.02, 0.025, 0.03, 0.04):
+                covariance = scale**2 * likelihood + (floor**2 + 1e-9) * np.eye(2)
+                squared = np.einsum("mi,mij,mj->m", error, np.linalg.inv(covariance), error)
+                # A bivariate t distribution of four degrees of freedom: a few bad points do not decide.
+                cost = float(np.mean(0.5 * np.log(np.linalg.det(covariance)) + 3.0 * np.log1p(squared / 4.0)))
+                if cost < least:
+                    best, least = (scale, floor), cost
+        return replace(self, scale=best[0], floor=best[1])
+
     def to_dict(self) -> dict[str, float]:
         """Plain numbers for a file."""
-        return {"bias": self.bias, "visible": self.visible, "mass": self.mass, "product": self.product}
+        return asdict(self)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, float]) -> Calibration:
         """The reverse of `to_dict`."""
-        return cls(*(float(data[name]) for name in ("bias", "visible", "mass", "product")))
+        return cls(**{field.name: float(data[field.name]) for field in fields(cls)})
+
+
+def logit(probability: Array) -> Array:
+    """The reverse of `sigmoid`, limited to about 14."""
+    p = np.clip(probability, _TINY, 1.0 - _TINY)
+    result: Array = np.log(p / (1.0 - p))
+    return result
 
 
 def sigmoid(x: Array) -> Array:

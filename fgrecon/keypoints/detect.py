@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgrecon.catalogue import load_category
 from fgrecon.checks import as_finite
 from fgrecon.errors import InvalidInputError
 from fgrecon.keypoints.crops import MARGIN, Crop, crop_of, extract
@@ -28,6 +29,7 @@ REACH = 0.1
 CONFIDENCE_MIDPOINT = 0.5
 """`Options.confidence_midpoint` for these confidences, which are probabilities: right as often as wrong at 0.5."""
 
+_CATEGORY = "car14"
 _SMALLEST_BOX = 8.0  # pixels: a smaller vehicle has no keypoints to see
 _PATCHES = 4  # per keypoint
 _INSIDE = 0.2  # share of the box that must lie in the image
@@ -44,6 +46,7 @@ class Detection:
         azimuth: (A,) probability of each direction from the vehicle to the camera: bin a is centred at 2 pi a / A,
             0 ahead of the vehicle, pi / 2 to its left.
         visible: (K,) probability of each keypoint to be visible, wherever it is.
+        mass: (K,) share of the likelihood near the position: how sure KNet's map is.
         crop: The part of the image that the network saw.
         likelihood: (K, H, W) likelihood maps over the crop, or None where they were not asked for.
     """
@@ -51,6 +54,7 @@ class Detection:
     observation: Observation
     azimuth: Array
     visible: Array
+    mass: Array
     crop: Crop
     likelihood: Array | None = None
 
@@ -58,12 +62,15 @@ class Detection:
 class Detector:
     """The networks, loaded once."""
 
-    def __init__(self, weights: str | Path | None = None, *, refine: bool = True, device: str = "cpu") -> None:
+    def __init__(
+        self, weights: str | Path | None = None, *, refine: bool = True, mirror: bool = True, device: str = "cpu"
+    ) -> None:
         """Load a network.
 
         Args:
             weights: File; None for the one that comes with the package.
             refine: Whether the refinement networks follow KNet, where the file has them.
+            mirror: Whether KNet also looks at the mirror image, and the mean of both counts.
             device: Torch's name of the device.
 
         Raises:
@@ -78,6 +85,8 @@ class Detector:
         self.provenance = dict(stored.provenance)
         self.calibration: Calibration = stored.calibration
         self.device = device
+        self.mirror = mirror
+        self._partner = load_category(_CATEGORY).mirror
         self.network: Any = KNet(KNetSettings(**stored.settings))
         try:
             self.network.load_state_dict(stored.state, strict=False)
@@ -125,18 +134,19 @@ class Detector:
         size = self.network.settings.crop
         crops = [crop_of(box, size) for box in boxes]
         pixels = np.stack([extract(image, crop) for image, crop in zip(images, crops, strict=True)])
-        likelihood, visible, azimuth = self.forward(pixels)
+        likelihood, visible, azimuth = self.both_ways(pixels) if self.mirror else self.forward(pixels)
         decoded = decode(likelihood, size / likelihood.shape[-1], REACH * size / MARGIN)
         confidence = self.calibration.confidence(visible, decoded.mass)
         if self.refinement is not None:
             decoded = self._refine(images, boxes, likelihood, decoded)
         found = []
         for row, (box, crop) in enumerate(zip(boxes, crops, strict=True)):
-            observation = Observation(
-                crop.to_image(decoded.points[row]), confidence[row], box, decoded.covariance[row] / crop.scale**2
-            )
+            covariance = self.calibration.covariance(decoded.covariance[row], size / MARGIN) / crop.scale**2
+            observation = Observation(crop.to_image(decoded.points[row]), confidence[row], box, covariance)
             seen = 0.5 * (1.0 + np.tanh(0.5 * visible[row]))
-            found.append(Detection(observation, azimuth[row], seen, crop, likelihood[row] if maps else None))
+            found.append(
+                Detection(observation, azimuth[row], seen, decoded.mass[row], crop, likelihood[row] if maps else None)
+            )
         return found
 
     def _refine(self, images: Sequence[NDArray[np.uint8]], boxes: Array, likelihood: Array, first: Decoded) -> Decoded:
@@ -155,6 +165,18 @@ class Detector:
         found = decode(joint, 1.0, REACH * finer / MARGIN)
         points = (found.points + origin + 0.5) / ratio - 0.5
         return Decoded(points, found.covariance / ratio**2, first.mass)
+
+    def both_ways(self, crops: NDArray[np.uint8]) -> tuple[Array, Array, Array]:
+        """`forward` on the crops and their mirror images, averaged; in these left and right change places."""
+        count = len(crops)
+        maps, visible, azimuth = self.forward(np.concatenate([crops, crops[:, :, ::-1]]))
+        partner = self._partner
+        turned = np.concatenate([azimuth[count:, :1], azimuth[count:, :0:-1]], axis=1)
+        return (
+            (maps[:count] + maps[count:][:, partner][..., ::-1]) / 2,
+            (visible[:count] + visible[count:][:, partner]) / 2,
+            (azimuth[:count] + turned) / 2,
+        )
 
     def forward(self, crops: NDArray[np.uint8]) -> tuple[Array, Array, Array]:
         """Likelihood maps (B, K, H, W), visibility logits (B, K) and directions (B, A) of crops (B, S, S, 3)."""

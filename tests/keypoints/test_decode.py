@@ -53,3 +53,13 @@ def test_softmax_and_sigmoid_survive_large_numbers():
     np.testing.assert_allclose(softmax(np.array([1e4, 0.0, 1e4])), [0.5, 0.0, 0.5])
     np.testing.assert_allclose(log_softmax(np.array([0.0, -1e5])), [0.0, -1e5])
     np.testing.assert_allclose(sigmoid(np.array([-1e4, 0.0, 1e4])), [0.0, 0.5, 1.0])
+
+
+def test_the_spread_of_errors_is_found():
+    rng = np.random.default_rng(0)
+    likelihood = np.broadcast_to(0.01**2 * np.eye(2), (4000, 2, 2))
+    error = rng.normal(0, np.hypot(0.01, 0.02), (4000, 2))
+    fitted = Calibration().with_spread(likelihood, error)
+    found = fitted.covariance(likelihood[0], 1.0)[0, 0]
+    assert found == pytest.approx(0.01**2 + 0.02**2, rel=0.3)
+    assert fitted.covariance(likelihood[0] * 100**2, 100.0)[0, 0] == pytest.approx(found * 100**2)
