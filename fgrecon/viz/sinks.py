@@ -26,6 +26,7 @@ LOOPBACK = "127.0.0.1"
 """Address that every server listens on unless told otherwise; rerun's own default is all addresses."""
 
 _PATIENCE = 15.0  # seconds for a viewer to start listening
+_SETTLING = 1.0  # seconds for it to open its window
 
 
 @dataclass(frozen=True)
@@ -142,10 +143,12 @@ def start_viewer(bind: str = LOOPBACK) -> str:
         start_new_session=True,
     )
     until = time.monotonic() + _PATIENCE
+    listened = False
     while time.monotonic() < until and viewer.poll() is None:
-        if _listens(bind, port):
+        if listened:  # and still runs: without a display it listens first and ends then
             return f"{bind}:{port}"
-        time.sleep(0.1)
+        listened = _listens(bind, port)
+        time.sleep(_SETTLING if listened else 0.1)
     if viewer.poll() is None:
         viewer.terminate()
     fix = "Use --save FILE.rrd, and open the file where there is a display."
