@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 _SURE = 0.99  # no detector is surer than that
 _BORDER = 2.0  # pixels from the image's border within which a box edge says nothing
+_SOFT_CORNERS, _SOFT_OUTLINE = 0.5, 0.2  # softness per sigma: a box's corners leave creases, a dense outline hardly any
+_FEW_POINTS = 8
 _EDGE_WRONG = 0.1  # probability that a box edge is wrong
 
 
@@ -91,7 +93,8 @@ def box_term(observation: Observation, camera: Camera, model: VehicleModel, opti
         width, height = camera.image_size
         used[:2] = observation.box[:2] > _BORDER
         used[2:] = observation.box[2:] < np.array([width, height]) - 1.0 - _BORDER
-    return BoxTerm(points.mean, points.basis, camera.matrix, observation.box, used, sigma, float(outlier))
+    softness = (_SOFT_CORNERS if len(points.mean) <= _FEW_POINTS else _SOFT_OUTLINE) * sigma
+    return BoxTerm(points.mean, points.basis, camera.matrix, observation.box, used, sigma, float(outlier), softness)
 
 
 def _evidence(observation: Observation, covariance: Array, options: Options) -> Evidence:

@@ -22,9 +22,6 @@ __all__ = ["BoxTerm", "GroundTerm", "Hypotheses", "KeypointTerm", "Quadratic", "
 
 Array = NDArray[np.float64]
 
-BOX_SOFTNESS = 0.5
-"""Softness of the box's extents as a fraction of an edge's sigma: enough to converge, with a bias far below it."""
-
 MIN_DEPTH = 0.3
 """Nothing may be nearer to the camera than this, metres."""
 
@@ -155,6 +152,7 @@ class BoxTerm:
         used: (4,) which edges count; an edge on the image border does not.
         sigma: Standard deviation of an edge, pixels.
         outlier: Density of a wrong edge relative to a right one's peak, times the odds of being wrong.
+        softness: Pixels over which one outermost point hands over to the next, see `factors.box`.
     """
 
     mean: Array
@@ -164,11 +162,7 @@ class BoxTerm:
     used: NDArray[np.bool_]
     sigma: float
     outlier: float
-
-    @property
-    def softness(self) -> float:
-        """Pixels over which one outermost point hands over to the next, see `factors.box`."""
-        return BOX_SOFTNESS * self.sigma
+    softness: float
 
     def residuals(self, h: Hypotheses) -> Array:
         """Whitened residuals (H, 4)."""

@@ -13,7 +13,7 @@ from fgrecon.errors import DegenerateProblemError, FactorCallbackError
 __all__ = ["Solution", "minimise"]
 
 
-_NEGLIGIBLE = 1e-6  # relative decrease at which a minimum is reached for all that anyone can tell
+_NEGLIGIBLE = 1e-3  # nats that an iteration gains: too few to tell one shape from another
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ def minimise(
     start: gtsam.Values,
     *,
     relative_tolerance: float = 1e-9,
-    max_iterations: int = 50,
+    max_iterations: int = 100,
     record: bool = False,
 ) -> Solution:
     """Minimise the graph's error from a start.
@@ -85,5 +85,5 @@ def minimise(
     error = float(optimizer.error())
     if not math.isfinite(error):  # GTSAM returns such a start as it is, without a word
         raise DegenerateProblemError("start", f"energy {error}", "Start with every keypoint in front of the camera.")
-    converged = decrease <= max(relative_tolerance, _NEGLIGIBLE) * max(error, 1.0)
+    converged = decrease <= max(relative_tolerance * error, _NEGLIGIBLE)
     return Solution(values, tuple(path), error, int(optimizer.iterations()), converged)

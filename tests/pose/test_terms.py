@@ -117,7 +117,7 @@ def box_term(prior, used=(True, True, True, True)):
     h = hypotheses(prior)
     pixels = project(vertices[0], h.matrices()[0])
     edges = np.concatenate([pixels.min(axis=0) - 3.0, pixels.max(axis=0) + 4.0])
-    return BoxTerm(*vertices, MATRIX, edges, np.array(used), 4.0, 0.01), h
+    return BoxTerm(*vertices, MATRIX, edges, np.array(used), 4.0, 0.01, 2.0), h
 
 
 @pytest.mark.parametrize("used", [(True, True, True, True), (True, False, True, False)])
