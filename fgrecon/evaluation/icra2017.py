@@ -3,7 +3,8 @@
 What the release gives is used as it is: 36 network keypoints (their third number says nothing about the error, so there
 is no confidence), the 2D box, a first guess of the azimuth, and the prior of 42 basis vectors. What is assumed beyond:
 
-- **Noise.** 0.75 cells of the network's 64 x 64 grid over the box, which is far finer in height than in width.
+- **Noise.** Half a cell of the network's 64 x 64 grid over the box (its step), which is far finer in height than in
+  width, and a pixel.
 - **Box.** The projected 3D box, as KITTI's labels have it, to 2 pixels; the release's boxes are such.
 - **Ground.** The car stands upright (0.6 degrees) on a level ground 1.65 m below the camera (0.1 m).
 - **Size.** KITTI's cars: their mean and their spread of length, width and height take the place of the prior's own,
@@ -44,7 +45,7 @@ LABEL_OFFSET = np.array([0.0599, -0.0004, 0.0027])
 """From the frame of KITTI's labels to the colour camera's: K^-1 P2[:, 3] of both sequences, metres."""
 
 _CAMERA = Ground(np.array([0.0, 1.0, 0.0]), 1.65, height_sigma=0.1, slope_sigma=1e-4, tilt_sigma=0.01)
-_NOISE_CELLS = 0.75
+_NOISE_CELLS = 0.5
 _SPREAD = 3.0
 
 
