@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Any
@@ -19,7 +19,7 @@ from fgrecon.viz.geometry import image_points
 from fgrecon.viz.style import Side
 from fgrecon.viz.truth import Truth
 
-__all__ = ["RESULT", "Column", "Playback", "log_once", "strip_column"]
+__all__ = ["RESULT", "Column", "Playback", "Rows", "log_once", "strip_column"]
 
 RESULT = "result"
 """Stage of the only step of a recording without a history."""
@@ -93,21 +93,10 @@ class Playback:
         return np.stack([step.weights for step in self.steps])
 
     @cached_property
-    def poses(self) -> NDArray[np.float64]:
-        """(n, 4, 4) pose of every step."""
-        return np.stack([step.camera_T_object for step in self.steps])
-
-    @cached_property
-    def keypoints(self) -> NDArray[np.float64]:
-        """(n, K, 3) keypoints of every step in the object frame."""
-        return np.stack([step.keypoints for step in self.steps])
-
-    @cached_property
     def keypoints_in_camera(self) -> NDArray[np.float64]:
         """(n, K, 3) keypoints of every step in the camera frame."""
-        turned = np.einsum("nij,nkj->nki", self.poses[:, :3, :3], self.keypoints)
-        in_camera: NDArray[np.float64] = turned + self.poses[:, None, :3, 3]
-        return in_camera
+        poses = np.stack([step.camera_T_object for step in self.steps])
+        return into_camera(poses, np.stack([step.keypoints for step in self.steps]))
 
     @cached_property
     def pixels(self) -> NDArray[np.float64]:
@@ -121,12 +110,6 @@ class Playback:
         starts = np.searchsorted(self.irls, self.irls)
         return np.maximum(starts - 1, 0)
 
-    @cached_property
-    def edges(self) -> Mapping[Side, NDArray[np.int64]]:
-        """The wireframe's edges by side; a side without edges is left out."""
-        sides = style.keypoint_sides(self.reconstruction.keypoint_names, self.reconstruction.wireframe)
-        return {side: e for side, e in style.edge_sides(self.reconstruction.edges, sides).items() if len(e)}
-
     def once(self, entity: str, *archetypes: Any) -> None:
         """Log what does not change; together with `every_step` it fills in the components that stay the same."""
         if entity not in self.logged:
@@ -137,10 +120,6 @@ class Playback:
         """Send component columns with one row per step, or one per step of `rows` (m,)."""
         times = self._all_times if rows is None else self._times_at(rows)
         self.stream.send_columns(entity, times, columns)
-
-    def strips(self, entity: str, archetype: Any, strips: NDArray[np.float64]) -> None:
-        """Send line strips (n, S, P, D), one batch per step; strips with a point that is not finite are left out."""
-        self.every_step(entity, [strip_column(archetype, strips)])
 
     def at_start(self, entity: str, *archetypes: Any) -> None:
         """Log what belongs to the frame: at its first step, or once for all where there are no steps."""
@@ -167,6 +146,99 @@ class Playback:
         import rerun as rr
 
         return [rr.TimeColumn(timeline, sequence=at[rows]) for timeline, at in self.times.items()]
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Steps of one or several frames on their way into a stream as arrays, n in all: one chunk for each entity.
+
+    Attributes:
+        stream: A `rerun.RecordingStream`.
+        look: A result with the names, edges, faces and pairs that all frames have.
+        steps: The n steps.
+        times: (n,) position of every step on each timeline.
+        detected: (n, K, 2) detected keypoints of each step's frame, pixels; NaN where not measured.
+        pixels: (n, K, 2) where the real image shows the wireframe; NaN where it does not.
+        previous: (n,) row of the last step of the weight update before each step's; the frame's first in its first.
+        logged: Entities of the stream that have what does not change.
+    """
+
+    stream: Any
+    look: Reconstruction
+    steps: tuple[Iteration, ...]
+    times: Mapping[str, NDArray[np.int64]]
+    detected: NDArray[np.float64]
+    pixels: NDArray[np.float64]
+    previous: NDArray[np.int64]
+    logged: set[str]
+
+    @classmethod
+    def of(cls, plays: Sequence[Playback]) -> Rows:
+        """The steps of all frames, one after the other; at least one step."""
+        first = np.cumsum([0, *(len(play.steps) for play in plays)])
+        seen = [np.broadcast_to(p.observation.keypoints, (len(p.steps), *p.observation.keypoints.shape)) for p in plays]
+        return cls(
+            stream=plays[0].stream,
+            look=plays[0].reconstruction,
+            steps=tuple(step for play in plays for step in play.steps),
+            times={name: np.concatenate([play.times[name] for play in plays]) for name in plays[0].times},
+            detected=np.concatenate(seen),
+            pixels=np.concatenate([play.pixels for play in plays]),
+            previous=np.concatenate([play.previous + start for play, start in zip(plays, first, strict=False)]),
+            logged=plays[0].logged,
+        )
+
+    @cached_property
+    def weights(self) -> NDArray[np.float64]:
+        """(n, K) weights of every step."""
+        return np.stack([step.weights for step in self.steps])
+
+    @cached_property
+    def poses(self) -> NDArray[np.float64]:
+        """(n, 4, 4) pose of every step."""
+        return np.stack([step.camera_T_object for step in self.steps])
+
+    @cached_property
+    def keypoints(self) -> NDArray[np.float64]:
+        """(n, K, 3) keypoints of every step in the object frame."""
+        return np.stack([step.keypoints for step in self.steps])
+
+    @cached_property
+    def keypoints_in_camera(self) -> NDArray[np.float64]:
+        """(n, K, 3) keypoints of every step in the camera frame."""
+        return into_camera(self.poses, self.keypoints)
+
+    @cached_property
+    def edges(self) -> Mapping[Side, NDArray[np.int64]]:
+        """The wireframe's edges by side; a side without edges is left out."""
+        sides = style.keypoint_sides(self.look.keypoint_names, self.look.wireframe)
+        return {side: e for side, e in style.edge_sides(self.look.edges, sides).items() if len(e)}
+
+    def once(self, entity: str, batches: Any) -> None:
+        """Log what does not change; together with `send` it fills in the components that stay the same."""
+        if entity not in self.logged:
+            self.logged.add(entity)
+            log_once(self.stream, entity, batches)
+
+    def send(self, entity: str, columns: Iterable[Any]) -> None:
+        """Send component columns with one row per step."""
+        self.stream.send_columns(entity, self._time_columns, columns)
+
+    def strips(self, entity: str, archetype: Any, strips: NDArray[np.float64]) -> None:
+        """Send line strips (n, S, P, D), one batch per step; strips with a point that is not finite are left out."""
+        self.send(entity, [strip_column(archetype, strips)])
+
+    @cached_property
+    def _time_columns(self) -> list[Any]:
+        import rerun as rr
+
+        return [rr.TimeColumn(timeline, sequence=at) for timeline, at in self.times.items()]
+
+
+def into_camera(poses: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points (n, K, 3) of the object frame in the camera frame by poses (n, 4, 4)."""
+    in_camera: NDArray[np.float64] = points @ poses[:, :3, :3].transpose(0, 2, 1) + poses[:, None, :3, 3]
+    return in_camera
 
 
 def log_once(stream: Any, entity: str, *archetypes: Any) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fgrecon.reconstruction import Iteration, Status
 from fgrecon.viz import entities, style
 from fgrecon.viz.describe import describe_stop, describe_update, median_residual, summary_table
-from fgrecon.viz.playback import Column, Playback
+from fgrecon.viz.playback import Column, Playback, Rows
 from fgrecon.viz.style import Colour
 
 __all__ = [
@@ -98,13 +98,13 @@ def measure_name(measure: str) -> str:
     return f"{what} [{unit}]"
 
 
-def log_history(play: Playback) -> None:
+def log_history(rows: Rows) -> None:
     """Every field of every step, to the last bit: what `fgrecon.replay` makes the history of again."""
     arrays = ("camera_T_object", "coefficients", "keypoints", "projections", "weights")
     names = ("stage", "irls", "step", *arrays)
-    fields: dict[str, list[Any]] = {name: [getattr(step, name) for step in play.steps] for name in names}
-    fields |= _energy_fields(play.steps)
-    play.every_step(entities.HISTORY, exact_columns(entities.HISTORY_ARCHETYPE, fields))
+    fields: dict[str, list[Any]] = {name: [getattr(step, name) for step in rows.steps] for name in names}
+    fields |= _energy_fields(rows.steps)
+    rows.send(entities.HISTORY, exact_columns(entities.HISTORY_ARCHETYPE, fields))
 
 
 def _energy_fields(steps: Sequence[Iteration]) -> dict[str, list[Any]]:

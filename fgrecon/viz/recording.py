@@ -18,7 +18,7 @@ from fgrecon.observation import Observation
 from fgrecon.reconstruction import Reconstruction
 from fgrecon.viz.factor_graph import log_graph
 from fgrecon.viz.geometry import as_image
-from fgrecon.viz.playback import Playback
+from fgrecon.viz.playback import Playback, Rows
 from fgrecon.viz.plots import log_history, log_plots, log_words
 from fgrecon.viz.scene import log_camera, log_frame, log_ground, log_result, log_steps, log_truth
 from fgrecon.viz.sinks import Recording
@@ -98,11 +98,12 @@ def log_reconstruction(
     if truth is not None:
         log_truth(play, truth)
     if play.steps:
-        log_steps(play)
+        rows = Rows.of([play])
+        log_steps(rows)
         log_plots(play)
         log_graph(play)
-    if reconstruction.history:
-        log_history(play)
+        if reconstruction.history:
+            log_history(rows)
     if np.isfinite(reconstruction.camera_T_object).all():
         log_ground(play, ground)
         log_result(play)

@@ -20,7 +20,7 @@ from fgrecon.viz.geometry import (
     vertex_normals,
 )
 from fgrecon.viz.planes import face_outlines, fan, medial_outlines
-from fgrecon.viz.playback import Playback
+from fgrecon.viz.playback import Playback, Rows
 from fgrecon.viz.style import Colour
 from fgrecon.viz.truth import Truth
 
@@ -45,14 +45,19 @@ def line_style(dimension: int, colour: tuple[int, ...], radius: float, order: fl
     return rr.LineStrips3D.from_fields(colors=colour, radii=-radius).as_component_batches()
 
 
-@lru_cache(maxsize=16)
-def _point_style(dimension: int, names: tuple[str, ...]) -> Any:
-    """The same of labelled points."""
+@lru_cache(maxsize=4)
+def _hidden_labels(order: float) -> Any:
+    """The same of labelled points in the image."""
     import rerun as rr
 
-    if dimension == 2:
-        style_2d = rr.Points2D.from_fields(labels=names, show_labels=False, draw_order=30.0)
-        return style_2d.as_component_batches()
+    return rr.Points2D.from_fields(show_labels=False, draw_order=order).as_component_batches()
+
+
+@lru_cache(maxsize=16)
+def _point_style(names: tuple[str, ...]) -> Any:
+    """The same of labelled points in 3D."""
+    import rerun as rr
+
     return rr.Points3D.from_fields(labels=names, show_labels=False, radii=-4.0).as_component_batches()
 
 
@@ -122,76 +127,71 @@ def log_truth(play: Playback, truth: Truth) -> None:
         play.at_start(f"{entities.TRUTH_3D}/keypoints", points)
 
 
-def log_steps(play: Playback) -> None:
+def log_steps(rows: Rows) -> None:
     """What image and scene show at every step."""
-    _log_image_steps(play)
-    _log_scene_steps(play)
-    _log_planes(play)
+    _log_image_steps(rows)
+    _log_scene_steps(rows)
+    _log_planes(rows)
 
 
-def _log_image_steps(play: Playback) -> None:
+def _log_image_steps(rows: Rows) -> None:
     """Keypoints by weight, projected wireframe now and before, residuals."""
     import rerun as rr
 
-    measured = np.flatnonzero(play.observation.measured)
-    detected = play.observation.keypoints[measured]
-    if len(measured):
-        names = tuple(play.reconstruction.keypoint_names[i] for i in measured)
-        # The names belong to the points of this frame; of another one others may be measured.
-        play.at_start(entities.KEYPOINTS_2D, _point_style(2, names))
-        weights = play.weights[:, measured]
+    measured: NDArray[np.bool_] = np.isfinite(rows.detected[..., 0])
+    if measured.any():
+        counts = measured.sum(axis=1)
+        names = np.array(rows.look.keypoint_names)[np.nonzero(measured)[1]]
         columns = rr.Points2D.columns(
-            positions=np.tile(detected, (len(weights), 1)),
-            colors=style.weight_colours(weights).reshape(-1, 3),
-            radii=-style.weight_radii(weights).ravel(),
+            positions=rows.detected[measured],
+            colors=style.weight_colours(rows.weights)[measured],
+            radii=-style.weight_radii(rows.weights)[measured],
+            labels=names.tolist(),
         )
-        play.every_step(entities.KEYPOINTS_2D, columns.partition([len(measured)] * len(weights)))
-        projected = play.pixels[:, measured]
-        residuals = np.stack([np.broadcast_to(detected, projected.shape), projected], axis=2)
-        play.once(entities.RESIDUALS, line_style(2, style.SCREEN_INK, 0.75, 20.0))
-        play.strips(entities.RESIDUALS, rr.LineStrips2D, residuals)
-    for side, edges in play.edges.items():
+        rows.once(entities.KEYPOINTS_2D, _hidden_labels(30.0))
+        rows.send(entities.KEYPOINTS_2D, columns.partition(counts))
+        rows.once(entities.RESIDUALS, line_style(2, style.SCREEN_INK, 0.75, 20.0))
+        rows.strips(entities.RESIDUALS, rr.LineStrips2D, np.stack([rows.detected, rows.pixels], axis=2))
+    for side, edges in rows.edges.items():
         entity = f"{entities.WIREFRAME_2D}/{side.value}"
-        play.once(entity, line_style(2, style.SIDE_COLOURS[side], _LINE, 10.0))
-        play.strips(entity, rr.LineStrips2D, play.pixels[:, edges])
-    play.once(entities.PREVIOUS_2D, line_style(2, (*style.PREVIOUS, _FAINT), 0.6, 8.0))
-    play.strips(entities.PREVIOUS_2D, rr.LineStrips2D, play.pixels[play.previous][:, play.reconstruction.edges])
+        rows.once(entity, line_style(2, style.SIDE_COLOURS[side], _LINE, 10.0))
+        rows.strips(entity, rr.LineStrips2D, rows.pixels[:, edges])
+    rows.once(entities.PREVIOUS_2D, line_style(2, (*style.PREVIOUS, _FAINT), 0.6, 8.0))
+    rows.strips(entities.PREVIOUS_2D, rr.LineStrips2D, rows.pixels[rows.previous][:, rows.look.edges])
 
 
-def _log_scene_steps(play: Playback) -> None:
+def _log_scene_steps(rows: Rows) -> None:
     """Pose, keypoints by weight, wireframe now and before."""
     import rerun as rr
 
-    transforms = rr.Transform3D.columns(translation=play.poses[:, :3, 3], mat3x3=play.poses[:, :3, :3])
-    play.every_step(entities.VEHICLE, transforms)
-    play.once(entities.KEYPOINTS_3D, _point_style(3, play.reconstruction.keypoint_names))
+    transforms = rr.Transform3D.columns(translation=rows.poses[:, :3, 3], mat3x3=rows.poses[:, :3, :3])
+    rows.send(entities.VEHICLE, transforms)
+    rows.once(entities.KEYPOINTS_3D, _point_style(rows.look.keypoint_names))
     columns = rr.Points3D.columns(
-        positions=play.keypoints.reshape(-1, 3), colors=style.weight_colours(play.weights).reshape(-1, 3)
+        positions=rows.keypoints.reshape(-1, 3), colors=style.weight_colours(rows.weights).reshape(-1, 3)
     )
-    play.every_step(entities.KEYPOINTS_3D, columns.partition([play.keypoints.shape[1]] * len(play.steps)))
-    for side, edges in play.edges.items():
+    rows.send(entities.KEYPOINTS_3D, columns.partition([rows.keypoints.shape[1]] * len(rows.steps)))
+    for side, edges in rows.edges.items():
         entity = f"{entities.WIREFRAME_3D}/{side.value}"
-        play.once(entity, line_style(3, style.SIDE_COLOURS[side], _LINE))
-        play.strips(entity, rr.LineStrips3D, play.keypoints[:, edges])
-    play.once(entities.PREVIOUS_3D, line_style(3, (*style.PREVIOUS, _FAINT), 0.6))
-    before = play.keypoints_in_camera[play.previous]
-    play.strips(entities.PREVIOUS_3D, rr.LineStrips3D, before[:, play.reconstruction.edges])
+        rows.once(entity, line_style(3, style.SIDE_COLOURS[side], _LINE))
+        rows.strips(entity, rr.LineStrips3D, rows.keypoints[:, edges])
+    rows.once(entities.PREVIOUS_3D, line_style(3, (*style.PREVIOUS, _FAINT), 0.6))
+    before = rows.keypoints_in_camera[rows.previous]
+    rows.strips(entities.PREVIOUS_3D, rr.LineStrips3D, before[:, rows.look.edges])
 
 
-def _log_planes(play: Playback) -> None:
+def _log_planes(rows: Rows) -> None:
     """The planes of the faces, and the medial plane."""
     import rerun as rr
 
-    result = play.reconstruction
-    outlines = {name: face_outlines(play.keypoints, face) for name, face in result.faces.items()}
-    if len(result.symmetric_pairs):
-        outlines[entities.MEDIAL] = medial_outlines(play.keypoints, result.symmetric_pairs)
+    outlines = {name: face_outlines(rows.keypoints, face) for name, face in rows.look.faces.items()}
+    if len(rows.look.symmetric_pairs):
+        outlines[entities.MEDIAL] = medial_outlines(rows.keypoints, rows.look.symmetric_pairs)
     for index, (name, outline) in enumerate(outlines.items()):
         count, corners = outline.shape[:2]
         entity = f"{entities.PLANES}/{name}"
-        play.once(entity, _plane_style(corners, style.plane_colour(index)))
-        columns = rr.Mesh3D.columns(vertex_positions=outline.reshape(-1, 3)).partition([corners] * count)
-        play.every_step(entity, columns)
+        rows.once(entity, _plane_style(corners, style.plane_colour(index)))
+        rows.send(entity, rr.Mesh3D.columns(vertex_positions=outline.reshape(-1, 3)).partition([corners] * count))
 
 
 def log_ground(play: Playback, ground: Ground | None) -> None:

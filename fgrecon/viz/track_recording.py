@@ -24,7 +24,7 @@ from fgrecon.viz import entities, style
 from fgrecon.viz.describe import track_table
 from fgrecon.viz.factor_graph import lay_out, log_layout
 from fgrecon.viz.geometry import as_image, image_points
-from fgrecon.viz.playback import Playback, log_once, strip_column
+from fgrecon.viz.playback import Playback, Rows, log_once, strip_column
 from fgrecon.viz.plots import (
     energy_series,
     error_series,
@@ -124,10 +124,12 @@ def log_track(stream: Any, track: TrackReconstruction, sight: TrackSight) -> Non
         log_frame(play, photograph)
         if play.truth is not None:
             log_truth(play, play.truth)
-        if play.steps:
-            log_steps(play)
-        if play.reconstruction.history:
-            log_history(play)
+    drawn = [play for play in whole.plays if play.steps]
+    if drawn:
+        rows = Rows.of(drawn)
+        log_steps(rows)
+        if all(play.reconstruction.history for play in drawn):
+            log_history(rows)
     _log_result(whole)
     _log_paths(whole)
     _log_frame_plots(whole)
