@@ -99,9 +99,9 @@ class RobustStrategy:
     mu0: float = 0.5
     mu1: float = 0.5
     mu2: float = 0.7
-    gross: float = 0.05
+    gross: float = 0.1
     missed: float = 0.2
-    false_alarm: float = 0.02
+    false_alarm: float = 0.05
     gnc_start: float = 64.0
 
     def __post_init__(self) -> None:
