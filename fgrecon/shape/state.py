@@ -55,15 +55,16 @@ def _hypothesis(graph: VehicleGraph, values: gtsam.Values) -> Hypotheses:
 
 def robust_energies(graph: VehicleGraph, values: gtsam.Values, terms: Terms, problem: PoseProblem) -> dict[str, float]:
     """Energy of each term; of keypoints and box the robust one, whose weights the graph holds, as in the pose stage."""
-    result = energies(terms, values)
     here = _hypothesis(graph, values)
     visibility = problem.visibility(here.matrices())[0]
     squared = _squared_distances(graph, values, problem)
     robust = problem.keypoints.strategy.evaluate(squared, problem.keypoints.evidence, visibility)[1]
-    result["reprojection"] = float(robust)
+    told = {"reprojection": float(robust)}
     if problem.box is not None:
-        result["box"] = float(problem.box.energy(problem.box.residuals(here))[0])
-    return result
+        told["box"] = float(problem.box.energy(problem.box.residuals(here))[0])
+    # The factors of these two are not asked: there are many, and their energies are not the ones that are told.
+    others = energies({name: term for name, term in terms.items() if name not in told}, values)
+    return {**told, **others}
 
 
 def graph_weights(problem: PoseProblem, weights: Array, visibility: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -58,12 +58,17 @@ def log_graph(play: Playback) -> None:
     layout = lay_out(graph)
     log_layout(play.stream, layout)
     place = {name: index for index, name in enumerate(play.reconstruction.keypoint_names)}
+    drawn = [(row, place[f.label]) for row, f in enumerate(graph, start=layout.variables) if _is_keypoint(f, place)]
     colours = np.broadcast_to(np.array(layout.colours, dtype=np.uint8), (len(play.steps), len(layout.nodes), 3)).copy()
-    for row, factor in enumerate(graph, start=layout.variables):
-        if factor.term == "reprojection" and factor.label in place:
-            colours[:, row] = style.weight_colours(play.weights[:, place[factor.label]])
+    if drawn:
+        nodes, keypoints = np.array(drawn).T
+        colours[:, nodes] = style.weight_colours(play.weights)[:, keypoints]
     columns = rr.GraphNodes.columns(colors=colours.reshape(-1, 3)).partition([len(layout.nodes)] * len(play.steps))
     play.every_step(entities.GRAPH, columns)
+
+
+def _is_keypoint(factor: GraphFactor, names: Mapping[str, int]) -> bool:
+    return factor.term == "reprojection" and factor.label in names
 
 
 def log_layout(stream: Any, layout: Layout, *, colours: bool = False) -> None:
