@@ -92,6 +92,8 @@ class Calibration:
             likelihood: (M, 2, 2) covariances of the likelihood, in units of the box's longer side.
             error: (M, 2) errors in the same unit.
         """
+        if not len(error):
+            return self
         best, least = (self.scale, self.floor), np.inf
         for scale in (0.5, 0.7, 1.0, 1.4, 2.0):
             for floor in (0.0, 0.005, 0.01, 0.015, 0.02, 0.025, 0.03, 0.04):

@@ -1,0 +1,135 @@
+"""The whole training on made-up photographs: two steps, labels corrected between them, calibration, scores."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fgrecon.errors import InvalidInputError
+from fgrecon.images import write_png
+from fgrecon.keypoints.calibrate import calibrate, reliability
+from fgrecon.keypoints.decode import Calibration
+from fgrecon.keypoints.detect import Detector
+from fgrecon.keypoints.evaluate import azimuth_errors, localisation, marks_reliability, score_marks
+from fgrecon.keypoints.marks import Mark
+from fgrecon.keypoints.weights import Stored, save_weights
+from tests.keypoints.support import made_up_cars, unit_car_prior
+
+torch = pytest.importorskip("torch")
+
+from fgrecon.keypoints.augment import Street  # noqa: E402
+from fgrecon.keypoints.knet import KNet, KNetSettings  # noqa: E402
+from fgrecon.keypoints.rounds import Labelling, Source, first_labelling, train_in_rounds  # noqa: E402
+from fgrecon.keypoints.train import Training  # noqa: E402
+
+SMALL = KNetSettings(crop=32, width=8)
+HOW = Training(steps=2, batch=2, warmup=1, save_every=1, workers=0, network=SMALL, street=Street(size=32))
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("cars")
+    rng, prior = np.random.default_rng(0), unit_car_prior()
+    cars = made_up_cars(prior, np.zeros(5), 6, rng, folder)
+    cars = [replace(car, cad_id="ab"[i // 3]) for i, car in enumerate(cars)]
+    for car in cars:
+        write_png(car.image, rng.integers(0, 255, (*car.size[::-1], 3)).astype(np.uint8))
+    return Source(cars, np.arange(4), np.arange(4, 6), prior)
+
+
+@pytest.fixture(scope="module")
+def detector(tmp_path_factory):
+    torch.manual_seed(0)
+    path = tmp_path_factory.mktemp("weights") / "w.safetensors"
+    return Detector(save_weights(path, Stored(KNet(SMALL).state_dict(), SMALL.to_dict(), Calibration(), {})))
+
+
+@pytest.fixture(scope="module")
+def trained(source, tmp_path_factory):
+    folder, told, reports = tmp_path_factory.mktemp("work"), [], []
+    result = train_in_rounds(source, folder, HOW, [1], report=reports.append, tell=told.append)
+    return folder, told, reports, result
+
+
+def test_rounds_correct_labels_and_go_on(trained, source):
+    folder, told, reports, (_, labelling, photographs) = trained
+    assert [report.step for report in reports] == [1, 2]
+    assert len(told) == 4
+    assert sorted(path.name for path in folder.glob("labels-*.npz")) == ["labels-0.npz", "labels-1.npz"]
+    assert set(labelling.fits) == {"a", "b"}
+    assert np.isfinite(photographs.keypoints).all()
+
+
+def test_a_finished_training_is_not_done_again(trained, source):
+    folder, _, _, (network, _, _) = trained
+    told, reports = [], []
+    again, _, _ = train_in_rounds(source, folder, HOW, [1], report=reports.append, tell=told.append)
+    assert reports == []
+    for name, value in network.state_dict().items():
+        torch.testing.assert_close(value, again.state_dict()[name])
+
+
+def test_labels_survive_the_file(source, tmp_path):
+    labelling = first_labelling(source)
+    labelling.save(tmp_path / "l.npz")
+    back = Labelling.load(tmp_path / "l.npz", source.cars)
+    np.testing.assert_array_equal(back.labels.keypoints, labelling.labels.keypoints)
+    np.testing.assert_array_equal(back.fits["b"].coefficients, labelling.fits["b"].coefficients)
+    np.testing.assert_allclose(back.cars[2].rotation, source.cars[2].rotation)
+    with pytest.raises(InvalidInputError, match="photographs"):
+        Labelling.load(tmp_path / "l.npz", source.cars[:3])
+
+
+def test_calibration_runs_on_held_out_samples(trained, source, detector):
+    photographs = trained[3][2]
+    fitted = calibrate(detector, photographs, source.validate, source.prior.category.mirror, samples=6)
+    assert all(np.isfinite(value) for value in fitted.to_dict().values())
+
+
+def test_reliability_sorts_points_by_confidence():
+    found = reliability([0.9, 0.1, 0.8, 0.2], [True, False, False, False], bins=2)
+    np.testing.assert_allclose(found.confidence, [0.15, 0.85])
+    np.testing.assert_allclose(found.right, [0.0, 0.5])
+    assert found.error == pytest.approx((0.15 + 0.35) / 2)
+
+
+def test_scores_count_visible_points_alone(source, detector):
+    car = source.cars[0]
+    visible = np.array([True] * 4 + [False] * 10)
+    (detection,) = detector(np.zeros((car.size[1], car.size[0], 3), dtype=np.uint8), [car.box])
+    extent = max(car.size)
+    truth = detection.observation.keypoints + extent * np.array([0.07, 0.0])
+    truth[3] += extent
+    mark = Mark(car.image, "car", "easy", car.box, truth, visible)
+    write_png(car.image, np.zeros((car.size[1], car.size[0], 3), dtype=np.uint8))
+    scored = score_marks(detector, [mark])
+    result = localisation(scored, ("easy",))
+    assert (result.cars, result.points) == (1, 4)
+    assert (result.within_tenth, result.within_twentieth) == (0.75, 0.0)
+    assert result.median == pytest.approx(0.07)
+    assert np.isnan(result.keypoints[4:]).all()
+    assert localisation(scored, ("hard",)).cars == 0
+    assert marks_reliability(scored, bins=2).count.sum() == 14
+
+
+def test_directions_are_compared_on_the_full_circle(source, detector):
+    class Turned:
+        def __init__(self, car, degrees):
+            c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+            self.camera_T_object = np.eye(4)
+            self.camera_T_object[:3, :3] = car.rotation @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+            self.camera_T_object[:3, 3] = car.translation
+
+    cars = source.cars[1:4]
+    answers = iter([Turned(cars[0], 0), Turned(cars[1], 170), None])
+
+    def solve(detection, camera):
+        answer = next(answers)
+        if answer is None:
+            raise InvalidInputError("keypoints", "none", "Give some.")
+        return answer
+
+    score = azimuth_errors(detector, cars, solve)
+    np.testing.assert_allclose(score.errors, [0, 170, 180], atol=1e-6)
+    assert score.within(15) == pytest.approx(1 / 3)
+    assert score.median == pytest.approx(170.0)
