@@ -1,0 +1,147 @@
+"""Commands that start from an image, with a network that has learnt nothing: inputs, outputs, refusals."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from fgrecon.cli import main
+from fgrecon.errors import InvalidInputError
+from fgrecon.images import write_png
+from fgrecon.keypoints.decode import Calibration
+from fgrecon.keypoints.weights import Stored, save_weights
+
+torch = pytest.importorskip("torch")
+
+from fgrecon.keypoints.knet import KNet, KNetSettings  # noqa: E402
+
+CALIB = "P2: 700 0 80 40 0 700 50 0.2 0 0 1 0.002\n"
+LABEL = "0.00 0 1.5 20.0 20.0 110.0 80.0 1.5 1.6 4.0 0.1 1.6 15 1.5"
+
+
+def run(*arguments):
+    return CliRunner().invoke(main.app, [str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory):
+    torch.manual_seed(0)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    sizes = KNetSettings(crop=32, width=8)
+    path = tmp_path_factory.mktemp("weights") / "w.safetensors"
+    yield save_weights(path, Stored(KNet(sizes).state_dict(), sizes.to_dict(), Calibration(bias=1.0), {"data": "none"}))
+    torch.set_num_threads(threads)
+
+
+@pytest.fixture
+def street(tmp_path):
+    """A folder in KITTI's layout with one image of noise."""
+    image = np.random.default_rng(0).integers(0, 255, (100, 160, 3)).astype(np.uint8)
+    for name in ("image_2", "label_2", "calib"):
+        (tmp_path / name).mkdir()
+    write_png(tmp_path / "image_2" / "000001.png", image)
+    (tmp_path / "label_2" / "000001.txt").write_text(f"Van {LABEL}\nCar {LABEL}\n")
+    (tmp_path / "calib" / "000001.txt").write_text(CALIB)
+    return tmp_path
+
+
+def test_detected_keypoints_are_what_reconstruct_reads(street, weights):
+    image, out, sheet = street / "image_2" / "000001.png", street / "k.json", street / "k.png"
+    done = run(
+        "keypoints", "detect", image, "--box", "10,10,90,80", "--weights", weights, "--json", out, "--picture", sheet
+    )
+    assert done.exit_code == 0, done.output
+    assert "left_front_wheel" in done.stdout
+    assert sheet.stat().st_size > 1000
+    (instance,) = json.loads(out.read_text())["instances"]
+    assert np.shape(instance["keypoints"]) == (14, 2)
+    assert sum(instance["azimuth"]) == pytest.approx(1.0)
+    assert run("reconstruct", out, "--intrinsics", "700,700,80,50").exit_code == 0
+
+
+def test_an_image_is_reconstructed_with_a_warning_about_the_camera(street, weights):
+    image = street / "image_2" / "000001.png"
+    done = run("reconstruct", image, "--box", "10,10,90,80", "--weights", weights, "--json", "-")
+    assert done.exit_code == 0, done.output
+    assert "field of view" in done.stderr
+    (entry,) = json.loads(done.stdout)["instances"]
+    assert entry["camera"]["image_size"] == [160, 100]
+    told = run(
+        *("reconstruct", image, "--boxes", street / "label_2" / "000001.txt", "--weights", weights),
+        *("--calib", street / "calib" / "000001.txt", "--json", "-", "--picture", street / "p.png"),
+    )
+    assert told.exit_code == 0, told.output
+    assert "field of view" not in told.stderr
+    assert [entry["id"] for entry in json.loads(told.stdout)["instances"]] == ["1"]
+    assert (street / "p.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "field"),
+    [
+        (["--box", "10,10,14,14"], "box 0"),
+        (["--box", "500,10,600,90"], "box 0"),
+        (["--box", "10,10,90"], "box"),
+        ([], "box"),
+    ],
+)
+def test_boxes_that_cannot_be_used(street, weights, arguments, field):
+    done = run("reconstruct", street / "image_2" / "000001.png", "--weights", weights, *arguments)
+    assert isinstance(done.exception, InvalidInputError)
+    assert done.exception.field == field
+
+
+def test_files_that_are_no_images(street, weights):
+    (street / "no.png").write_bytes(b"text")
+    done = run("reconstruct", street / "no.png", "--box", "1,2,30,40", "--weights", weights)
+    assert isinstance(done.exception, InvalidInputError)
+    assert done.exception.field == "image"
+
+
+def test_boxes_mean_nothing_for_a_keypoint_file(street):
+    done = run("reconstruct", street / "k.json", "--box", "1,2,30,40")
+    assert isinstance(done.exception, InvalidInputError)
+    assert done.exception.field == "box"
+
+
+def kitti(street, weights, *more):
+    folders = ("--images", street / "image_2", "--labels", street / "label_2", "--calib", street / "calib")
+    return run("evaluate", "kitti", *folders, "--weights", weights, *more)
+
+
+def test_kitti_is_scored_by_regime(street, weights):
+    done = kitti(street, weights, "--json", street / "r.json", "--picture", street / "sheet.png")
+    assert done.exit_code == 0, done.output
+    assert "Moderate" in done.stdout
+    document = json.loads((street / "r.json").read_text())
+    assert [(regime["name"], regime["cars"]) for regime in document["regimes"]] == [
+        ("Easy", 1),
+        ("Moderate", 1),
+        ("Hard", 1),
+    ]
+    (car,) = document["cars"]
+    assert (car["frame"], car["index"]) == ("000001", 1)
+    assert document["given"]["boxes"] == "labels"
+    assert (street / "sheet.png").exists()
+
+
+def test_a_car_without_a_detection_counts_as_wrong(street, weights):
+    (street / "d.txt").write_text("x/000001.png 2 0.9 120 20 150 60\n")
+    done = kitti(street, weights, "--boxes", street / "d.txt", "--json", street / "r.json")
+    assert done.exit_code == 1, done.output
+    document = json.loads((street / "r.json").read_text())
+    assert document["regimes"][0]["mean_degrees"] == 180.0
+    assert document["regimes"][0]["median_metres"] is None
+    assert document["cars"][0]["failure"] == "no detection"
+
+
+def test_kitti_without_images_is_refused(street, weights):
+    for name, field in (("label_2", "images"), ("absent", "images")):
+        done = run(
+            *("evaluate", "kitti", "--images", street / name, "--labels", street / "label_2"),
+            *("--calib", street / "calib", "--weights", weights),
+        )
+        assert isinstance(done.exception, InvalidInputError)
+        assert done.exception.field == field
