@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli import evaluate_icra2017, evaluate_kitti, evaluate_shape
+from fgrecon.cli import evaluate_icra2017, evaluate_kitti, evaluate_paper, evaluate_shape
 from fgrecon.cli.common import GroundOption, JsonOption, PriorOption, check_output, console, ground_plane
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
@@ -33,6 +33,7 @@ app = typer.Typer(help="Compare fgrecon with other methods on data with known po
 app.command("shape")(evaluate_shape.shape_command)
 app.command("icra2017")(evaluate_icra2017.icra2017_command)
 app.command("kitti")(evaluate_kitti.kitti_command)
+app.command("paper")(evaluate_paper.paper_command)
 
 
 @app.callback()

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import hashlib
+import io
+import json
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from importlib import metadata
 from multiprocessing import get_context
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.camera import Camera
-from fgrecon.errors import FgreconError
+from fgrecon.errors import FgreconError, InvalidInputError
 from fgrecon.evaluation.apollocar3d import MarkedCar, MarkedCars
 from fgrecon.evaluation.metrics import FAILURE_DEGREES, keypoint_error, rotation_error
+from fgrecon.evaluation.simulated_run import single_threaded
+from fgrecon.files import write_bytes
 from fgrecon.options import BoxModel, Options
 from fgrecon.pipeline import reconstruct
 from fgrecon.priors.apollo79 import Apollo79, apollo79_prior
@@ -24,6 +31,7 @@ from fgrecon.priors.size_prior import SizePrior
 __all__ = ["BASIS", "KNOWN_SHAPE_OPTIONS", "KNOWN_SHAPE_ROWS", "KnownShapeScores", "score_known_shapes"]
 
 Array = NDArray[np.float64]
+_Result = tuple[Array, list[str]]  # scores (R, 3) of one car, and why rows failed
 
 BASIS = 8
 """Basis vectors of the priors: five, as shipped, leave 2.4 degrees and 4.4 % of the distance where eight leave 2.2 and
@@ -72,6 +80,7 @@ def score_known_shapes(
     cars: MarkedCars,
     models: Apollo79,
     *,
+    folder: Path | None = None,
     workers: int = 1,
     advance: Callable[[int, int], None] = lambda *_: None,
 ) -> KnownShapeScores:
@@ -80,16 +89,28 @@ def score_known_shapes(
     Args:
         cars: What to fit.
         models: The 79 models.
+        folder: Where the results of one model's cars are stored, and taken from where an earlier run with the same
+            inputs left them; None stores nothing.
         workers: Number of processes; the result does not depend on it.
         advance: Told how many cars are done, and how many there are.
     """
-    groups = {car.model: [c for c in cars.cars if c.model == car.model] for car in cars.cars}
-    found: dict[str, tuple[Array, list[str]]] = {}
-    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
-        waiting = {pool.submit(_score_model, models, cars.camera, group): group for group in groups.values()}
+    groups = [[c for c in cars.cars if c.model == model] for model in sorted({car.model for car in cars.cars})]
+    found: dict[str, _Result] = {}
+    todo: list[tuple[list[MarkedCar], Path | None]] = []
+    for group in groups:
+        path = None if folder is None else folder / f"{group[0].model}-{_digest(models, cars.camera, group)}.npz"
+        if path is not None and path.exists():
+            found.update(zip((car.name for car in group), _read(path), strict=True))
+        else:
+            todo.append((group, path))
+    advance(len(found), len(cars.cars))
+    with single_threaded(), ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+        waiting = {pool.submit(_score_model, models, cars.camera, group): (group, path) for group, path in todo}
         for future in as_completed(waiting):
-            for car, result in zip(waiting[future], future.result(), strict=True):
-                found[car.name] = result
+            (group, path), results = waiting[future], future.result()
+            found.update(zip((car.name for car in group), results, strict=True))
+            if path is not None:
+                _write(path, results)
             advance(len(found), len(cars.cars))
     table = np.array([found[car.name][0] for car in cars.cars]).reshape(len(cars.cars), len(KNOWN_SHAPE_ROWS), 3)
     return KnownShapeScores(
@@ -103,7 +124,37 @@ def score_known_shapes(
     )
 
 
-def _score_model(models: Apollo79, camera: Camera, cars: Sequence[MarkedCar]) -> list[tuple[Array, list[str]]]:
+def _digest(models: Apollo79, camera: Camera, cars: Sequence[MarkedCar]) -> str:
+    """Changes with everything that the results depend on, save for unreleased changes of the code."""
+    options = replace(KNOWN_SHAPE_OPTIONS, disabled_terms=frozenset())  # a set has no order to print
+    disabled = sorted(KNOWN_SHAPE_OPTIONS.disabled_terms)
+    plain = (metadata.version("fgrecon"), BASIS, options, disabled, KNOWN_SHAPE_ROWS, cars[0].model)
+    digest = hashlib.sha256(repr(plain).encode())
+    for array in (models.keypoints, models.vertices, models.size, camera.matrix):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    for car in cars:
+        for array in (car.keypoints, car.box, car.camera_T_object, car.shape, car.size):
+            digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()[:12]
+
+
+def _write(path: Path, results: Sequence[_Result]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    buffer = io.BytesIO()
+    failures = np.array([json.dumps(reasons) for _, reasons in results])
+    np.savez(buffer, allow_pickle=False, table=np.array([table for table, _ in results]), failures=failures)
+    write_bytes(path, buffer.getvalue())
+
+
+def _read(path: Path) -> list[_Result]:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return [(table, json.loads(str(f))) for table, f in zip(archive["table"], archive["failures"], strict=True)]
+    except (OSError, ValueError, KeyError, EOFError) as error:
+        raise InvalidInputError(str(path), str(error), "Delete the file: it will be made again.") from error
+
+
+def _score_model(models: Apollo79, camera: Camera, cars: Sequence[MarkedCar]) -> list[_Result]:
     """Scores (R, 3) and failures of cars of one model."""
     prior = apollo79_prior(models, basis=BASIS, exclude=[cars[0].model])
     size = cars[0].size
@@ -111,7 +162,7 @@ def _score_model(models: Apollo79, camera: Camera, cars: Sequence[MarkedCar]) ->
     return [_score_car(car, camera, (prior, told)) for car in cars]
 
 
-def _score_car(car: MarkedCar, camera: Camera, priors: Sequence[ShapePrior]) -> tuple[Array, list[str]]:
+def _score_car(car: MarkedCar, camera: Camera, priors: Sequence[ShapePrior]) -> _Result:
     rows: list[tuple[float, float, float]] = []
     failures: list[str] = []
     for prior in priors:

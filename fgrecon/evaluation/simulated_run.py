@@ -26,7 +26,16 @@ from fgrecon.priors.apollo79 import Apollo79
 from fgrecon.robust import StrategyName
 from fgrecon.simulate import Vehicle
 
-__all__ = ["CONDITIONS", "Condition", "Outcome", "Validation", "read_validation", "run_conditions", "vehicles_of"]
+__all__ = [
+    "CONDITIONS",
+    "Condition",
+    "Outcome",
+    "Validation",
+    "read_validation",
+    "run_conditions",
+    "single_threaded",
+    "vehicles_of",
+]
 
 _FRAMES_A_PART = 24
 
@@ -187,7 +196,7 @@ def run_conditions(
     vehicles = vehicles_of(models)
     outcomes: dict[str, Outcome] = {}
     made_with = (scene, vehicles, models.size, seed)
-    with _single_threaded(), ProcessPoolExecutor(workers, get_context("spawn"), _start, made_with) as pool:
+    with single_threaded(), ProcessPoolExecutor(workers, get_context("spawn"), _start, made_with) as pool:
         for condition in conditions:
             place = folder / condition.name
             place.mkdir(parents=True, exist_ok=True)
@@ -241,7 +250,7 @@ def _part_digest(inputs: bytes, frames: Sequence[Frame]) -> str:
 
 
 @contextmanager
-def _single_threaded() -> Iterator[None]:
+def single_threaded() -> Iterator[None]:
     """Processes started inside use one thread each: the parallelism is between them."""
     names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     before = {name: os.environ.get(name) for name in names}
