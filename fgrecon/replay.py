@@ -18,6 +18,7 @@ from fgrecon.viz import entities
 __all__ = ["LogLine", "Replay", "Series", "StageSummary", "read"]
 
 _SCALARS, _NAMES = "Scalars:scalars", "SeriesLines:names"
+_WORDS_AND_STEPS = (entities.HISTORY, entities.TRACK, entities.LOG)
 _TEXT, _LEVEL = "TextLog:text", "TextLog:level"
 
 
@@ -155,8 +156,11 @@ def read(path: str | Path) -> Replay:
     log: list[LogLine] = []
     try:
         for chunk in RrdReader(path).stream():
-            columns = chunk.to_record_batch().to_pydict()
             entity = str(chunk.entity_path).strip("/")
+            batch = chunk.to_record_batch()
+            if entity not in _WORDS_AND_STEPS and not {_SCALARS, _NAMES} & set(batch.schema.names):
+                continue  # drawn: photographs alone would take minutes as lists of numbers
+            columns = batch.to_pydict()
             steps, at_frames = columns.get(entities.STEP), columns.get(entities.FRAME)
             if entity == entities.HISTORY and steps is not None and at_frames is not None:
                 history += [
