@@ -16,7 +16,6 @@ import numpy as np
 
 import fgrecon
 from fgrecon.simulate import KITTI_CAMERA, Vehicle, simulate_track
-from fgrecon.track import reconstruct_track
 from fgrecon.viz import TrackSight, Truth, record_track
 
 
@@ -26,7 +25,7 @@ def main(recording: str | None) -> None:
     frames = simulate_track(car, 12, rng)
     seen, truths = [observation for observation, _ in frames], [truth for _, truth in frames]
 
-    track = reconstruct_track(seen, KITTI_CAMERA, ground=1.65)
+    track = fgrecon.reconstruct_track(seen, KITTI_CAMERA, ground=1.65)
 
     alone = [
         fgrecon.reconstruct(s.keypoints, KITTI_CAMERA, confidence=s.confidence, box=s.box, ground=1.65) for s in seen

@@ -21,6 +21,7 @@ from fgrecon.priors.shape_prior import ShapePrior, Surface
 from fgrecon.priors.size_prior import SIZE_PRIORS, SizePrior
 from fgrecon.reconstruction import Alternative, Iteration, Reconstruction, Status
 from fgrecon.robust import RobustStrategy, StrategyName, strategy
+from fgrecon.track import JointStep, TrackReconstruction, reconstruct_track
 
 __all__ = [
     "SIZE_PRIORS",
@@ -31,6 +32,7 @@ __all__ = [
     "Category",
     "Ground",
     "Iteration",
+    "JointStep",
     "Observation",
     "Options",
     "Reconstruction",
@@ -40,9 +42,11 @@ __all__ = [
     "Status",
     "StrategyName",
     "Surface",
+    "TrackReconstruction",
     "load_category",
     "load_prior",
     "reconstruct",
+    "reconstruct_track",
     "save_prior",
     "strategy",
 ]
