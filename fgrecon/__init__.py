@@ -19,7 +19,7 @@ from fgrecon.pipeline import reconstruct
 from fgrecon.pose.starts import Box3D
 from fgrecon.priors.shape_prior import ShapePrior, Surface
 from fgrecon.priors.size_prior import SIZE_PRIORS, SizePrior
-from fgrecon.reconstruction import Alternative, Iteration, Reconstruction, Status
+from fgrecon.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status
 from fgrecon.robust import RobustStrategy, StrategyName, strategy
 from fgrecon.track import JointStep, TrackReconstruction, reconstruct_track
 
@@ -30,6 +30,7 @@ __all__ = [
     "BoxModel",
     "Camera",
     "Category",
+    "GraphFactor",
     "Ground",
     "Iteration",
     "JointStep",
