@@ -9,6 +9,9 @@ The keypoints that the network found in the photographs of a shape, each with it
 shape: coefficients and a small free offset per keypoint, shared by all. The measured poses are good to a few degrees;
 each photograph may correct its own within that. What the network gets wrong on single photographs the robust loss and
 the others outvote; what the first labels had wrong for the whole shape the network's view of all shapes corrects.
+
+Photographs of one shape show nearly, not exactly, the same car. So each photograph is then solved once more by itself,
+with its own coefficients and offsets around those of the group: the labels are the projections of that shape.
 """
 
 from __future__ import annotations
@@ -36,6 +39,8 @@ _OFFSET_SIGMA = 0.02  # of a keypoint's free offset per axis: 10 cm on a car of 
 _SYMMETRY_SIGMA = 0.002
 _POINT_SIGMA = 0.02  # of the network's points, as a fraction of the photograph's longer side, beside their covariance
 _LOSS = RobustLoss.of("geman_mcclure", 2.0)
+_OWN_SIGMA = 0.7  # of a photograph's own coefficients around its group's
+_OWN_OFFSET_SIGMA = 0.012  # of its own offsets around its group's
 _LEAST_CONFIDENCE = 0.05
 _DISAGREES = np.deg2rad(12.0)  # a photograph whose pose had to turn further is left out
 _SUPPORT = 0.4  # share of the confidence that has to agree with the shape
@@ -64,12 +69,14 @@ class Relabelled:
         fit: The shape, with free offsets.
         cars: The photographs with corrected poses.
         trusted: (M,) whether a photograph agrees with the shape well enough to learn from.
+        keypoints: (M, K, 2) labels in pixels: projections of each photograph's own shape.
         residual: (M, K) distance of the network's points from the labels as a fraction of the longer side.
     """
 
     fit: ShapeFit
     cars: tuple[PosedCar, ...]
     trusted: NDArray[np.bool_]
+    keypoints: Array
     residual: Array
 
 
@@ -94,30 +101,15 @@ def relabel_shape(prior: ShapePrior, cars: Sequence[PosedCar], start: ShapeFit, 
     covariance = found.covariance + (_POINT_SIGMA * extent)[:, None, None, None] ** 2 * np.eye(2)
     covariance = (covariance + covariance.swapaxes(-1, -2)) / 2
     weights = np.where(found.confidence < _LEAST_CONFIDENCE, 0.0, found.confidence)
-    for number, car in enumerate(cars):
-        pose = gtsam.Pose3(gtsam.Rot3(car.rotation), car.translation)
-        values.insert(X(0, number), pose)
-        # GTSAM's increments are in the object's frame; the shift's spread is given in the camera's.
-        spread = car.rotation.T @ np.diag(_SHIFT_SIGMA**2) @ car.rotation
-        full = np.zeros((6, 6))
-        full[:3, :3], full[3:, 3:] = _TURN_SIGMA**2 * np.eye(3), (spread + spread.T) / 2
-        graph.add(gtsam.PriorFactorPose3(X(0, number), pose, gtsam.noiseModel.Gaussian.Covariance(full)))
-        if weights[number].any():
-            kernel = ProjectionKernel(shape, car.matrix, X(0, number))
-            graph.add(
-                factors.stacked_reprojection_factor(
-                    kernel,
-                    found.keypoints[number],
-                    weights[number],
-                    1.0,
-                    covariances=covariance[number],
-                    robust=_LOSS,
-                )
-            )
-    parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setMaxIterations(30)
-    parameters.setRelativeErrorTol(1e-4)
-    solved = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
+    photographs = [
+        _photograph_factors(car, shape, X(0, number), found.keypoints[number], weights[number], covariance[number])
+        for number, car in enumerate(cars)
+    ]
+    for number, (car, own) in enumerate(zip(cars, photographs, strict=True)):
+        values.insert(X(0, number), _pose(car))
+        for factor in own:
+            graph.add(factor)
+    solved = _optimise(graph, values)
     fit = ShapeFit(solved.atVector(L(0)), solved.atVector(O(0)).reshape(-1, 3), start.edge_error)
     poses = [solved.atPose3(X(0, number)) for number in range(len(cars))]
     corrected = tuple(
@@ -133,8 +125,63 @@ def relabel_shape(prior: ShapePrior, cars: Sequence[PosedCar], start: ShapeFit, 
     support = (weights * agrees).sum(axis=1) / np.maximum(weights.sum(axis=1), 1e-9)
     turned = np.array([_angle(a.rotation, b.rotation) for a, b in zip(cars, corrected, strict=True)])
     trusted = (support >= _SUPPORT) & (turned < _DISAGREES)
-    residual = np.linalg.norm(difference, axis=-1) / extent[:, None]
-    return Relabelled(fit, corrected, trusted, residual)
+    labels = projected.copy()
+    for number, car in enumerate(corrected):
+        if trusted[number]:
+            labels[number] = _own_labels(prior, fit, car, X(0, number), photographs[number])
+    residual = np.linalg.norm(found.keypoints - labels, axis=-1) / extent[:, None]
+    return Relabelled(fit, corrected, trusted, labels, residual)
+
+
+def _photograph_factors(
+    car: PosedCar, shape: LinearShape, key: int, points: Array, weights: Array, covariance: Array
+) -> list[gtsam.NonlinearFactor]:
+    """The measured pose of a photograph, and the keypoints that were found in it."""
+    # GTSAM's increments are in the object's frame; the shift's spread is given in the camera's.
+    spread = car.rotation.T @ np.diag(_SHIFT_SIGMA**2) @ car.rotation
+    full = np.zeros((6, 6))
+    full[:3, :3], full[3:, 3:] = _TURN_SIGMA**2 * np.eye(3), (spread + spread.T) / 2
+    measured = gtsam.PriorFactorPose3(key, _pose(car), gtsam.noiseModel.Gaussian.Covariance(full))
+    if not weights.any():
+        return [measured]
+    kernel = ProjectionKernel(shape, car.matrix, key)
+    seen = factors.stacked_reprojection_factor(kernel, points, weights, 1.0, covariances=covariance, robust=_LOSS)
+    return [measured, seen]
+
+
+def _own_labels(
+    prior: ShapePrior,
+    group: ShapeFit,
+    car: PosedCar,
+    key: int,
+    photograph: Sequence[gtsam.NonlinearFactor],
+) -> Array:
+    """(K, 2) projections of the shape that a photograph shows, near its group's; starts at the corrected pose."""
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    isotropic = gtsam.noiseModel.Isotropic.Sigma
+    offsets = group.offsets.ravel()
+    graph.add(gtsam.PriorFactorVector(L(0), group.coefficients, isotropic(prior.dimension, _OWN_SIGMA)))
+    graph.add(gtsam.PriorFactorVector(O(0), offsets, isotropic(len(offsets), _OWN_OFFSET_SIGMA)))
+    for factor in photograph:
+        graph.add(factor)
+    values.insert(L(0), group.coefficients)
+    values.insert(O(0), offsets)
+    values.insert(key, _pose(car))
+    solved = _optimise(graph, values)
+    pose = solved.atPose3(key)
+    own = replace(car, rotation=pose.rotation().matrix(), translation=pose.translation())
+    return own.project(prior.keypoints(solved.atVector(L(0)), solved.atVector(O(0)).reshape(-1, 3)))
+
+
+def _optimise(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setMaxIterations(30)
+    parameters.setRelativeErrorTol(1e-4)
+    return gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
+
+
+def _pose(car: PosedCar) -> gtsam.Pose3:
+    return gtsam.Pose3(gtsam.Rot3(car.rotation), car.translation)
 
 
 def _angle(first: Array, second: Array) -> float:

@@ -140,14 +140,16 @@ def corrected(source: Source, before: Labelling, detector: Detector, photographs
     found = _find(source.cars, detector, photographs)
     fits: dict[str, ShapeFit] = {}
     cars, trusted = list(source.cars), np.ones(len(source.cars), dtype=bool)
+    keypoints = np.zeros_like(before.labels.keypoints)
     for name, rows in members.items():
         seen = Found(found.keypoints[rows], found.confidence[rows], found.covariance[rows])
         result = relabel_shape(source.prior, [source.cars[i] for i in rows], before.fits[name], seen)
         fits[name] = result.fit
-        trusted[rows] = result.trusted
+        trusted[rows], keypoints[rows] = result.trusted, result.keypoints
         for row, car in zip(rows, result.cars, strict=True):
             cars[row] = car
-    return _labelling(source.prior, cars, fits, members, trusted)
+    labelling = _labelling(source.prior, cars, fits, members, trusted)
+    return replace(labelling, labels=Labels(keypoints, labelling.labels.visible))
 
 
 def open_photographs(source: Source, labelling: Labelling, folder: Path) -> Photographs:

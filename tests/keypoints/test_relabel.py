@@ -56,3 +56,17 @@ def test_a_photograph_that_contradicts_the_shape_is_not_trusted():
     result = relabel_shape(prior, cars, ShapeFit(np.zeros(5), np.zeros((14, 3)), np.zeros((15, 4))), found)
     assert not result.trusted[7]
     assert result.trusted.sum() >= 13
+
+
+def test_a_photograph_of_a_slightly_other_car_gets_labels_of_its_own():
+    rng = np.random.default_rng(5)
+    prior = unit_car_prior()
+    cars = made_up_cars(prior, np.zeros(5), 15, rng)
+    keypoints = np.array([car.project(prior.mean) for car in cars])
+    other = prior.keypoints(np.array([0.6, -0.6, 0.4, 0.0, 0.0]))
+    keypoints[4] = cars[4].project(other)
+    found = Found(keypoints, np.full((15, 14), 0.9), np.broadcast_to(np.eye(2), (15, 14, 2, 2)).copy())
+    result = relabel_shape(prior, cars, ShapeFit(np.zeros(5), np.zeros((14, 3)), np.zeros((15, 4))), found)
+    shared = result.cars[4].project(prior.keypoints(result.fit.coefficients, result.fit.offsets))
+    error, before = (np.linalg.norm(points - keypoints[4], axis=1).mean() for points in (result.keypoints[4], shared))
+    assert error < 0.6 * before
