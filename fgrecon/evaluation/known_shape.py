@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.camera import Camera
+from fgrecon.catalogue import load_category
 from fgrecon.errors import FgreconError, InvalidInputError
-from fgrecon.evaluation.apollocar3d import MarkedCar, MarkedCars
+from fgrecon.evaluation.apollocar3d import MarkedCar, MarkedCars, marking_offsets
 from fgrecon.evaluation.metrics import FAILURE_DEGREES, keypoint_error, rotation_error
 from fgrecon.evaluation.simulated_run import single_threaded
 from fgrecon.files import write_bytes
@@ -47,8 +48,11 @@ mean shape's proportions: it costs 0.2 degrees and 0.3 cm, and 1 cm where the si
 _SIZE_SIGMA = 0.02  # of each dimension: bumpers and lamps differ between cars of one length
 _STAGES = ("pose", "shape", "joint")
 
-KNOWN_SHAPE_ROWS = tuple(f"{name}{told}" for told in ("", "+size") for name in ("sqpnp", *_STAGES))
-"""SQPnP with the mean shape, and fgrecon after each stage; `+size` knows the car's true length, width and height."""
+KNOWN_SHAPE_ROWS = tuple(
+    f"{name}{size}{marks}" for size in ("", "+size") for marks in ("", "+marks") for name in ("sqpnp", *_STAGES)
+)
+"""SQPnP with the mean shape, and fgrecon after each stage. `+size` knows the car's true length, width and height,
+`+marks` where people put their marks (`marking_offsets`, learnt from the cars of all other models)."""
 
 
 @dataclass(frozen=True)
@@ -98,14 +102,17 @@ def score_known_shapes(
     found: dict[str, _Result] = {}
     todo: list[tuple[list[MarkedCar], Path | None]] = []
     for group in groups:
-        path = None if folder is None else folder / f"{group[0].model}-{_digest(models, cars.camera, group)}.npz"
+        path = None if folder is None else folder / f"{group[0].model}-{_digest(models, cars, group)}.npz"
         if path is not None and path.exists():
             found.update(zip((car.name for car in group), _read(path), strict=True))
         else:
             todo.append((group, path))
     advance(len(found), len(cars.cars))
     with single_threaded(), ProcessPoolExecutor(workers, get_context("spawn")) as pool:
-        waiting = {pool.submit(_score_model, models, cars.camera, group): (group, path) for group, path in todo}
+        waiting = {
+            pool.submit(_score_model, models, cars.camera, group, _offsets(cars, group)): (group, path)
+            for group, path in todo
+        }
         for future in as_completed(waiting):
             (group, path), results = waiting[future], future.result()
             found.update(zip((car.name for car in group), results, strict=True))
@@ -124,15 +131,15 @@ def score_known_shapes(
     )
 
 
-def _digest(models: Apollo79, camera: Camera, cars: Sequence[MarkedCar]) -> str:
+def _digest(models: Apollo79, everyone: MarkedCars, cars: Sequence[MarkedCar]) -> str:
     """Changes with everything that the results depend on, save for unreleased changes of the code."""
     options = replace(KNOWN_SHAPE_OPTIONS, disabled_terms=frozenset())  # a set has no order to print
     disabled = sorted(KNOWN_SHAPE_OPTIONS.disabled_terms)
     plain = (metadata.version("fgrecon"), BASIS, options, disabled, KNOWN_SHAPE_ROWS, cars[0].model)
     digest = hashlib.sha256(repr(plain).encode())
-    for array in (models.keypoints, models.vertices, models.size, camera.matrix):
+    for array in (models.keypoints, models.vertices, models.size, everyone.camera.matrix):
         digest.update(np.ascontiguousarray(array).tobytes())
-    for car in cars:
+    for car in everyone.cars:  # all of them tell where marks lie
         for array in (car.keypoints, car.box, car.camera_T_object, car.shape, car.size):
             digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()[:12]
@@ -154,21 +161,31 @@ def _read(path: Path) -> list[_Result]:
         raise InvalidInputError(str(path), str(error), "Delete the file: it will be made again.") from error
 
 
-def _score_model(models: Apollo79, camera: Camera, cars: Sequence[MarkedCar]) -> list[_Result]:
+def _offsets(cars: MarkedCars, group: Sequence[MarkedCar]) -> Array:
+    """How the marks of all other models' cars lie."""
+    others = [car for car in cars.cars if car.model != group[0].model]
+    return marking_offsets(others, cars.camera, load_category("car14"))
+
+
+def _score_model(models: Apollo79, camera: Camera, cars: Sequence[MarkedCar], offsets: Array) -> list[_Result]:
     """Scores (R, 3) and failures of cars of one model."""
     prior = apollo79_prior(models, basis=BASIS, exclude=[cars[0].model])
     size = cars[0].size
     told = given_size(prior, SizePrior("the true size", size, _SIZE_SIGMA * size))
-    return [_score_car(car, camera, (prior, told)) for car in cars]
+    as_modelled = np.zeros_like(offsets)
+    variants = [(base, marks) for base in (prior, told) for marks in (as_modelled, offsets)]
+    return [_score_car(car, camera, variants) for car in cars]
 
 
-def _score_car(car: MarkedCar, camera: Camera, priors: Sequence[ShapePrior]) -> _Result:
+def _score_car(car: MarkedCar, camera: Camera, variants: Sequence[tuple[ShapePrior, Array]]) -> _Result:
+    """Scores (R, 3) and failures of one car; a variant is a prior and where marks lie relative to its keypoints."""
     rows: list[tuple[float, float, float]] = []
     failures: list[str] = []
-    for prior in priors:
+    for base, offsets in variants:
         for solve, names in ((_sqpnp, ("sqpnp",)), (_stages, _STAGES)):
             try:
-                rows += [_errors(car, pose, shape) for pose, shape in solve(car, camera, prior)]
+                marked = replace(base, mean=base.mean + offsets)
+                rows += [_errors(car, pose, shape - offsets) for pose, shape in solve(car, camera, marked)]
             except Exception as error:  # noqa: BLE001 - a crash counts like a refusal: wrong, named, never left out
                 rows += [(FAILURE_DEGREES, np.inf, np.inf)] * len(names)
                 failures.append(f"{car.name} {names[0]}: {type(error).__name__}: {error}")

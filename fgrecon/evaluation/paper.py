@@ -242,7 +242,8 @@ def _known_note(cars: MarkedCars) -> str:
         f"duplicate, are left out of the prior ({BASIS} vectors). Keypoint: mean distance of the 14 keypoints about "
         f"their centroid, in the camera frame. Marks lie {100 * cars.noise:.1f} % of the box from the labelled model; "
         f"they are given {100 * KNOWN_SHAPE_OPTIONS.sigma_relative:g} %, no ground plane, no 2D box and no Laplacian "
-        "term. '+size' knows the true length, width and height, SQPnP through the mean shape given that size."
+        "term. '+size' knows the true length, width and height (SQPnP through the mean shape given that size), "
+        "'+marks' where people put their marks relative to the models' keypoints, learnt from the cars of all other models."
     )
 
 

@@ -30,7 +30,11 @@ def error_curves(scores: Scores, rows: Sequence[str], shown: Sequence[str]) -> s
         errors = np.sort(scores.orientation[used, rows.index(row)])
         share = 100.0 * np.searchsorted(errors, limits, side="right") / len(errors)
         ours = row in ("pose", "joint", "fgrecon+size")
-        style: Mapping[str, Any] = {"color": _OURS, "lw": 2.4} if ours else {"color": _shade(position), "lw": 1.5}
+        style: Mapping[str, Any] = (
+            {"color": _OURS, "lw": 2.4, "ls": "--" if row == "fgrecon+size" else "-"}
+            if ours
+            else {"color": _shade(position), "lw": 1.5}
+        )
         axes.plot(limits, share, label=row_label(row), **style)
     detected = 100.0 * (scores.detection[used] >= 0).mean()
     axes.axhline(detected, color=_MUTED, lw=0.8, ls=":")
@@ -51,7 +55,8 @@ def aop_plot(table: Table) -> str:
         axes.barh(y, value, color=colour, height=0.7)
         if isinstance(cell, Interval):
             axes.plot([cell.low, cell.high], [y, y], color=_INK, lw=1.2)
-        axes.annotate(f"{value:.1f}", (value, y), xytext=(6, 0), textcoords="offset points", va="center", fontsize=8)
+        end = cell.high if isinstance(cell, Interval) else value
+        axes.annotate(f"{value:.1f}", (end, y), xytext=(6, 0), textcoords="offset points", va="center", fontsize=8)
     axes.set_yticks(range(len(lines)), [label for label, _ in reversed(lines)], fontsize=8)
     axes.set(xlim=(0, 100), xlabel="% of the Hard cars within 5 degrees")
     axes.grid(visible=False, axis="y")
@@ -91,8 +96,8 @@ def known_shape_plot(scores: KnownShapeScores) -> str:
     import matplotlib.pyplot as plt
 
     figure, panels = plt.subplots(1, 3, figsize=(9.6, 3.2), layout="constrained")
-    shown = ("sqpnp", "joint", "sqpnp+size", "joint+size")
-    names = ("SQPnP", "fgrecon", "SQPnP,\nsize told", "fgrecon,\nsize told")
+    shown = ("sqpnp", "joint", "joint+marks", "sqpnp+size", "joint+size", "joint+size+marks")
+    names = ("SQPnP", "fgrecon", "fgrecon,\nmarks", "SQPnP,\nsize", "fgrecon,\nsize", "fgrecon,\nboth")
     measures = (
         ("rotation, degrees", scores.rotation, 12.0),
         ("position, % of distance", 100.0 * scores.translation, 20.0),
@@ -104,7 +109,7 @@ def known_shape_plot(scores: KnownShapeScores) -> str:
         boxes = axes.boxplot(columns, showfliers=False, widths=0.6, patch_artist=True, medianprops={"color": _INK})
         for patch, row in zip(boxes["boxes"], shown, strict=True):
             patch.set(facecolor=_OURS if row.startswith("joint") else _COLOURS[0], alpha=0.75, edgecolor=_INK, lw=0.6)
-        axes.set_xticks(range(1, 5), names, fontsize=7)
+        axes.set_xticks(range(1, len(names) + 1), names, fontsize=6)
         axes.set(ylim=(0, limit), title=label)
         axes.title.set(fontsize=9, color=_INK)
         axes.grid(visible=False, axis="x")

@@ -242,7 +242,7 @@ def known_shape_tables(scores: KnownShapeScores, note: str) -> tuple[Table, Tabl
         **{f"{count} keypoints marked": scores.marks == count for count in np.unique(scores.marks).tolist()},
     }
     split = []
-    for row in ("sqpnp", "pose", "joint", "sqpnp+size", "joint+size"):
+    for row in ("sqpnp", "joint", "joint+marks", "sqpnp+size", "joint+size", "joint+size+marks"):
         r = KNOWN_SHAPE_ROWS.index(row)
         split += [(f"{row}, {name} ({int(g.sum())})", _known(scores, r, g)) for name, g in groups.items() if g.any()]
     parts = Table(

@@ -1,6 +1,7 @@
 """Marked cars of known shape: conventions of the file against a projection by hand, and errors by hand."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from fgrecon.camera import Camera
 from fgrecon.errors import InvalidInputError
-from fgrecon.evaluation.apollocar3d import read_apollocar3d
+from fgrecon.evaluation.apollocar3d import marking_offsets, read_apollocar3d
 from fgrecon.evaluation.known_shape import KNOWN_SHAPE_ROWS, _errors, _score_car, score_known_shapes
 from fgrecon.priors.apollo79 import Apollo79, load_apollo79
 
@@ -103,18 +104,37 @@ def test_errors_by_hand(tmp_path, models):
 
 def test_exact_marks_of_the_mean_car_give_its_pose(tmp_path, models, scene):
     (car,) = read(tmp_path, models, annotations(models, 0, POSE, POINTS)).cars
-    scores, failures = _score_car(car, Camera(K), (scene.prior, scene.prior))
+    scores, failures = _score_car(car, Camera(K), 4 * [(scene.prior, np.zeros((14, 3)))])
     assert failures == []
     assert scores.shape == (len(KNOWN_SHAPE_ROWS), 3)
     assert scores[:, 0].max() < 1.0
     assert scores[:, 1].max() < 0.02
 
 
+def test_where_people_put_their_marks_is_found_and_taken_off(tmp_path, models, scene):
+    (car,) = read(tmp_path, models, annotations(models, 0, POSE, POINTS)).cars
+    camera, category = Camera(K), scene.prior.category
+    true = np.zeros((14, 3))
+    true[[10, 11]] = [[0.05, -0.02, -0.04], [0.05, -0.02, 0.04]]
+    cars = []
+    for turn in np.linspace(0, 6, 40):
+        pose = car.camera_T_object.copy()
+        pose[:3, :3] = pose[:3, :3] @ Rotation.from_euler("y", turn).as_matrix()
+        points = (car.shape + true) @ pose[:3, :3].T + pose[:3, 3]
+        cars.append(replace(car, camera_T_object=pose, keypoints=camera.project(points)))
+    found = marking_offsets(cars, camera, category)
+    assert found == pytest.approx(true, abs=2e-3)
+    assert marking_offsets(cars[:5], camera, category) == pytest.approx(np.zeros((14, 3)))
+    scores, _ = _score_car(cars[3], camera, [(scene.prior, np.zeros((14, 3))), (scene.prior, true)])
+    assert scores[4:, 0].max() < 0.5 * scores[:4, 0].min()
+    assert scores[4:, 2].max() < 0.005
+
+
 def test_a_crash_is_wrong_and_named(tmp_path, models):
     (car,) = read(tmp_path, models, annotations(models, 0, POSE, POINTS)).cars
-    scores, failures = _score_car(car, Camera(K), (None, None))
+    scores, failures = _score_car(car, Camera(K), 4 * [(None, None)])
     assert scores[:, 0].tolist() == [180.0] * len(KNOWN_SHAPE_ROWS)
-    assert len(failures) == 4
+    assert len(failures) == 8
     assert all(reason.startswith("5:0 ") for reason in failures)
 
 
@@ -132,4 +152,4 @@ def test_the_real_annotations_and_a_few_held_out_cars(data):
     assert np.median(scores.rotation) < 6.0
     assert np.median(scores.keypoint) < 0.16
     # Knowing the size settles the distance.
-    assert np.median(scores.translation[:, 4:]) < np.median(scores.translation[:, :4])
+    assert np.median(scores.translation[:, 8:]) < np.median(scores.translation[:, :8])
