@@ -17,13 +17,21 @@ import numpy as np
 from fgrecon.evaluation import report
 from fgrecon.evaluation.apollocar3d import CONSISTENT, FEWEST_MARKS, MarkedCars, read_apollocar3d
 from fgrecon.evaluation.hand_labels import read_hand_labels
+from fgrecon.evaluation.keypoint_noise_fit import Residuals, read_vehicle, residuals
 from fgrecon.evaluation.kitti_devkit import evaluate
 from fgrecon.evaluation.kitti_files import Objects, count_defects, write_results
 from fgrecon.evaluation.kitti_overlap import Space
 from fgrecon.evaluation.known_shape import BASIS, KNOWN_SHAPE_OPTIONS, score_known_shapes
 from fgrecon.evaluation.methods import METHODS, Scene, select
 from fgrecon.evaluation.paper_claims import decoupling_claim, irls_claim, ranking_claim
-from fgrecon.evaluation.paper_plots import aop_plot, error_curves, known_shape_plot, per_part_plot, per_part_table
+from fgrecon.evaluation.paper_plots import (
+    aop_plot,
+    error_curves,
+    known_shape_plot,
+    noise_plot,
+    per_part_plot,
+    per_part_table,
+)
 from fgrecon.evaluation.paper_tables import (
     Table,
     aop_table,
@@ -185,6 +193,7 @@ def evaluate_paper(settings: Settings, advance: Callable[[str, int, int], None] 
         "Orientation error on Hard (simulated)": error_curves(main, rows, (*_SHOWN, "fgrecon+size", "joint")),
         "APK of each part on Hard (simulated)": per_part_plot(main, rows, category),
         "Errors on real cars of known shape": known_shape_plot(known),
+        "Keypoints of the real network (solid) and simulated ones (dashed)": noise_plot(_network(data, scene), main),
     }
     solved, seconds = sum(o.solved for o in outcomes.values()), sum(o.seconds for o in outcomes.values())
     return Page(
@@ -200,6 +209,12 @@ def evaluate_paper(settings: Settings, advance: Callable[[str, int, int], None] 
         failures=(*(f for o in outcomes.values() for f in o.scores.failures.tolist()), *known.failures),
         throughput={"instances": solved, "seconds": seconds, "per_second": solved / max(seconds, 1e-9)},
     )
+
+
+def _network(data: Path, scene: Scene) -> list[Residuals]:
+    """What the network that the noise model is fitted to differs from the truth."""
+    paths = sorted((data / _TRACK_FORMAT).glob("*.json"))
+    return [residuals(read_vehicle(path, scene.prior.category), scene.prior) for path in paths]
 
 
 def _conditions(settings: Settings, outcomes: Mapping[str, Outcome], validation: Validation) -> tuple[str, ...]:
@@ -243,7 +258,8 @@ def _known_note(cars: MarkedCars) -> str:
         f"their centroid, in the camera frame. Marks lie {100 * cars.noise:.1f} % of the box from the labelled model; "
         f"they are given {100 * KNOWN_SHAPE_OPTIONS.sigma_relative:g} %, no ground plane, no 2D box and no Laplacian "
         "term. '+size' knows the true length, width and height (SQPnP through the mean shape given that size), "
-        "'+marks' where people put their marks relative to the models' keypoints, learnt from the cars of all other models."
+        "'+marks' where people put their marks relative to the models' keypoints, learnt from the cars of all other "
+        "models."
     )
 
 

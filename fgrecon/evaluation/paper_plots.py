@@ -10,11 +10,12 @@ import numpy as np
 
 from fgrecon.category import Category
 from fgrecon.evaluation.bootstrap import Interval
+from fgrecon.evaluation.keypoint_noise_fit import Residuals
 from fgrecon.evaluation.known_shape import KNOWN_SHAPE_ROWS, KnownShapeScores
 from fgrecon.evaluation.paper_tables import APK_ALPHA, Table, row_label
 from fgrecon.evaluation.simulated_scores import STAGE_ROWS, Scores
 
-__all__ = ["aop_plot", "error_curves", "known_shape_plot", "per_part_plot", "per_part_table"]
+__all__ = ["aop_plot", "error_curves", "known_shape_plot", "noise_plot", "per_part_plot", "per_part_table"]
 
 _INK, _MUTED, _GRID = "#1b2733", "#6b7785", "#e3e8ee"
 _COLOURS = ("#8d99a6", "#4c78a8", "#e45756", "#54a24b")
@@ -113,6 +114,27 @@ def known_shape_plot(scores: KnownShapeScores) -> str:
         axes.set(ylim=(0, limit), title=label)
         axes.title.set(fontsize=9, color=_INK)
         axes.grid(visible=False, axis="x")
+    return _svg(figure)
+
+
+def noise_plot(network: Sequence[Residuals], scores: Scores) -> str:
+    """Distance of measured keypoints from the truth: the network that the noise is fitted to, and the simulated set."""
+    figure, axes = _figure(7.2, 3.6)
+    real = np.concatenate([np.linalg.norm(r.errors, axis=2).ravel() for r in network])
+    real_visible = np.concatenate([r.visible.ravel() for r in network])
+    detected = scores.detection >= 0
+    drawn, drawn_visible = scores.measured[detected].ravel(), scores.visible[detected].ravel()
+    limits = np.linspace(0.0, 0.5, 201)
+    for colour, name, seen in ((_OURS, "visible", True), (_COLOURS[1], "hidden", False)):
+        for values, mask, line in ((real, real_visible, "-"), (drawn, drawn_visible, "--")):
+            errors = np.sort(values[(mask == seen) & np.isfinite(values)])
+            share = 100.0 * np.searchsorted(errors, limits, side="right") / max(len(errors), 1)
+            label = f"{name}, {'network' if line == '-' else 'simulated'} ({len(errors)})"
+            axes.plot(limits, share, color=colour, ls=line, label=label)
+    axes.set(
+        xlim=(0, 0.5), ylim=(0, 102), xlabel="distance from the truth / longer side of the box", ylabel="% of keypoints"
+    )
+    axes.legend(frameon=False, fontsize=8, loc="lower right")
     return _svg(figure)
 
 

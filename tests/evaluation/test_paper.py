@@ -12,12 +12,20 @@ from fgrecon.cli.main import app
 from fgrecon.evaluation import report
 from fgrecon.evaluation.bootstrap import Interval
 from fgrecon.evaluation.hand_labels import read_hand_labels
+from fgrecon.evaluation.keypoint_noise_fit import Residuals
 from fgrecon.evaluation.kitti_files import Objects
 from fgrecon.evaluation.known_shape import KNOWN_SHAPE_ROWS, KnownShapeScores
 from fgrecon.evaluation.paper import Page, _posed
 from fgrecon.evaluation.paper_claims import decoupling_claim, irls_claim, ranking_claim
 from fgrecon.evaluation.paper_page import document, html, markdown
-from fgrecon.evaluation.paper_plots import aop_plot, error_curves, known_shape_plot, per_part_plot, per_part_table
+from fgrecon.evaluation.paper_plots import (
+    aop_plot,
+    error_curves,
+    known_shape_plot,
+    noise_plot,
+    per_part_plot,
+    per_part_table,
+)
 from fgrecon.evaluation.paper_tables import (
     Table,
     aop_table,
@@ -167,6 +175,13 @@ def test_cells_as_text_and_as_json():
     json.dumps(content, allow_nan=False)
 
 
+def _network():
+    rng = np.random.default_rng(0)
+    visible = rng.random((20, 14)) < 0.5
+    errors = 0.03 * rng.standard_normal((20, 14, 2))
+    return Residuals(errors, np.ones((20, 14)), visible, np.ones((20, 14, 3)), np.ones((20, 14)))
+
+
 @pytest.fixture(scope="module")
 def page(scores, known, scene):
     category = scene.prior.category
@@ -181,6 +196,7 @@ def page(scores, known, scene):
         "curves": error_curves(scores, MAIN_ROWS, ("aspnp+size", "joint")),
         "parts": per_part_plot(scores, MAIN_ROWS, category),
         "shapes": known_shape_plot(known),
+        "noise": noise_plot([_network()], scores),
     }
     speed = {"instances": 30.0, "seconds": 10.0, "per_second": 3.0}
     return Page(("conditions",), ("a claim",), tables, plots, {"missing frame": 5}, ("000001:0: no luck",), speed)
@@ -213,7 +229,7 @@ def test_the_page_stands_alone(page):
     elements.feed(text)
     assert elements.open == []
     assert elements.links == []
-    assert elements.seen.count("svg") == 4
+    assert elements.seen.count("svg") == 5
     assert elements.seen.count("table") == len(page.tables)
     assert "note &lt;1&gt;" in text
     assert "000001:0: no luck" in text
