@@ -76,15 +76,15 @@ def evaluate_command(
     data: Annotated[Path, typer.Option(help="Data folder, with hand_labels, posed_cars and kitti_object.")],
     weights: WeightsOption = None,
     end_to_end: Annotated[
-        int, typer.Option(metavar="N", help="Also reconstruct so many validation photographs; 0 for none.")
+        int, typer.Option(metavar="N", help="Also reconstruct the marked cars, and so many validation photographs.")
     ] = 0,
     seed: Annotated[int, typer.Option(help="Draws those photographs.")] = 0,
     json_out: JsonOption = None,
 ) -> None:
     """Measure a network against keypoints marked by hand, and end to end on photographs of known direction."""
     from fgrecon.catalogue import load_category
+    from fgrecon.cli.keypoints_report import after_adjustment, marks_document, print_marks
     from fgrecon.cli.keypoints_report import end_to_end as run_end_to_end
-    from fgrecon.cli.keypoints_report import marks_document, print_marks
     from fgrecon.files import write_text
     from fgrecon.keypoints.detect import Detector
     from fgrecon.keypoints.evaluate import score_marks
@@ -101,6 +101,7 @@ def evaluate_command(
     print_marks(out, scored, names)
     result: dict[str, Any] = {"network": detector.provenance, **marks_document(scored, names)}
     if end_to_end:
+        result["after_adjustment"] = after_adjustment(out, scored, data)
         result["end_to_end"] = run_end_to_end(out, detector, data, end_to_end, seed)
     if json_out is not None:
         text = json.dumps(result, indent=1) + "\n"

@@ -22,6 +22,7 @@ __all__ = [
     "Localisation",
     "PosedScore",
     "Scored",
+    "adjusted",
     "azimuth_errors",
     "localisation",
     "marks_reliability",
@@ -114,6 +115,28 @@ def marks_reliability(scored: Sequence[Scored], bins: int = 8) -> Reliability:
     confidence = [s.detection.observation.confidence for s in scored]
     right = [s.mark.visible & (s.error <= REACH) for s in scored]
     return reliability(np.concatenate(confidence), np.concatenate(right), bins)
+
+
+def adjusted(
+    scored: Sequence[Scored], cameras: Sequence[Camera], solve: Callable[[Detection, Camera], Any]
+) -> list[Scored]:
+    """The same cars after pose and shape adjustment, as in the paper's Table II: the projected wireframe is scored.
+
+    Args:
+        scored: Cars as the network found them.
+        cameras: The camera of each.
+        solve: Makes a result with `wireframe_uv` from a detection and a camera; a refusal counts as infinitely far.
+    """
+    after = []
+    for item, camera in zip(scored, cameras, strict=True):
+        away = np.full(len(item.error), np.inf)
+        try:
+            projected = solve(item.detection, camera).wireframe_uv
+            away = np.linalg.norm(projected - item.mark.keypoints, axis=1) / item.mark.extent
+        except FgreconError:
+            pass
+        after.append(replace(item, error=away))
+    return after
 
 
 @dataclass(frozen=True)
