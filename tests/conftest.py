@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy loads: the tests run on all cores already
+
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
