@@ -96,7 +96,8 @@ class Page:
         claims: What the numbers say about the paper's claims.
         tables: The tables.
         plots: SVG elements by caption.
-        problems: Defects of the files, by kind.
+        problems: Defects of the files, counted by kind, and
+        defects: each by name.
         failures: Instances that some row failed on, with the reason.
         throughput: Simulated instances that were worked on now, seconds, and instances a second.
     """
@@ -106,6 +107,7 @@ class Page:
     tables: tuple[Table, ...]
     plots: Mapping[str, str]
     problems: Mapping[str, int]
+    defects: tuple[str, ...]
     failures: tuple[str, ...]
     throughput: Mapping[str, float]
 
@@ -206,6 +208,7 @@ def evaluate_paper(settings: Settings, advance: Callable[[str, int, int], None] 
         tables=tables,
         plots=plots,
         problems=count_defects(validation.problems),
+        defects=tuple(map(str, validation.problems)),
         failures=(*(f for o in outcomes.values() for f in o.scores.failures.tolist()), *known.failures),
         throughput={"instances": solved, "seconds": seconds, "per_second": solved / max(seconds, 1e-9)},
     )

@@ -15,6 +15,7 @@ from fgrecon.evaluation.paper_tables import Cell, Table
 __all__ = ["FORMAT", "document", "html", "markdown"]
 
 FORMAT = "fgrecon.evaluation.paper/1"
+_NAMED = 20
 
 _STYLE = """
 :root { --ink: #1b2733; --muted: #6b7785; --line: #e3e8ee; --accent: #c8313a; --paper: #f6f8fa; }
@@ -44,6 +45,7 @@ def document(page: Page, settings: Mapping[str, Any]) -> dict[str, Any]:
         "claims": list(page.claims),
         "tables": {table.key: table.document() for table in page.tables},
         "problems": dict(page.problems),
+        "defects": list(page.defects),
         "failures": list(page.failures),
         "throughput": dict(page.throughput),
         "settings": dict(settings),
@@ -103,7 +105,10 @@ def _run(page: Page) -> list[str]:
         lines.append("The simulated instances were read from an earlier run.")
     problems = ", ".join(f"{name}: {count}" for name, count in page.problems.items()) or "none"
     lines.append(f"Defects of the files: {problems}. Failures: {len(page.failures)}.")
-    lines += [f"Failed: {reason}" for reason in page.failures[:20]]
+    for kind, named in (("Defect", page.defects), ("Failed", page.failures)):
+        lines += [f"{kind}: {text}" for text in named[:_NAMED]]
+        if len(named) > _NAMED:
+            lines.append(f"{kind}: {len(named) - _NAMED} more in the JSON document.")
     return lines
 
 

@@ -80,6 +80,8 @@ class Table:
         """A cell as text; an interval as its value and half its width."""
         if cell is None:
             return "-"
+        if isinstance(cell, int):
+            return str(cell)
         if not isinstance(cell, Interval):
             return f"{cell:.{self.decimals}f}" if np.isfinite(cell) else "-"
         if not np.isfinite(cell.high - cell.low):
@@ -262,4 +264,4 @@ def _known(scores: KnownShapeScores, r: int, used: NDArray[np.bool_]) -> tuple[C
 
     errors = (scores.rotation[used, r], 100.0 * scores.translation[used, r], 100.0 * scores.keypoint[used, r])
     intervals = [statistic_interval(values, median) for values in errors]
-    return (*intervals, float((scores.rotation[used, r] > 30.0).sum()))
+    return (*intervals, int((scores.rotation[used, r] > 30.0).sum()))

@@ -167,12 +167,15 @@ def test_the_claim_about_decoupling_compares_sequence_and_joint(scores):
 
 
 def test_cells_as_text_and_as_json():
-    cells = (Interval(50.0, 40.0, 62.0), 3.0, None, float("inf"))
+    cells = (Interval(50.0, 40.0, 62.0), 3, None, float("inf"))
     table = Table("key", "title", "", ("a", "b", "c", "d"), (("row", cells),))
-    assert [table.text(cell) for cell in cells] == ["50.0 ±11.0", "3.0", "-", "-"]
+    assert [table.text(cell) for cell in cells] == ["50.0 ±11.0", "3", "-", "-"]
     content = table.document()
     assert content["rows"]["row"] == [{"value": 50.0, "low": 40.0, "high": 62.0}, 3.0, None, None]
     json.dumps(content, allow_nan=False)
+
+
+_DEFECTS = tuple(f"missing frame: {number:06d}" for number in range(25))
 
 
 def _network():
@@ -199,7 +202,9 @@ def page(scores, known, scene):
         "noise": noise_plot([_network()], scores),
     }
     speed = {"instances": 30.0, "seconds": 10.0, "per_second": 3.0}
-    return Page(("conditions",), ("a claim",), tables, plots, {"missing frame": 5}, ("000001:0: no luck",), speed)
+    return Page(
+        ("conditions",), ("a claim",), tables, plots, {"missing frame": 5}, _DEFECTS, ("000001:0: no luck",), speed
+    )
 
 
 class _Elements(HTMLParser):
@@ -235,6 +240,8 @@ def test_the_page_stands_alone(page):
     assert "000001:0: no luck" in text
     assert "missing frame: 5" in text
     assert "3.0 a second" in text
+    assert "missing frame: 000003" in text
+    assert "Defect: 5 more" in text
 
 
 def test_the_same_numbers_give_the_same_plots(page, scores):
