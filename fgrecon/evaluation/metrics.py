@@ -17,6 +17,7 @@ from fgrecon.errors import InvalidInputError
 __all__ = [
     "FAILURE_DEGREES",
     "THRESHOLDS",
+    "closest_shape",
     "hausdorff_distance",
     "instances_within",
     "keypoint_error",
@@ -197,3 +198,23 @@ def hausdorff_distance(first: ArrayLike, second: ArrayLike) -> float:
             raise InvalidInputError(field, "no points", "Give at least one point.")
     a, b = sets
     return float(max(cKDTree(b).query(a)[0].max(), cKDTree(a).query(b)[0].max()))
+
+
+def closest_shape(points: ArrayLike, candidates: Sequence[ArrayLike]) -> tuple[int, float]:
+    """Which of several shapes, such as a folder of CAD models, is closest to a wireframe.
+
+    Args:
+        points: (P, 3) points, metres, in the object frame.
+        candidates: At least one shape (Q, 3) in the same frame, each with a number of points of its own.
+
+    Returns:
+        Index of the closest candidate and its Hausdorff distance in metres; the first of several that are equal.
+
+    Raises:
+        InvalidInputError: There is no candidate, or a set is empty, of the wrong shape or not finite.
+    """
+    if not len(candidates):
+        raise InvalidInputError("candidates", "none", "Give at least one shape.")
+    distances = [hausdorff_distance(points, candidate) for candidate in candidates]
+    best = int(np.argmin(distances))
+    return best, distances[best]
