@@ -118,7 +118,7 @@ def test_bad_input_names_the_field(call, field):
 def test_the_closest_shape_by_hand():
     square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     finer = np.concatenate([square, [[0.5, 0.0, 0.0]]])
-    index, distance = metrics.closest_shape(square + [0, 0, 0.1], [square + 2.0, finer, square])
+    index, distance = metrics.closest_shape(square + np.array([0, 0, 0.1]), [square + 2.0, finer, square])
     assert (index, distance) == (2, pytest.approx(0.1))
     with pytest.raises(InvalidInputError, match="candidates"):
         metrics.closest_shape(square, [])
