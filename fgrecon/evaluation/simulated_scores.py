@@ -260,5 +260,6 @@ def _states(
             states.update(found)
             before.update(zip(list(found)[1:], found.values(), strict=False))
         except Exception as error:  # noqa: BLE001 - a crash counts like a refusal: wrong, named, never left out
-            failures.append(f"{instance.frame}:{instance.index}: {type(error).__name__}: {error}")
+            reason = " ".join(str(error).split())
+            failures.append(f"{instance.frame}:{instance.index}: {type(error).__name__}: {reason}")
     return states, before
