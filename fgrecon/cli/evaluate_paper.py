@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli.common import CameraHeightOption, PriorOption, console
+from fgrecon.cli.common import PriorOption, console
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from collections.abc import Callable, Iterator
@@ -36,7 +36,9 @@ def paper_command(
     size_prior: Annotated[
         str, typer.Option(help="Size of the fleet: kitti, apollo79 or length,width,height in m.")
     ] = "kitti",
-    camera_height: CameraHeightOption = _KITTI_CAMERA_HEIGHT,
+    camera_height: Annotated[
+        float, typer.Option(help="Height of a level camera above the ground, m (for the rows that are told it).")
+    ] = _KITTI_CAMERA_HEIGHT,
     fresh: Annotated[bool, typer.Option("--fresh", help="Work on everything again; keep no stored part.")] = False,
     progress: Annotated[
         bool | None, typer.Option("--progress/--no-progress", help="Progress bar.", show_default="on a terminal")
@@ -58,8 +60,7 @@ def paper_command(
     from fgrecon.files import write_text
     from fgrecon.priors.size_prior import size_prior as parse_size
 
-    plane = Ground.level(_KITTI_CAMERA_HEIGHT if camera_height is None else camera_height)
-    scene = Scene(load_prior(prior), plane, parse_size(size_prior))
+    scene = Scene(load_prior(prior), Ground.level(camera_height), parse_size(size_prior))
     out.mkdir(parents=True, exist_ok=True)
     if fresh:
         shutil.rmtree(out / "parts", ignore_errors=True)
