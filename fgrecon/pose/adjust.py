@@ -30,8 +30,8 @@ __all__ = ["PoseEstimate", "adjust_pose"]
 
 Array = NDArray[np.float64]
 
-_ITERATIONS = 10
-_KEEP = {2: 12, 4: 5, 6: 3}  # hypotheses that go on from these iterations: losers show early
+_ITERATIONS = 8
+_KEEP = {1: 10, 3: 4, 5: 3}  # hypotheses that go on from these iterations: losers show early
 _DISTINCT = np.deg2rad(20.0)  # poses closer than that are one
 _GUESS_SPREAD = np.deg2rad([-30.0, 0.0, 30.0])
 _FEWEST = 3  # points that a pose needs

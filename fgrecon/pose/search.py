@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 
 _LARGEST_TURN = 0.5  # radians a step may turn: beyond, the linearisation says nothing
 _SETTLED = 1e-4  # nats: once no step changes any energy by more, the search is over
+_ALIKE = np.deg2rad(8.0)  # hypotheses closer than that are one: half the distance of neighbouring starts
 _CALMER, _BOLDER = 0.3, 5.0  # factors on the damping after a good and after a bad step
 
 
@@ -97,7 +98,7 @@ def search(problem: PoseProblem, starts: Hypotheses, iterations: int, keep: Mapp
         problem: What to minimise.
         starts: Start hypotheses, in front of the camera.
         iterations: Levenberg-Marquardt iterations.
-        keep: Before iteration i all but the keep[i] best hypotheses are dropped.
+        keep: Before iteration i all but the keep[i] best distinct hypotheses are dropped.
 
     Returns:
         The survivors, best first.
@@ -109,7 +110,7 @@ def search(problem: PoseProblem, starts: Hypotheses, iterations: int, keep: Mapp
     snapshots = [(h, weights, survivor)]
     for iteration in range(iterations):
         if iteration in keep and keep[iteration] < len(h):
-            survivor = np.argsort(total.energy, kind="stable")[: keep[iteration]]
+            survivor = _best_distinct(h, total.energy, keep[iteration])
             h, damping, weights, total = h.take(survivor), damping[survivor], weights[survivor], total.take(survivor)
         else:
             survivor = np.arange(len(h))
@@ -128,6 +129,19 @@ def search(problem: PoseProblem, starts: Hypotheses, iterations: int, keep: Mapp
     order = np.argsort(total.energy, kind="stable")
     path, path_weights = _path(snapshots, int(order[0]))
     return SearchResult(h.take(order), total.energy[order], weights[order], path, path_weights)
+
+
+def _best_distinct(h: Hypotheses, energy: Array, count: int) -> NDArray[np.intp]:
+    """Rows of the best hypotheses, at most `count`; one that is turned like a better one would end where that does."""
+    cosine = (np.tensordot(h.rotation, h.rotation, axes=((1, 2), (1, 2))) - 1.0) / 2.0
+    alike = cosine > np.cos(_ALIKE)
+    kept: list[int] = []
+    for row in np.argsort(energy, kind="stable").tolist():
+        if not alike[row, kept].any():
+            kept.append(row)
+            if len(kept) == count:
+                break
+    return np.array(kept)
 
 
 def _path(snapshots: list[tuple[Hypotheses, Array, NDArray[np.intp]]], row: int) -> tuple[Hypotheses, Array]:

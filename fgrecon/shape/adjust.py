@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 SETTLED = 1e-3
 """Weights that change by less have converged."""
-EARLY_TOLERANCE = 1e-5
+EARLY_TOLERANCE = 1e-4
 """Relative decrease at which a solve ends whose weights are about to change."""
 FINAL_TOLERANCE = 1e-10
 """The same for the last solve."""

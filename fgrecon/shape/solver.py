@@ -40,7 +40,7 @@ def minimise(
     start: gtsam.Values,
     *,
     relative_tolerance: float = 1e-9,
-    max_iterations: int = 100,
+    max_iterations: int = 60,
     record: bool = False,
 ) -> Solution:
     """Minimise the graph's error from a start.

@@ -93,7 +93,7 @@ def test_pruning_keeps_the_winner(noisy):
     """Dropping losers early ends where keeping them all ends."""
     problem, starts = noisy
     pruned, whole = (search(problem, starts, 10, keep) for keep in ({2: 12, 4: 5, 6: 3}, {}))
-    assert len(pruned.energy) == 3
+    assert 1 <= len(pruned.energy) <= 3  # at most, as those that turn alike are one
     assert len(whole.energy) == len(starts)
     assert pruned.energy[0] == pytest.approx(whole.energy[0], abs=0.02)
 
