@@ -25,7 +25,7 @@ class Status(StrEnum):
     AMBIGUOUS = "ambiguous"
     """Another pose explains the keypoints nearly as well: see `alternatives`."""
     DEGENERATE = "degenerate"
-    """The keypoints leave a direction of the pose undetermined: see `message` and `pose_covariance`."""
+    """The keypoints leave a direction undetermined, or nearly so: see `message` and the covariances."""
     FAILED = "failed"
     """The optimisation gave up, and this is the state before: see `message`."""
 

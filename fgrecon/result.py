@@ -85,6 +85,8 @@ def _status(
         return Status.FAILED, f"The shape stage failed ({shape.failure}); this is the state before."
     if uncertainty is None:
         return Status.DEGENERATE, "The keypoints with any weight leave pose or shape undetermined."
+    if shape.unfinished is not None:
+        return Status.DEGENERATE, f"The solver was stopped {shape.unfinished}: near a minimum, not at one."
     turn = float(np.sqrt(np.linalg.eigvalsh(uncertainty.pose[:3, :3])[-1]))
     if turn > _LOOSE:
         return Status.DEGENERATE, f"The orientation is known to {np.rad2deg(turn):.0f} degrees only (1 sigma)."

@@ -43,6 +43,7 @@ class ShapeEstimate:
         energies: Energy by term, nats.
         history: Every iteration.
         failure: Why the stage gave up, or None; the rest is then the state before.
+        unfinished: Where the last solve was stopped short of its minimum, or None; the rest is where it stopped.
     """
 
     pose: gtsam.Pose3
@@ -54,6 +55,7 @@ class ShapeEstimate:
     energies: dict[str, float]
     history: tuple[Iteration, ...]
     failure: str | None = None
+    unfinished: str | None = None
 
 
 def adjust_shape(scene: Scene, problem: PoseProblem, start: PoseEstimate) -> ShapeEstimate:
@@ -77,10 +79,10 @@ def adjust_shape(scene: Scene, problem: PoseProblem, start: PoseEstimate) -> Sha
     )
     history: list[Iteration] = []
     at_end: dict[str, float] = {}
-    failure = None
+    failure = unfinished = None
     try:
         for stage in ("shape", "joint") if scene.options.joint else ("shape",):
-            at_end = _run_stage(stage, scene, problem, state, history)
+            at_end, unfinished = _run_stage(stage, scene, problem, state, history)
     except DegenerateProblemError as error:
         failure = str(error)
     return ShapeEstimate(
@@ -93,18 +95,20 @@ def adjust_shape(scene: Scene, problem: PoseProblem, start: PoseEstimate) -> Sha
         at_end,
         tuple(history),
         failure,
+        unfinished,
     )
 
 
 def _run_stage(
     stage: str, scene: Scene, problem: PoseProblem, state: State, history: list[Iteration]
-) -> dict[str, float]:
-    """IRLS updates of one stage, in place; the energies at its end."""
+) -> tuple[dict[str, float], str | None]:
+    """IRLS updates of one stage, in place; the energies at its end, and where the last solve was stopped early."""
     graph = VehicleGraph(scene, state.pose, pose_free=stage == "joint")
     values = graph.values(state.pose, state.coefficients, state.offsets)
     check_in_front(graph.kernel, values)
     updates = max(scene.options.strategy.updates, 1)
     terms: Terms = {}
+    unfinished = None
     for update in range(updates):
         before = state.weights
         reweigh(state, problem, graph, values, update / max(updates - 1, 1))
@@ -125,8 +129,6 @@ def _run_stage(
         state.pose, state.coefficients, state.offsets = graph.read(values)
         if last:
             if not solution.converged:
-                raise DegenerateProblemError(
-                    "keypoints", f"no minimum in {solution.iterations} iterations", "Give better keypoints or priors."
-                )
+                unfinished = f"after {solution.iterations} iterations, on nearly level ground"
             break
-    return robust_energies(graph, values, terms, problem)
+    return robust_energies(graph, values, terms, problem), unfinished
