@@ -68,11 +68,9 @@ def ranking_claim(scores: Scores, rows: Sequence[str]) -> str:
             f"{row_label(row)} {where}" + (f"; it beats all at {', '.join(beaten)}" if losses and beaten else "")
         )
     return (
-        f"Ranking. {'. '.join(parts)}. Why the paper's update loses where it does: Eq. (5) ends near mu2 (1 - e / "
-        f"max e) "
-        "+ (1 - mu2) w_vis, so with mu2 = 0.7 the worst point of a car keeps a weight of 0.3 where the pose takes "
-        "it for "
-        "visible, and a wrong point half as far off as the worst keeps 0.35 to 0.65. RANSAC, the confidence threshold "
+        f"Ranking. {'. '.join(parts)}. Why the paper's update loses where it does: Eq. (5) ends near "
+        "mu2 exp(-e / mean e) + (1 - mu2) w_vis, so with mu2 = 0.7 the worst point of a car keeps a weight of 0.3 where "
+        "the pose takes it for visible, and one as far off as the mean more than half. RANSAC, the confidence threshold "
         "and fgrecon's mixture let a wrong point fall to nothing."
     )
 
