@@ -69,8 +69,9 @@ def ranking_claim(scores: Scores, rows: Sequence[str]) -> str:
         )
     return (
         f"Ranking. {'. '.join(parts)}. Why the paper's update loses where it does: Eq. (5) ends near "
-        "mu2 exp(-e / mean e) + (1 - mu2) w_vis, so with mu2 = 0.7 the worst point of a car keeps a weight of 0.3 where "
-        "the pose takes it for visible, and one as far off as the mean more than half. RANSAC, the confidence threshold "
+        "mu2 exp(-e / mean e) + (1 - mu2) w_vis, so with mu2 = 0.7 the worst point of a car keeps a weight of 0.3 "
+        "where the pose takes it for visible, and one as far off as the mean more than half. RANSAC, the confidence "
+        "threshold "
         "and fgrecon's mixture let a wrong point fall to nothing."
     )
 
