@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 
 from fgrecon.errors import InvalidInputError
 from fgrecon.files import write_bytes
+from fgrecon.keypoints.checkpoint import load_checkpoint
 from fgrecon.keypoints.dataset import Photographs, azimuth_weights, prepare_photographs
 from fgrecon.keypoints.decode import Calibration
 from fgrecon.keypoints.detect import Detector
 from fgrecon.keypoints.labels import Labels, ShapeFit, fit_shape, project_labels, unit_prior
 from fgrecon.keypoints.posed_cars import PosedCar, groups, read_posed_cars, read_validation_ids
 from fgrecon.keypoints.relabel import Found, relabel_shape
-from fgrecon.keypoints.train import Progress, Training, load_checkpoint, train_knet
+from fgrecon.keypoints.train import Progress, Training, train_knet
 from fgrecon.keypoints.weights import Stored, save_weights
 from fgrecon.priors.apollo79 import load_apollo79
 from fgrecon.priors.shape_prior import ShapePrior

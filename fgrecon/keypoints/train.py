@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import copy
-import io
-import pickle
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,14 +13,13 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import DataLoader, Dataset
 
-from fgrecon.errors import InvalidInputError
-from fgrecon.files import write_bytes
 from fgrecon.keypoints.augment import Street
+from fgrecon.keypoints.checkpoint import follow, restore_checkpoint, save_checkpoint
 from fgrecon.keypoints.dataset import Photographs
 from fgrecon.keypoints.knet import KNet, KNetSettings, load_imagenet
 from fgrecon.keypoints.losses import knet_loss
 
-__all__ = ["Progress", "Training", "load_checkpoint", "train_knet"]
+__all__ = ["Progress", "Training", "train_knet"]
 
 Array = NDArray[np.float64]
 
@@ -145,7 +142,7 @@ def train_knet(
     optimizer = torch.optim.AdamW([{"params": encoder, "share": 0.5}, {"params": others, "share": 1.0}], lr=how.rate)
     first = 0
     if checkpoint.exists():
-        first = _restore(checkpoint, network, average, optimizer, how)
+        first = restore_checkpoint(checkpoint, network, average, optimizer, how.network.to_dict())
     for part in (network, average):
         part.to(device=device, memory_format=torch.channels_last)
     network.train()
@@ -166,12 +163,12 @@ def train_knet(
         losses["total"].backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), _CLIP)
         optimizer.step()
-        _follow(average, network, min(how.average, (step + 1) / (step + 10)))
+        follow(average, network, min(how.average, (step + 1) / (step + 10)))
         for name, value in losses.items():
             sums[name] = sums.get(name, 0.0) + float(value.detach())
         ending = step + 1 >= (how.steps if until is None else until)
         if (step + 1) % how.save_every == 0 or ending:
-            _save(checkpoint, network, average, optimizer, step + 1, how)
+            save_checkpoint(checkpoint, network, average, optimizer, step + 1, how.network.to_dict())
             if report is not None:
                 count = (step % how.save_every) + 1
                 report(Progress(step + 1, how.steps, {name: value / count for name, value in sums.items()}))
@@ -199,42 +196,3 @@ def _quiet(_: int) -> None:
     import cv2
 
     cv2.setNumThreads(1)
-
-
-def _follow(average: KNet, network: KNet, decay: float) -> None:
-    with torch.no_grad():
-        for kept, value in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
-            if kept.dtype.is_floating_point:
-                kept.lerp_(value, 1.0 - decay)
-            else:
-                kept.copy_(value)
-
-
-def _save(path: Path, network: KNet, average: KNet, optimizer: Any, step: int, how: Training) -> None:
-    content = io.BytesIO()
-    states = {"network": network.state_dict(), "average": average.state_dict(), "optimizer": optimizer.state_dict()}
-    torch.save({**states, "step": step, "settings": how.network.to_dict()}, content)
-    write_bytes(path, content.getvalue())
-
-
-def _restore(path: Path, network: KNet, average: KNet, optimizer: Any, how: Training) -> int:
-    content = load_checkpoint(path)
-    if content["settings"] != how.network.to_dict():
-        raise InvalidInputError("checkpoint", content["settings"], "Give a checkpoint of a network of the same sizes.")
-    network.load_state_dict(content["network"])
-    average.load_state_dict(content["average"])
-    optimizer.load_state_dict(content["optimizer"])
-    return int(content["step"])
-
-
-def load_checkpoint(path: Path) -> dict[str, Any]:
-    """The content of a checkpoint.
-
-    Raises:
-        InvalidInputError: The file is no checkpoint.
-    """
-    try:
-        content: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
-    except (OSError, RuntimeError, EOFError, ValueError, KeyError, pickle.UnpicklingError) as error:
-        raise InvalidInputError("checkpoint", str(path), "Give a checkpoint that the training wrote.") from error
-    return content

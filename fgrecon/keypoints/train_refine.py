@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import copy
-import io
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from fgrecon.files import write_bytes
 from fgrecon.keypoints.augment import Street
+from fgrecon.keypoints.checkpoint import follow, restore_checkpoint, save_checkpoint
 from fgrecon.keypoints.crops import MARGIN
 from fgrecon.keypoints.dataset import Photographs
 from fgrecon.keypoints.losses import HIDDEN_WEIGHT, map_loss
 from fgrecon.keypoints.refine import PATCH, RefineNet, RefineSettings, cut_patches
-from fgrecon.keypoints.train import Progress, load_checkpoint
+from fgrecon.keypoints.train import Progress
 
 __all__ = ["RefineTraining", "train_refinement"]
 
@@ -96,11 +94,7 @@ def train_refinement(
     optimizer = torch.optim.AdamW(network.parameters(), lr=how.rate)
     first = 0
     if checkpoint.exists():
-        content = load_checkpoint(checkpoint)
-        network.load_state_dict(content["network"])
-        average.load_state_dict(content["average"])
-        optimizer.load_state_dict(content["optimizer"])
-        first = int(content["step"])
+        first = restore_checkpoint(checkpoint, network, average, optimizer, how.network.to_dict())
     network.train()
     street, sums = replace(how.street, size=how.network.crop), 0.0
     for step in range(first, how.steps):
@@ -124,28 +118,12 @@ def train_refinement(
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         optimizer.step()
-        _follow(average, network, min(how.average, (step + 1) / (step + 10)))
+        follow(average, network, min(how.average, (step + 1) / (step + 10)))
         sums += float(loss.detach())
         if (step + 1) % how.save_every == 0 or step + 1 == how.steps:
-            _save(checkpoint, network, average, optimizer, step + 1, how)
+            save_checkpoint(checkpoint, network, average, optimizer, step + 1, how.network.to_dict())
             if report is not None:
                 report(Progress(step + 1, how.steps, {"patches": sums / (step % how.save_every + 1)}))
             sums = 0.0
     average.eval()
     return average
-
-
-def _follow(average: Any, network: Any, decay: float) -> None:
-    with torch.no_grad():
-        for kept, value in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
-            if kept.dtype.is_floating_point:
-                kept.lerp_(value, 1.0 - decay)
-            else:
-                kept.copy_(value)
-
-
-def _save(path: Path, network: Any, average: Any, optimizer: Any, step: int, how: RefineTraining) -> None:
-    content = io.BytesIO()
-    states = {"network": network.state_dict(), "average": average.state_dict(), "optimizer": optimizer.state_dict()}
-    torch.save({**states, "step": step, "settings": how.network.to_dict()}, content)
-    write_bytes(path, content.getvalue())

@@ -15,9 +15,10 @@ from tests.keypoints.support import made_up_cars, unit_car_prior
 
 torch = pytest.importorskip("torch")
 
+from fgrecon.keypoints.checkpoint import load_checkpoint  # noqa: E402
 from fgrecon.keypoints.knet import KNet, KNetSettings, load_imagenet  # noqa: E402
 from fgrecon.keypoints.losses import gaussian_maps, knet_loss  # noqa: E402
-from fgrecon.keypoints.train import Training, load_checkpoint, train_knet  # noqa: E402
+from fgrecon.keypoints.train import Training, train_knet  # noqa: E402
 
 MIRROR = load_category("car14").mirror
 SMALL = KNetSettings(crop=32, width=8)
