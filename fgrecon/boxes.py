@@ -1,4 +1,4 @@
-"""2D boxes of the cars in an image, from the command line or from files that detectors and data sets write."""
+"""2D boxes of the cars in an image: given, from files that detectors and data sets write, or detected."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.checks import as_finite
 from fgrecon.errors import InvalidInputError
 from fgrecon.json_fields import Fields, read_json
+from fgrecon.keypoints.detect import SMALLEST_BOX
 from fgrecon.options import BoxModel
 
-__all__ = ["NamedBox", "boxes_of", "read_boxes"]
+__all__ = ["NamedBox", "boxes_of", "detected_boxes", "read_boxes"]
 
 _COCO_CAR = 3  # COCO's number of cars, where the file names no categories
 _DETECTION_CAR = "2"  # the number of cars in files `image class score x1 y1 x2 y2`
@@ -40,19 +41,29 @@ class NamedBox:
     model: BoxModel
 
 
-def boxes_of(image: Path, given: Sequence[ArrayLike], file: Path | None) -> list[NamedBox]:
-    """The boxes given one by one, or those of a file.
+def boxes_of(
+    image: Path, given: Sequence[ArrayLike], file: Path | None, search: NDArray[Any] | None = None
+) -> list[NamedBox]:
+    """The boxes given one by one, those of a file, or those that a detector finds.
 
     Args:
         image: The image's file, by whose name a file of many images is searched.
         given: Boxes x1, y1, x2, y2 in pixels, of the cars' outlines.
         file: File of boxes, or None.
+        search: (H, W, 3) the image's pixels, to be searched for cars; or None.
 
     Raises:
-        InvalidInputError: Both or neither are given, or the file has no car in this image.
+        InvalidInputError: Several or none of these are given, or there is no car in this image.
     """
-    if (file is None) == (not given):
-        raise InvalidInputError("box", "both" if given else "nothing", "Give --box, or --boxes with a file.")
+    ways = {"--box": bool(given), "--boxes": file is not None, "--detect": search is not None}
+    if sum(ways.values()) != 1:
+        told = " and ".join(way for way, used in ways.items() if used) or "nothing"
+        raise InvalidInputError("box", told, "Give either --box, --boxes with a file, or --detect.")
+    if search is not None:
+        found = detected_boxes(search)
+        if not found:
+            raise InvalidInputError("detect", str(image), "No car was found in it; give its box with --box.")
+        return found
     if file is None:
         corners = [as_finite(f"box[{number}]", box, (4,)) for number, box in enumerate(given)]
         return [NamedBox(str(number), box, BoxModel.SURFACE) for number, box in enumerate(corners)]
@@ -60,6 +71,21 @@ def boxes_of(image: Path, given: Sequence[ArrayLike], file: Path | None) -> list
     if not found:
         raise InvalidInputError("boxes", str(file), f"Give a file with a car in image {image.stem}.")
     return found
+
+
+def detected_boxes(image: NDArray[Any]) -> list[NamedBox]:
+    """The cars that the detector of the package finds in an image (H, W, 3), by falling score.
+
+    Those under 8 pixels, in which there are no keypoints to be found, are left out.
+
+    Raises:
+        InvalidInputError: The image is none, or this installation has no detector.
+    """
+    from fgrecon.vehicles import VehicleDetector
+
+    boxes = VehicleDetector()(image).boxes
+    large = boxes[(boxes[:, 2:] - boxes[:, :2]).max(axis=1) >= SMALLEST_BOX]
+    return [NamedBox(str(number), box, BoxModel.SURFACE) for number, box in enumerate(large)]
 
 
 def read_boxes(file: Path, image: str) -> list[NamedBox]:

@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
+    from numpy.typing import NDArray
     from rich.console import Console
 
+    from fgrecon.boxes import NamedBox
     from fgrecon.camera import Ground
 
 __all__ = [
+    "BoxOption",
+    "BoxesOption",
     "CameraHeightOption",
+    "DetectOption",
     "GroundOption",
     "JsonOption",
     "PriorOption",
     "check_output",
+    "chosen_boxes",
     "console",
     "ground_plane",
     "parse_numbers",
@@ -33,6 +40,13 @@ GroundOption = Annotated[
     str | None,
     typer.Option(metavar="NX,NY,NZ,D", help="Ground plane instead: normal pointing down, camera height in m."),
 ]
+BoxOption = Annotated[
+    list[str] | None, typer.Option("--box", metavar="X1,Y1,X2,Y2", help="2D box of a car, pixels; repeat for more.")
+]
+BoxesOption = Annotated[
+    Path | None, typer.Option("--boxes", help="File of boxes: KITTI labels or detections, or COCO JSON.")
+]
+DetectOption = Annotated[bool, typer.Option("--detect", help="Find the cars in the image with the shipped detector.")]
 JsonOption = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="Write the results as JSON; - for the output.")
 ]
@@ -84,6 +98,28 @@ def parse_numbers(field: str, text: str, wanted: str, counts: tuple[int, ...]) -
     if len(numbers) not in counts:
         raise InvalidInputError(field, text, f"Give {wanted}.")
     return numbers
+
+
+def chosen_boxes(
+    path: Path, image: NDArray[Any], box: Sequence[str] | None, boxes: Path | None, *, detect: bool
+) -> list[NamedBox]:
+    """The cars of an image by --box, --boxes or --detect.
+
+    Args:
+        path: The image's file.
+        image: (H, W, 3) its pixels.
+        box: Boxes as `x1,y1,x2,y2`.
+        boxes: File of boxes, or None.
+        detect: Whether the image is searched.
+
+    Raises:
+        InvalidInputError: Not exactly one of these is given, a box is none, or there is no car.
+    """
+    from fgrecon.boxes import boxes_of
+
+    wanted = "x1,y1,x2,y2: four numbers in pixels"
+    given = [parse_numbers("box", text, wanted, (4,)) for text in box or ()]
+    return boxes_of(path, given, boxes, image if detect else None)
 
 
 def check_output(path: Path | None) -> None:

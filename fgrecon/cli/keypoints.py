@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fgrecon.cli.common import JsonOption, check_output, console, parse_numbers
+from fgrecon.cli.common import (
+    BoxesOption,
+    BoxOption,
+    DetectOption,
+    JsonOption,
+    check_output,
+    chosen_boxes,
+    console,
+    parse_numbers,
+)
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from fgrecon.keypoints.detect import Detection
@@ -30,18 +39,14 @@ def _group() -> None:
 @app.command("detect")
 def detect_command(
     image: Annotated[Path, typer.Argument(help="Image file.")],
-    box: Annotated[
-        list[str] | None, typer.Option(metavar="X1,Y1,X2,Y2", help="2D box of a car, pixels; repeat for more.")
-    ] = None,
-    boxes: Annotated[
-        Path | None, typer.Option(help="File of boxes: KITTI labels, KITTI detections, or COCO JSON.")
-    ] = None,
+    box: BoxOption = None,
+    boxes: BoxesOption = None,
+    detect: DetectOption = False,
     weights: WeightsOption = None,
     picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw what was found (png, jpg).")] = None,
     json_out: JsonOption = None,
 ) -> None:
     """Find the keypoints of cars. The JSON is what `fgrecon reconstruct` reads; confidences are probabilities."""
-    from fgrecon.boxes import boxes_of
     from fgrecon.catalogue import load_category
     from fgrecon.files import write_text
     from fgrecon.images import read_image
@@ -50,8 +55,7 @@ def detect_command(
     for path in (picture, None if json_out in (None, "-") else Path(str(json_out))):
         check_output(path)
     pixels = read_image(image)
-    wanted = "x1,y1,x2,y2: four numbers in pixels"
-    named = boxes_of(image, [parse_numbers("box", text, wanted, (4,)) for text in box or ()], boxes)
+    named = chosen_boxes(image, pixels, box, boxes, detect=detect)
     names = [item.name for item in named]
     category = load_category("car14")
     found = Detector(weights)(pixels, [item.corners for item in named])

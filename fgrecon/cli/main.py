@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from fgrecon.cli import evaluate, keypoints, prior
+from fgrecon.cli import evaluate, keypoints, prior, vehicles
 from fgrecon.cli.demo import demo_command
 from fgrecon.cli.export import export_command
 from fgrecon.cli.reconstruct import reconstruct_command
@@ -38,6 +38,7 @@ app.command("export")(export_command)
 app.add_typer(evaluate.app, name="evaluate")
 app.add_typer(prior.app, name="prior")
 app.add_typer(keypoints.app, name="keypoints")
+app.add_typer(vehicles.app, name="vehicles")
 
 
 def _print_version(wanted: bool) -> None:

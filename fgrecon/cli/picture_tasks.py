@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.boxes import boxes_of
 from fgrecon.camera import Camera
 from fgrecon.cli.batch import CameraSource, Task
-from fgrecon.cli.common import parse_numbers
+from fgrecon.cli.common import chosen_boxes
 from fgrecon.errors import InvalidInputError
 from fgrecon.keypoint_file import Instance
 from fgrecon.keypoints.detect import Detector, check_box
@@ -41,8 +40,9 @@ def read_image_tasks(
     image: NDArray[np.uint8],
     source: CameraSource,
     *,
-    box: Sequence[str],
+    box: Sequence[str] | None,
     boxes: Path | None,
+    detect: bool,
     weights: Path | None,
     box_model: BoxModel | None,
 ) -> tuple[list[Task], str | None]:
@@ -54,6 +54,7 @@ def read_image_tasks(
         source: The command line's camera.
         box: Boxes as `x1,y1,x2,y2`.
         boxes: File of boxes, or None.
+        detect: Whether the image is searched for cars instead.
         weights: Network, or None for the shipped one.
         box_model: What the boxes enclose, or None for what their source says.
 
@@ -61,10 +62,9 @@ def read_image_tasks(
         The vehicles, and a warning where the camera had to be assumed.
 
     Raises:
-        InvalidInputError: A box cannot be used, or there is no network.
+        InvalidInputError: A box cannot be used, there is no car, or there is no network.
     """
-    wanted = "x1,y1,x2,y2: four numbers in pixels"
-    named = boxes_of(path, [parse_numbers("box", text, wanted, (4,)) for text in box], boxes)
+    named = chosen_boxes(path, image, box, boxes, detect=detect)
     for item in named:
         check_box(item.corners, image, f"box {item.name}")
     camera, offset = source.camera()
@@ -85,12 +85,12 @@ def read_image_tasks(
     return tasks, warning
 
 
-def refuse_image_options(box: Sequence[str], boxes: Path | None, weights: Path | None) -> None:
+def refuse_image_options(box: Sequence[str] | None, boxes: Path | None, weights: Path | None, *, detect: bool) -> None:
     """Refuse what means nothing for a keypoint file.
 
     Raises:
-        InvalidInputError: Boxes or a network are given.
+        InvalidInputError: Boxes, a network or --detect are given.
     """
-    for field, value in (("box", box), ("boxes", boxes), ("weights", weights)):
+    for field, value in (("box", box), ("boxes", boxes), ("weights", weights), ("detect", detect)):
         if value:
             raise InvalidInputError(field, str(value), "Give an image instead of keypoints, or leave this out.")

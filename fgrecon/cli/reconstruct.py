@@ -9,7 +9,10 @@ from typing import Annotated
 import typer
 
 from fgrecon.cli.common import (
+    BoxesOption,
+    BoxOption,
     CameraHeightOption,
+    DetectOption,
     GroundOption,
     JsonOption,
     PriorOption,
@@ -59,12 +62,9 @@ def reconstruct_command(
     free_offsets: Annotated[
         bool, typer.Option("--free-offsets", help="Let every keypoint leave the shape prior by a small offset.")
     ] = False,
-    box: Annotated[
-        list[str] | None, typer.Option(metavar="X1,Y1,X2,Y2", help="2D box of a car in the image; repeat for more.")
-    ] = None,
-    boxes: Annotated[
-        Path | None, typer.Option(help="Boxes of cars in the image: KITTI labels or detections, or COCO JSON.")
-    ] = None,
+    box: BoxOption = None,
+    boxes: BoxesOption = None,
+    detect: DetectOption = False,
     weights: Annotated[Path | None, typer.Option(help="Keypoint network.", show_default="the shipped one")] = None,
     image: Annotated[Path | None, typer.Option(help="The photograph: to draw on, and for its size.")] = None,
     picture: Annotated[
@@ -78,11 +78,12 @@ def reconstruct_command(
     spawn: SpawnOption = False,
     json_out: JsonOption = None,
 ) -> None:
-    """Reconstruct the pose and shape of the vehicles in a keypoint file, or in boxes of an image.
+    """Reconstruct the pose and shape of the vehicles in a keypoint file, or in an image (--box, --boxes or --detect).
 
     A vehicle that is refused is reported, and the others go on.
 
-    Exit code 0: at least one was reconstructed; 1: none, since solving failed; 2: none, since the input is bad.
+    Exit code 0: at least one was reconstructed; 1: none, since solving failed; 2: none, since the input is bad, or no
+    car was found in the image.
     """
     from fgrecon.catalogue import load_prior
     from fgrecon.cli import batch, picture_tasks, show
@@ -107,14 +108,14 @@ def reconstruct_command(
     if pictured:
         image = keypoints
     else:
-        picture_tasks.refuse_image_options(box or (), boxes, weights)
+        picture_tasks.refuse_image_options(box, boxes, weights, detect=detect)
     photograph = None if image is None else read_image(image)
     source = batch.CameraSource(calib, intrinsics, distortion, photograph)
     ignored: tuple[str, ...] = ()
     warning: str | None = None
     if pictured and photograph is not None:
         tasks, warning = picture_tasks.read_image_tasks(
-            keypoints, photograph, source, box=box or (), boxes=boxes, weights=weights, box_model=box_model
+            keypoints, photograph, source, box=box, boxes=boxes, detect=detect, weights=weights, box_model=box_model
         )
     else:
         tasks, ignored = batch.read_tasks(keypoints, settings.prior.category, source)

@@ -19,7 +19,16 @@ from fgrecon.keypoints.decode import Calibration, Decoded, decode, softmax
 from fgrecon.keypoints.weights import load_weights, shipped
 from fgrecon.observation import Observation
 
-__all__ = ["CONFIDENCE_MIDPOINT", "REACH", "Detection", "Detector", "as_rgb8", "check_box", "detect_keypoints"]
+__all__ = [
+    "CONFIDENCE_MIDPOINT",
+    "REACH",
+    "SMALLEST_BOX",
+    "Detection",
+    "Detector",
+    "as_rgb8",
+    "check_box",
+    "detect_keypoints",
+]
 
 Array = NDArray[np.float64]
 
@@ -29,8 +38,10 @@ REACH = 0.1
 CONFIDENCE_MIDPOINT = 0.5
 """`Options.confidence_midpoint` for these confidences, which are probabilities: right as often as wrong at 0.5."""
 
+SMALLEST_BOX = 8.0
+"""Pixels of the longer side: a smaller vehicle has no keypoints to see."""
+
 _CATEGORY = "car14"
-_SMALLEST_BOX = 8.0  # pixels: a smaller vehicle has no keypoints to see
 _PATCHES = 4  # per keypoint
 _INSIDE = 0.2  # share of the box that must lie in the image
 
@@ -242,8 +253,8 @@ def check_box(box: Array, image: NDArray[np.uint8], field: str = "box") -> None:
     size = box[2:] - box[:2]
     if not (size > 0).all():
         raise InvalidInputError(field, box.tolist(), "Give x1 < x2 and y1 < y2 in pixels.")
-    if size.max() < _SMALLEST_BOX:
-        raise InvalidInputError(field, box.tolist(), f"Give a vehicle of at least {_SMALLEST_BOX:g} pixels.")
+    if size.max() < SMALLEST_BOX:
+        raise InvalidInputError(field, box.tolist(), f"Give a vehicle of at least {SMALLEST_BOX:g} pixels.")
     inner = np.minimum(box[2:], [width - 0.5, height - 0.5]) - np.maximum(box[:2], -0.5)
     if not (inner > 0).all() or inner.prod() < _INSIDE * size.prod():
         raise InvalidInputError(field, box.tolist(), f"Give a box inside the image of {width} x {height} pixels.")
