@@ -28,6 +28,9 @@ def kitti_command(
         Path | None,
         typer.Option(help="2D detections, lines `image class score x1 y1 x2 y2`.", show_default="the labelled boxes"),
     ] = None,
+    overlap: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Overlap with the labelled box that a detected one must exceed.")
+    ] = 0.7,
     prior: PriorOption = "car14",
     size_prior: Annotated[str, typer.Option(help="Fleet, or none.")] = "kitti",
     camera_height: Annotated[
@@ -67,6 +70,7 @@ def kitti_command(
         ground=plane,
         size_prior=None if size_prior == "none" else parse_size(size_prior),
         options=Options(box_model=box_model, confidence_midpoint=CONFIDENCE_MIDPOINT),
+        overlap=overlap,
     )
     cars = [car for frame in frames for car in kitti_images.score_frame(frame, setup)]
 
@@ -79,6 +83,7 @@ def kitti_command(
         told = {
             "images": len(frames),
             "boxes": "labels" if boxes is None else boxes.name,
+            "overlap": overlap,
             "ground": origin,
             "size_prior": size_prior,
             "box_model": box_model.value,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fgrecon.camera import Camera, Ground
 from fgrecon.errors import InvalidInputError
-from fgrecon.evaluation.kitti_devkit import REGIMES, regime_members
+from fgrecon.evaluation.kitti_devkit import MINIMUM_OVERLAP, REGIMES, regime_members
 from fgrecon.evaluation.kitti_files import Objects, Problem, read_detections, read_labels
 from fgrecon.evaluation.metrics import (
     FAILURE_DEGREES,
@@ -56,13 +56,14 @@ class ImageFrame:
 
 @dataclass(frozen=True)
 class Setup:
-    """What every car is reconstructed with."""
+    """What every car is reconstructed with, and from which overlap on a detected box is a labelled car's."""
 
     detector: Detector
     prior: ShapePrior
     ground: Ground | None
     size_prior: SizePrior | None
     options: Options
+    overlap: float = MINIMUM_OVERLAP["Car"]
 
 
 @dataclass(frozen=True)
@@ -177,7 +178,7 @@ def score_frame(frame: ImageFrame, setup: Setup) -> list[Car]:
     camera = replace(frame.calibration.camera, image_size=(image.shape[1], image.shape[0]))
     boxes: list[Array | None] = [labels.box[i] for i in chosen]
     if frame.detections is not None:
-        at = match_detections(labels.take(chosen), frame.detections)
+        at = match_detections(labels.take(chosen), frame.detections, setup.overlap)
         boxes = [frame.detections.box[i] if i >= 0 else None for i in at]
     limits = np.array([image.shape[1], image.shape[0]] * 2) - 1.0
     given = [np.clip(box, 0.0, limits) for box in boxes if box is not None]

@@ -156,8 +156,10 @@ def _scaled(vehicle: Vehicle, factors: Array) -> Vehicle:
     return Vehicle(vehicle.category, vehicle.keypoints * scale, vehicle.vertices * scale, vehicle.faces)
 
 
-def match_detections(labels: Objects, detections: Objects) -> NDArray[np.int64]:
-    """For each label the detected car that overlaps it most, by more than KITTI's 0.7; -1 where there is none.
+def match_detections(
+    labels: Objects, detections: Objects, least: float = MINIMUM_OVERLAP["Car"]
+) -> NDArray[np.int64]:
+    """For each label the detected car that overlaps it most, by more than KITTI's 0.7 or another; -1 where none does.
 
     A detection is given to one label at most: pairs are made in the order of their overlap.
     """
@@ -168,7 +170,7 @@ def match_detections(labels: Objects, detections: Objects) -> NDArray[np.int64]:
     shared[:, [kind != "Car" for kind in detections.kind]] = 0.0
     for flat in np.argsort(-shared, axis=None, kind="stable"):
         i, j = np.unravel_index(flat, shared.shape)
-        if shared[i, j] <= MINIMUM_OVERLAP["Car"]:
+        if shared[i, j] <= least:
             break
         if matched[i] < 0 and not (matched == j).any():
             matched[i] = j
