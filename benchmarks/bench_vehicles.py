@@ -2,9 +2,9 @@
 
 Run from the repository root:
     python -m benchmarks.bench_vehicles --images training/image_2 --labels training/label_2 [--threads 1]
-Prints recall by regime, precision and the time per image. A box counts for a label that it
-overlaps by more than 0.5, or 0.7, each label for one box. Precision is that of boxes of at least 25 pixels' height; vans
-are no mistakes, and boxes in areas that were not labelled are left out.
+Prints recall by regime, precision and the time per image. A box counts for a label that it overlaps by more than 0.5
+(0.7), each label for one box. Precision is that of boxes of at least 25 pixels' height; vans are no mistakes, and boxes
+in areas that were not labelled are left out.
 """
 
 from __future__ import annotations

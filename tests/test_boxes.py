@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from fgrecon.boxes import boxes_of, read_boxes
+from fgrecon import vehicles
+from fgrecon.boxes import boxes_of, detected_boxes, read_boxes
 from fgrecon.errors import InvalidInputError
 from fgrecon.options import BoxModel
 
@@ -22,6 +23,14 @@ def test_either_boxes_or_a_file(tmp_path):
     for given, file in (([], None), ([[1, 2, 3, 4]], tmp_path / "b.txt")):
         with pytest.raises(InvalidInputError, match="box"):
             boxes_of(tmp_path / "a.png", given, file)
+
+
+def test_detected_cars_are_outlines_and_large_enough_for_keypoints(monkeypatch):
+    boxes = np.array([[10.0, 10, 90, 60], [5, 5, 12, 10], [0, 0, 8, 6]])
+    monkeypatch.setattr(vehicles, "VehicleDetector", lambda: lambda image: vehicles.Vehicles(boxes, np.ones(3)))
+    found = detected_boxes(np.zeros((100, 100, 3), np.uint8))
+    assert [(box.name, box.model) for box in found] == [("0", BoxModel.SURFACE), ("1", BoxModel.SURFACE)]
+    np.testing.assert_array_equal([box.corners for box in found], boxes[[0, 2]])
 
 
 def test_labels_keep_their_line_as_name(tmp_path):

@@ -74,3 +74,12 @@ def test_learn_a_prior(capsys):
     assert float(re.search(f"mean shape off by {NUMBER} cm", output)[1]) < 8.0
     yaw, true_yaw = map(float, re.search(f"yaw {NUMBER} degrees, true {NUMBER}", output).groups())
     assert abs(yaw - true_yaw) < 3.0
+
+
+def test_car_from_image(capsys):
+    output = run("06", capsys)
+    assert output.startswith("1 car in the image")
+    assert "converged" in output
+    yaw, true_yaw = map(float, re.search(f"yaw {NUMBER} degrees, true {NUMBER}", output).groups())
+    assert abs(yaw - true_yaw) < 5.0
+    assert len(re.findall(r" (yes|no)$", output, re.MULTILINE)) == 14

@@ -156,9 +156,7 @@ def _scaled(vehicle: Vehicle, factors: Array) -> Vehicle:
     return Vehicle(vehicle.category, vehicle.keypoints * scale, vehicle.vertices * scale, vehicle.faces)
 
 
-def match_detections(
-    labels: Objects, detections: Objects, least: float = MINIMUM_OVERLAP["Car"]
-) -> NDArray[np.int64]:
+def match_detections(labels: Objects, detections: Objects, least: float = MINIMUM_OVERLAP["Car"]) -> NDArray[np.int64]:
     """For each label the detected car that overlaps it most, by more than KITTI's 0.7 or another; -1 where none does.
 
     A detection is given to one label at most: pairs are made in the order of their overlap.

@@ -170,6 +170,8 @@ class _Graph:
         factor = np.ones(filters)
         if settings.get("batch_normalize", "0") == "1":
             scale, mean, variance = self.numbers.take(3, filters).astype(np.float64)
+            if not (variance >= 0.0).all():
+                raise InvalidInputError("weights", f"{self.numbers.path}: negative variances in {name}", _FIX)
             factor = scale / np.sqrt(variance + _EPSILON)
             bias -= factor * mean
         kernel = self.numbers.take(filters, width, size, size) * factor[:, None, None, None]

@@ -1,0 +1,116 @@
+"""`--detect` and `fgrecon vehicles`, on a rendered car and on real streets."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from fgrecon.catalogue import load_prior
+from fgrecon.cli import main
+from fgrecon.demo import demo_scene
+from fgrecon.errors import InvalidInputError
+from fgrecon.evaluation.kitti_overlap import box_overlap
+from fgrecon.images import write_png
+from fgrecon.reconstruction import rotation_y
+
+
+def run(*arguments):
+    return CliRunner().invoke(main.app, [str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return demo_scene(load_prior("car14"), 6)
+
+
+@pytest.fixture(scope="module")
+def images(scene, tmp_path_factory):
+    """A folder with a rendered car and an image of nothing."""
+    folder = tmp_path_factory.mktemp("images")
+    write_png(folder / "car.png", scene.picture.image)
+    write_png(folder / "nothing.png", np.full((120, 200, 3), 90, np.uint8))
+    return folder
+
+
+def test_an_image_is_reconstructed_without_any_box(images, scene):
+    K = scene.camera.matrix
+    intrinsics = f"--intrinsics={K[0, 0]},{K[1, 1]},{K[0, 2]},{K[1, 2]}"
+    done = run("reconstruct", images / "car.png", "--detect", intrinsics, "--camera-height", "1.65", "--json", "-")
+    assert done.exit_code == 0, done.output
+    (entry,) = json.loads(done.stdout)["instances"]
+    off = entry["rotation_y"] - rotation_y(scene.truth.camera_T_object)
+    assert abs(np.degrees(np.arctan2(np.sin(off), np.cos(off)))) < 5.0
+
+
+def test_keypoints_are_found_without_any_box(images):
+    done = run("keypoints", "detect", images / "car.png", "--detect", "--json", "-")
+    assert done.exit_code == 0, done.output
+    assert len(json.loads(done.stdout)["instances"]) == 1
+
+
+@pytest.mark.parametrize("command", [["reconstruct"], ["keypoints", "detect"]])
+def test_an_image_without_cars_says_so(images, command):
+    done = run(*command, images / "nothing.png", "--detect")
+    assert isinstance(done.exception, InvalidInputError)
+    assert done.exception.field == "detect"
+    assert "No car was found" in str(done.exception)
+
+
+@pytest.mark.parametrize("other", [["--box", "1,2,30,40"], ["--boxes", "absent.txt"]])
+@pytest.mark.parametrize("command", [["reconstruct"], ["keypoints", "detect"]])
+def test_one_source_of_boxes_at_a_time(images, command, other):
+    done = run(*command, images / "car.png", "--detect", *other)
+    assert isinstance(done.exception, InvalidInputError)
+    assert done.exception.value == f"{other[0]} and --detect"
+
+
+def test_a_keypoint_file_is_not_searched(images):
+    done = run("reconstruct", images / "keypoints.json", "--detect")
+    assert isinstance(done.exception, InvalidInputError)
+    assert done.exception.field == "detect"
+
+
+def test_detections_are_what_boxes_reads(images, scene):
+    out = images / "found.txt"
+    assert run("vehicles", "detect", images / "car.png", images / "nothing.png", "--out", out).exit_code == 0
+    (line,) = out.read_text().splitlines()
+    name, kind, score, *box = line.split()
+    assert (name, kind) == ("car.png", "2")
+    assert 0.5 < float(score) <= 1.0
+    assert box_overlap(np.array([box], dtype=float), scene.observation.box[None])[0, 0] > 0.75
+    assert run("keypoints", "detect", images / "car.png", "--boxes", out).exit_code == 0
+
+
+def test_exit_code_of_finding_nothing(images):
+    done = run("vehicles", "detect", images / "nothing.png")
+    assert done.exit_code == 1
+    assert done.stdout == ""
+    assert "No car was found" in done.stderr
+
+
+def test_conversion_needs_its_files(tmp_path):
+    done = run("vehicles", "convert", "--cfg", tmp_path / "a.cfg", "--weights", tmp_path / "a", "--out", tmp_path / "o")
+    assert isinstance(done.exception, InvalidInputError)
+
+
+def test_a_real_street(data, tmp_path):
+    folder = data / "kitti_object" / "training"
+    image = folder / "image_2" / "000010.png"
+    if not image.is_file():
+        pytest.skip("the images of KITTI are absent from the real data")
+    calib, out = folder / "calib" / "000010.txt", tmp_path / "r.json"
+    done = run("reconstruct", image, "--detect", "--calib", calib, "--camera-height", "1.65", "--json", out)
+    assert done.exit_code == 0, done.output
+    cars = json.loads(out.read_text())["instances"]
+    labels = [line.split() for line in (folder / "label_2" / "000010.txt").read_text().splitlines()]
+    nearest = [car["location_in_label_frame"] for car in cars if "location_in_label_frame" in car]
+    # the two cars that are in full view: placed within 10 % of their distance, with their direction
+    for label in labels:
+        if label[0] != "Car" or float(label[1]) > 0 or int(label[2]) > 0 or float(label[7]) - float(label[5]) < 60:
+            continue
+        place, yaw = np.array(label[11:14], dtype=float), float(label[14])
+        error = [np.linalg.norm(np.subtract(at, place)) for at in nearest]
+        best = int(np.argmin(error))
+        assert error[best] < 0.1 * np.linalg.norm(place)
+        assert np.cos(cars[best]["rotation_y"] - yaw) > np.cos(np.radians(15.0))
