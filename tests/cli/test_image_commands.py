@@ -145,3 +145,12 @@ def test_kitti_without_images_is_refused(street, weights):
         )
         assert isinstance(done.exception, InvalidInputError)
         assert done.exception.field == field
+
+
+def test_kitti_with_detected_boxes_from_an_overlap_on(street, weights):
+    boxes = street / "boxes.txt"
+    boxes.write_text("000001.png 2 0.9 20 20 110 60\n")  # two thirds of the labelled box
+    for overlap, failure in (("0.7", "no detection"), ("0.6", None)):
+        out = street / f"{overlap}.json"
+        kitti(street, weights, "--boxes", boxes, "--overlap", overlap, "--json", out)
+        assert [car["failure"] for car in json.loads(out.read_text())["cars"]] == [failure]
