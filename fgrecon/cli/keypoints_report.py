@@ -23,6 +23,7 @@ from fgrecon.keypoints.evaluate import (
     localisation,
     marks_reliability,
 )
+from fgrecon.keypoints.weights import load_weights
 
 __all__ = ["after_adjustment", "end_to_end", "marks_document", "print_marks", "run_training"]
 
@@ -150,6 +151,8 @@ def run_training(
     out: Path,
     *,
     imagenet: Path | None,
+    start: Path | None,
+    silhouettes: Path | None,
     steps: int,
     batch: int,
     relabel_at: Sequence[int],
@@ -179,12 +182,22 @@ def run_training(
     pretrained = None if imagenet is None else torch.load(imagenet, map_location="cpu", weights_only=True)
     how = Training(steps=steps, batch=batch, seed=seed, workers=workers)
     network, labelling, photographs = train_in_rounds(
-        source, work, how, relabel_at, imagenet=pretrained, device=device, report=report, tell=shown.print
+        source,
+        work,
+        how,
+        relabel_at,
+        imagenet=pretrained,
+        start=start,
+        silhouettes=silhouettes,
+        device=device,
+        report=report,
+        tell=shown.print,
     )
     partner = source.prior.category.mirror
     provenance = {
-        "data": f"{len(source.learn)} photographs of posed cars; shapes from 79 car models",
-        "start": "EfficientNet-lite0, ImageNet" if imagenet else "random weights",
+        "data": f"{len(source.learn)} photographs of posed cars; shapes from 79 car models"
+        + (f"; {int(labelling.outlined.sum())} silhouettes" if silhouettes else ""),
+        "start": _began(imagenet, start),
         "training": f"{steps} steps of {batch}, labels corrected at {list(relabel_at)}, seed {seed}",
     }
     stored = Stored(network.state_dict(), how.network.to_dict(), Calibration(), provenance)
@@ -202,6 +215,13 @@ def run_training(
     held = source.validate[labelling.trusted[source.validate]]
     fitted = calibrate(Detector(out, device=device), photographs, held, partner, seed=seed + 1)
     save_weights(out, replace(stored, calibration=fitted))
+
+
+def _began(imagenet: Path | None, start: Path | None) -> str:
+    """What a training began with, in words."""
+    if start is not None:
+        return f"{start.name}, itself from: {load_weights(start).provenance.get('start', 'unknown')}"
+    return "random weights" if imagenet is None else "EfficientNet-lite0, ImageNet"
 
 
 def _table(*headings: str) -> Table:

@@ -29,12 +29,14 @@ from fgrecon.keypoints.labels import ShapeFit
 from fgrecon.keypoints.posed_cars import PosedCar
 from fgrecon.priors.shape_prior import ShapePrior
 
-__all__ = ["Found", "Relabelled", "relabel_shape"]
+__all__ = ["SHIFT_SIGMA", "TURN_SIGMA", "Found", "Relabelled", "relabel_shape", "without_bias"]
 
 Array = NDArray[np.float64]
 
-_TURN_SIGMA = np.deg2rad(5.0)  # of the measured poses
-_SHIFT_SIGMA = np.array([0.02, 0.02, 0.06])  # across, down and along the view, in diagonals of the car's box
+TURN_SIGMA = np.deg2rad(5.0)  # of the measured poses
+SHIFT_SIGMA = np.array([0.02, 0.02, 0.06])  # across, down and along the view, in diagonals of the car's box
+_OUTLINED = 0.5  # of these spreads where the silhouette has corrected the pose
+_OUTLINED_SIGMA = 0.5  # of the coefficients around those of the silhouettes
 _OFFSET_SIGMA = 0.02  # of a keypoint's free offset per axis: 10 cm on a car of 5 m
 _SYMMETRY_SIGMA = 0.002
 _POINT_SIGMA = 0.02  # of the network's points, as a fraction of the photograph's longer side, beside their covariance
@@ -42,6 +44,7 @@ _LOSS = RobustLoss.of("geman_mcclure", 2.0)
 _OWN_SIGMA = 0.7  # of a photograph's own coefficients around its group's
 _OWN_OFFSET_SIGMA = 0.012  # of its own offsets around its group's
 _LEAST_CONFIDENCE = 0.05
+_SEEN, _REWEIGHTINGS, _WEAK = 0.6, 10, 1e-4  # of what tells the network's bias
 _DISAGREES = np.deg2rad(12.0)  # a photograph whose pose had to turn further is left out
 _SUPPORT = 0.4  # share of the confidence that has to agree with the shape
 
@@ -80,7 +83,13 @@ class Relabelled:
     residual: Array
 
 
-def relabel_shape(prior: ShapePrior, cars: Sequence[PosedCar], start: ShapeFit, found: Found) -> Relabelled:
+def relabel_shape(
+    prior: ShapePrior,
+    cars: Sequence[PosedCar],
+    start: ShapeFit,
+    found: Found,
+    outlined: NDArray[np.bool_] | None = None,
+) -> Relabelled:
     """Correct shape and poses of the photographs of one shape.
 
     Args:
@@ -88,10 +97,17 @@ def relabel_shape(prior: ShapePrior, cars: Sequence[PosedCar], start: ShapeFit, 
         cars: The photographs with their measured poses.
         start: The shape so far.
         found: What the network found in them.
+        outlined: (M,) which poses were corrected by a silhouette and are surer for that; where there are any, the shape
+            that it starts from is the silhouettes', and what is found may only correct it.
     """
+    sure = np.zeros(len(cars), dtype=bool) if outlined is None else outlined
     shape = LinearShape(prior.mean, prior.basis, L(0), O(0))
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    graph.add(factors.coefficients_prior(L(0), prior.dimension))
+    if sure.any():
+        noise = gtsam.noiseModel.Isotropic.Sigma(prior.dimension, _OUTLINED_SIGMA)
+        graph.add(gtsam.PriorFactorVector(L(0), start.coefficients, noise))
+    else:
+        graph.add(factors.coefficients_prior(L(0), prior.dimension))
     graph.add(factors.offsets_prior(O(0), np.full(prior.category.size, _OFFSET_SIGMA)))
     graph.add(factors.symmetry_factor(shape, prior.category.symmetric_pairs, M(0), _SYMMETRY_SIGMA))
     values.insert(L(0), start.coefficients)
@@ -102,7 +118,15 @@ def relabel_shape(prior: ShapePrior, cars: Sequence[PosedCar], start: ShapeFit, 
     covariance = (covariance + covariance.swapaxes(-1, -2)) / 2
     weights = np.where(found.confidence < _LEAST_CONFIDENCE, 0.0, found.confidence)
     photographs = [
-        _photograph_factors(car, shape, X(0, number), found.keypoints[number], weights[number], covariance[number])
+        _photograph_factors(
+            car,
+            shape,
+            X(0, number),
+            found.keypoints[number],
+            weights[number],
+            covariance[number],
+            _OUTLINED if sure[number] else 1.0,
+        )
         for number, car in enumerate(cars)
     ]
     for number, (car, own) in enumerate(zip(cars, photographs, strict=True)):
@@ -133,15 +157,69 @@ def relabel_shape(prior: ShapePrior, cars: Sequence[PosedCar], start: ShapeFit, 
     return Relabelled(fit, corrected, trusted, labels, residual)
 
 
+def without_bias(
+    prior: ShapePrior,
+    cars: Sequence[PosedCar],
+    fits: Sequence[ShapeFit],
+    sure: NDArray[np.bool_],
+    found: Found,
+) -> Found:
+    """What was found, less what is off alike in all shapes.
+
+    A network that learnt from labels which are off puts its points off in the same way: an error that all shapes share
+    is the network's. Per keypoint and its mirror image one offset in the object's frame is fitted, by least squares
+    with a Huber loss, to what was found in photographs of known shape and pose, and taken off again in all.
+
+    Args:
+        prior: Model of the shapes.
+        cars: M photographs with their poses.
+        fits: The shape of each.
+        sure: (M,) in which of them shape and pose can be relied on.
+        found: What the network found in them.
+    """
+    points = np.array([prior.keypoints(fit.coefficients, fit.offsets) for fit in fits])
+    rotation, translation = np.array([c.rotation for c in cars]), np.array([c.translation for c in cars])
+    camera = np.einsum("mij,mkj->mki", rotation, points) + translation[:, None]
+    matrix = np.array([c.matrix for c in cars])
+    homogeneous = np.einsum("mij,mkj->mki", matrix, camera)
+    pixels = homogeneous[..., :2] / homogeneous[..., 2:]
+    rows = matrix[:, None, :2] - pixels[..., None] * matrix[:, None, 2:]
+    jacobian = np.einsum("mkij,mjl->mkil", rows, rotation) / homogeneous[..., 2, None, None]
+    extent = np.array([max(car.size) for car in cars], dtype=np.float64)[:, None]
+    bias = np.zeros_like(prior.mean)
+    for keypoint, partner in enumerate(prior.category.mirror.tolist()):
+        if keypoint > partner:
+            continue
+        pair = [keypoint, partner]
+        by_offset = jacobian[sure][:, pair] / extent[sure][..., None, None]
+        by_offset[:, 1, :, 2] *= -1.0
+        residual = (found.keypoints - pixels)[sure][:, pair] / extent[sure][..., None]
+        weight = np.where(found.confidence[sure][:, pair] > _SEEN, found.confidence[sure][:, pair], 0.0)
+        bias[keypoint] = _offset(by_offset.reshape(-1, 2, 3), residual.reshape(-1, 2), weight.ravel())
+        bias[partner] = bias[keypoint] * [1.0, 1.0, -1.0]
+    return replace(found, keypoints=found.keypoints - np.einsum("mkij,kj->mki", jacobian, bias))
+
+
+def _offset(jacobian: Array, residual: Array, weight: Array) -> Array:
+    """Offset (3,) that explains residuals (N, 2); Huber's loss at `_POINT_SIGMA`, drawn weakly to zero."""
+    offset = np.zeros(3)
+    for _ in range(_REWEIGHTINGS):
+        away = np.linalg.norm(residual - jacobian @ offset, axis=1)
+        robust = weight * np.minimum(1.0, _POINT_SIGMA / np.maximum(away, 1e-12))
+        normal = np.einsum("nij,nik,n->jk", jacobian, jacobian, robust) + _WEAK * max(len(weight), 1) * np.eye(3)
+        offset = np.linalg.solve(normal, np.einsum("nij,ni,n->j", jacobian, residual, robust))
+    return offset
+
+
 def _photograph_factors(
-    car: PosedCar, shape: LinearShape, key: int, points: Array, weights: Array, covariance: Array
+    car: PosedCar, shape: LinearShape, key: int, points: Array, weights: Array, covariance: Array, spread: float
 ) -> list[gtsam.NonlinearFactor]:
-    """The measured pose of a photograph, and the keypoints that were found in it."""
+    """The pose of a photograph with `spread` times the measured ones' spread, and the keypoints found in it."""
     # GTSAM's increments are in the object's frame; the shift's spread is given in the camera's.
-    spread = car.rotation.T @ np.diag(_SHIFT_SIGMA**2) @ car.rotation
+    shift = car.rotation.T @ np.diag(SHIFT_SIGMA**2) @ car.rotation
     full = np.zeros((6, 6))
-    full[:3, :3], full[3:, 3:] = _TURN_SIGMA**2 * np.eye(3), (spread + spread.T) / 2
-    measured = gtsam.PriorFactorPose3(key, _pose(car), gtsam.noiseModel.Gaussian.Covariance(full))
+    full[:3, :3], full[3:, 3:] = TURN_SIGMA**2 * np.eye(3), (shift + shift.T) / 2
+    measured = gtsam.PriorFactorPose3(key, _pose(car), gtsam.noiseModel.Gaussian.Covariance(spread**2 * full))
     if not weights.any():
         return [measured]
     kernel = ProjectionKernel(shape, car.matrix, key)

@@ -1,7 +1,8 @@
 """The whole training in rounds: labels from boxes, training, labels corrected by the network, training on.
 
 Everything lives in one folder, so that an interrupted run goes on where it was: `photographs/` (prepared images),
-`labels-0.npz`, `labels-1.npz`, ... (one per round) and `knet.pt` (the checkpoint).
+`labels-first.npz` (of boxes and silhouettes), `labels-0.npz`, `labels-1.npz`, ... (one per round) and `knet.pt` (the
+checkpoint).
 """
 
 from __future__ import annotations
@@ -23,9 +24,10 @@ from fgrecon.keypoints.decode import Calibration
 from fgrecon.keypoints.detect import Detector
 from fgrecon.keypoints.labels import Labels, ShapeFit, fit_shape, project_labels, unit_prior
 from fgrecon.keypoints.posed_cars import PosedCar, groups, read_posed_cars, read_validation_ids
-from fgrecon.keypoints.relabel import Found, relabel_shape
+from fgrecon.keypoints.relabel import Found, relabel_shape, without_bias
+from fgrecon.keypoints.silhouettes import fit_outlines, read_outline
 from fgrecon.keypoints.train import Progress, Training, train_knet
-from fgrecon.keypoints.weights import Stored, save_weights
+from fgrecon.keypoints.weights import Stored, load_weights, save_weights
 from fgrecon.priors.apollo79 import load_apollo79
 from fgrecon.priors.shape_prior import ShapePrior
 
@@ -65,12 +67,14 @@ class Labelling:
         fits: Shape of each `cad_id`.
         cars: The photographs with their poses as corrected so far.
         trusted: (M,) which photographs to learn from.
+        outlined: (M,) which poses were corrected by a silhouette.
     """
 
     labels: Labels
     fits: dict[str, ShapeFit]
     cars: Sequence[PosedCar]
     trusted: NDArray[np.bool_]
+    outlined: NDArray[np.bool_]
 
     def save(self, path: Path) -> None:
         """Write to an npz file, whole or not at all."""
@@ -81,6 +85,7 @@ class Labelling:
             keypoints=self.labels.keypoints,
             visible=self.labels.visible,
             trusted=self.trusted,
+            outlined=self.outlined,
             rotation=np.array([car.rotation for car in self.cars]),
             translation=np.array([car.translation for car in self.cars]),
             names=np.array(names),
@@ -108,7 +113,8 @@ class Labelling:
             str(name): ShapeFit(c, o, np.zeros((0, 4)))
             for name, c, o in zip(stored["names"], stored["coefficients"], stored["offsets"], strict=True)
         }
-        return cls(Labels(stored["keypoints"], stored["visible"]), fits, posed, stored["trusted"])
+        labels = Labels(stored["keypoints"], stored["visible"])
+        return cls(labels, fits, posed, stored["trusted"], stored["outlined"])
 
 
 def read_source(data: Path) -> Source:
@@ -123,33 +129,58 @@ def read_source(data: Path) -> Source:
     return Source(cars, np.flatnonzero(~held), np.flatnonzero(held), unit_prior(load_apollo79(data)))
 
 
-def first_labelling(source: Source) -> Labelling:
-    """Labels from the shapes that explain the boxes (about half a minute for 6,000 photographs)."""
-    cars, found = source.cars, groups(source.cars)
+def first_labelling(source: Source, silhouettes: Path | None = None) -> Labelling:
+    """Labels from the shapes that explain the boxes and, where there are some, the silhouettes.
+
+    Args:
+        source: The photographs.
+        silhouettes: Folder of grey images, named as the photographs but png: white on the car. Where some are given,
+            only photographs whose silhouette agrees with the shape are trusted.
+
+    Raises:
+        InvalidInputError: The folder holds no silhouettes, or a file in it is no image.
+    """
+    if silhouettes is not None and not any(silhouettes.glob("*.png")):
+        raise InvalidInputError("silhouettes", str(silhouettes), "Fill it with `fgrecon keypoints silhouettes`.")
+    cars, found = list(source.cars), groups(source.cars)
     fits: dict[str, ShapeFit] = {}
+    outlined = np.zeros(len(cars), dtype=bool)
     for name, members in found.items():
         fits[name] = fit_shape(source.prior, [cars[i] for i in members])
-    return _labelling(source.prior, cars, fits, found, np.ones(len(cars), dtype=bool))
+        if silhouettes is not None:
+            outlines = [read_outline(silhouettes / f"{cars[i].image.stem}.png") for i in members]
+            result = fit_outlines(source.prior, [cars[i] for i in members], outlines, fits[name])
+            fits[name], outlined[members] = result.fit, result.used
+            for row, car in zip(members, result.cars, strict=True):
+                cars[row] = car
+    trusted = outlined.copy() if outlined.any() else np.ones(len(cars), dtype=bool)
+    return _labelling(source.prior, cars, fits, found, trusted, outlined)
 
 
-def corrected(source: Source, before: Labelling, detector: Detector, photographs: Photographs) -> Labelling:
+def corrected(source: Source, first: Labelling, detector: Detector, photographs: Photographs) -> Labelling:
     """Labels corrected by what the network finds in all photographs of each shape.
 
-    The measured poses are the evidence in every round; the corrected ones of the last round are not built upon.
+    What boxes and silhouettes say is the evidence in every round; the corrections of the last round are not built upon.
+    With silhouettes, what the network has learnt to put aside in all shapes alike is taken off what it finds.
     """
     members = groups(source.cars)
     found = _find(source.cars, detector, photographs)
+    if first.outlined.any():
+        found = without_bias(
+            source.prior, first.cars, [first.fits[c.cad_id] for c in first.cars], first.outlined, found
+        )
     fits: dict[str, ShapeFit] = {}
-    cars, trusted = list(source.cars), np.ones(len(source.cars), dtype=bool)
-    keypoints = np.zeros_like(before.labels.keypoints)
+    cars, trusted = list(first.cars), np.ones(len(first.cars), dtype=bool)
+    keypoints = np.zeros_like(first.labels.keypoints)
     for name, rows in members.items():
         seen = Found(found.keypoints[rows], found.confidence[rows], found.covariance[rows])
-        result = relabel_shape(source.prior, [source.cars[i] for i in rows], before.fits[name], seen)
+        mine = [first.cars[i] for i in rows]
+        result = relabel_shape(source.prior, mine, first.fits[name], seen, first.outlined[rows])
         fits[name] = result.fit
         trusted[rows], keypoints[rows] = result.trusted, result.keypoints
         for row, car in zip(rows, result.cars, strict=True):
             cars[row] = car
-    labelling = _labelling(source.prior, cars, fits, members, trusted)
+    labelling = _labelling(source.prior, cars, fits, members, trusted, first.outlined)
     return replace(labelling, labels=Labels(keypoints, labelling.labels.visible))
 
 
@@ -168,6 +199,8 @@ def train_in_rounds(
     relabel_at: Sequence[int],
     *,
     imagenet: dict[str, Any] | None = None,
+    start: Path | None = None,
+    silhouettes: Path | None = None,
     device: str = "cpu",
     report: Callable[[Progress], None] | None = None,
     tell: Callable[[str], None] = lambda _: None,
@@ -180,6 +213,8 @@ def train_in_rounds(
         how: Settings of the training.
         relabel_at: Steps after which the labels are corrected, in rising order.
         imagenet: Weights to start the encoder from.
+        start: A trained network to go on from instead, which corrects the first labels as well.
+        silhouettes: Folder of silhouettes for the first labels, as `first_labelling` reads them.
         device: Torch's name of the device.
         report: Called with the progress.
         tell: Called with a line about what begins.
@@ -190,6 +225,8 @@ def train_in_rounds(
     folder.mkdir(parents=True, exist_ok=True)
     checkpoint, partner = folder / "knet.pt", source.prior.category.mirror
     stops = [*(step for step in relabel_at if step < how.steps), how.steps]
+    first = _first(source, folder / "labels-first.npz", silhouettes, tell)
+    state = None if start is None else dict(load_weights(start).state)
     network: Any = None
     labelling: Labelling | None = None
     photographs: Photographs | None = None
@@ -197,22 +234,24 @@ def train_in_rounds(
         path = folder / f"labels-{number}.npz"
         if path.exists():
             labelling = Labelling.load(path, source.cars)
-        elif labelling is None:
-            tell("Labels from the boxes")
-            labelling = first_labelling(source)
+        elif number == 0 and start is None:
+            labelling = first
             labelling.save(path)
         else:
             tell(f"Labels corrected by the network, round {number}")
-            detector = _as_detector(load_checkpoint(checkpoint), folder, device)
-            prepared = open_photographs(source, labelling, folder / "photographs")
-            labelling = corrected(source, labelling, detector, prepared)
+            if number == 0:
+                detector = Detector(start, device=device)
+            else:
+                detector = _as_detector(load_checkpoint(checkpoint), folder, device)
+            prepared = open_photographs(source, first, folder / "photographs")
+            labelling = corrected(source, first, detector, prepared)
             labelling.save(path)
         photographs = open_photographs(source, labelling, folder / "photographs")
         if checkpoint.exists() and load_checkpoint(checkpoint)["step"] >= last and number < len(stops) - 1:
             continue
         tell(f"Training to step {last}")
         chosen = source.learn[labelling.trusted[source.learn]]
-        sigma = _FIRST_SIGMA if number == 0 else how.sigma
+        sigma = _FIRST_SIGMA if number == 0 and start is None else how.sigma
         network = train_knet(
             photographs,
             chosen,
@@ -221,6 +260,7 @@ def train_in_rounds(
             checkpoint,
             replace(how, sigma=sigma),
             imagenet=imagenet,
+            start=state,
             device=device,
             report=report,
             until=last,
@@ -228,6 +268,16 @@ def train_in_rounds(
     if labelling is None or photographs is None:
         raise InvalidInputError("steps", how.steps, "Give at least one step.")
     return network, labelling, photographs
+
+
+def _first(source: Source, path: Path, silhouettes: Path | None, tell: Callable[[str], None]) -> Labelling:
+    """The first labels: those in the file, or made anew."""
+    if path.exists():
+        return Labelling.load(path, source.cars)
+    tell("Labels from the boxes" if silhouettes is None else "Labels from boxes and silhouettes")
+    labelling = first_labelling(source, silhouettes)
+    labelling.save(path)
+    return labelling
 
 
 def _as_detector(content: dict[str, Any], folder: Path, device: str) -> Detector:
@@ -243,13 +293,14 @@ def _labelling(
     fits: dict[str, ShapeFit],
     members: dict[str, list[int]],
     trusted: NDArray[np.bool_],
+    outlined: NDArray[np.bool_],
 ) -> Labelling:
     keypoints = np.zeros((len(cars), prior.category.size, 2))
     visible = np.zeros(keypoints.shape[:2])
     for name, rows in members.items():
         labels = project_labels(prior, fits[name], [cars[i] for i in rows])
         keypoints[rows], visible[rows] = labels.keypoints, labels.visible
-    return Labelling(Labels(keypoints, visible), fits, cars, trusted)
+    return Labelling(Labels(keypoints, visible), fits, cars, trusted, outlined)
 
 
 def _find(cars: Sequence[PosedCar], detector: Detector, photographs: Photographs) -> Found:

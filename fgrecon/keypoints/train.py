@@ -110,6 +110,7 @@ def train_knet(
     how: Training,
     *,
     imagenet: dict[str, Any] | None = None,
+    start: dict[str, Any] | None = None,
     device: str = "cpu",
     report: Callable[[Progress], None] | None = None,
     until: int | None = None,
@@ -124,6 +125,7 @@ def train_knet(
         checkpoint: File to go on from and to write to.
         how: Settings.
         imagenet: Weights to start the encoder from, without a checkpoint.
+        start: Weights of a whole network to start from instead.
         device: Torch's name of the device; mixed precision on a GPU.
         report: Called after every `save_every` steps.
         until: Step after which to end with a checkpoint; None for the last.
@@ -135,6 +137,8 @@ def train_knet(
     network = KNet(how.network)
     if imagenet is not None:
         load_imagenet(network, imagenet)
+    if start is not None:
+        network.load_state_dict(start, strict=False)
     average = copy.deepcopy(network)
     encoder = [p for part in (network.stem, network.stages) for p in part.parameters()]
     inner = {id(p) for p in encoder}

@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 
 from fgrecon.keypoints.labels import ShapeFit
-from fgrecon.keypoints.relabel import Found, relabel_shape
+from fgrecon.keypoints.relabel import Found, relabel_shape, without_bias
 from tests.keypoints.support import made_up_cars, unit_car_prior
 
 
@@ -70,3 +70,37 @@ def test_a_photograph_of_a_slightly_other_car_gets_labels_of_its_own():
     shared = result.cars[4].project(prior.keypoints(result.fit.coefficients, result.fit.offsets))
     error, before = (np.linalg.norm(points - keypoints[4], axis=1).mean() for points in (result.keypoints[4], shared))
     assert error < 0.6 * before
+
+
+def test_what_is_off_in_all_shapes_is_taken_off():
+    rng = np.random.default_rng(6)
+    prior = unit_car_prior()
+    bias = np.zeros((14, 3))
+    bias[0], bias[1] = [0.02, -0.015, 0.01], [0.02, -0.015, -0.01]
+    cars, fits, keypoints = [], [], []
+    for _ in range(8):
+        coefficients = rng.normal(0, 0.7, 5)
+        some = made_up_cars(prior, coefficients, 6, rng)
+        cars += some
+        fits += [ShapeFit(coefficients, np.zeros((14, 3)), np.zeros((6, 4)))] * 6
+        keypoints += [car.project(prior.keypoints(coefficients) + bias) for car in some]
+    exact = np.array([car.project(prior.keypoints(f.coefficients)) for car, f in zip(cars, fits, strict=True)])
+    keypoints = np.array(keypoints)
+    wrong = rng.random(keypoints.shape[:2]) < 0.1
+    spoilt = np.where(wrong[..., None], rng.uniform(0, 200, keypoints.shape), keypoints)
+    covariance = np.broadcast_to(np.eye(2), (48, 14, 2, 2)).copy()
+    found = without_bias(prior, cars, fits, np.arange(48) < 40, Found(spoilt, np.full((48, 14), 0.8), covariance))
+    left, before = (np.abs((k - exact)[~wrong]).mean() for k in (found.keypoints, keypoints))
+    assert left < 0.4 * before
+
+
+def test_silhouettes_hold_shape_and_pose_more_tightly():
+    rng = np.random.default_rng(7)
+    prior = unit_car_prior()
+    cars = made_up_cars(prior, np.zeros(5), 10, rng)
+    other = prior.keypoints(np.array([1.5, 0.0, 0.0, 0.0, 0.0]))
+    keypoints = np.array([car.project(other) for car in cars])
+    found = Found(keypoints, np.full((10, 14), 0.8), np.broadcast_to(np.eye(2), (10, 14, 2, 2)).copy())
+    begin = ShapeFit(np.zeros(5), np.zeros((14, 3)), np.zeros((10, 4)))
+    free, held = (relabel_shape(prior, cars, begin, found, np.full(10, sure)) for sure in (False, True))
+    assert np.abs(held.fit.coefficients).max() < np.abs(free.fit.coefficients).max()

@@ -55,7 +55,8 @@ def test_rounds_correct_labels_and_go_on(trained, source):
     folder, told, reports, (_, labelling, photographs) = trained
     assert [report.step for report in reports] == [1, 2]
     assert len(told) == 4
-    assert sorted(path.name for path in folder.glob("labels-*.npz")) == ["labels-0.npz", "labels-1.npz"]
+    names = ["labels-0.npz", "labels-1.npz", "labels-first.npz"]
+    assert sorted(path.name for path in folder.glob("labels-*.npz")) == names
     assert set(labelling.fits) == {"a", "b"}
     assert np.isfinite(photographs.keypoints).all()
 
@@ -67,6 +68,17 @@ def test_a_finished_training_is_not_done_again(trained, source):
     assert reports == []
     for name, value in network.state_dict().items():
         torch.testing.assert_close(value, again.state_dict()[name])
+
+
+def test_a_trained_network_can_go_on(source, tmp_path):
+    torch.manual_seed(1)
+    begun = KNet(SMALL)
+    start = save_weights(tmp_path / "s.safetensors", Stored(begun.state_dict(), SMALL.to_dict(), Calibration(), {}))
+    how = replace(HOW, steps=1, rate=0.0)
+    network, labelling, _ = train_in_rounds(source, tmp_path / "work", how, [], start=start)
+    torch.testing.assert_close(network.head.weight, begun.head.weight, atol=1e-3, rtol=1e-3)
+    first = Labelling.load(tmp_path / "work" / "labels-first.npz", source.cars)
+    assert np.abs(labelling.labels.keypoints - first.labels.keypoints).max() > 0
 
 
 def test_labels_survive_the_file(source, tmp_path):

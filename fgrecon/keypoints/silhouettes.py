@@ -1,0 +1,219 @@
+"""Shape and poses of photographs of one shape, from the silhouettes of the car in them.
+
+Boxes alone leave the shape's roof, width and wheels to the model, and are drawn a little too large. The outline of the
+projected surface has to meet the outline of the car: Gauss-Newton over the coefficients that all photographs share and
+a correction of each photograph's measured pose, with the signed distance to the car's outline as residual.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from fgrecon.errors import InvalidInputError
+from fgrecon.keypoints.labels import ShapeFit
+from fgrecon.keypoints.posed_cars import PosedCar
+from fgrecon.keypoints.relabel import SHIFT_SIGMA, TURN_SIGMA
+from fgrecon.priors.shape_prior import ShapePrior, Surface
+
+__all__ = ["Outline", "OutlineFit", "fit_outlines", "read_outline"]
+
+Array = NDArray[np.float64]
+
+_SIDE = 192  # pixels of the silhouette's longer side
+_PAD = 48  # pixels around it
+_SPACING = 5  # pixels between the points of the outline
+_SIGMA = 0.02  # of a point, as a fraction of the longer side
+_INDEPENDENT = 100.0  # points' worth that one photograph counts
+_HUBER = 0.5  # standard deviations
+_FAR = 0.06  # of the longer side: a point that far off counts a quarter
+_OVERLAP = 0.75  # intersection over union with the projected start below which a silhouette is not believed
+_ITERATIONS = 8
+_STEP, _TURN_STEP = 0.7, 0.1  # largest change of a coefficient, and of a pose, in one iteration
+
+
+@dataclass(frozen=True)
+class Outline:
+    """A car's silhouette.
+
+    Attributes:
+        mask: (240 + 48, 240 + 48) 1 on the car, 0 elsewhere: the photograph at `scale`, 48 pixels in.
+        distance: Signed distance from the outline, positive outside, pixels of the mask.
+        scale: Pixels of the mask per pixel of the photograph.
+    """
+
+    mask: NDArray[np.uint8]
+    distance: Array
+    scale: float
+
+    @classmethod
+    def of(cls, likelihood: NDArray[np.uint8]) -> Outline | None:
+        """The largest part of an (H, W) image of values from 0 to 255, without thin parts; None if it is empty."""
+        scale = _SIDE / max(likelihood.shape)
+        small = cv2.resize(likelihood, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        square = np.zeros((_SIDE + 2 * _PAD,) * 2, dtype=np.uint8)
+        square[_PAD : _PAD + small.shape[0], _PAD : _PAD + small.shape[1]] = small > 127
+        square = np.asarray(cv2.morphologyEx(square, cv2.MORPH_OPEN, np.ones((5, 5), np.uint8)), dtype=np.uint8)
+        count, parts, statistics, _ = cv2.connectedComponentsWithStats(square)
+        if count < 2:
+            return None
+        mask = (parts == 1 + statistics[1:, cv2.CC_STAT_AREA].argmax()).astype(np.uint8)
+        away = cv2.distanceTransform(1 - mask, cv2.DIST_L2, 5) - cv2.distanceTransform(mask, cv2.DIST_L2, 5)
+        return cls(mask, np.asarray(cv2.GaussianBlur(away, (0, 0), 1.0), dtype=np.float64), scale)
+
+    def to_mask(self, pixels: Array) -> Array:
+        """Places (..., 2) in the mask of pixels (..., 2) of the photograph."""
+        places: Array = (pixels + 0.5) * self.scale - 0.5 + _PAD
+        return places
+
+    def residuals(self, pixels: Array) -> tuple[Array, Array]:
+        """Signed distances (N,) of pixels (N, 2) of the photograph from the outline, as fractions of the longer side.
+
+        Returns:
+            The distances, and their derivatives (N, 2) by the pixels.
+        """
+        column, row = (self.to_mask(pixels).T.astype(np.float32)[i][None] for i in (0, 1))
+        down, right = np.gradient(self.distance)
+        value, du, dv = (
+            np.asarray(cv2.remap(field.astype(np.float32), column, row, cv2.INTER_LINEAR, borderMode=1), np.float64)[0]
+            for field in (self.distance, right, down)
+        )
+        return value / _SIDE, np.column_stack([du, dv]) * (self.scale / _SIDE)
+
+
+@dataclass(frozen=True)
+class OutlineFit:
+    """What the silhouettes say.
+
+    Attributes:
+        fit: The shape.
+        cars: The photographs, with corrected poses where the silhouette was believed.
+        used: (M,) where it was.
+    """
+
+    fit: ShapeFit
+    cars: tuple[PosedCar, ...]
+    used: NDArray[np.bool_]
+
+
+@dataclass
+class _Pose:
+    """A photograph on the way: its pose in the camera's frame."""
+
+    car: PosedCar
+    outline: Outline
+    rotation: Array
+    translation: Array
+
+    def turned_by(self) -> Array:
+        """Rotation vector (3,) from the measured to the present rotation."""
+        return np.asarray(cv2.Rodrigues(self.rotation @ self.car.rotation.T)[0], dtype=np.float64).ravel()
+
+    def move(self, step: Array) -> None:
+        """Turn and shift by (6,)."""
+        step = step * min(1.0, _TURN_STEP / max(float(np.abs(step).max()), 1e-12))
+        self.rotation = np.asarray(cv2.Rodrigues(step[:3])[0], dtype=np.float64) @ self.rotation
+        self.translation = self.translation + step[3:]
+
+
+def read_outline(path: Path) -> Outline | None:
+    """The silhouette in a grey image file as large as the photograph; None without one, or if it is empty.
+
+    Raises:
+        InvalidInputError: The file is no image.
+    """
+    if not path.exists():
+        return None
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise InvalidInputError(str(path), "unreadable", "Give a grey image: white on the car, black elsewhere.")
+    return Outline.of(np.asarray(image, dtype=np.uint8))
+
+
+def fit_outlines(
+    prior: ShapePrior, cars: Sequence[PosedCar], outlines: Sequence[Outline | None], start: ShapeFit
+) -> OutlineFit:
+    """The coefficients ~ N(0, I) and poses whose projected surface meets the silhouettes.
+
+    Args:
+        prior: Model with a surface, from `unit_prior`.
+        cars: Photographs of one shape.
+        outlines: Their silhouettes, None where there is none.
+        start: The shape so far.
+    """
+    surface = prior.surface
+    if surface is None:
+        raise ValueError("the prior has no surface")
+    vertices = surface.vertices(start.coefficients)
+    poses = {
+        number: _Pose(car, outline, car.rotation, car.translation)
+        for number, (car, outline) in enumerate(zip(cars, outlines, strict=True))
+        if outline is not None and _overlap(surface, vertices, car, outline) >= _OVERLAP
+    }
+    coefficients = start.coefficients.copy()
+    for _ in range(_ITERATIONS if poses else 0):
+        vertices = surface.vertices(coefficients)
+        # Photographs share nothing but the coefficients, so that each pose is eliminated by itself.
+        normal, gradient, parts = np.eye(prior.dimension), coefficients.copy(), []
+        for pose in poses.values():
+            residual, by_pose, by_shape, weight = _outline_rows(surface, vertices, pose)
+            precision = np.concatenate([np.full(3, TURN_SIGMA**-2), SHIFT_SIGMA**-2])
+            away = np.concatenate([pose.turned_by(), pose.translation - pose.car.translation])
+            own = np.diag(precision) + (by_pose * weight[:, None]).T @ by_pose
+            own_gradient = precision * away + by_pose.T @ (weight * residual)
+            cross = (by_pose * weight[:, None]).T @ by_shape
+            solved = np.linalg.solve(own, np.column_stack([cross, own_gradient]))
+            normal += (by_shape * weight[:, None]).T @ by_shape - cross.T @ solved[:, :-1]
+            gradient += by_shape.T @ (weight * residual) - cross.T @ solved[:, -1]
+            parts.append((pose, solved))
+        step = -np.linalg.solve(normal, gradient)
+        step *= min(1.0, _STEP / max(float(np.abs(step).max()), 1e-12))
+        for pose, solved in parts:
+            pose.move(-solved[:, -1] - solved[:, :-1] @ step)
+        coefficients = coefficients + step
+    corrected = [
+        replace(car, rotation=poses[n].rotation, translation=poses[n].translation) if n in poses else car
+        for n, car in enumerate(cars)
+    ]
+    used = np.array([n in poses for n in range(len(cars))])
+    return OutlineFit(ShapeFit(coefficients, start.offsets, start.edge_error), tuple(corrected), used)
+
+
+def _outline_rows(surface: Surface, vertices: Array, pose: _Pose) -> tuple[Array, Array, Array, Array]:
+    """Of the vertices on the projected outline: residuals (N,), derivatives by pose (N, 6) and shape, weights (N,)."""
+    car, outline = pose.car, pose.outline
+    camera = vertices @ pose.rotation.T + pose.translation
+    homogeneous = camera @ car.matrix.T
+    pixels = homogeneous[:, :2] / homogeneous[:, 2:]
+    places = outline.to_mask(pixels)
+    contours, _ = cv2.findContours(_draw(places, surface), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    contour = max(contours, key=len)[::_SPACING, 0].astype(np.float64)
+    vertex = np.unique(cKDTree(places).query(contour)[1])
+    residual, slope = outline.residuals(pixels[vertex])
+    rows = (car.matrix[:2] - pixels[vertex][:, :, None] * car.matrix[2]) / homogeneous[vertex, 2][:, None, None]
+    in_camera = np.einsum("ni,nij->nj", slope, rows) / _SIGMA
+    by_pose = np.concatenate([np.cross(camera[vertex] - pose.translation, in_camera), in_camera], axis=1)
+    by_shape = np.einsum("nj,jk,mnk->nm", in_camera, pose.rotation, surface.basis[:, vertex])
+    away = np.abs(residual)
+    weight = np.minimum(1.0, _HUBER * _SIGMA / np.maximum(away, 1e-12)) / (1.0 + (away / _FAR) ** 2) ** 2
+    return residual / _SIGMA, by_pose, by_shape, weight * (_INDEPENDENT / len(vertex))
+
+
+def _overlap(surface: Surface, vertices: Array, car: PosedCar, outline: Outline) -> float:
+    """Intersection over union of the projected surface and the silhouette."""
+    drawn = _draw(outline.to_mask(car.project(vertices)), surface) > 0
+    return float((drawn & (outline.mask > 0)).sum() / max(int((drawn | (outline.mask > 0)).sum()), 1))
+
+
+def _draw(places: Array, surface: Surface) -> NDArray[np.uint8]:
+    """The projected surface in a silhouette's mask."""
+    mask = np.zeros((_SIDE + 2 * _PAD,) * 2, dtype=np.uint8)
+    for triangle in np.clip(np.rint(places[surface.faces] * 16), -1e6, 1e6).astype(np.int32):
+        cv2.fillConvexPoly(mask, triangle, (255,), shift=4)
+    return mask
