@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fgrecon.cli import evaluate_icra2017, evaluate_kitti, evaluate_paper, evaluate_shape
-from fgrecon.cli.common import GroundOption, JsonOption, PriorOption, check_output, console, ground_plane
+from fgrecon.cli.common import GroundOption, JsonOption, PriorOption, check_outputs, console, ground_plane, write_json
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from collections.abc import Callable, Iterator, Sequence
@@ -83,8 +83,7 @@ def tracks_command(
     from fgrecon.files import write_text
     from fgrecon.priors.size_prior import size_prior as parse_size
 
-    for path in (Path(json_out) if json_out not in (None, "-") else None, markdown_out, frames_out):
-        check_output(path)
+    check_outputs(json_out, markdown_out, frames_out)
     plane, origin = ground_plane(ground, camera_height) or (
         Ground.level(KITTI_CAMERA_HEIGHT),
         f"level camera {KITTI_CAMERA_HEIGHT} m above the ground (KITTI's)",
@@ -103,10 +102,7 @@ def tracks_command(
         text = report.to_json(
             report.document(scores, list(zip(map(str, files), tracks, strict=True)), scene, {"ground": origin})
         )
-        if json_out == "-":
-            sys.stdout.write(text)
-        else:
-            write_text(json_out, text)
+        write_json(json_out, text)
     if markdown_out is not None:
         write_text(markdown_out, report.markdown(scores))
     if frames_out is not None:

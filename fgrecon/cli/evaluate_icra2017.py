@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fgrecon.cli.common import JsonOption, check_output, console
+from fgrecon.cli.common import JsonOption, check_outputs, console, write_json
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from fgrecon.evaluation.icra2017 import Icra2017Result
@@ -33,16 +32,12 @@ def icra2017_command(
 ) -> None:
     """Reconstruct both cars with the release's 36-point prior and compare with KITTI's labels."""
     from fgrecon.evaluation.icra2017 import evaluate_icra2017
-    from fgrecon.files import write_text
 
-    check_output(Path(json_out) if json_out not in (None, "-") else None)
+    check_outputs(json_out)
     results = evaluate_icra2017(folder, runs=runs)
     text = json.dumps(_document(results), indent=2, allow_nan=False) + "\n"
     _print(results, error=json_out == "-")
-    if json_out == "-":
-        sys.stdout.write(text)
-    elif json_out is not None:
-        write_text(json_out, text)
+    write_json(json_out, text)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         for path in _draw(results, out):

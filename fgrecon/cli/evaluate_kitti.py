@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli.common import GroundOption, JsonOption, PriorOption, check_output, console, ground_plane
+from fgrecon.cli.common import GroundOption, JsonOption, PriorOption, check_outputs, console, ground_plane, write_json
 from fgrecon.options import BoxModel
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
@@ -54,13 +53,11 @@ def kitti_command(
     from fgrecon.catalogue import load_prior
     from fgrecon.evaluation import kitti_images
     from fgrecon.evaluation.kitti_files import read_image_set
-    from fgrecon.files import write_text
     from fgrecon.keypoints.detect import CONFIDENCE_MIDPOINT, Detector
     from fgrecon.options import Options
     from fgrecon.priors.size_prior import size_prior as parse_size
 
-    for path in (picture, None if json_out in (None, "-") else Path(str(json_out))):
-        check_output(path)
+    check_outputs(json_out, picture)
     plane, origin = ground_plane(ground, camera_height) or (Ground.level(_CAMERA_HEIGHT), "level camera (KITTI's)")
     names = None if split is None else read_image_set(split)
     frames, problems = kitti_images.read_frames(images, labels, calib, names, boxes)
@@ -90,10 +87,7 @@ def kitti_command(
             "network": setup.detector.provenance,
         }
         text = json.dumps(kitti_images.document(cars, told), indent=1) + "\n"
-        if json_out == "-":
-            sys.stdout.write(text)
-        else:
-            write_text(json_out, text)
+        write_json(json_out, text)
     if picture is not None:
         _draw(picture, cars, {frame.name: frame.image for frame in frames})
     if not any(car.failure is None for car in cars):
