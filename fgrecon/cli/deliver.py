@@ -60,14 +60,25 @@ def deliver(
     """
     from fgrecon.viz.sinks import start_viewer
 
-    written = []
-    for identity, recording in recordings if save is not None else ():
-        assert save is not None
-        suffix = re.sub(r"[^\w.-]+", "-", identity)
-        target = save.with_name(f"{save.stem}-{suffix}{save.suffix}") if several else save
-        written.append(recording.write(target))
+    written = [] if save is None else _write(recordings, save, several=several)
     addresses = [address for address in (connect, start_viewer() if spawn and recordings else None) if address]
     for address in addresses:
         for identity, recording in recordings:
             recording.send(identity, address)
     return written
+
+
+def _write(recordings: Sequence[tuple[str, Recording]], save: Path, *, several: bool) -> list[Path]:
+    """Write recordings to files: while one is encoded and written, the next is made."""
+    from concurrent.futures import Future, ThreadPoolExecutor
+
+    written: list[Path] = []
+    with ThreadPoolExecutor(max_workers=1) as background:
+        before: list[Future[Path]] = []
+        for identity, recording in recordings:
+            suffix = re.sub(r"[^\w.-]+", "-", identity)
+            target = save.with_name(f"{save.stem}-{suffix}{save.suffix}") if several else save
+            finish = recording.begin(target)
+            written += [future.result() for future in before]
+            before = [background.submit(finish)]
+        return written + [future.result() for future in before]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fgrecon.reconstruction import GraphFactor
 from fgrecon.viz import entities, style
+from fgrecon.viz.columns import Outbox, column, fixed_chunk
 from fgrecon.viz.playback import Playback
 from fgrecon.viz.style import Colour
 
@@ -63,7 +64,7 @@ def log_graph(play: Playback) -> None:
     if drawn:
         nodes, keypoints = np.array(drawn).T
         colours[:, nodes] = style.weight_colours(play.weights)[:, keypoints]
-    columns = rr.GraphNodes.columns(colors=colours.reshape(-1, 3)).partition([len(layout.nodes)] * len(play.steps))
+    columns = [column(rr.GraphNodes, "colors", colours.reshape(-1, 3), len(layout.nodes))]
     play.every_step(entities.GRAPH, columns)
 
 
@@ -71,14 +72,14 @@ def _is_keypoint(factor: GraphFactor, names: Mapping[str, int]) -> bool:
     return factor.term == "reprojection" and factor.label in names
 
 
-def log_layout(stream: Any, layout: Layout, *, colours: bool = False) -> None:
+def log_layout(stream: Outbox, layout: Layout, *, colours: bool = False) -> None:
     """Log nodes and edges without a time; the colours too, where no step changes them."""
-    stream.log(entities.GRAPH, _batches(layout.key, colours=colours), static=True)
+    stream.send_chunks(_chunk(layout.key, colours=colours))
 
 
 @lru_cache(maxsize=16)
-def _batches(key: tuple[GraphFactor, ...], *, colours: bool) -> list[Any]:
-    """Component batches of nodes and edges, made once: one category gives the same graph again and again."""
+def _chunk(key: tuple[GraphFactor, ...], *, colours: bool) -> Any:
+    """Nodes and edges, made once: one category gives the same graph again and again."""
     import rerun as rr
 
     layout = lay_out(key)
@@ -92,7 +93,7 @@ def _batches(key: tuple[GraphFactor, ...], *, colours: bool) -> list[Any]:
         radii=[_LARGE] * layout.variables + [_SMALL] * (count - layout.variables),
     )
     edges = rr.GraphEdges(edges=list(layout.edges), graph_type="undirected")
-    return [*nodes.as_component_batches(), *edges.as_component_batches()]
+    return fixed_chunk(entities.GRAPH, nodes, edges)
 
 
 @lru_cache(maxsize=16)

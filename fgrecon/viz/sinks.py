@@ -47,15 +47,33 @@ class Recording:
         Raises:
             InvalidInputError: The file cannot be written.
         """
+        return self.begin(path)()
+
+    def begin(self, path: str | Path) -> Callable[[], Path]:
+        """Write it as `write` does, but leave the encoding to rerun's threads and return at once.
+
+        Returns:
+            What waits for them, puts the file in its place and returns its path; it may be called in another thread.
+        """
         import rerun as rr  # on use: importing fgrecon must not import rerun
 
+        folder = tempfile.TemporaryDirectory()
+        part = Path(folder.name) / "recording.rrd"
         stream = rr.RecordingStream(f"{APPLICATION}: {Path(path).stem}")
-        with tempfile.TemporaryDirectory() as folder:
-            part = Path(folder) / "recording.rrd"
+        try:
             stream.save(part, default_blueprint=self.layout())
             self.log(stream)
+        except BaseException:
             stream.disconnect()
-            return write_bytes(path, part.read_bytes())
+            folder.cleanup()
+            raise
+
+        def finish() -> Path:
+            with folder:
+                stream.disconnect()
+                return write_bytes(path, part.read_bytes())
+
+        return finish
 
     def send(self, name: str, address: str) -> None:
         """Send it to a viewer that listens.
