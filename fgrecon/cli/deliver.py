@@ -78,7 +78,7 @@ def _write(recordings: Sequence[tuple[str, Recording]], save: Path, *, several: 
         for identity, recording in recordings:
             suffix = re.sub(r"[^\w.-]+", "-", identity)
             target = save.with_name(f"{save.stem}-{suffix}{save.suffix}") if several else save
-            finish = recording.begin(target)
+            now = background.submit(recording.begin(target))
             written += [future.result() for future in before]
-            before = [background.submit(finish)]
+            before = [now]
         return written + [future.result() for future in before]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.observation import Observation
-from fgrecon.reconstruction import GraphFactor, Reconstruction
+from fgrecon.reconstruction import Reconstruction
 from fgrecon.viz import entities, style
 from fgrecon.viz.factor_graph import Layout, lay_out
 from fgrecon.viz.geometry import Box, crop_around
@@ -44,10 +44,13 @@ def blueprint(reconstruction: Reconstruction, observation: Observation, truth: T
     """The layout of a recording for rerun, zoomed to the vehicle in the image and in the scene."""
     crop = crop_around(observation, reconstruction.wireframe_uv, aspect=_ASPECT)
     measures = () if truth is None else error_measures(shape=truth.keypoints is not None)
-    views = _views(measures, reconstruction.graph)
-    controls = eye(reconstruction)
+    views = _views(measures, graph=bool(reconstruction.graph))
     zoom = [(views.image, _bounds(crop))]
-    return Page(views.chunks, zoom if controls is None else [*zoom, (views.scene, controls)])
+    if (controls := eye(reconstruction)) is not None:
+        zoom.append((views.scene, controls))
+    if reconstruction.graph:
+        zoom.append((views.graph, _bounds(_reach(lay_out(reconstruction.graph)))))
+    return Page(views.chunks, zoom)
 
 
 @dataclass(frozen=True)
@@ -82,11 +85,12 @@ class _Views:
     chunks: tuple[Any, ...]
     image: str
     scene: str
+    graph: str
 
 
-@lru_cache(maxsize=16)
-def _views(measures: tuple[tuple[str, str], ...], graph: tuple[GraphFactor, ...]) -> _Views:
-    """The views for these errors and this graph, not zoomed yet."""
+@lru_cache(maxsize=8)
+def _views(measures: tuple[tuple[str, str], ...], *, graph: bool) -> _Views:
+    """The views with these errors and with the factor graph or without, not zoomed yet."""
     import rerun.blueprint as rrb
     from rerun.chunk import RrdReader
 
@@ -97,11 +101,10 @@ def _views(measures: tuple[tuple[str, str], ...], graph: tuple[GraphFactor, ...]
     ]
     if measures:
         plots.append(error_views(entities.ERROR, measures))
-    structure = [graph_view(lay_out(graph))] if graph else []
-    image, scene = image_view(None), scene_view(None)
+    image, scene, structure = image_view(None), scene_view(None), graph_view(None)
     whole = page(
         [image, scene],
-        [rrb.Tabs(*plots), *structure, word_views()],
+        [rrb.Tabs(*plots), *([structure] if graph else []), word_views()],
         name="One vehicle: from keypoints to pose and shape",
         timeline=entities.STEP,
     )
@@ -110,7 +113,8 @@ def _views(measures: tuple[tuple[str, str], ...], graph: tuple[GraphFactor, ...]
         whole.save("fgrecon", path)
         reader = RrdReader(path)
         (store,) = reader.blueprints()
-        return _Views(tuple(reader.stream(store=store)), image.blueprint_path(), scene.blueprint_path())
+        paths = (view.blueprint_path() for view in (image, scene, structure))
+        return _Views(tuple(reader.stream(store=store)), *paths)
 
 
 def page(above: Sequence[Any], below: Sequence[Any], *, name: str, timeline: str) -> Any:
@@ -193,21 +197,26 @@ def error_views(entity: str, measures: Sequence[tuple[str, str]]) -> Any:
     return rrb.Vertical(*(plot_view(name, f"{entity}/{m}") for name, m in measures), name="Errors")
 
 
-def graph_view(layout: Layout, name: str = "Factor graph: keypoints by weight") -> Any:
-    """The factor graph, with every node where it was put and all of them in the view."""
+def graph_view(layout: Layout | None, name: str = "Factor graph: keypoints by weight") -> Any:
+    """The factor graph, with every node where it was put and, where a layout is given, all of them in the view."""
     import rerun.blueprint as rrb
     import rerun.blueprint.archetypes as forces
 
-    low, high = layout.positions.min(axis=0) - _GRAPH_MARGIN, layout.positions.max(axis=0) + _GRAPH_MARGIN
     return rrb.GraphView(
         name=name,
-        visual_bounds=_bounds((low[0], low[1], high[0], high[1])),
+        visual_bounds=None if layout is None else _bounds(_reach(layout)),
         origin=f"/{entities.GRAPH}",
         force_link=forces.ForceLink(enabled=False),
         force_many_body=forces.ForceManyBody(enabled=False),
         force_center=forces.ForceCenter(enabled=False),
         force_collision_radius=forces.ForceCollisionRadius(enabled=False),
     )
+
+
+def _reach(layout: Layout) -> Box:
+    """The part of a graph's view where its nodes and their labels are."""
+    low, high = layout.positions.min(axis=0) - _GRAPH_MARGIN, layout.positions.max(axis=0) + _GRAPH_MARGIN
+    return (low[0], low[1], high[0], high[1])
 
 
 def word_views() -> Any:

@@ -50,14 +50,15 @@ class Outbox:
 
 
 def column(
-    archetype: Any, name: str, values: NDArray[Any] | Sequence[str], counts: int | NDArray[np.int64] | None = None
+    archetype: Any, name: str, values: NDArray[Any] | Sequence[Any], counts: int | NDArray[np.int64] | None = None
 ) -> Column:
     """One field of an archetype in several rows.
 
     Args:
         archetype: Class of rerun, such as `rr.Points3D`.
         name: Its field, such as `positions`.
-        values: N values, row after row: numbers (N,), vectors (N, D), rotations (N, 3, 3), RGB bytes (N, 3), or texts.
+        values: N values, row after row: numbers (N,), vectors (N, D), rotations (N, 3, 3), RGB bytes (N, 3), texts, or
+            pairs of texts.
         counts: How many values each row has, or one number where all have as many; without it all are one row.
     """
     import pyarrow as pa
@@ -65,7 +66,10 @@ def column(
     shape = values.shape[1:] if isinstance(values, np.ndarray) else None
     descriptor, rows = _types(archetype, name, shape)
     item = rows.value_type
-    if not isinstance(values, np.ndarray):
+    if pa.types.is_struct(item):
+        parts = zip(*values, strict=True) if len(values) else ((), ())
+        flat = pa.StructArray.from_arrays([pa.array(part, pa.string()) for part in parts], fields=list(item))
+    elif not isinstance(values, np.ndarray):
         flat = pa.array(values, item)
     elif pa.types.is_fixed_size_list(item):
         in_order = values.swapaxes(1, 2) if values.ndim == 3 else values  # rerun's matrices lie column by column
@@ -138,7 +142,8 @@ def _packed(colours: NDArray[np.uint8]) -> NDArray[np.uint32]:
 
 @lru_cache(maxsize=64)
 def _types(archetype: Any, name: str, shape: tuple[int, ...] | None) -> tuple[Any, Any]:
-    """Descriptor and Arrow type of a field, as rerun itself makes them of one value of a shape, or of a text."""
-    sample = ["text"] if shape is None else np.zeros((1, *shape))
+    """Descriptor and Arrow type of a field, as rerun itself makes them of one value of a shape, of a text or a pair."""
+    texts: list[Any] = [("from", "to")] if name == "edges" else ["text"]
+    sample = texts if shape is None else np.zeros((1, *shape))
     (made,) = archetype.columns(**{name: sample})
     return made.component_descriptor(), made.as_arrow_array().type

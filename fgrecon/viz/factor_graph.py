@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fgrecon.reconstruction import GraphFactor
 from fgrecon.viz import entities, style
-from fgrecon.viz.columns import Outbox, column, fixed_chunk
+from fgrecon.viz.columns import Outbox, column, fixed
 from fgrecon.viz.playback import Playback
 from fgrecon.viz.style import Colour
 
@@ -74,26 +74,21 @@ def _is_keypoint(factor: GraphFactor, names: Mapping[str, int]) -> bool:
 
 def log_layout(stream: Outbox, layout: Layout, *, colours: bool = False) -> None:
     """Log nodes and edges without a time; the colours too, where no step changes them."""
-    stream.send_chunks(_chunk(layout.key, colours=colours))
-
-
-@lru_cache(maxsize=16)
-def _chunk(key: tuple[GraphFactor, ...], *, colours: bool) -> Any:
-    """Nodes and edges, made once: one category gives the same graph again and again."""
     import rerun as rr
 
-    layout = lay_out(key)
-    count = len(layout.nodes)
-    nodes = rr.GraphNodes(
-        node_ids=list(layout.nodes),
-        positions=layout.positions,
-        labels=list(layout.labels),
-        colors=list(layout.colours) if colours else None,
-        show_labels=True,
-        radii=[_LARGE] * layout.variables + [_SMALL] * (count - layout.variables),
-    )
-    edges = rr.GraphEdges(edges=list(layout.edges), graph_type="undirected")
-    return fixed_chunk(entities.GRAPH, nodes, edges)
+    small = len(layout.nodes) - layout.variables
+    nodes: dict[str, Any] = {
+        "node_ids": layout.nodes,
+        "positions": layout.positions,
+        "labels": layout.labels,
+        "radii": np.repeat([_LARGE, _SMALL], [layout.variables, small]),
+    }
+    if colours:
+        nodes["colors"] = np.array(layout.colours, dtype=np.uint8)
+    stream.send_chunks(fixed(entities.GRAPH, rr.GraphNodes, show_labels=True))
+    stream.send_chunks(fixed(entities.GRAPH, rr.GraphEdges, graph_type="undirected"))
+    columns = [column(rr.GraphNodes, name, values) for name, values in nodes.items()]
+    stream.send_columns(entities.GRAPH, [], [*columns, column(rr.GraphEdges, "edges", layout.edges)])
 
 
 @lru_cache(maxsize=16)

@@ -6,15 +6,15 @@ import os
 import socket
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from fgrecon.errors import InvalidInputError
-from fgrecon.files import write_bytes
+from fgrecon.files import replacing
 
 __all__ = ["APPLICATION", "LOOPBACK", "Recording", "check_viewer", "free_port", "start_viewer", "viewer_command"]
 
@@ -57,21 +57,17 @@ class Recording:
         """
         import rerun as rr  # on use: importing fgrecon must not import rerun
 
-        folder = tempfile.TemporaryDirectory()
-        part = Path(folder.name) / "recording.rrd"
         stream = rr.RecordingStream(f"{APPLICATION}: {Path(path).stem}")
-        try:
+        with ExitStack() as started:
+            part = started.enter_context(replacing(path))
+            started.callback(stream.disconnect)
             stream.save(part, default_blueprint=self.layout())
             self.log(stream)
-        except BaseException:
-            stream.disconnect()
-            folder.cleanup()
-            raise
+            rest = started.pop_all()
 
         def finish() -> Path:
-            with folder:
-                stream.disconnect()
-                return write_bytes(path, part.read_bytes())
+            rest.close()
+            return Path(path)
 
         return finish
 

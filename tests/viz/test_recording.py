@@ -149,8 +149,9 @@ def test_planes_lie_where_the_keypoints_are(example: Example, recording: Path) -
 
 def test_the_factor_graph_has_every_factor_and_its_variables(example: Example, recording: Path) -> None:
     graph = example.reconstruction.graph
-    static, moving = sorted(chunks(recording)[entities.GRAPH], key=lambda chunk: not chunk.is_static)
-    columns = static.to_record_batch().to_pydict()
+    found = chunks(recording)[entities.GRAPH]
+    (moving,) = (chunk for chunk in found if not chunk.is_static)
+    columns = {k: v for chunk in found if chunk.is_static for k, v in chunk.to_record_batch().to_pydict().items()}
     variables = ["X(v=0,t=0)", "L(v=0)", "P(v=0,f=0)"]
     nodes = columns["GraphNodes:node_ids"][0]
     assert nodes == variables + [f"{factor.term} {i}" for i, factor in enumerate(graph)]
