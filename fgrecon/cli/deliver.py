@@ -10,9 +10,18 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
-    from fgrecon.viz import Recording
+    from fgrecon.camera import Ground
+    from fgrecon.viz import Recording, Sight
 
-__all__ = ["ConnectOption", "SaveOption", "SpawnOption", "check_delivery", "deliver"]
+__all__ = [
+    "ConnectOption",
+    "SaveOption",
+    "SpawnOption",
+    "check_delivery",
+    "deliver",
+    "recordings_of",
+    "wants_recording",
+]
 
 SaveOption = Annotated[
     Path | None, typer.Option(metavar="FILE.rrd", help="Record for the rerun viewer; several: FILE-ID.rrd each.")
@@ -21,6 +30,11 @@ ConnectOption = Annotated[
     str | None, typer.Option(metavar="HOST:PORT", help="Send the recording to a rerun viewer that listens there.")
 ]
 SpawnOption = Annotated[bool, typer.Option("--spawn", help="Show the recording in a new rerun viewer.")]
+
+
+def wants_recording(save: Path | None, connect: str | None, *, spawn: bool) -> bool:
+    """Whether any of the options is given."""
+    return save is not None or connect is not None or spawn
 
 
 def check_delivery(save: Path | None, connect: str | None) -> None:
@@ -66,6 +80,21 @@ def deliver(
         for identity, recording in recordings:
             recording.send(identity, address)
     return written
+
+
+def recordings_of(sights: Sequence[Sight], ground: Ground | None) -> list[tuple[str, Recording]]:
+    """Title and recording of vehicles.
+
+    Args:
+        sights: The vehicles.
+        ground: The ground plane that was assumed.
+    """
+    from fgrecon.viz import recording_of
+
+    return [
+        (s.title, recording_of(s.reconstruction, s.observation, s.camera, image=s.image, truth=s.truth, ground=ground))
+        for s in sights
+    ]
 
 
 def _write(recordings: Sequence[tuple[str, Recording]], save: Path, *, several: bool) -> list[Path]:

@@ -24,7 +24,7 @@ from fgrecon.cli.common import (
     console,
     write_json,
 )
-from fgrecon.cli.deliver import ConnectOption, SaveOption, SpawnOption, check_delivery, deliver
+from fgrecon.cli.deliver import ConnectOption, SaveOption, SpawnOption, check_delivery, deliver, wants_recording
 from fgrecon.errors import InvalidInputError
 from fgrecon.options import BoxModel
 from fgrecon.robust import StrategyName
@@ -120,7 +120,7 @@ def reconstruct_command(
         show.draw(picture, outcomes, photograph)
     if animation is not None:
         show.draw_moving(animation, outcomes, photograph)
-    if save is not None or connect is not None or spawn:
+    if wants_recording(save, connect, spawn=spawn):
         recordings = show.recordings(outcomes, photograph, settings.ground)
         deliver(recordings, save, connect, spawn=spawn, several=len(outcomes) > 1)
     if not batch.check_any(keypoints, outcomes):

@@ -21,7 +21,7 @@ from fgrecon.cli.common import (
     console,
     write_json,
 )
-from fgrecon.cli.deliver import ConnectOption, SaveOption, SpawnOption, check_delivery, deliver
+from fgrecon.cli.deliver import ConnectOption, SaveOption, SpawnOption, check_delivery, deliver, wants_recording
 from fgrecon.options import BoxModel
 from fgrecon.robust import StrategyName
 
@@ -73,7 +73,7 @@ def track_command(
         write_json(json_out, track_report.document(solved, settings))
     if picture is not None:
         track_report.draw(picture, solved)
-    if save is not None or connect is not None or spawn:
+    if wants_recording(save, connect, spawn=spawn):
         recordings = [(track.name, track.recording) for track in solved]
         deliver(recordings, save, connect, spawn=spawn, several=len(files) > 1)
     if any(track.result.status is Status.FAILED for track in solved):

@@ -219,11 +219,14 @@ class _Track:
 
 
 def _log_result(whole: _Track) -> None:
-    """Surface, box and uncertainty, which all frames share, and the ground, in the first frame that has them."""
+    """The ground, and surface, box and uncertainty in the first frame of every shape: that of a track is one."""
     found = [play for play in whole.plays if np.isfinite(play.reconstruction.camera_T_object).all()]
     if found:
         log_ground(found[0], whole.sight.ground)
-        log_result(found[0])
+    for before, play in zip([None, *found], found, strict=False):
+        shape = play.reconstruction.wireframe
+        if before is None or not np.array_equal(shape, before.reconstruction.wireframe):
+            log_result(play)
 
 
 def _log_paths(whole: _Track) -> None:
