@@ -117,7 +117,7 @@ def strip_column(archetype: Any, strips: NDArray[np.float64]) -> Column:
 
     descriptor, rows = _types(archetype, "strips", (2, strips.shape[3]))
     strip = rows.value_type
-    drawn: NDArray[np.bool_] = np.all(np.isfinite(strips), axis=(2, 3))
+    drawn = np.isfinite(strips).reshape(*strips.shape[:2], -1).all(axis=2)
     found = strips[drawn]
     numbers = pa.array(found.astype(np.float32).ravel())
     points = pa.FixedSizeListArray.from_arrays(numbers, type=strip.value_type)
@@ -129,7 +129,7 @@ def strip_column(archetype: Any, strips: NDArray[np.float64]) -> Column:
 def _ends(counts: NDArray[np.int64]) -> NDArray[np.int32]:
     """(n + 1,) where each of n rows begins, and where the last one ends."""
     ends = np.zeros(len(counts) + 1, dtype=np.int32)
-    np.cumsum(counts, out=ends[1:])
+    counts.cumsum(out=ends[1:])
     return ends
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -126,9 +127,9 @@ def exact_columns(archetype: str, fields: Mapping[str, Sequence[Any]]) -> list[C
             parts: list[Any] = [[value] if isinstance(value, str) else value for value in values]
             flat = pa.array([text for part in parts for text in part], pa.string())
         else:
-            parts = [np.ravel(value) for value in values]
+            parts = [value.ravel() if isinstance(value, np.ndarray) else (value,) for value in values]
             flat = pa.array(np.concatenate(parts))
-        ends = np.concatenate([[0], np.cumsum([len(part) for part in parts])]).astype(np.int32)
+        ends = np.array([0, *accumulate(map(len, parts))], dtype=np.int32)
         descriptor = rr.ComponentDescriptor(f"{archetype}:{name}", archetype=archetype)
         columns.append(Column(descriptor, pa.ListArray.from_arrays(ends, flat)))
     return columns
