@@ -1,72 +1,115 @@
-"""What recording costs, beside the solve that is recorded: one car, and a track.
+"""What recording costs, beside the solve that is recorded: one car, several, and a track.
 
 Run from the repository root, on one core:
     OMP_NUM_THREADS=1 python -m benchmarks.bench_recording
-Simulated cars with the mistakes of a real network; medians of CPU time, since other work on the machine disturbs wall
-time. Recordings go to a temporary folder.
+Simulated cars with the mistakes of a real network; medians. A recording is made in the caller's thread and encoded by
+rerun's; where a core is free for these, several cars in a row cost what the caller's thread takes. CPU times are told
+for both, since other work on the machine disturbs wall time; the wall time of several cars is that of `--save`. `rerun
+alone` sends the chunks of a finished recording once more, ready as they are, without a layout: the least that it takes.
+Recordings go to a temporary folder.
 """
 
 import tempfile
 import time
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import numpy as np
+import rerun as rr
+from rerun.chunk import RrdReader
 
 import fgrecon
+from fgrecon.cli.deliver import deliver
 from fgrecon.simulate import KITTI_CAMERA, Vehicle, simulate_many, simulate_track
 from fgrecon.track import reconstruct_track
-from fgrecon.viz import TrackSight, record, record_track
+from fgrecon.viz import Recording, TrackSight, recording_of, track_recording_of
 
-CARS, FRAMES = 30, 15
+CARS, FRAMES, ROUNDS = 30, 15, 3
 
 
-def milliseconds(action: Callable[[], object]) -> float:
-    """CPU time of an action."""
-    start = time.process_time()
+def milliseconds(action: Callable[[], object], clock: Callable[[], float] = time.process_time) -> float:
+    """Time of an action by a clock."""
+    start = clock()
     action()
-    return 1e3 * (time.process_time() - start)
+    return 1e3 * (clock() - start)
+
+
+def cost(recording: Recording, path: Path) -> tuple[float, float]:
+    """CPU time of writing a recording: until the caller's thread is free, and of all threads together."""
+    threads = time.process_time()
+    own = time.thread_time()
+    finish = recording.begin(path)
+    own = time.thread_time() - own
+    finish()
+    return 1e3 * own, 1e3 * (time.process_time() - threads)
 
 
 def cars(folder: Path) -> None:
     """One car after the other."""
-    prior, rows = fgrecon.load_prior("car14"), []
-    seen = [observation for observation, _ in simulate_many(prior, CARS + 1, np.random.default_rng(0))]
-    for observation in seen:
-        given = {"confidence": observation.confidence, "box": observation.box, "prior": prior, "ground": 1.65}
+    prior, rows, walls = fgrecon.load_prior("car14"), [], []
+    seen = [observation for observation, _ in simulate_many(prior, CARS, np.random.default_rng(0))]
 
-        def solve(*, keep: bool, o: fgrecon.Observation = observation, given: dict = given) -> fgrecon.Reconstruction:
-            return fgrecon.reconstruct(o.keypoints, KITTI_CAMERA, options=fgrecon.Options(keep_history=keep), **given)
+    def solve(o: fgrecon.Observation, *, keep: bool) -> fgrecon.Reconstruction:
+        given = {"confidence": o.confidence, "box": o.box, "prior": prior, "ground": 1.65}
+        return fgrecon.reconstruct(o.keypoints, KITTI_CAMERA, options=fgrecon.Options(keep_history=keep), **given)
 
-        result = solve(keep=True)
-        times = [milliseconds(partial(solve, keep=False)), milliseconds(partial(solve, keep=True))]
-        times.append(milliseconds(partial(record, folder / "car.rrd", result, observation, KITTI_CAMERA)))
-        rows.append((*times, len(result.history)))
-    off, on, writing, steps = np.median(rows[1:], axis=0)  # the first fills caches
-    tell(f"one car, {steps:.0f} steps", off, on, writing)
+    first = solve(seen[0], keep=True)
+    opening = milliseconds(lambda: recording_of(first, seen[0], KITTI_CAMERA).write(folder / "car.rrd"))
+    for _ in range(ROUNDS):
+        made = []
+        for observation in seen:
+            off = milliseconds(lambda o=observation: solve(o, keep=False))
+            on = milliseconds(lambda o=observation: solve(o, keep=True))
+            recording = recording_of(solve(observation, keep=True), observation, KITTI_CAMERA)
+            made.append((str(len(made)), recording))
+            rows.append((off, on, *cost(recording, folder / "car.rrd"), again(folder / "car.rrd", folder)))
+        solving = milliseconds(lambda: [solve(o, keep=False) for o in seen], time.perf_counter)
+        save = folder / "cars.rrd"
+        writing = milliseconds(
+            lambda made=made, save=save: deliver(made, save, None, spawn=False, several=True), time.perf_counter
+        )
+        walls.append((solving / CARS, writing / CARS))
+    off, on, own, threads, least = np.median(rows, axis=0)
+    tell(f"one car, {len(first.history)} steps", off, on, own, threads)
+    print(f"  rerun alone {least:.1f} ms ({least / off:.0%}); the first recording of a process {opening:.0f} ms")
+    solving, writing = np.median(walls, axis=0)
+    print(f"{CARS} cars, wall time each: solve {solving:.1f} ms, --save {writing:.1f} ms ({writing / solving:.0%})")
 
 
-def tell(what: str, off: float, on: float, writing: float) -> None:
+def again(path: Path, folder: Path) -> float:
+    """CPU time of all threads that rerun takes to write the chunks of a recording once more."""
+    chunks = list(RrdReader(path).stream())
+
+    def write() -> None:
+        stream = rr.RecordingStream("again")
+        stream.save(folder / "again.rrd")
+        stream.send_chunks(chunks)
+        stream.disconnect()
+
+    return milliseconds(write)
+
+
+def tell(what: str, off: float, on: float, own: float, threads: float) -> None:
     """One line about the times of a solve without and with history, and of writing the recording."""
-    history, file = f"history {on - off:+.1f} ms ({on / off - 1:+.0%})", f"{writing:.1f} ms ({writing / off:.0%})"
-    print(f"{what}: solve {off:.1f} ms; {history}; writing the recording {file}")
+    history = f"history {on - off:+.1f} ms ({on / off - 1:+.0%})"
+    file = f"{own:.1f} ms ({own / off:.0%}) in the caller's thread, {threads:.1f} ms ({threads / off:.0%}) in all"
+    print(f"{what}: solve {off:.1f} ms; {history}; recording {file}")
 
 
 def track(folder: Path) -> None:
     """One car in several images."""
     rng = np.random.default_rng(25)
     seen = [o for o, _ in simulate_track(Vehicle.sample(fgrecon.load_prior("car14"), rng), FRAMES, rng)]
-    sight = TrackSight(seen, [KITTI_CAMERA] * len(seen))
 
     def solve(*, keep: bool) -> object:
         return reconstruct_track(seen, KITTI_CAMERA, ground=1.65, options=fgrecon.Options(keep_history=keep))
 
     result = reconstruct_track(seen, KITTI_CAMERA, ground=1.65)
-    record_track(folder / "track.rrd", result, sight)
-    off, on = (np.median([milliseconds(partial(solve, keep=keep)) for _ in range(5)]) for keep in (False, True))
-    writing = np.median([milliseconds(lambda: record_track(folder / "track.rrd", result, sight)) for _ in range(5)])
-    tell(f"track of {len(seen)} images", float(off), float(on), float(writing))
+    recording = track_recording_of(result, TrackSight(seen, [KITTI_CAMERA] * len(seen)))
+    recording.write(folder / "track.rrd")
+    off, on = (float(np.median([milliseconds(lambda k=k: solve(keep=k)) for _ in range(5)])) for k in (False, True))
+    own, threads = np.median([cost(recording, folder / "track.rrd") for _ in range(5)], axis=0)
+    tell(f"track of {len(seen)} images", off, on, own, threads)
 
 
 if __name__ == "__main__":

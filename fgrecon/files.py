@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from fgrecon.errors import InvalidInputError
 
-__all__ = ["write_bytes", "write_text"]
+__all__ = ["replacing", "write_bytes", "write_text"]
 
 
 def write_text(path: str | Path, text: str) -> Path:
@@ -29,29 +31,39 @@ def write_bytes(path: str | Path, content: bytes) -> Path:
     Raises:
         InvalidInputError: The folder does not exist or cannot be written to, or `path` is a folder.
     """
-    path = Path(path)
+    with replacing(path) as part:
+        part.write_bytes(content)
+    return Path(path)
+
+
+@contextmanager
+def replacing(path: str | Path) -> Iterator[Path]:
+    """A temporary file beside `path` to write to, which takes its place as `write_bytes` tells.
+
+    Raises:
+        InvalidInputError: As from `write_bytes`.
+    """
     try:
         # Follow a link, so that the file behind it is replaced and not the link.
-        target = path.resolve()
+        target = Path(path).resolve()
         if target.is_dir():
             raise IsADirectoryError(f"{target} is a folder")
-        descriptor, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
+        descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
+        part = Path(name)
         try:
-            with os.fdopen(descriptor, "wb") as file:
-                file.write(content)
-                file.flush()
+            with os.fdopen(descriptor, "rb") as file:
+                yield part
                 os.fsync(file.fileno())
-            Path(temporary).chmod(_mode(target))
-            Path(temporary).replace(target)
+            part.chmod(_mode(target))
+            part.replace(target)
         except BaseException:
-            Path(temporary).unlink(missing_ok=True)
+            part.unlink(missing_ok=True)
             raise
     except OSError as error:
         reason = error.strerror or str(error)
         raise InvalidInputError(
             str(path), reason, "Give a file in a folder that exists and can be written to."
         ) from error
-    return path
 
 
 def _mode(target: Path) -> int:

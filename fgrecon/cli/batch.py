@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.camera import Camera, Ground
+from fgrecon.catalogue import load_prior
 from fgrecon.category import Category
-from fgrecon.cli.common import parse_numbers
+from fgrecon.cli.common import ground_plane, parse_numbers
 from fgrecon.errors import FgreconError, InvalidInputError
 from fgrecon.evaluation.tracks import parse_track
 from fgrecon.from_image import reconstruct_detection
@@ -24,6 +25,7 @@ from fgrecon.options import BoxModel, Options
 from fgrecon.pipeline import reconstruct
 from fgrecon.priors.shape_prior import ShapePrior
 from fgrecon.priors.size_prior import SizePrior
+from fgrecon.priors.size_prior import size_prior as parse_size
 from fgrecon.reconstruction import Reconstruction, Status
 
 __all__ = ["CameraSource", "Outcome", "Settings", "Task", "check_any", "read_tasks", "run"]
@@ -37,6 +39,23 @@ class Settings:
     ground: Ground | None
     size_prior: SizePrior | None
     options: Options
+
+    @classmethod
+    def of(
+        cls, prior: str, ground: str | None, camera_height: float | None, size_prior: str | None, options: Options
+    ) -> Settings:
+        """The settings as the command line gives them.
+
+        Raises:
+            InvalidInputError: A value names nothing, or both a plane and a height are given.
+        """
+        plane = ground_plane(ground, camera_height)
+        return cls(
+            prior=load_prior(prior),
+            ground=None if plane is None else plane[0],
+            size_prior=None if size_prior is None else parse_size(size_prior),
+            options=options,
+        )
 
 
 @dataclass(frozen=True)

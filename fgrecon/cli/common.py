@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from fgrecon.robust import StrategyName
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from numpy.typing import NDArray
@@ -16,22 +19,35 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
     from fgrecon.camera import Ground
 
 __all__ = [
+    "BOX_MODEL_HELP",
     "BoxOption",
     "BoxesOption",
+    "CalibOption",
     "CameraHeightOption",
     "DetectOption",
     "GroundOption",
+    "IntrinsicsOption",
     "JsonOption",
     "PriorOption",
+    "SizePriorOption",
+    "StrategyOption",
     "check_output",
+    "check_outputs",
     "chosen_boxes",
     "console",
     "ground_plane",
     "parse_numbers",
+    "write_json",
 ]
 
 _WIDTH = 180
 
+BOX_MODEL_HELP = "What 2D boxes enclose: the outline or the 3D box; off: they are no evidence."
+
+CalibOption = Annotated[Path | None, typer.Option(help="KITTI calibration file; its P2 is the camera.")]
+IntrinsicsOption = Annotated[
+    str | None, typer.Option(metavar="FX,FY,CX,CY", help="Camera in pixels.", show_default="from the file")
+]
 PriorOption = Annotated[str, typer.Option(help="Shape prior: a shipped name or an npz file.")]
 CameraHeightOption = Annotated[
     float | None, typer.Option(help="Height of a level camera above the ground, m.", show_default="no ground plane")
@@ -47,6 +63,15 @@ BoxesOption = Annotated[
     Path | None, typer.Option("--boxes", help="File of boxes: KITTI labels or detections, or COCO JSON.")
 ]
 DetectOption = Annotated[bool, typer.Option("--detect", help="Find the cars in the image with the shipped detector.")]
+SizePriorOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FLEET",
+        help="How large vehicles are: kitti, apollo79, or length,width,height[,their spreads] in m.",
+        show_default="as in the shape prior",
+    ),
+]
+StrategyOption = Annotated[StrategyName, typer.Option(help="Robust strategy.")]
 JsonOption = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="Write the results as JSON; - for the output.")
 ]
@@ -132,6 +157,30 @@ def check_output(path: Path | None) -> None:
 
     if path is not None and (path.is_dir() or not path.resolve().parent.is_dir()):
         raise InvalidInputError("output", str(path), "Give a file in a folder that exists.")
+
+
+def check_outputs(json_out: str | None, *paths: Path | None) -> None:
+    """`check_output` for what `--json` names and for further files.
+
+    Raises:
+        InvalidInputError: One cannot be written.
+    """
+    for path in (*paths, None if json_out in (None, "-") else Path(str(json_out))):
+        check_output(path)
+
+
+def write_json(target: str | None, text: str) -> None:
+    """Write the text of `--json` to its file, whole or not at all, or for `-` to the output; nothing without a target.
+
+    Raises:
+        InvalidInputError: The file cannot be written.
+    """
+    from fgrecon.files import write_text
+
+    if target == "-":
+        sys.stdout.write(text)
+    elif target is not None:
+        write_text(target, text)
 
 
 def console(*, error: bool) -> Console:

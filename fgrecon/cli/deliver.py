@@ -10,9 +10,18 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
-    from fgrecon.viz import Recording
+    from fgrecon.camera import Ground
+    from fgrecon.viz import Recording, Sight
 
-__all__ = ["ConnectOption", "SaveOption", "SpawnOption", "check_delivery", "deliver"]
+__all__ = [
+    "ConnectOption",
+    "SaveOption",
+    "SpawnOption",
+    "check_delivery",
+    "deliver",
+    "recordings_of",
+    "wants_recording",
+]
 
 SaveOption = Annotated[
     Path | None, typer.Option(metavar="FILE.rrd", help="Record for the rerun viewer; several: FILE-ID.rrd each.")
@@ -21,6 +30,11 @@ ConnectOption = Annotated[
     str | None, typer.Option(metavar="HOST:PORT", help="Send the recording to a rerun viewer that listens there.")
 ]
 SpawnOption = Annotated[bool, typer.Option("--spawn", help="Show the recording in a new rerun viewer.")]
+
+
+def wants_recording(save: Path | None, connect: str | None, *, spawn: bool) -> bool:
+    """Whether any of the options is given."""
+    return save is not None or connect is not None or spawn
 
 
 def check_delivery(save: Path | None, connect: str | None) -> None:
@@ -60,14 +74,40 @@ def deliver(
     """
     from fgrecon.viz.sinks import start_viewer
 
-    written = []
-    for identity, recording in recordings if save is not None else ():
-        assert save is not None
-        suffix = re.sub(r"[^\w.-]+", "-", identity)
-        target = save.with_name(f"{save.stem}-{suffix}{save.suffix}") if several else save
-        written.append(recording.write(target))
+    written = [] if save is None else _write(recordings, save, several=several)
     addresses = [address for address in (connect, start_viewer() if spawn and recordings else None) if address]
     for address in addresses:
         for identity, recording in recordings:
             recording.send(identity, address)
     return written
+
+
+def recordings_of(sights: Sequence[Sight], ground: Ground | None) -> list[tuple[str, Recording]]:
+    """Title and recording of vehicles.
+
+    Args:
+        sights: The vehicles.
+        ground: The ground plane that was assumed.
+    """
+    from fgrecon.viz import recording_of
+
+    return [
+        (s.title, recording_of(s.reconstruction, s.observation, s.camera, image=s.image, truth=s.truth, ground=ground))
+        for s in sights
+    ]
+
+
+def _write(recordings: Sequence[tuple[str, Recording]], save: Path, *, several: bool) -> list[Path]:
+    """Write recordings to files: while one is encoded and written, the next is made."""
+    from concurrent.futures import Future, ThreadPoolExecutor
+
+    written: list[Path] = []
+    with ThreadPoolExecutor(max_workers=1) as background:
+        before: list[Future[Path]] = []
+        for identity, recording in recordings:
+            suffix = re.sub(r"[^\w.-]+", "-", identity)
+            target = save.with_name(f"{save.stem}-{suffix}{save.suffix}") if several else save
+            now = background.submit(recording.begin(target))
+            written += [future.result() for future in before]
+            before = [now]
+        return written + [future.result() for future in before]

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fgrecon.cli import evaluate_icra2017, evaluate_kitti, evaluate_paper, evaluate_shape
-from fgrecon.cli.common import GroundOption, JsonOption, PriorOption, check_output, console, ground_plane
+from fgrecon.cli.common import GroundOption, JsonOption, PriorOption, check_outputs, console, ground_plane, write_json
+from fgrecon.cli.deliver import ConnectOption, SaveOption, SpawnOption, check_delivery, deliver, wants_recording
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from collections.abc import Callable, Iterator, Sequence
@@ -65,6 +66,9 @@ def tracks_command(
     frames_out: Annotated[
         Path | None, typer.Option("--per-frame", help="Write every frame's errors by method as JSON.")
     ] = None,
+    save: SaveOption = None,
+    connect: ConnectOption = None,
+    spawn: SpawnOption = False,
     progress: Annotated[
         bool | None, typer.Option("--progress/--no-progress", help="Progress bar.", show_default="on a terminal")
     ] = None,
@@ -73,9 +77,13 @@ def tracks_command(
 
     A frame that a method fails on counts as 180 degrees and stays in N. Exit code 1: fgrecon failed on every frame (any
     other method, where fgrecon does not run).
+
+    A recording shows the last of fgrecon's own methods, frame by frame, with the labels and the errors; for it the
+    frames are solved once more after they were scored.
     """
     from fgrecon.camera import Ground
     from fgrecon.catalogue import load_prior
+    from fgrecon.cli import evaluate_recording
     from fgrecon.evaluation import report
     from fgrecon.evaluation.methods import Scene, select
     from fgrecon.evaluation.run import score_tracks
@@ -83,14 +91,15 @@ def tracks_command(
     from fgrecon.files import write_text
     from fgrecon.priors.size_prior import size_prior as parse_size
 
-    for path in (Path(json_out) if json_out not in (None, "-") else None, markdown_out, frames_out):
-        check_output(path)
+    check_outputs(json_out, markdown_out, frames_out)
+    check_delivery(save, connect)
     plane, origin = ground_plane(ground, camera_height) or (
         Ground.level(KITTI_CAMERA_HEIGHT),
         f"level camera {KITTI_CAMERA_HEIGHT} m above the ground (KITTI's)",
     )
     scene = Scene(prior=load_prior(prior), ground=plane, size=parse_size(size_prior))
     methods = select(method or None)
+    recording = evaluate_recording.recorded(methods) if wants_recording(save, connect, spawn=spawn) else None
     tracks = [read_track(file, scene.prior.category) for file in files]
 
     frames = sum(len(track.frames) for track in tracks)
@@ -103,14 +112,14 @@ def tracks_command(
         text = report.to_json(
             report.document(scores, list(zip(map(str, files), tracks, strict=True)), scene, {"ground": origin})
         )
-        if json_out == "-":
-            sys.stdout.write(text)
-        else:
-            write_text(json_out, text)
+        write_json(json_out, text)
     if markdown_out is not None:
         write_text(markdown_out, report.markdown(scores))
     if frames_out is not None:
         write_text(frames_out, report.to_json(report.frames_document(scores)))
+    if recording is not None:
+        made = evaluate_recording.recordings(tracks, recording, scene)
+        deliver(made, save, connect, spawn=spawn, several=len(tracks) > 1)
     judged = [entry for entry in scores if entry.name.partition("+")[0] == "fgrecon"] or scores
     if any(len(entry.failures) == len(entry.frames) for entry in judged):
         raise typer.Exit(1)

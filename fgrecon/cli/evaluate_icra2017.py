@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fgrecon.cli.common import JsonOption, check_output, console
+from fgrecon.cli.common import JsonOption, check_outputs, console, write_json
+from fgrecon.cli.deliver import (
+    ConnectOption,
+    SaveOption,
+    SpawnOption,
+    check_delivery,
+    deliver,
+    recordings_of,
+    wants_recording,
+)
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from fgrecon.evaluation.icra2017 import Icra2017Result
+    from fgrecon.viz import Sight
 
 __all__ = ["icra2017_command"]
 
@@ -28,25 +37,30 @@ def icra2017_command(
         Path | None,
         typer.Option(help="Folder for pictures, made where it does not exist: over the photographs and without them."),
     ] = None,
+    save: SaveOption = None,
+    connect: ConnectOption = None,
+    spawn: SpawnOption = False,
     json_out: JsonOption = None,
     runs: Annotated[int, typer.Option(min=1, help="How often to time each image.")] = 5,
 ) -> None:
     """Reconstruct both cars with the release's 36-point prior and compare with KITTI's labels."""
     from fgrecon.evaluation.icra2017 import evaluate_icra2017
-    from fgrecon.files import write_text
 
-    check_output(Path(json_out) if json_out not in (None, "-") else None)
+    check_outputs(json_out)
+    check_delivery(save, connect)
     results = evaluate_icra2017(folder, runs=runs)
     text = json.dumps(_document(results), indent=2, allow_nan=False) + "\n"
     _print(results, error=json_out == "-")
-    if json_out == "-":
-        sys.stdout.write(text)
-    elif json_out is not None:
-        write_text(json_out, text)
+    write_json(json_out, text)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         for path in _draw(results, out):
             typer.echo(str(path), err=json_out == "-")
+    if wants_recording(save, connect, spawn=spawn):
+        from fgrecon.evaluation.icra2017 import GROUND
+
+        sights = [_sight(result, result.name, photograph=True) for result in results]
+        deliver(recordings_of(sights, GROUND), save, connect, spawn=spawn, several=True)
 
 
 def _document(results: list[Icra2017Result]) -> dict[str, Any]:
@@ -89,23 +103,30 @@ def _print(results: list[Icra2017Result], *, error: bool) -> None:
     console(error=error).print(table)
 
 
-def _draw(results: list[Icra2017Result], out: Path) -> list[Path]:
-    """Each image's picture over its photograph, and one of both without, which shows nothing of third parties."""
+def _sight(result: Icra2017Result, title: str, *, photograph: bool) -> Sight:
+    """The car with the labelled box, over its photograph or without."""
     from fgrecon.evaluation.icra2017 import true_pose
     from fgrecon.images import read_image
-    from fgrecon.viz import picture, save_picture
-    from fgrecon.viz.picture import Sight, contact_sheet
+    from fgrecon.viz import Sight
     from fgrecon.viz.truth import Truth
 
-    paths, sights = [], []
+    example = result.example
+    image = read_image(example.image) if photograph else None
+    truth = Truth(true_pose(example), box_size=example.size)
+    return Sight(result.reconstruction, example.observation, example.camera, image, truth, title)
+
+
+def _draw(results: list[Icra2017Result], out: Path) -> list[Path]:
+    """Each image's picture over its photograph, and one of both without, which shows nothing of third parties."""
+    from fgrecon.viz import contact_sheet, picture, save_picture
+
+    paths = []
     for result in results:
-        example, reconstruction = result.example, result.reconstruction
-        truth = Truth(true_pose(example), box_size=example.size)
-        photograph = read_image(example.image)
-        drawn = picture(reconstruction, example.observation, example.camera, image=photograph, truth=truth)
+        seen = _sight(result, result.name, photograph=True)
+        drawn = picture(seen.reconstruction, seen.observation, seen.camera, image=seen.image, truth=seen.truth)
         paths.append(save_picture(out / f"{result.name}.png", drawn))
-        title = f"{result.name}: {result.orientation_error:.1f}°, {result.centre_error:.2f} m"
-        sights.append(Sight(reconstruction, example.observation, example.camera, truth=truth, title=title))
-    paths.append(save_picture(out / "without_photographs.svg", contact_sheet(sights, columns=2)))
-    paths.append(save_picture(out / "without_photographs.png", contact_sheet(sights, columns=2)))
+    titles = [f"{r.name}: {r.orientation_error:.1f}°, {r.centre_error:.2f} m" for r in results]
+    bare = [_sight(result, title, photograph=False) for result, title in zip(results, titles, strict=True)]
+    paths.append(save_picture(out / "without_photographs.svg", contact_sheet(bare, columns=2)))
+    paths.append(save_picture(out / "without_photographs.png", contact_sheet(bare, columns=2)))
     return paths

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli.common import GroundOption, JsonOption, PriorOption, check_output, console, ground_plane
+from fgrecon.cli.common import GroundOption, JsonOption, PriorOption, check_outputs, console, ground_plane, write_json
+from fgrecon.cli.deliver import (
+    ConnectOption,
+    SaveOption,
+    SpawnOption,
+    check_delivery,
+    deliver,
+    recordings_of,
+    wants_recording,
+)
 from fgrecon.options import BoxModel
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from fgrecon.evaluation.kitti_images import Car
+    from fgrecon.viz import Sight
 
 __all__ = ["kitti_command"]
 
@@ -40,6 +49,9 @@ def kitti_command(
     box_model: Annotated[BoxModel, typer.Option(help="What the 2D boxes enclose.")] = BoxModel.CUBOID,
     weights: Annotated[Path | None, typer.Option(help="Network.", show_default="the shipped one")] = None,
     picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Contact sheet of every car.")] = None,
+    save: SaveOption = None,
+    connect: ConnectOption = None,
+    spawn: SpawnOption = False,
     json_out: JsonOption = None,
 ) -> None:
     """Find keypoints in KITTI's images, reconstruct every labelled car, and score orientation and translation.
@@ -54,13 +66,12 @@ def kitti_command(
     from fgrecon.catalogue import load_prior
     from fgrecon.evaluation import kitti_images
     from fgrecon.evaluation.kitti_files import read_image_set
-    from fgrecon.files import write_text
     from fgrecon.keypoints.detect import CONFIDENCE_MIDPOINT, Detector
     from fgrecon.options import Options
     from fgrecon.priors.size_prior import size_prior as parse_size
 
-    for path in (picture, None if json_out in (None, "-") else Path(str(json_out))):
-        check_output(path)
+    check_outputs(json_out, picture)
+    check_delivery(save, connect)
     plane, origin = ground_plane(ground, camera_height) or (Ground.level(_CAMERA_HEIGHT), "level camera (KITTI's)")
     names = None if split is None else read_image_set(split)
     frames, problems = kitti_images.read_frames(images, labels, calib, names, boxes)
@@ -90,12 +101,15 @@ def kitti_command(
             "network": setup.detector.provenance,
         }
         text = json.dumps(kitti_images.document(cars, told), indent=1) + "\n"
-        if json_out == "-":
-            sys.stdout.write(text)
-        else:
-            write_text(json_out, text)
-    if picture is not None:
-        _draw(picture, cars, {frame.name: frame.image for frame in frames})
+        write_json(json_out, text)
+    wanted = wants_recording(save, connect, spawn=spawn)
+    sights = _sights(cars, {frame.name: frame.image for frame in frames}) if picture is not None or wanted else []
+    if picture is not None and sights:
+        from fgrecon.viz import contact_sheet, save_picture
+
+        save_picture(picture, contact_sheet(sights, columns=5))
+    if wanted:
+        deliver(recordings_of(sights, plane), save, connect, spawn=spawn, several=True)
     if not any(car.failure is None for car in cars):
         raise typer.Exit(1)
 
@@ -118,15 +132,15 @@ def _print(cars: list[Car], *, error: bool) -> None:
     console(error=error).print(table)
 
 
-def _draw(path: Path, cars: list[Car], images: dict[str, Path]) -> None:
-    """Every car with a result, with its wireframe and the labelled box."""
+def _sights(cars: list[Car], images: dict[str, Path]) -> list[Sight]:
+    """Every car with a result, with its photograph and the labelled box."""
     from fgrecon.images import read_image
     from fgrecon.simulate import yaw_pose
-    from fgrecon.viz import Sight, contact_sheet, save_picture
+    from fgrecon.viz import Sight
     from fgrecon.viz.truth import Truth
 
     photographs = {name: read_image(images[name]) for name in {car.frame for car in cars}}
-    sights = [
+    return [
         Sight(
             car.found.result,
             car.found.detection.observation,
@@ -138,5 +152,3 @@ def _draw(path: Path, cars: list[Car], images: dict[str, Path]) -> None:
         for car in cars
         if car.found is not None and car.found.result is not None
     ]
-    if sights:
-        save_picture(path, contact_sheet(sights, columns=5))

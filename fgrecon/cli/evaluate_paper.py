@@ -48,7 +48,8 @@ def paper_command(
 
     Writes evaluation.md, evaluation.json, evaluation.html and KITTI result files. A run that was interrupted goes on
     where it stopped. Stored parts know the data and settings that they were made from, but not unreleased changes of
-    the code: use --fresh after those.
+    the code: use --fresh after those. Nothing is recorded for the viewer, these are thousands of cars: see
+    `fgrecon evaluate tracks --save`.
     """
     import shutil
 

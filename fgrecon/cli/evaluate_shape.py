@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fgrecon.cli.common import JsonOption, check_output, console
+from fgrecon.cli.common import JsonOption, check_outputs, console, write_json
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from fgrecon.evaluation.ablation import StrategyScore
@@ -59,8 +59,7 @@ def shape_command(
     from fgrecon.priors.apollo79 import apollo79_prior, load_apollo79
     from fgrecon.priors.size_prior import SIZE_PRIORS
 
-    for path in (Path(json_out) if json_out not in (None, "-") else None, markdown_out):
-        check_output(path)
+    check_outputs(json_out, markdown_out)
     from fgrecon.camera import Ground
 
     ground = Ground.level(_CAMERA_HEIGHT)
@@ -97,10 +96,7 @@ def shape_command(
         ]
     text = json.dumps(document, indent=2, allow_nan=False) + "\n"
     _print(parts, error=json_out == "-")
-    if json_out == "-":
-        sys.stdout.write(text)
-    elif json_out is not None:
-        write_text(json_out, text)
+    write_json(json_out, text)
     if markdown_out is not None:
         write_text(markdown_out, "\n".join(_markdown(title, rows) for title, rows in parts))
 

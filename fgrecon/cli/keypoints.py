@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,9 +14,11 @@ from fgrecon.cli.common import (
     DetectOption,
     JsonOption,
     check_output,
+    check_outputs,
     chosen_boxes,
     console,
     parse_numbers,
+    write_json,
 )
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
@@ -48,12 +49,10 @@ def detect_command(
 ) -> None:
     """Find the keypoints of cars. The JSON is what `fgrecon reconstruct` reads; confidences are probabilities."""
     from fgrecon.catalogue import load_category
-    from fgrecon.files import write_text
     from fgrecon.images import read_image
     from fgrecon.keypoints.detect import Detector
 
-    for path in (picture, None if json_out in (None, "-") else Path(str(json_out))):
-        check_output(path)
+    check_outputs(json_out, picture)
     pixels = read_image(image)
     named = chosen_boxes(image, pixels, box, boxes, detect=detect)
     names = [item.name for item in named]
@@ -64,10 +63,7 @@ def detect_command(
     if json_out is not None:
         instances = [_instance(name, d) for name, d in zip(names, found, strict=True)]
         text = json.dumps({"instances": instances}, indent=1) + "\n"
-        if json_out == "-":
-            sys.stdout.write(text)
-        else:
-            write_text(json_out, text)
+        write_json(json_out, text)
     if picture is not None:
         from fgrecon.viz.detections import detection_sheet
         from fgrecon.viz.picture import save_picture
@@ -89,7 +85,6 @@ def evaluate_command(
     from fgrecon.catalogue import load_category
     from fgrecon.cli.keypoints_report import after_adjustment, marks_document, print_marks
     from fgrecon.cli.keypoints_report import end_to_end as run_end_to_end
-    from fgrecon.files import write_text
     from fgrecon.keypoints.detect import Detector
     from fgrecon.keypoints.evaluate import score_marks
     from fgrecon.keypoints.marks import read_photograph_marks, read_street_marks
@@ -109,10 +104,7 @@ def evaluate_command(
         result["end_to_end"] = run_end_to_end(out, detector, data, end_to_end, seed)
     if json_out is not None:
         text = json.dumps(result, indent=1) + "\n"
-        if json_out == "-":
-            sys.stdout.write(text)
-        else:
-            write_text(json_out, text)
+        write_json(json_out, text)
 
 
 @app.command("silhouettes")

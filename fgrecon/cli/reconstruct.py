@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from fgrecon.cli.common import (
+    BOX_MODEL_HELP,
     BoxesOption,
     BoxOption,
+    CalibOption,
     CameraHeightOption,
     DetectOption,
     GroundOption,
+    IntrinsicsOption,
     JsonOption,
     PriorOption,
-    check_output,
+    SizePriorOption,
+    StrategyOption,
+    check_outputs,
     console,
-    ground_plane,
+    write_json,
 )
-from fgrecon.cli.deliver import ConnectOption, SaveOption, SpawnOption, check_delivery, deliver
+from fgrecon.cli.deliver import ConnectOption, SaveOption, SpawnOption, check_delivery, deliver, wants_recording
 from fgrecon.errors import InvalidInputError
 from fgrecon.options import BoxModel
 from fgrecon.robust import StrategyName
@@ -30,29 +34,20 @@ __all__ = ["reconstruct_command"]
 
 def reconstruct_command(
     keypoints: Annotated[Path, typer.Argument(help="Keypoints (JSON, format in the README), a track, or an image.")],
-    calib: Annotated[Path | None, typer.Option(help="KITTI calibration file; its P2 is the camera.")] = None,
-    intrinsics: Annotated[
-        str | None, typer.Option(metavar="FX,FY,CX,CY", help="Camera in pixels.", show_default="from the file")
-    ] = None,
+    calib: CalibOption = None,
+    intrinsics: IntrinsicsOption = None,
     distortion: Annotated[
         str | None, typer.Option(metavar="K1,K2,P1,P2,...", help="OpenCV's distortion coefficients.")
     ] = None,
     prior: PriorOption = "car14",
     camera_height: CameraHeightOption = None,
     ground: GroundOption = None,
-    size_prior: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FLEET",
-            help="How large vehicles are: kitti, apollo79, or length,width,height[,their spreads] in m.",
-            show_default="as in the shape prior",
-        ),
-    ] = None,
-    strategy: Annotated[StrategyName, typer.Option(help="Robust strategy.")] = StrategyName.MIXTURE,
+    size_prior: SizePriorOption = None,
+    strategy: StrategyOption = StrategyName.MIXTURE,
     box_model: Annotated[
         BoxModel | None,
         typer.Option(
-            help="What 2D boxes enclose: the outline or the 3D box; off: they are no evidence.",
+            help=BOX_MODEL_HELP,
             show_default="surface; cuboid for KITTI's boxes",
         ),
     ] = None,
@@ -85,25 +80,17 @@ def reconstruct_command(
     Exit code 0: at least one was reconstructed; 1: none, since solving failed; 2: none, since the input is bad, or no
     car was found in the image.
     """
-    from fgrecon.catalogue import load_prior
     from fgrecon.cli import batch, picture_tasks, show
-    from fgrecon.files import write_text
     from fgrecon.images import read_image
     from fgrecon.options import Options
-    from fgrecon.priors.size_prior import size_prior as parse_size
     from fgrecon.robust import strategy as tuned
 
     _check_outputs(picture, animation, json_out)
     check_delivery(save, connect)
-    plane = ground_plane(ground, camera_height)
-    settings = batch.Settings(
-        prior=load_prior(prior),
-        ground=None if plane is None else plane[0],
-        size_prior=None if size_prior is None else parse_size(size_prior),
-        options=Options(
-            strategy=tuned(strategy), joint=joint, free_offsets=free_offsets, box_model=box_model or BoxModel.SURFACE
-        ),
+    options = Options(
+        strategy=tuned(strategy), joint=joint, free_offsets=free_offsets, box_model=box_model or BoxModel.SURFACE
     )
+    settings = batch.Settings.of(prior, ground, camera_height, size_prior, options)
     pictured = picture_tasks.is_image(keypoints)
     if pictured:
         image = keypoints
@@ -128,16 +115,12 @@ def reconstruct_command(
     if ignored:
         out.print(f"Fields of the file without a meaning here: {', '.join(ignored)}.", markup=False)
     if json_out is not None:
-        text = show.document(keypoints, outcomes, settings)
-        if json_out == "-":
-            sys.stdout.write(text)
-        else:
-            write_text(json_out, text)
+        write_json(json_out, show.document(keypoints, outcomes, settings))
     if picture is not None:
         show.draw(picture, outcomes, photograph)
     if animation is not None:
         show.draw_moving(animation, outcomes, photograph)
-    if save is not None or connect is not None or spawn:
+    if wants_recording(save, connect, spawn=spawn):
         recordings = show.recordings(outcomes, photograph, settings.ground)
         deliver(recordings, save, connect, spawn=spawn, several=len(outcomes) > 1)
     if not batch.check_any(keypoints, outcomes):
@@ -148,8 +131,7 @@ def _check_outputs(picture: Path | None, animation: Path | None, json_out: str |
     from fgrecon.viz.animation import check_format
     from fgrecon.viz.picture import FORMATS
 
-    for path in (picture, animation, None if json_out in (None, "-") else Path(str(json_out))):
-        check_output(path)
+    check_outputs(json_out, picture, animation)
     if picture is not None and picture.suffix.lower().removeprefix(".") not in FORMATS:
         raise InvalidInputError("picture", str(picture), f"Let the name end in one of {', '.join(FORMATS)}.")
     if animation is not None:

@@ -17,9 +17,10 @@ from rich.table import Table
 
 from fgrecon.camera import Camera, Ground
 from fgrecon.cli.batch import Outcome, Settings
+from fgrecon.cli.deliver import recordings_of
 from fgrecon.errors import InvalidInputError
 from fgrecon.priors.size_prior import SizePrior
-from fgrecon.viz import Recording, Sight, animate, contact_sheet, picture, recording_of, save_picture
+from fgrecon.viz import Recording, Sight, animate, contact_sheet, picture, save_picture
 
 __all__ = [
     "FORMAT",
@@ -133,11 +134,7 @@ def _entry(outcome: Outcome) -> dict[str, Any]:
 
 def draw(path: Path, outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None) -> None:
     """Draw the results: one with its stages, several as a sheet; nothing where there is none."""
-    sights = [
-        Sight(outcome.result, outcome.task.observation, outcome.task.camera, image, title=outcome.name)
-        for outcome in outcomes
-        if outcome.result is not None
-    ]
+    sights = _sights(outcomes, image)
     if len(sights) == 1:
         only = sights[0]
         save_picture(path, picture(only.reconstruction, only.observation, only.camera, image=image))
@@ -163,11 +160,12 @@ def recordings(
     outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None, ground: Ground | None
 ) -> list[tuple[str, Recording]]:
     """Id and recording of every result."""
+    return recordings_of(_sights(outcomes, image), ground)
+
+
+def _sights(outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None) -> list[Sight]:
     return [
-        (
-            outcome.name,
-            recording_of(outcome.result, outcome.task.observation, outcome.task.camera, image=image, ground=ground),
-        )
+        Sight(outcome.result, outcome.task.observation, outcome.task.camera, image, title=outcome.name)
         for outcome in outcomes
         if outcome.result is not None
     ]

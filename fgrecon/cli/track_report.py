@@ -26,7 +26,7 @@ from fgrecon.simulate import yaw_pose
 from fgrecon.track import TrackReconstruction, reconstruct_track
 from fgrecon.viz import Recording, Sight, TrackSight, Truth, contact_sheet, save_picture, track_recording_of
 
-__all__ = ["FORMAT", "Solved", "document", "draw", "solve", "table"]
+__all__ = ["FORMAT", "Solved", "document", "draw", "image_numbers", "solve", "table", "truth_of"]
 
 FORMAT = "fgrecon.track/1"
 
@@ -79,8 +79,8 @@ def solve(file: Path, source: CameraSource, settings: Settings, images: Path | N
     """
     tasks, _ = read_tasks(file, settings.prior.category, source)
     labelled = _labels(file, settings)
-    numbers = _numbers(tasks)
-    truths = None if labelled is None else [_truth(labelled, index) for index in range(len(tasks))]
+    numbers = image_numbers([task.instance.name for task in tasks])
+    truths = None if labelled is None else [truth_of(labelled, index) for index in range(len(tasks))]
     measured = [task.observation.measured.any() for task in tasks]
     sight = TrackSight(
         observations=[task.observation if seen else None for task, seen in zip(tasks, measured, strict=True)],
@@ -112,20 +112,20 @@ def _labels(file: Path, settings: Settings) -> Track | None:
     return parse_track(data, file.stem, settings.prior.category, where=f"{file}: ")
 
 
-def _truth(track: Track, index: int) -> Truth:
+def truth_of(track: Track, index: int) -> Truth:
     """The labelled pose and box in the camera's frame."""
     truth = track.frames[index].truth
     return Truth(yaw_pose(truth.rotation_y, truth.location + track.label_offset), truth.box_size)
 
 
-def _numbers(tasks: Sequence[Task]) -> list[int]:
-    """Numbers of the images, from their names where these end in increasing numbers, else from 0."""
-    ends = [task.instance.name.rpartition(":")[2] for task in tasks]
+def image_numbers(names: Sequence[str]) -> list[int]:
+    """Numbers of images, from their names where these end in increasing numbers, else from 0."""
+    ends = [name.rpartition(":")[2] for name in names]
     if all(end.isdecimal() for end in ends):
         numbers = [int(end) for end in ends]
         if all(a < b for a, b in pairwise(numbers)):
             return numbers
-    return list(range(len(tasks)))
+    return list(range(len(names)))
 
 
 def _image(folder: Path, number: int) -> NDArray[np.uint8]:

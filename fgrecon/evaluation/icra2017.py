@@ -34,7 +34,16 @@ from fgrecon.priors.size_prior import SIZE_PRIORS, SizePrior
 from fgrecon.reconstruction import Reconstruction
 from fgrecon.robust import strategy
 
-__all__ = ["EXAMPLES", "LABEL_OFFSET", "Icra2017Result", "evaluate_icra2017", "settings", "true_pose", "with_sizes"]
+__all__ = [
+    "EXAMPLES",
+    "GROUND",
+    "LABEL_OFFSET",
+    "Icra2017Result",
+    "evaluate_icra2017",
+    "settings",
+    "true_pose",
+    "with_sizes",
+]
 
 Array = NDArray[np.float64]
 
@@ -44,7 +53,7 @@ EXAMPLES = ("01", "02")
 LABEL_OFFSET = np.array([0.0599, -0.0004, 0.0027])
 """From the frame of KITTI's labels to the colour camera's: K^-1 P2[:, 3] of both sequences, metres."""
 
-_CAMERA = Ground(np.array([0.0, 1.0, 0.0]), 1.65, height_sigma=0.1, slope_sigma=1e-4, tilt_sigma=0.01)
+GROUND = Ground(np.array([0.0, 1.0, 0.0]), 1.65, height_sigma=0.1, slope_sigma=1e-4, tilt_sigma=0.01)
 _NOISE_CELLS = 0.5
 _SPREAD = 3.0
 
@@ -143,7 +152,7 @@ def _evaluate(name: str, example: Icra2017Example, prior: ShapePrior, options: O
             box=observation.box,
             covariance=np.broadcast_to(covariance, (len(observation.keypoints), 2, 2)),
             prior=prior,
-            ground=_CAMERA,
+            ground=GROUND,
             initial=example.azimuth,
             options=replace(options, keep_history=history),
         )

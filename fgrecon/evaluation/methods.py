@@ -13,6 +13,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from fgrecon.errors import FgreconError, InvalidInputError
 from fgrecon.observation import Observation
 from fgrecon.priors.shape_prior import ShapePrior
 from fgrecon.priors.size_prior import SizePrior
+from fgrecon.reconstruction import Reconstruction
 from fgrecon.robust import RobustStrategy, StrategyName, strategy
 
 __all__ = [
@@ -92,12 +94,15 @@ class Method:
         summary: What it does, in a few words.
         bind: Makes the solver for a scene; slow imports happen here, outside the time that is measured.
         prior_name: Which shapes it fits, for the tables.
+        reconstruct: For recordings: solves as the solver does, but keeps the history and gives the whole result; None
+            for a baseline, which has a pose alone.
     """
 
     name: str
     summary: str
     bind: Callable[[Scene], Solver]
     prior_name: Callable[[Scene], str]
+    reconstruct: Callable[[Scene, Observation, Camera], Reconstruction] | None = None
 
 
 def select(names: Iterable[str] | None = None) -> tuple[Method, ...]:
@@ -227,26 +232,30 @@ def _baseline(name: str, summary: str, load: Callable[[], PnP], *, size: bool) -
 
 
 def _fgrecon(name: str, *, ground: bool, size: bool, robust: RobustStrategy | None = None) -> Method:
-    def bind(scene: Scene) -> Solver:
+    def result_of(scene: Scene, observation: Observation, camera: Camera, *, keep_history: bool) -> Reconstruction:
         from fgrecon.options import BoxModel, Options
         from fgrecon.pipeline import reconstruct
-        from fgrecon.reconstruction import Status
 
         # KITTI's 2D boxes are its 3D boxes projected, to within 1 % of their size.
-        options = Options(strategy=robust or RobustStrategy(), box_model=BoxModel.CUBOID, keep_history=False)
+        strategy = robust or RobustStrategy()
+        return reconstruct(
+            observation.keypoints,
+            camera,
+            confidence=observation.confidence,
+            box=observation.box,
+            covariance=observation.covariance,
+            prior=scene.prior,
+            ground=scene.ground if ground else None,
+            size_prior=scene.size if size else None,
+            options=Options(strategy=strategy, box_model=BoxModel.CUBOID, keep_history=keep_history),
+        )
+
+    def bind(scene: Scene) -> Solver:
+        import fgrecon.pipeline  # noqa: F401 - slow: not while the time is measured
+        from fgrecon.reconstruction import Status
 
         def solve(observation: Observation, camera: Camera) -> Estimate:
-            result = reconstruct(
-                observation.keypoints,
-                camera,
-                confidence=observation.confidence,
-                box=observation.box,
-                covariance=observation.covariance,
-                prior=scene.prior,
-                ground=scene.ground if ground else None,
-                size_prior=scene.size if size else None,
-                options=options,
-            )
+            result = result_of(scene, observation, camera, keep_history=False)
             if result.status is Status.FAILED:
                 raise FgreconError(result.message)
             return Estimate(result.camera_T_object, result.milliseconds)
@@ -256,7 +265,8 @@ def _fgrecon(name: str, *, ground: bool, size: bool, robust: RobustStrategy | No
     def prior_name(scene: Scene) -> str:
         return scene.prior.for_fleet(scene.size).name if size else scene.prior.name
 
-    return Method(name, "pose and shape by factor-graph optimisation", bind, prior_name)
+    told = "pose and shape by factor-graph optimisation"
+    return Method(name, told, bind, prior_name, partial(result_of, keep_history=True))
 
 
 _BASELINES: tuple[tuple[str, str, Callable[[], PnP]], ...] = (

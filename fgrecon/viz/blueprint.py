@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +20,9 @@ from fgrecon.viz.geometry import Box, crop_around
 from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR, Truth
 
 __all__ = [
+    "Page",
     "blueprint",
+    "error_measures",
     "error_views",
     "eye",
     "graph_view",
@@ -35,25 +41,80 @@ _NEAR, _CLOSE_UP = 14.0, 8.0  # metres: how far a camera may be to stay in the v
 
 
 def blueprint(reconstruction: Reconstruction, observation: Observation, truth: Truth | None) -> Any:
-    """The `rerun.blueprint.Blueprint` of a recording, zoomed to the vehicle in the image and in the scene."""
-    import rerun.blueprint as rrb
-
+    """The layout of a recording for rerun, zoomed to the vehicle in the image and in the scene."""
     crop = crop_around(observation, reconstruction.wireframe_uv, aspect=_ASPECT)
+    measures = () if truth is None else error_measures(shape=truth.keypoints is not None)
+    views = _views(measures, graph=bool(reconstruction.graph))
+    zoom = [(views.image, _bounds(crop))]
+    if (controls := eye(reconstruction)) is not None:
+        zoom.append((views.scene, controls))
+    if reconstruction.graph:
+        zoom.append((views.graph, _bounds(_reach(lay_out(reconstruction.graph)))))
+    return Page(views.chunks, zoom)
+
+
+@dataclass(frozen=True)
+class Page:
+    """A layout for rerun that is made of chunks: building its views again for every recording would cost too much.
+
+    rerun takes it for a `Blueprint`, of which it asks no more than these two methods.
+
+    Attributes:
+        chunks: All views and containers.
+        properties: What differs between recordings: a view's path and the archetype that it gets.
+    """
+
+    chunks: Sequence[Any]
+    properties: Sequence[tuple[str, Any]]
+
+    def to_blueprint(self) -> Page:
+        """Itself."""
+        return self
+
+    def _log_to_stream(self, stream: Any) -> None:
+        """Send all of it to a blueprint's stream."""
+        stream.send_chunks(self.chunks)
+        for view, archetype in self.properties:
+            stream.log(f"{view}/{type(archetype).__name__}", archetype)
+
+
+@dataclass(frozen=True)
+class _Views:
+    """The views of a vehicle's recording as chunks, and the paths of those that are zoomed."""
+
+    chunks: tuple[Any, ...]
+    image: str
+    scene: str
+    graph: str
+
+
+@lru_cache(maxsize=8)
+def _views(measures: tuple[tuple[str, str], ...], *, graph: bool) -> _Views:
+    """The views with these errors and with the factor graph or without, not zoomed yet."""
+    import rerun.blueprint as rrb
+    from rerun.chunk import RrdReader
+
     plots = [
         plot_view("Energy [nats]", entities.ENERGY),
         plot_view("Weights", entities.WEIGHTS, low=-0.02, high=1.02),
         plot_view("Shape", entities.COEFFICIENTS),
     ]
-    if truth is not None:
-        plots.append(error_views(entities.ERROR, shape=truth.keypoints is not None))
-    structure = [graph_view(lay_out(reconstruction.graph))] if reconstruction.graph else []
-    below = [rrb.Tabs(*plots), *structure, word_views()]
-    return page(
-        [image_view(crop), scene_view(eye(reconstruction))],
-        below,
+    if measures:
+        plots.append(error_views(entities.ERROR, measures))
+    image, scene, structure = image_view(None), scene_view(None), graph_view(None)
+    whole = page(
+        [image, scene],
+        [rrb.Tabs(*plots), *([structure] if graph else []), word_views()],
         name="One vehicle: from keypoints to pose and shape",
         timeline=entities.STEP,
     )
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "layout.rbl"
+        whole.save("fgrecon", path)
+        reader = RrdReader(path)
+        (store,) = reader.blueprints()
+        paths = (view.blueprint_path() for view in (image, scene, structure))
+        return _Views(tuple(reader.stream(store=store)), *paths)
 
 
 def page(above: Sequence[Any], below: Sequence[Any], *, name: str, timeline: str) -> Any:
@@ -73,17 +134,24 @@ def page(above: Sequence[Any], below: Sequence[Any], *, name: str, timeline: str
     )
 
 
-def image_view(crop: Box) -> Any:
-    """The image, zoomed to a crop."""
+def image_view(crop: Box | None) -> Any:
+    """The image, zoomed to a crop where one is given."""
     import rerun.blueprint as rrb
 
-    x1, y1, x2, y2 = crop
     return rrb.Spatial2DView(
         name="Image: keypoints by weight, projected wireframe, residuals",
         origin=f"/{entities.CAMERA}",
         background=style.SCREEN_BACKGROUND,
-        visual_bounds=rrb.VisualBounds2D(x_range=(x1, x2), y_range=(y1, y2)),
+        visual_bounds=None if crop is None else _bounds(crop),
     )
+
+
+def _bounds(crop: Box) -> Any:
+    """The part of a 2D view that is shown."""
+    import rerun.blueprint as rrb
+
+    x1, y1, x2, y2 = crop
+    return rrb.VisualBounds2D(x_range=(x1, x2), y_range=(y1, y2))
 
 
 def scene_view(controls: Any) -> Any:
@@ -116,30 +184,39 @@ def plot_view(name: str, entity: str, *, low: float | None = None, high: float |
     return rrb.TimeSeriesView(name=name, origin=f"/{entity}", plot_legend=legend, axis_y=axis)
 
 
-def error_views(entity: str, *, shape: bool) -> Any:
+def error_measures(*, shape: bool) -> tuple[tuple[str, str], ...]:
+    """Titles and names of the distances from the truth, with that of the shape or without."""
+    pose = (("Orientation error [degrees]", ORIENTATION_ERROR), ("Translation error [m]", TRANSLATION_ERROR))
+    return (*pose, ("Error of the 3D keypoints [m]", SHAPE_ERROR)) if shape else pose
+
+
+def error_views(entity: str, measures: Sequence[tuple[str, str]]) -> Any:
     """Distances from the truth, one plot above the other: they have different units."""
     import rerun.blueprint as rrb
 
-    measures = [("Orientation error [degrees]", ORIENTATION_ERROR), ("Translation error [m]", TRANSLATION_ERROR)]
-    measures += [("Error of the 3D keypoints [m]", SHAPE_ERROR)] if shape else []
     return rrb.Vertical(*(plot_view(name, f"{entity}/{m}") for name, m in measures), name="Errors")
 
 
-def graph_view(layout: Layout, name: str = "Factor graph: keypoints by weight") -> Any:
-    """The factor graph, with every node where it was put and all of them in the view."""
+def graph_view(layout: Layout | None, name: str = "Factor graph: keypoints by weight") -> Any:
+    """The factor graph, with every node where it was put and, where a layout is given, all of them in the view."""
     import rerun.blueprint as rrb
     import rerun.blueprint.archetypes as forces
 
-    low, high = layout.positions.min(axis=0) - _GRAPH_MARGIN, layout.positions.max(axis=0) + _GRAPH_MARGIN
     return rrb.GraphView(
         name=name,
-        visual_bounds=rrb.VisualBounds2D(x_range=(low[0], high[0]), y_range=(low[1], high[1])),
+        visual_bounds=None if layout is None else _bounds(_reach(layout)),
         origin=f"/{entities.GRAPH}",
         force_link=forces.ForceLink(enabled=False),
         force_many_body=forces.ForceManyBody(enabled=False),
         force_center=forces.ForceCenter(enabled=False),
         force_collision_radius=forces.ForceCollisionRadius(enabled=False),
     )
+
+
+def _reach(layout: Layout) -> Box:
+    """The part of a graph's view where its nodes and their labels are."""
+    low, high = layout.positions.min(axis=0) - _GRAPH_MARGIN, layout.positions.max(axis=0) + _GRAPH_MARGIN
+    return (low[0], low[1], high[0], high[1])
 
 
 def word_views() -> Any:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fgrecon.reconstruction import GraphFactor
 from fgrecon.viz import entities, style
+from fgrecon.viz.columns import Outbox, column, fixed
 from fgrecon.viz.playback import Playback
 from fgrecon.viz.style import Colour
 
@@ -63,7 +64,7 @@ def log_graph(play: Playback) -> None:
     if drawn:
         nodes, keypoints = np.array(drawn).T
         colours[:, nodes] = style.weight_colours(play.weights)[:, keypoints]
-    columns = rr.GraphNodes.columns(colors=colours.reshape(-1, 3)).partition([len(layout.nodes)] * len(play.steps))
+    columns = [column(rr.GraphNodes, "colors", colours.reshape(-1, 3), len(layout.nodes))]
     play.every_step(entities.GRAPH, columns)
 
 
@@ -71,28 +72,23 @@ def _is_keypoint(factor: GraphFactor, names: Mapping[str, int]) -> bool:
     return factor.term == "reprojection" and factor.label in names
 
 
-def log_layout(stream: Any, layout: Layout, *, colours: bool = False) -> None:
+def log_layout(stream: Outbox, layout: Layout, *, colours: bool = False) -> None:
     """Log nodes and edges without a time; the colours too, where no step changes them."""
-    stream.log(entities.GRAPH, _batches(layout.key, colours=colours), static=True)
-
-
-@lru_cache(maxsize=16)
-def _batches(key: tuple[GraphFactor, ...], *, colours: bool) -> list[Any]:
-    """Component batches of nodes and edges, made once: one category gives the same graph again and again."""
     import rerun as rr
 
-    layout = lay_out(key)
-    count = len(layout.nodes)
-    nodes = rr.GraphNodes(
-        node_ids=list(layout.nodes),
-        positions=layout.positions,
-        labels=list(layout.labels),
-        colors=list(layout.colours) if colours else None,
-        show_labels=True,
-        radii=[_LARGE] * layout.variables + [_SMALL] * (count - layout.variables),
-    )
-    edges = rr.GraphEdges(edges=list(layout.edges), graph_type="undirected")
-    return [*nodes.as_component_batches(), *edges.as_component_batches()]
+    small = len(layout.nodes) - layout.variables
+    nodes: dict[str, Any] = {
+        "node_ids": layout.nodes,
+        "positions": layout.positions,
+        "labels": layout.labels,
+        "radii": np.repeat([_LARGE, _SMALL], [layout.variables, small]),
+    }
+    if colours:
+        nodes["colors"] = np.array(layout.colours, dtype=np.uint8)
+    stream.send_chunks(fixed(entities.GRAPH, rr.GraphNodes, show_labels=True))
+    stream.send_chunks(fixed(entities.GRAPH, rr.GraphEdges, graph_type="undirected"))
+    columns = [column(rr.GraphNodes, name, values) for name, values in nodes.items()]
+    stream.send_columns(entities.GRAPH, [], [*columns, column(rr.GraphEdges, "edges", layout.edges)])
 
 
 @lru_cache(maxsize=16)

@@ -155,11 +155,11 @@ def ground_grid(
 
 def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
     """(V, 3) unit normals of a mesh, averaged over the faces at each vertex by area; zero where none meet."""
-    corners = vertices[faces]
-    face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.stack(
-        [np.bincount(faces.ravel(), np.repeat(axis, 3), minlength=len(vertices)) for axis in face_normals.T], axis=1
-    )
+    a, b, c = vertices.T[:, faces.T].swapaxes(0, 1)
+    (x, y, z), (u, v, w) = b - a, c - a
+    face_normals = (y * w - z * v, z * u - x * w, x * v - y * u)
+    at = faces.ravel()
+    normals = np.stack([np.bincount(at, np.repeat(axis, 3), minlength=len(vertices)) for axis in face_normals], axis=1)
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     unit: NDArray[np.float64] = normals / np.where(lengths > 0, lengths, 1.0)
     return unit

@@ -43,7 +43,7 @@ def medial_outlines(keypoints: NDArray[np.float64], pairs: NDArray[np.int64]) ->
     return outline
 
 
-def fan(corners: int) -> NDArray[np.int64]:
-    """(T, 3) triangles of a convex polygon, seen from both sides."""
-    front = np.array([(0, i, i + 1) for i in range(1, corners - 1)], dtype=np.int64).reshape(-1, 3)
-    return np.concatenate([front, front[:, ::-1]])
+def fan(corners: int) -> tuple[tuple[int, int, int], ...]:
+    """Triangles of a convex polygon, seen from both sides."""
+    front = [(0, i, i + 1) for i in range(1, corners - 1)]
+    return (*front, *((c, b, a) for a, b, c in front))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,12 +14,13 @@ from fgrecon.camera import Camera
 from fgrecon.observation import Observation
 from fgrecon.reconstruction import Iteration, Reconstruction
 from fgrecon.viz import entities, style
+from fgrecon.viz.columns import Outbox, fixed, strip_column
 from fgrecon.viz.describe import weight_updates
 from fgrecon.viz.geometry import image_points
 from fgrecon.viz.style import Side
 from fgrecon.viz.truth import Truth
 
-__all__ = ["RESULT", "Column", "Playback", "Rows", "log_once", "strip_column"]
+__all__ = ["RESULT", "Playback", "Rows"]
 
 RESULT = "result"
 """Stage of the only step of a recording without a history."""
@@ -30,7 +31,7 @@ class Playback:
     """One reconstruction on its way into a stream, its history as arrays.
 
     Attributes:
-        stream: A `rerun.RecordingStream`.
+        stream: Where it goes.
         reconstruction: The result.
         observation: The keypoints that it was solved from.
         camera: The camera that saw them.
@@ -41,7 +42,7 @@ class Playback:
         logged: Entities of the stream that have what does not change; shared by all frames of a track.
     """
 
-    stream: Any
+    stream: Outbox
     reconstruction: Reconstruction
     observation: Observation
     camera: Camera
@@ -110,33 +111,34 @@ class Playback:
         starts = np.searchsorted(self.irls, self.irls)
         return np.maximum(starts - 1, 0)
 
-    def once(self, entity: str, *archetypes: Any) -> None:
-        """Log what does not change; together with `every_step` it fills in the components that stay the same."""
-        if entity not in self.logged:
-            self.logged.add(entity)
-            log_once(self.stream, entity, *archetypes)
+    def once(self, entity: str, archetype: Any, **fields: Any) -> None:
+        """Send fields that stay the same, as `fixed` takes them; `every_step` sends the others."""
+        _once(self.stream, self.logged, entity, archetype, fields)
+
+    def always(self, entity: str, columns: Iterable[Any]) -> None:
+        """Send columns of one row without a time, once for all frames."""
+        if (key := f"{entity} always") not in self.logged:
+            self.logged.add(key)
+            self.stream.send_columns(entity, [], columns)
 
     def every_step(self, entity: str, columns: Iterable[Any], rows: NDArray[np.int64] | None = None) -> None:
         """Send component columns with one row per step, or one per step of `rows` (m,)."""
         times = self._all_times if rows is None else self._times_at(rows)
         self.stream.send_columns(entity, times, columns)
 
-    def at_start(self, entity: str, *archetypes: Any) -> None:
-        """Log what belongs to the frame: at its first step, or once for all where there are no steps."""
-        self._at(0, entity, archetypes)
+    def at_start(self, entity: str, columns: Iterable[Any]) -> None:
+        """Send columns of one row that belong to the frame: at its first step, or once where there are no steps."""
+        self._at(0, entity, columns)
 
-    def at_result(self, entity: str, *archetypes: Any) -> None:
-        """Log what only the result has: at the last step, or once for all where there are no steps."""
-        self._at(len(self.steps) - 1, entity, archetypes)
+    def at_result(self, entity: str, columns: Iterable[Any]) -> None:
+        """Send columns of one row that only the result has: at the last step, or once where there are no steps."""
+        self._at(len(self.steps) - 1, entity, columns)
 
-    def _at(self, row: int, entity: str, archetypes: tuple[Any, ...]) -> None:
-        if not self.steps:
-            log_once(self.stream, entity, *archetypes)
-            return
-        made = [a if isinstance(a, list) else a.as_component_batches() for a in archetypes]
-        batches = [batch for part in made for batch in part]
-        columns = [batch.partition([len(batch.as_arrow_array())]) for batch in batches]
-        self.every_step(entity, columns, np.array([row]))
+    def _at(self, row: int, entity: str, columns: Iterable[Any]) -> None:
+        if self.steps:
+            self.every_step(entity, columns, np.array([row]))
+        else:
+            self.stream.send_columns(entity, [], columns)
 
     @cached_property
     def _all_times(self) -> list[Any]:
@@ -153,7 +155,7 @@ class Rows:
     """Steps of one or several frames on their way into a stream as arrays, n in all: one chunk for each entity.
 
     Attributes:
-        stream: A `rerun.RecordingStream`.
+        stream: Where it goes.
         look: A result with the names, edges, faces and pairs that all frames have.
         steps: The n steps.
         times: (n,) position of every step on each timeline.
@@ -163,7 +165,7 @@ class Rows:
         logged: Entities of the stream that have what does not change.
     """
 
-    stream: Any
+    stream: Outbox
     look: Reconstruction
     steps: tuple[Iteration, ...]
     times: Mapping[str, NDArray[np.int64]]
@@ -194,6 +196,11 @@ class Rows:
         return np.stack([step.weights for step in self.steps])
 
     @cached_property
+    def colours(self) -> NDArray[np.uint8]:
+        """(n, K, 3) colour of every keypoint by its weight."""
+        return style.weight_colours(self.weights)
+
+    @cached_property
     def poses(self) -> NDArray[np.float64]:
         """(n, 4, 4) pose of every step."""
         return np.stack([step.camera_T_object for step in self.steps])
@@ -214,11 +221,9 @@ class Rows:
         sides = style.keypoint_sides(self.look.keypoint_names, self.look.wireframe)
         return {side: e for side, e in style.edge_sides(self.look.edges, sides).items() if len(e)}
 
-    def once(self, entity: str, batches: Any) -> None:
-        """Log what does not change; together with `send` it fills in the components that stay the same."""
-        if entity not in self.logged:
-            self.logged.add(entity)
-            log_once(self.stream, entity, batches)
+    def once(self, entity: str, archetype: Any, **fields: Any) -> None:
+        """Send fields that stay the same, as `fixed` takes them; `send` sends the others."""
+        _once(self.stream, self.logged, entity, archetype, fields)
 
     def send(self, entity: str, columns: Iterable[Any]) -> None:
         """Send component columns with one row per step."""
@@ -241,46 +246,7 @@ def into_camera(poses: NDArray[np.float64], points: NDArray[np.float64]) -> NDAr
     return in_camera
 
 
-def log_once(stream: Any, entity: str, *archetypes: Any) -> None:
-    """Log archetypes, or lists of component batches made before, without a time."""
-    for archetype in archetypes:
-        stream.log(entity, archetype, static=True)
-
-
-def strip_column(archetype: Any, strips: NDArray[np.float64]) -> Column:
-    """The strips (n, S, P, D) of `LineStrips2D` or `LineStrips3D` as n rows; those that are not finite are left out."""
-    import pyarrow as pa
-
-    rows, strip, point = _strip_types(archetype, strips.shape[3])
-    drawn: NDArray[np.bool_] = np.all(np.isfinite(strips), axis=(2, 3))
-    found = strips[drawn]
-    numbers = pa.array(found.astype(np.float32).ravel())
-    points = pa.FixedSizeListArray.from_arrays(numbers, type=point)
-    ends = np.arange(0, len(found) * strips.shape[2] + 1, strips.shape[2], dtype=np.int32)
-    lists = pa.ListArray.from_arrays(ends, points, type=strip)
-    starts = np.concatenate([[0], np.cumsum(drawn.sum(axis=1))]).astype(np.int32)
-    return Column(archetype.descriptor_strips(), pa.ListArray.from_arrays(starts, lists, type=rows))
-
-
-@lru_cache(maxsize=4)
-def _strip_types(archetype: Any, dimension: int) -> tuple[Any, Any, Any]:
-    """Arrow types of rows of strips, of a strip, and of a point, as rerun itself makes them."""
-    (column,) = archetype.columns(strips=np.zeros((1, 2, dimension)))
-    rows = column.as_arrow_array().type
-    return rows, rows.value_type, rows.value_type.value_type
-
-
-@dataclass(frozen=True)
-class Column:
-    """Arrow data that rerun takes as a component column: its own constructors cost many times as much."""
-
-    descriptor: Any
-    array: Any
-
-    def component_descriptor(self) -> Any:
-        """Name and type of the component."""
-        return self.descriptor
-
-    def as_arrow_array(self) -> Any:
-        """One list per row."""
-        return self.array
+def _once(stream: Outbox, logged: set[str], entity: str, archetype: Any, fields: Mapping[str, Any]) -> None:
+    if entity not in logged:
+        logged.add(entity)
+        stream.send_chunks(fixed(entity, archetype, **fields))

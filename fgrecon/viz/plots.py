@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from fgrecon.reconstruction import Iteration, Status
 from fgrecon.viz import entities, style
+from fgrecon.viz.columns import Column, Outbox, column, fixed
 from fgrecon.viz.describe import describe_stop, describe_update, median_residual, summary_table
-from fgrecon.viz.playback import Column, Playback, Rows
+from fgrecon.viz.playback import Playback, Rows
 from fgrecon.viz.style import Colour
 
 __all__ = [
@@ -20,8 +21,10 @@ __all__ = [
     "error_series",
     "exact_columns",
     "keypoint_series",
+    "log_columns",
     "log_history",
     "log_plots",
+    "log_summary",
     "log_words",
     "series_columns",
     "series_style",
@@ -52,24 +55,23 @@ def log_plots(play: Playback) -> None:
 def _plot(play: Playback, entity: str, values: NDArray[np.float64], names: Names, colours: tuple[Colour, ...]) -> None:
     """The series (n, M) of one entity."""
     if values.shape[1]:
-        play.once(entity, series_style(names, colours))
+        play.once(entity, **series_style(names, colours))
         play.every_step(entity, series_columns(values))
 
 
-@lru_cache(maxsize=64)
-def series_style(names: Names, colours: tuple[Colour, ...]) -> Any:
-    """Component batches that name and colour the series of a plot; the total is a thinner line."""
+def series_style(names: Names, colours: tuple[Colour, ...]) -> dict[str, Any]:
+    """Names and colours of the series of a plot, as `fixed` takes them; the total is a thinner line."""
     import rerun as rr
 
-    widths = [1.0 if name == entities.TOTAL else 2.0 for name in names]
-    return rr.SeriesLines(names=list(names), colors=list(colours), widths=widths).as_component_batches()
+    widths = tuple(1.0 if name == entities.TOTAL else 2.0 for name in names)
+    return {"archetype": rr.SeriesLines, "names": names, "colors": colours, "widths": widths}
 
 
-def series_columns(values: NDArray[np.float64]) -> Any:
+def series_columns(values: NDArray[np.float64]) -> list[Column]:
     """Component columns of series (n, M), in double."""
     import rerun as rr
 
-    return rr.Scalars.columns(scalars=values.ravel()).partition([values.shape[1]] * len(values))
+    return [column(rr.Scalars, "scalars", values.ravel(), values.shape[1])]
 
 
 def energy_series(energies: Sequence[Mapping[str, float]]) -> tuple[Names, NDArray[np.float64]]:
@@ -125,9 +127,9 @@ def exact_columns(archetype: str, fields: Mapping[str, Sequence[Any]]) -> list[C
             parts: list[Any] = [[value] if isinstance(value, str) else value for value in values]
             flat = pa.array([text for part in parts for text in part], pa.string())
         else:
-            parts = [np.ravel(value) for value in values]
+            parts = [value.ravel() if isinstance(value, np.ndarray) else (value,) for value in values]
             flat = pa.array(np.concatenate(parts))
-        ends = np.concatenate([[0], np.cumsum([len(part) for part in parts])]).astype(np.int32)
+        ends = np.array([0, *accumulate(map(len, parts))], dtype=np.int32)
         descriptor = rr.ComponentDescriptor(f"{archetype}:{name}", archetype=archetype)
         columns.append(Column(descriptor, pa.ListArray.from_arrays(ends, flat)))
     return columns
@@ -135,23 +137,33 @@ def exact_columns(archetype: str, fields: Mapping[str, Sequence[Any]]) -> list[C
 
 def log_words(play: Playback) -> None:
     """One line per weight update, why each stage stopped, how it ended and why; and the summary."""
-    import rerun as rr
-
     rows, texts = _lines(play) if play.steps else ([], [])
     if rows:
-        columns = rr.TextLog.columns(text=texts, level=[str(rr.TextLogLevel.INFO)] * len(texts))
-        play.every_step(entities.LOG, columns, np.array(rows))
+        play.every_step(entities.LOG, log_columns(texts), np.array(rows))
     play.at_result(entities.LOG, status_line(play.reconstruction.status, play.reconstruction.message))
     table = summary_table(play.reconstruction, play.observation, play.truth)
-    play.once(entities.SUMMARY, rr.TextDocument(table, media_type=rr.MediaType.MARKDOWN))
+    log_summary(play.stream, table)
 
 
-def status_line(status: Status, message: str) -> Any:
-    """How it ended, and why."""
+def log_summary(stream: Outbox, table: str) -> None:
+    """The summary, a table in Markdown."""
     import rerun as rr
 
-    levels = {Status.CONVERGED: rr.TextLogLevel.INFO, Status.FAILED: rr.TextLogLevel.ERROR}
-    return rr.TextLog(f"{status.value}: {message}", level=levels.get(status, rr.TextLogLevel.WARN))
+    stream.send_chunks(fixed(entities.SUMMARY, rr.TextDocument, media_type="text/markdown"))
+    stream.send_columns(entities.SUMMARY, [], [column(rr.TextDocument, "text", [table])])
+
+
+def log_columns(texts: Sequence[str], level: str = "INFO") -> list[Column]:
+    """Columns of lines of the log, one a row."""
+    import rerun as rr
+
+    return [column(rr.TextLog, "text", texts, 1), column(rr.TextLog, "level", [level] * len(texts), 1)]
+
+
+def status_line(status: Status, message: str) -> list[Column]:
+    """How it ended, and why."""
+    levels = {Status.CONVERGED: "INFO", Status.FAILED: "ERROR"}
+    return log_columns([f"{status.value}: {message}"], levels.get(status, "WARN"))
 
 
 def _lines(play: Playback) -> tuple[list[int], list[str]]:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.files import write_bytes
+from fgrecon.files import replacing
 from fgrecon.priors.shape_prior import ShapePrior
 from fgrecon.viz import style
 from fgrecon.viz.prior_picture import MODE_RANGE
@@ -37,13 +36,11 @@ def record_prior(path: str | Path, prior: ShapePrior) -> Path:
     import rerun as rr
 
     stream = rr.RecordingStream(f"fgrecon prior: {prior.name}")
-    with tempfile.TemporaryDirectory() as folder:
-        part = Path(folder) / "prior.rrd"
+    with replacing(path) as part:
         stream.save(part, default_blueprint=_blueprint())
         _log(stream, prior)
-        stream.flush()
         stream.disconnect()
-        return write_bytes(path, part.read_bytes())
+    return Path(path)
 
 
 def _blueprint() -> Any:

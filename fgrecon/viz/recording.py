@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from fgrecon.camera import Camera, Ground
 from fgrecon.observation import Observation
 from fgrecon.reconstruction import Reconstruction
+from fgrecon.viz.columns import Outbox
 from fgrecon.viz.factor_graph import log_graph
 from fgrecon.viz.geometry import as_image
 from fgrecon.viz.playback import Playback, Rows
@@ -91,8 +92,8 @@ def log_reconstruction(
         InvalidInputError: The image is not (H, W, 3) of bytes.
     """
     photograph = None if image is None else as_image(image)
-    play = Playback(stream, reconstruction, observation, camera, truth)
-    stream.send_recording_name(f"{reconstruction.category}, {reconstruction.status.value}")
+    out = Outbox()
+    play = Playback(out, reconstruction, observation, camera, truth)
     log_camera(play, photograph)
     log_frame(play, photograph)
     if truth is not None:
@@ -108,3 +109,5 @@ def log_reconstruction(
         log_ground(play, ground)
         log_result(play)
     log_words(play)
+    stream.send_recording_name(f"{reconstruction.category}, {reconstruction.status.value}")
+    stream.send_chunks(out.chunks)

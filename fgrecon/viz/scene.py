@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 
 from fgrecon.camera import Ground
 from fgrecon.viz import entities, style
+from fgrecon.viz.columns import Column, column, strip_column
 from fgrecon.viz.geometry import (
     BOX_EDGES,
     box_corners,
@@ -21,11 +21,11 @@ from fgrecon.viz.geometry import (
 )
 from fgrecon.viz.planes import face_outlines, fan, medial_outlines
 from fgrecon.viz.playback import Playback, Rows
-from fgrecon.viz.style import Colour
 from fgrecon.viz.truth import Truth
 
 __all__ = ["line_style", "log_camera", "log_frame", "log_ground", "log_result", "log_steps", "log_truth"]
 
+_AXES = (3, 2, 5)  # right, down, forward in rerun's numbers
 _JPEG_QUALITY = 92
 _SURFACE_ALPHA = 150  # of 255: the wireframe shows through
 _PLANE_ALPHA = 40
@@ -35,38 +35,13 @@ _FARTHEST_PLANE = 1.5  # metres
 _LINE = 1.25  # half width of the lines that matter; negative radii are in points of the screen
 
 
-@lru_cache(maxsize=64)
-def line_style(dimension: int, colour: tuple[int, ...], radius: float, order: float = 0.0) -> Any:
-    """Component batches that style line strips in 2D or 3D, made once: they are the same in every recording."""
+def line_style(dimension: int, colour: tuple[int, ...], radius: float, order: float = 0.0) -> dict[str, Any]:
+    """How line strips look in 2D or 3D: an archetype and its fields, as `fixed` takes them."""
     import rerun as rr
 
     if dimension == 2:
-        return rr.LineStrips2D.from_fields(colors=colour, radii=-radius, draw_order=order).as_component_batches()
-    return rr.LineStrips3D.from_fields(colors=colour, radii=-radius).as_component_batches()
-
-
-@lru_cache(maxsize=4)
-def _hidden_labels(order: float) -> Any:
-    """The same of labelled points in the image."""
-    import rerun as rr
-
-    return rr.Points2D.from_fields(show_labels=False, draw_order=order).as_component_batches()
-
-
-@lru_cache(maxsize=16)
-def _point_style(names: tuple[str, ...]) -> Any:
-    """The same of labelled points in 3D."""
-    import rerun as rr
-
-    return rr.Points3D.from_fields(labels=names, show_labels=False, radii=-4.0).as_component_batches()
-
-
-@lru_cache(maxsize=16)
-def _plane_style(corners: int, colour: Colour) -> Any:
-    import rerun as rr
-
-    mesh = rr.Mesh3D.from_fields(triangle_indices=fan(corners), albedo_factor=(*colour, _PLANE_ALPHA))
-    return mesh.as_component_batches()
+        return {"archetype": rr.LineStrips2D, "colors": colour, "radii": -radius, "draw_order": order}
+    return {"archetype": rr.LineStrips3D, "colors": colour, "radii": -radius}
 
 
 def log_camera(play: Playback, image: NDArray[np.uint8] | None) -> None:
@@ -75,16 +50,14 @@ def log_camera(play: Playback, image: NDArray[np.uint8] | None) -> None:
 
     depth = play.reconstruction.location[2]
     distance = min(_IMAGE_PLANE * depth, _FARTHEST_PLANE) if np.isfinite(depth) and depth > 0 else _FARTHEST_PLANE
-    play.once(entities.SCENE, rr.ViewCoordinates.RDF)
-    play.once(
-        entities.CAMERA,
-        rr.Pinhole(
-            image_from_camera=play.camera.matrix,
-            resolution=resolution(play.camera, image),
-            image_plane_distance=distance,
-            color=style.SCREEN_INK,
-        ),
-    )
+    play.once(entities.SCENE, rr.ViewCoordinates, xyz=_AXES)
+    play.once(entities.CAMERA, rr.Pinhole, color=style.SCREEN_INK)
+    values = {
+        "image_from_camera": play.camera.matrix[None],
+        "resolution": np.array([resolution(play.camera, image)]),
+        "image_plane_distance": np.array([distance]),
+    }
+    play.always(entities.CAMERA, [column(rr.Pinhole, name, value) for name, value in values.items()])
 
 
 def log_frame(play: Playback, image: NDArray[np.uint8] | None) -> None:
@@ -92,12 +65,13 @@ def log_frame(play: Playback, image: NDArray[np.uint8] | None) -> None:
     import rerun as rr
 
     if image is not None:
-        photograph = rr.EncodedImage(contents=_jpeg(image), media_type="image/jpeg", draw_order=-10.0)
-        play.at_start(entities.IMAGE, photograph)
+        play.once(entities.IMAGE, rr.EncodedImage, media_type="image/jpeg", draw_order=-10.0)
+        play.at_start(entities.IMAGE, rr.EncodedImage.columns(blob=[_jpeg(image)]))
     box = play.observation.box
     if box is not None:
-        boxes = rr.Boxes2D(array=box, array_format=rr.Box2DFormat.XYXY, colors=style.SCREEN_INK, radii=-0.5)
-        play.at_start(entities.BOX_2D, boxes)
+        play.once(entities.BOX_2D, rr.Boxes2D, colors=style.SCREEN_INK, radii=-0.5)
+        values = {"centers": (box[None, :2] + box[None, 2:]) / 2, "half_sizes": (box[None, 2:] - box[None, :2]) / 2}
+        play.at_start(entities.BOX_2D, [column(rr.Boxes2D, name, value) for name, value in values.items()])
 
 
 def _jpeg(image: NDArray[np.uint8]) -> bytes:
@@ -112,18 +86,18 @@ def log_truth(play: Playback, truth: Truth) -> None:
     import rerun as rr
 
     pose = truth.camera_T_object
-    play.at_start(entities.TRUTH_3D, rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
+    play.at_start(entities.TRUTH_3D, _pose_columns(pose[None]))
     if truth.box_size is not None:
         corners = box_corners(truth.box_size)
-        pixels = image_points(play.camera, pose, corners)[BOX_EDGES]
-        seen = np.isfinite(pixels).all(axis=(1, 2))
-        box = rr.LineStrips3D(corners[BOX_EDGES], colors=style.TRUTH, radii=-_LINE)
-        play.at_start(f"{entities.TRUTH_3D}/box", box)
-        outline = rr.LineStrips2D(pixels[seen], colors=style.TRUTH, radii=-0.75, draw_order=5.0)
-        play.at_start(entities.TRUTH_2D, outline)
+        pixels = image_points(play.camera, pose, corners)
+        play.once(f"{entities.TRUTH_3D}/box", **line_style(3, style.TRUTH, _LINE))
+        play.at_start(f"{entities.TRUTH_3D}/box", [strip_column(rr.LineStrips3D, corners[None, BOX_EDGES])])
+        play.once(entities.TRUTH_2D, **line_style(2, style.TRUTH, 0.75, 5.0))
+        play.at_start(entities.TRUTH_2D, [strip_column(rr.LineStrips2D, pixels[None, BOX_EDGES])])
     if truth.keypoints is not None:
         known = np.isfinite(truth.keypoints).all(axis=1)
-        points = rr.Points3D(truth.keypoints[known], colors=style.TRUTH, radii=-3.0)
+        play.once(f"{entities.TRUTH_3D}/keypoints", rr.Points3D, colors=style.TRUTH, radii=-3.0)
+        points = [column(rr.Points3D, "positions", truth.keypoints[known])]
         play.at_start(f"{entities.TRUTH_3D}/keypoints", points)
 
 
@@ -140,23 +114,23 @@ def _log_image_steps(rows: Rows) -> None:
 
     measured: NDArray[np.bool_] = np.isfinite(rows.detected[..., 0])
     if measured.any():
+        names = np.array(rows.look.keypoint_names)[np.nonzero(measured)[1]].tolist()
         counts = measured.sum(axis=1)
-        names = np.array(rows.look.keypoint_names)[np.nonzero(measured)[1]]
-        columns = rr.Points2D.columns(
-            positions=rows.detected[measured],
-            colors=style.weight_colours(rows.weights)[measured],
-            radii=-style.weight_radii(rows.weights)[measured],
-            labels=names.tolist(),
-        )
-        rows.once(entities.KEYPOINTS_2D, _hidden_labels(30.0))
-        rows.send(entities.KEYPOINTS_2D, columns.partition(counts))
-        rows.once(entities.RESIDUALS, line_style(2, style.SCREEN_INK, 0.75, 20.0))
+        values: dict[str, Any] = {
+            "positions": rows.detected[measured],
+            "colors": rows.colours[measured],
+            "radii": -style.weight_radii(rows.weights)[measured],
+            "labels": names,
+        }
+        rows.once(entities.KEYPOINTS_2D, rr.Points2D, show_labels=False, draw_order=30.0)
+        rows.send(entities.KEYPOINTS_2D, [column(rr.Points2D, name, v, counts) for name, v in values.items()])
+        rows.once(entities.RESIDUALS, **line_style(2, style.SCREEN_INK, 0.75, 20.0))
         rows.strips(entities.RESIDUALS, rr.LineStrips2D, np.stack([rows.detected, rows.pixels], axis=2))
     for side, edges in rows.edges.items():
         entity = f"{entities.WIREFRAME_2D}/{side.value}"
-        rows.once(entity, line_style(2, style.SIDE_COLOURS[side], _LINE, 10.0))
+        rows.once(entity, **line_style(2, style.SIDE_COLOURS[side], _LINE, 10.0))
         rows.strips(entity, rr.LineStrips2D, rows.pixels[:, edges])
-    rows.once(entities.PREVIOUS_2D, line_style(2, (*style.PREVIOUS, _FAINT), 0.6, 8.0))
+    rows.once(entities.PREVIOUS_2D, **line_style(2, (*style.PREVIOUS, _FAINT), 0.6, 8.0))
     rows.strips(entities.PREVIOUS_2D, rr.LineStrips2D, rows.pixels[rows.previous][:, rows.look.edges])
 
 
@@ -164,20 +138,29 @@ def _log_scene_steps(rows: Rows) -> None:
     """Pose, keypoints by weight, wireframe now and before."""
     import rerun as rr
 
-    transforms = rr.Transform3D.columns(translation=rows.poses[:, :3, 3], mat3x3=rows.poses[:, :3, :3])
-    rows.send(entities.VEHICLE, transforms)
-    rows.once(entities.KEYPOINTS_3D, _point_style(rows.look.keypoint_names))
-    columns = rr.Points3D.columns(
-        positions=rows.keypoints.reshape(-1, 3), colors=style.weight_colours(rows.weights).reshape(-1, 3)
-    )
-    rows.send(entities.KEYPOINTS_3D, columns.partition([rows.keypoints.shape[1]] * len(rows.steps)))
+    rows.send(entities.VEHICLE, _pose_columns(rows.poses))
+    names = rows.look.keypoint_names
+    rows.once(entities.KEYPOINTS_3D, rr.Points3D, labels=names, show_labels=False, radii=-4.0)
+    count = rows.keypoints.shape[1]
+    positions = column(rr.Points3D, "positions", rows.keypoints.reshape(-1, 3), count)
+    rows.send(entities.KEYPOINTS_3D, [positions, column(rr.Points3D, "colors", rows.colours.reshape(-1, 3), count)])
     for side, edges in rows.edges.items():
         entity = f"{entities.WIREFRAME_3D}/{side.value}"
-        rows.once(entity, line_style(3, style.SIDE_COLOURS[side], _LINE))
+        rows.once(entity, **line_style(3, style.SIDE_COLOURS[side], _LINE))
         rows.strips(entity, rr.LineStrips3D, rows.keypoints[:, edges])
-    rows.once(entities.PREVIOUS_3D, line_style(3, (*style.PREVIOUS, _FAINT), 0.6))
+    rows.once(entities.PREVIOUS_3D, **line_style(3, (*style.PREVIOUS, _FAINT), 0.6))
     before = rows.keypoints_in_camera[rows.previous]
     rows.strips(entities.PREVIOUS_3D, rr.LineStrips3D, before[:, rows.look.edges])
+
+
+def _pose_columns(poses: NDArray[np.float64]) -> list[Column]:
+    """Columns of poses (n, 4, 4), one a row."""
+    import rerun as rr
+
+    return [
+        column(rr.Transform3D, "translation", poses[:, :3, 3], 1),
+        column(rr.Transform3D, "mat3x3", poses[:, :3, :3], 1),
+    ]
 
 
 def _log_planes(rows: Rows) -> None:
@@ -188,10 +171,11 @@ def _log_planes(rows: Rows) -> None:
     if len(rows.look.symmetric_pairs):
         outlines[entities.MEDIAL] = medial_outlines(rows.keypoints, rows.look.symmetric_pairs)
     for index, (name, outline) in enumerate(outlines.items()):
-        count, corners = outline.shape[:2]
+        corners = outline.shape[1]
         entity = f"{entities.PLANES}/{name}"
-        rows.once(entity, _plane_style(corners, style.plane_colour(index)))
-        rows.send(entity, rr.Mesh3D.columns(vertex_positions=outline.reshape(-1, 3)).partition([corners] * count))
+        colour = (*style.plane_colour(index), _PLANE_ALPHA)
+        rows.once(entity, rr.Mesh3D, triangle_indices=fan(corners), albedo_factor=colour)
+        rows.send(entity, [column(rr.Mesh3D, "vertex_positions", outline.reshape(-1, 3), corners)])
 
 
 def log_ground(play: Playback, ground: Ground | None) -> None:
@@ -199,7 +183,8 @@ def log_ground(play: Playback, ground: Ground | None) -> None:
     import rerun as rr
 
     grid = ground_grid(play.reconstruction.camera_T_object, ground)
-    play.once(entities.GROUND, rr.LineStrips3D(grid, colors=style.GROUND, radii=-0.4))
+    play.once(entities.GROUND, **line_style(3, style.GROUND, 0.4))
+    play.always(entities.GROUND, [strip_column(rr.LineStrips3D, grid[None])])
 
 
 def log_result(play: Playback) -> None:
@@ -207,20 +192,24 @@ def log_result(play: Playback) -> None:
     import rerun as rr
 
     result = play.reconstruction
-    corners = box_corners(result.box_size)[BOX_EDGES]
-    play.at_result(entities.VEHICLE_BOX, rr.LineStrips3D(corners, colors=style.SCREEN_INK, radii=-0.75))
+    play.once(entities.VEHICLE_BOX, **line_style(3, style.SCREEN_INK, 0.75))
+    corners = box_corners(result.box_size)[None, BOX_EDGES]
+    play.at_result(entities.VEHICLE_BOX, [strip_column(rr.LineStrips3D, corners)])
     if result.surface_vertices is not None and result.surface_faces is not None:
-        surface = rr.Mesh3D(
-            vertex_positions=result.surface_vertices,
-            triangle_indices=result.surface_faces,
-            vertex_normals=vertex_normals(result.surface_vertices, result.surface_faces),
-            albedo_factor=(*style.SURFACE, _SURFACE_ALPHA),
-        )
-        play.at_result(entities.SURFACE, surface)
+        play.once(entities.SURFACE, rr.Mesh3D, albedo_factor=(*style.SURFACE, _SURFACE_ALPHA))
+        values = {
+            "vertex_positions": result.surface_vertices,
+            "triangle_indices": result.surface_faces,
+            "vertex_normals": vertex_normals(result.surface_vertices, result.surface_faces),
+        }
+        play.at_result(entities.SURFACE, [column(rr.Mesh3D, name, value) for name, value in values.items()])
     if result.keypoint_covariance is not None:
         axes, rotations = ellipsoids(result.keypoint_covariance)
-        play.at_result(
-            entities.UNCERTAINTY,
-            rr.Ellipsoids3D(half_sizes=axes, colors=style.UNCERTAINTY, fill_mode="MajorWireframe", line_radii=-0.5),
-            rr.InstancePoses3D(translations=result.wireframe, mat3x3=rotations),
-        )
+        look = {"colors": style.UNCERTAINTY, "fill_mode": "MajorWireframe", "line_radii": -0.5}
+        play.once(entities.UNCERTAINTY, rr.Ellipsoids3D, **look)
+        shapes = [
+            column(rr.Ellipsoids3D, "half_sizes", axes),
+            column(rr.InstancePoses3D, "translations", result.wireframe),
+            column(rr.InstancePoses3D, "mat3x3", rotations),
+        ]
+        play.at_result(entities.UNCERTAINTY, shapes)

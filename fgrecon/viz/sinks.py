@@ -6,15 +6,15 @@ import os
 import socket
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from fgrecon.errors import InvalidInputError
-from fgrecon.files import write_bytes
+from fgrecon.files import replacing
 
 __all__ = ["APPLICATION", "LOOPBACK", "Recording", "check_viewer", "free_port", "start_viewer", "viewer_command"]
 
@@ -47,15 +47,29 @@ class Recording:
         Raises:
             InvalidInputError: The file cannot be written.
         """
+        return self.begin(path)()
+
+    def begin(self, path: str | Path) -> Callable[[], Path]:
+        """Write it as `write` does, but leave the encoding to rerun's threads and return at once.
+
+        Returns:
+            What waits for them, puts the file in its place and returns its path; it may be called in another thread.
+        """
         import rerun as rr  # on use: importing fgrecon must not import rerun
 
         stream = rr.RecordingStream(f"{APPLICATION}: {Path(path).stem}")
-        with tempfile.TemporaryDirectory() as folder:
-            part = Path(folder) / "recording.rrd"
+        with ExitStack() as started:
+            part = started.enter_context(replacing(path))
+            started.callback(stream.disconnect)
             stream.save(part, default_blueprint=self.layout())
             self.log(stream)
-            stream.disconnect()
-            return write_bytes(path, part.read_bytes())
+            rest = started.pop_all()
+
+        def finish() -> Path:
+            rest.close()
+            return Path(path)
+
+        return finish
 
     def send(self, name: str, address: str) -> None:
         """Send it to a viewer that listens.

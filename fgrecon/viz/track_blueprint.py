@@ -8,7 +8,17 @@ import numpy as np
 
 from fgrecon.track import TrackReconstruction
 from fgrecon.viz import entities
-from fgrecon.viz.blueprint import error_views, graph_view, image_view, look, page, plot_view, scene_view, word_views
+from fgrecon.viz.blueprint import (
+    error_measures,
+    error_views,
+    graph_view,
+    image_view,
+    look,
+    page,
+    plot_view,
+    scene_view,
+    word_views,
+)
 from fgrecon.viz.factor_graph import lay_out
 from fgrecon.viz.track_recording import TrackSight, image_reach
 
@@ -24,7 +34,8 @@ def track_blueprint(track: TrackReconstruction, sight: TrackSight) -> Any:
 
     by_frame = []
     if sight.truths is not None and any(truth is not None for truth in sight.truths):
-        by_frame.append(error_views(f"{entities.FRAMES}/{entities.ERROR}", shape=False))  # that is one number
+        measures = error_measures(shape=False)
+        by_frame.append(error_views(f"{entities.FRAMES}/{entities.ERROR}", measures))  # that is one number
     by_frame += [
         plot_view("Weights", f"{entities.FRAMES}/{entities.WEIGHTS}", low=-0.02, high=1.02),
         plot_view("Energy [nats]", f"{entities.FRAMES}/{entities.ENERGY}"),

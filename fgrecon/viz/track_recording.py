@@ -21,16 +21,19 @@ from fgrecon.errors import InvalidInputError
 from fgrecon.observation import Observation
 from fgrecon.track import TrackReconstruction
 from fgrecon.viz import entities, style
+from fgrecon.viz.columns import Outbox, fixed, strip_column
 from fgrecon.viz.describe import track_table
 from fgrecon.viz.factor_graph import lay_out, log_layout
 from fgrecon.viz.geometry import as_image, image_points
-from fgrecon.viz.playback import Playback, Rows, log_once, strip_column
+from fgrecon.viz.playback import Playback, Rows
 from fgrecon.viz.plots import (
     energy_series,
     error_series,
     exact_columns,
     keypoint_series,
+    log_columns,
     log_history,
+    log_summary,
     measure_name,
     series_columns,
     series_style,
@@ -115,8 +118,8 @@ def log_track(stream: Any, track: TrackReconstruction, sight: TrackSight) -> Non
     Raises:
         InvalidInputError: An image is not (H, W, 3) of bytes.
     """
-    whole = _Track(stream, track, sight)
-    stream.send_recording_name(f"track of {track.frames[0].category}, {track.status.value}")
+    out = Outbox()
+    whole = _Track(out, track, sight)
     for index, play in zip(track.numbers, whole.plays, strict=True):
         image = None if sight.images is None else sight.images[index]
         photograph = None if image is None else as_image(image)
@@ -136,15 +139,17 @@ def log_track(stream: Any, track: TrackReconstruction, sight: TrackSight) -> Non
     if track.history:
         _log_joint(whole)
     if track.graph:
-        log_layout(stream, lay_out(track.graph), colours=True)
+        log_layout(out, lay_out(track.graph), colours=True)
     _log_words(whole)
+    stream.send_recording_name(f"track of {track.frames[0].category}, {track.status.value}")
+    stream.send_chunks(out.chunks)
 
 
 @dataclass(frozen=True)
 class _Track:
     """A track on its way into a stream."""
 
-    stream: Any
+    stream: Outbox
     track: TrackReconstruction
     sight: TrackSight
 
@@ -214,11 +219,14 @@ class _Track:
 
 
 def _log_result(whole: _Track) -> None:
-    """Surface, box and uncertainty, which all frames share, and the ground, in the first frame that has them."""
+    """The ground, and surface, box and uncertainty in the first frame of every shape: that of a track is one."""
     found = [play for play in whole.plays if np.isfinite(play.reconstruction.camera_T_object).all()]
     if found:
         log_ground(found[0], whole.sight.ground)
-        log_result(found[0])
+    for before, play in zip([None, *found], found, strict=False):
+        shape = play.reconstruction.wireframe
+        if before is None or not np.array_equal(shape, before.reconstruction.wireframe):
+            log_result(play)
 
 
 def _log_paths(whole: _Track) -> None:
@@ -236,7 +244,7 @@ def _log_path(
 ) -> None:
     import rerun as rr
 
-    log_once(whole.stream, entity, line_style(3, colour, 1.5))
+    whole.stream.send_chunks(fixed(entity, **line_style(3, colour, 1.5)))
     columns = rr.LineStrips3D.columns(strips=[points[: end + 1] for end in range(len(points))])
     whole.stream.send_columns(entity, whole.frame_times(rows), columns)
 
@@ -271,7 +279,7 @@ def _plot(
 ) -> None:
     """The series (n, M) of one entity over frames."""
     if values.shape[1]:
-        log_once(whole.stream, entity, series_style(names, colours))
+        whole.stream.send_chunks(fixed(entity, **series_style(names, colours)))
         whole.stream.send_columns(entity, whole.frame_times(rows), series_columns(values))
 
 
@@ -283,22 +291,18 @@ def _log_joint(whole: _Track) -> None:
     edges = whole.track.frames[0].edges
     shapes = np.stack([play.keypoints_in_camera[-len(history) :] for play in whole.plays], axis=1)  # (n, T, K, 3)
     strips = shapes[:, :, edges].reshape(len(history), -1, 2, 3)  # strips of all frames at each step
-    log_once(whole.stream, entities.TRACK_3D, line_style(3, (*style.SCREEN_INK, _FAINT), 0.6))
+    whole.stream.send_chunks(fixed(entities.TRACK_3D, **line_style(3, (*style.SCREEN_INK, _FAINT), 0.6)))
     whole.stream.send_columns(entities.TRACK_3D, times, [strip_column(rr.LineStrips3D, strips)])
     names, energies = energy_series([step.energies for step in history])
-    log_once(
-        whole.stream,
-        entities.ENERGY,
-        series_style(names, tuple(style.energy_colour(name, i) for i, name in enumerate(names))),
-    )
+    colours = tuple(style.energy_colour(name, i) for i, name in enumerate(names))
+    whole.stream.send_chunks(fixed(entities.ENERGY, **series_style(names, colours)))
     whole.stream.send_columns(entities.ENERGY, times, series_columns(energies))
     coefficients = np.stack([step.coefficients for step in history])
     if coefficients.shape[1]:
         numbers = range(coefficients.shape[1])
         lambdas = tuple(f"lambda {j + 1}" for j in numbers)
-        log_once(
-            whole.stream, entities.COEFFICIENTS, series_style(lambdas, tuple(style.categorical(j) for j in numbers))
-        )
+        colours = tuple(style.categorical(j) for j in numbers)
+        whole.stream.send_chunks(fixed(entities.COEFFICIENTS, **series_style(lambdas, colours)))
         whole.stream.send_columns(entities.COEFFICIENTS, times, series_columns(coefficients))
     fields: dict[str, list[Any]] = {
         name: [getattr(step, name) for step in history] for name in ("irls", "step", "poses", "coefficients")
@@ -310,28 +314,24 @@ def _log_joint(whole: _Track) -> None:
 
 def _log_words(whole: _Track) -> None:
     """What became of every image, every joint weight update, how it ended and why; and the summary."""
-    import rerun as rr
-
-    info, track = str(rr.TextLogLevel.INFO), whole.track
+    track = whole.track
     for index, reason in track.refused.items():
-        line = rr.TextLog(f"frame {whole.sight.number(index)} was refused: {reason}", level=rr.TextLogLevel.WARN)
-        log_once(whole.stream, entities.LOG, line)
+        line = f"frame {whole.sight.number(index)} was refused: {reason}"
+        whole.stream.send_columns(entities.LOG, [], log_columns([line], "WARN"))
     for play in whole.plays:
         searched = len(play.steps) - whole.joint_steps
         if searched > 0:
             energy = sum(play.steps[searched - 1].energies.values())
             text = f"frame {play.frame}: pose found in {searched} steps, energy {energy:.4g}"
-            play.every_step(entities.LOG, rr.TextLog.columns(text=[text], level=[info]), np.array([searched - 1]))
+            play.every_step(entities.LOG, log_columns([text]), np.array([searched - 1]))
     last = {step.irls: row for row, step in enumerate(track.history)}
     if last:
         totals = [sum(track.history[row].energies.values()) for row in last.values()]
         texts = [f"joint {irls}: energy {total:.5g}" for irls, total in zip(last, totals, strict=True)]
-        columns = rr.TextLog.columns(text=texts, level=[info] * len(texts))
-        whole.stream.send_columns(entities.LOG, whole.joint_times(list(last.values())), columns)
+        whole.stream.send_columns(entities.LOG, whole.joint_times(list(last.values())), log_columns(texts))
     end = status_line(track.status, track.message)
     if last:
-        batches = [batch.partition([1]) for batch in end.as_component_batches()]
-        whole.stream.send_columns(entities.LOG, whole.joint_times([whole.joint_steps - 1]), batches)
+        whole.stream.send_columns(entities.LOG, whole.joint_times([whole.joint_steps - 1]), end)
     else:
         whole.plays[-1].at_result(entities.LOG, end)
     errors = [
@@ -339,8 +339,7 @@ def _log_words(whole: _Track) -> None:
         for play in whole.plays
         if play.truth is not None
     ]
-    table = rr.TextDocument(track_table(track, errors), media_type=rr.MediaType.MARKDOWN)
-    log_once(whole.stream, entities.SUMMARY, table)
+    log_summary(whole.stream, track_table(track, errors))
 
 
 def image_reach(track: TrackReconstruction, sight: TrackSight) -> NDArray[np.float64]:

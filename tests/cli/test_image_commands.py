@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from fgrecon import replay
 from fgrecon.cli import main
 from fgrecon.errors import InvalidInputError
 from fgrecon.images import write_png
@@ -112,7 +113,8 @@ def kitti(street, weights, *more):
 
 
 def test_kitti_is_scored_by_regime(street, weights):
-    done = kitti(street, weights, "--json", street / "r.json", "--picture", street / "sheet.png")
+    outputs = ("--json", street / "r.json", "--picture", street / "sheet.png", "--save", street / "cars.rrd")
+    done = kitti(street, weights, *outputs)
     assert done.exit_code == 0, done.output
     assert "Moderate" in done.stdout
     document = json.loads((street / "r.json").read_text())
@@ -125,6 +127,8 @@ def test_kitti_is_scored_by_regime(street, weights):
     assert (car["frame"], car["index"]) == ("000001", 1)
     assert document["given"]["boxes"] == "labels"
     assert (street / "sheet.png").exists()
+    errors = replay.read(street / "cars-000001-1.rrd").scalars["error/orientation_deg"]
+    assert errors.values[-1, 0] == pytest.approx(car["degrees"])
 
 
 def test_a_car_without_a_detection_counts_as_wrong(street, weights):

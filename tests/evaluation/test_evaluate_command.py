@@ -7,6 +7,7 @@ import sys
 import pytest
 from typer.testing import CliRunner
 
+from fgrecon import replay
 from fgrecon.cli import main
 from fgrecon.errors import InvalidInputError
 
@@ -53,6 +54,33 @@ def test_a_plane_may_be_given(track):
     assert json.loads(result.stdout)["settings"]["ground"] == {"normal": [0.0, 1.0, 0.0], "distance_m": 1.7}
 
 
+def test_the_last_method_with_a_result_is_recorded_with_the_labels(content, track, tmp_path):
+    content["frames"][1]["keypoints_uv"] = [[None, None]] * 14
+    track.write_text(json.dumps(content))
+    rrd, scores = tmp_path / "track.rrd", tmp_path / "frames.json"
+    methods = ["--method", "fgrecon", "--method", "fgrecon+ground+size", "--method", "sqpnp"]
+    result = run(track, *methods, "--save", rrd, "--per-frame", scores)
+    assert result.exit_code == 0, result.output
+    back = replay.read(rrd)
+    assert list(back.frames) == [40, 42]
+    assert back.log[0].text == "frame 41 was refused: no keypoints"
+    assert back.log[-1].text.endswith("2 of 3 frames, each on its own, by fgrecon+ground+size")
+    scored = json.loads(scores.read_text())["methods"]["fgrecon+ground+size"]
+    for measure in ("orientation_deg", "translation_m"):
+        errors = back.scalars[f"frames/error/{measure}"]
+        assert errors.times.tolist() == [40, 42]
+        assert errors.values[:, 0] == pytest.approx([scored[0][measure], scored[2][measure]])
+
+
+def test_a_track_without_a_result_has_no_recording(content, track, tmp_path):
+    for frame in content["frames"]:
+        frame["keypoints_uv"] = [[None, None]] * 14
+    track.write_text(json.dumps(content))
+    rrd = tmp_path / "track.rrd"
+    assert run(track, "--method", "fgrecon", "--save", rrd).exit_code == 1
+    assert not rrd.exists()
+
+
 def test_a_method_that_fails_everywhere_gives_exit_code_1(content, track):
     for frame in content["frames"]:
         frame["keypoints_uv"][3:] = [[None, None]] * 11
@@ -74,6 +102,9 @@ def test_a_method_that_fails_everywhere_gives_exit_code_1(content, track):
         (["--camera-height", "1.6", "--ground", "0,1,0,1.6"], "camera_height"),
         (["--json", "no/such/folder/out.json"], "output"),
         (["--per-frame", "/"], "output"),
+        ([*FAST, "--save", "track.rrd"], "method"),
+        (["--save", "track.mp4"], "save"),
+        (["--connect", "nowhere"], "connect"),
     ],
 )
 def test_bad_arguments_name_the_field(track, arguments, field):

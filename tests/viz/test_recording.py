@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections import Counter
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 
 from fgrecon import replay
 from fgrecon.errors import InvalidInputError
+from fgrecon.observation import Observation
 from fgrecon.reconstruction import Iteration, Reconstruction, Status
 from fgrecon.viz import entities, log_reconstruction, record, style
 from tests.viz.made_up import STAGES, Example
@@ -149,8 +151,9 @@ def test_planes_lie_where_the_keypoints_are(example: Example, recording: Path) -
 
 def test_the_factor_graph_has_every_factor_and_its_variables(example: Example, recording: Path) -> None:
     graph = example.reconstruction.graph
-    static, moving = sorted(chunks(recording)[entities.GRAPH], key=lambda chunk: not chunk.is_static)
-    columns = static.to_record_batch().to_pydict()
+    found = chunks(recording)[entities.GRAPH]
+    (moving,) = (chunk for chunk in found if not chunk.is_static)
+    columns = {k: v for chunk in found if chunk.is_static for k, v in chunk.to_record_batch().to_pydict().items()}
     variables = ["X(v=0,t=0)", "L(v=0)", "P(v=0,f=0)"]
     nodes = columns["GraphNodes:node_ids"][0]
     assert nodes == variables + [f"{factor.term} {i}" for i, factor in enumerate(graph)]
@@ -227,6 +230,31 @@ def test_layout_is_stored_in_the_file(recording: Path) -> None:
 
     assert len(RrdReader(recording).blueprints()) == 1
     assert len(RrdReader(recording).recordings()) == 1
+
+
+def test_every_recording_has_all_views_zoomed_to_its_own_vehicle(example: Example, tmp_path: Path) -> None:
+    from rerun.chunk import RrdReader
+
+    def layout(name: str, observation: Observation) -> tuple[dict[str, int], list]:
+        reader = RrdReader(record(tmp_path / name, example.reconstruction, observation, example.camera))
+        (store,) = reader.blueprints()
+        batches = [chunk.to_record_batch() for chunk in reader.stream(store=store)]
+
+        def values(component: str) -> list:
+            return [row for b in batches if component in b.schema.names for row in b.column(component).to_pylist()]
+
+        assert len(values("EyeControls3D:position")) == 1
+        return Counter(name for (name,) in values("ViewBlueprint:display_name")), values("VisualBounds2D:range")
+
+    moved = replace(example.observation, box=example.observation.box + 300.0)
+    views, bounds = layout("here.rrd", example.observation)
+    assert views == layout("again.rrd", example.observation)[0]
+    assert {"Weights", "Shape", "Log", "Result", "Scene: camera frame, metres"} < set(views)
+    assert set(views.values()) == {1}
+    assert len(bounds) == 2  # of the image and of the factor graph
+    there = layout("there.rrd", moved)[1]
+    assert bounds[-1] == there[-1] or bounds[0] == there[0]
+    assert bounds != there
 
 
 def test_a_failed_result_without_history_still_records(example: Example, tmp_path: Path) -> None:

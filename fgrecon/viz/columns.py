@@ -1,0 +1,149 @@
+"""The data of recordings in the form that costs least: columns made by hand, and chunks that are made once.
+
+rerun's own constructors take many times as long as the numbers that they wrap; here they only tell the types.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Column", "Outbox", "column", "fixed", "fixed_chunk", "strip_column"]
+
+
+@dataclass(frozen=True)
+class Column:
+    """Arrow data that rerun takes as a component column."""
+
+    descriptor: Any
+    array: Any
+
+    def component_descriptor(self) -> Any:
+        """Name and type of the component."""
+        return self.descriptor
+
+    def as_arrow_array(self) -> Any:
+        """One list per row."""
+        return self.array
+
+
+@dataclass(frozen=True)
+class Outbox:
+    """Chunks on their way into a stream, to which they go all at once: sent one by one, each wakes rerun's threads."""
+
+    chunks: list[Any] = field(default_factory=list)
+
+    def send_columns(self, entity: str, times: Iterable[Any], columns: Iterable[Any]) -> None:
+        """Add time and component columns; without times what holds always."""
+        from rerun.chunk import Chunk
+
+        self.chunks.append(Chunk.from_columns(entity, times, columns))
+
+    def send_chunks(self, chunk: Any) -> None:
+        """Add a chunk."""
+        self.chunks.append(chunk)
+
+
+def column(
+    archetype: Any, name: str, values: NDArray[Any] | Sequence[Any], counts: int | NDArray[np.int64] | None = None
+) -> Column:
+    """One field of an archetype in several rows.
+
+    Args:
+        archetype: Class of rerun, such as `rr.Points3D`.
+        name: Its field, such as `positions`.
+        values: N values, row after row: numbers (N,), vectors (N, D), rotations (N, 3, 3), RGB bytes (N, 3), texts, or
+            pairs of texts.
+        counts: How many values each row has, or one number where all have as many; without it all are one row.
+    """
+    import pyarrow as pa
+
+    shape = values.shape[1:] if isinstance(values, np.ndarray) else None
+    descriptor, rows = _types(archetype, name, shape)
+    item = rows.value_type
+    if pa.types.is_struct(item):
+        parts = zip(*values, strict=True) if len(values) else ((), ())
+        flat = pa.StructArray.from_arrays([pa.array(part, pa.string()) for part in parts], fields=list(item))
+    elif not isinstance(values, np.ndarray):
+        flat = pa.array(values, item)
+    elif pa.types.is_fixed_size_list(item):
+        in_order = values.swapaxes(1, 2) if values.ndim == 3 else values  # rerun's matrices lie column by column
+        numbers = in_order.astype(item.value_type.to_pandas_dtype()).ravel()
+        flat = pa.FixedSizeListArray.from_arrays(pa.array(numbers), type=item)
+    else:
+        numbers = _packed(values) if values.ndim == 2 else values
+        flat = pa.array(numbers.astype(item.to_pandas_dtype(), copy=False))
+    if counts is None:
+        counts = len(values)
+    if isinstance(counts, int):
+        ends = np.arange(0, len(values) + 1, counts, dtype=np.int32) if counts else np.zeros(2, np.int32)
+    else:
+        ends = _ends(counts)
+    return Column(descriptor, pa.ListArray.from_arrays(ends, flat, type=rows))
+
+
+def fixed(entity: str, archetype: Any, **fields: Any) -> Any:
+    """A chunk without a time that holds fields of an archetype, such as its style; made once for the same values.
+
+    Args:
+        entity: Where it belongs.
+        archetype: Class of rerun, such as `rr.Points3D`.
+        fields: Values of its fields, which must be hashable.
+    """
+    return _fixed(entity, archetype, tuple(fields.items()))
+
+
+@lru_cache(maxsize=512)
+def _fixed(entity: str, archetype: Any, fields: tuple[tuple[str, Any], ...]) -> Any:
+    return fixed_chunk(entity, archetype.from_fields(**dict(fields)))
+
+
+def fixed_chunk(entity: str, *archetypes: Any) -> Any:
+    """A `rerun.chunk.Chunk` without a time that holds archetypes."""
+    from rerun.chunk import Chunk
+
+    batches = [batch for archetype in archetypes for batch in archetype.as_component_batches()]
+    return Chunk.from_columns(entity, [], [batch.partition([len(batch.as_arrow_array())]) for batch in batches])
+
+
+def strip_column(archetype: Any, strips: NDArray[np.float64]) -> Column:
+    """The strips (n, S, P, D) of `LineStrips2D` or `LineStrips3D` as n rows; those that are not finite are left out."""
+    import pyarrow as pa
+
+    descriptor, rows = _types(archetype, "strips", (2, strips.shape[3]))
+    strip = rows.value_type
+    drawn = np.isfinite(strips).reshape(*strips.shape[:2], -1).all(axis=2)
+    found = strips[drawn]
+    numbers = pa.array(found.astype(np.float32).ravel())
+    points = pa.FixedSizeListArray.from_arrays(numbers, type=strip.value_type)
+    ends = np.arange(0, len(found) * strips.shape[2] + 1, strips.shape[2], dtype=np.int32)
+    lists = pa.ListArray.from_arrays(ends, points, type=strip)
+    return Column(descriptor, pa.ListArray.from_arrays(_ends(drawn.sum(axis=1)), lists, type=rows))
+
+
+def _ends(counts: NDArray[np.int64]) -> NDArray[np.int32]:
+    """(n + 1,) where each of n rows begins, and where the last one ends."""
+    ends = np.zeros(len(counts) + 1, dtype=np.int32)
+    counts.cumsum(out=ends[1:])
+    return ends
+
+
+def _packed(colours: NDArray[np.uint8]) -> NDArray[np.uint32]:
+    """(N,) opaque colours as rerun packs them, of RGB bytes (N, 3)."""
+    red, green, blue = colours.T.astype(np.uint32)
+    packed: NDArray[np.uint32] = (red << 24) | (green << 16) | (blue << 8) | np.uint32(255)
+    return packed
+
+
+@lru_cache(maxsize=64)
+def _types(archetype: Any, name: str, shape: tuple[int, ...] | None) -> tuple[Any, Any]:
+    """Descriptor and Arrow type of a field, as rerun itself makes them of one value of a shape, of a text or a pair."""
+    texts: list[Any] = [("from", "to")] if name == "edges" else ["text"]
+    sample = texts if shape is None else np.zeros((1, *shape))
+    (made,) = archetype.columns(**{name: sample})
+    return made.component_descriptor(), made.as_arrow_array().type

@@ -1,0 +1,52 @@
+"""Recordings of several vehicles: each in its own file, whole or not at all, and an error in any of them is told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from fgrecon import replay
+from fgrecon.cli.deliver import deliver
+from fgrecon.errors import InvalidInputError
+from fgrecon.viz import Recording, recording_of
+from tests.viz.made_up import Example, make_example
+
+
+@pytest.fixture(scope="module")
+def example() -> Example:
+    return make_example()
+
+
+def recordings(example: Example, count: int) -> list[tuple[str, Recording]]:
+    """Recordings that differ in the length of their history."""
+    results = [replace(example.reconstruction, history=example.reconstruction.history[: 3 + i]) for i in range(count)]
+    return [(f"car {i}", recording_of(r, example.observation, example.camera)) for i, r in enumerate(results)]
+
+
+def test_every_vehicle_has_its_file(example: Example, tmp_path: Path) -> None:
+    written = deliver(recordings(example, 4), tmp_path / "cars.rrd", None, spawn=False, several=True)
+    assert [path.name for path in written] == [f"cars-car-{i}.rrd" for i in range(4)]
+    assert sorted(tmp_path.iterdir()) == written
+    assert [len(replay.read(path).history) for path in written] == [3, 4, 5, 6]
+
+
+def test_a_file_that_cannot_be_written_is_told_and_leaves_nothing(example: Example, tmp_path: Path) -> None:
+    (tmp_path / "cars-car-1.rrd").mkdir()
+    with pytest.raises(InvalidInputError, match="cars-car-1"):
+        deliver(recordings(example, 3), tmp_path / "cars.rrd", None, spawn=False, several=True)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["cars-car-0.rrd", "cars-car-1.rrd"]
+    assert len(replay.read(tmp_path / "cars-car-0.rrd").history) == 3
+
+
+def test_an_error_while_it_is_put_in_its_place_is_told(
+    example: Example, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(self: Path, target: Path) -> Path:
+        raise OSError(28, "No space left on device", str(target))
+
+    monkeypatch.setattr(Path, "replace", refuse)
+    with pytest.raises(InvalidInputError, match="No space left"):
+        deliver(recordings(example, 2), tmp_path / "cars.rrd", None, spawn=False, several=True)
+    assert not list(tmp_path.iterdir())
