@@ -21,10 +21,11 @@ from fgrecon.errors import FgreconError, InvalidInputError
 from fgrecon.evaluation.apollocar3d import MarkedCar, MarkedCars, marking_offsets
 from fgrecon.evaluation.metrics import FAILURE_DEGREES, keypoint_error, rotation_error
 from fgrecon.evaluation.simulated_run import single_threaded
+from fgrecon.evaluation.stages import stages_of
 from fgrecon.files import write_bytes
 from fgrecon.options import BoxModel, Options
 from fgrecon.pipeline import reconstruct
-from fgrecon.priors.apollo79 import Apollo79, apollo79_prior
+from fgrecon.priors.apollo79 import Apollo79, apollo79_prior, apollo79_size_relation
 from fgrecon.priors.conditioning import given_size
 from fgrecon.priors.shape_prior import ShapePrior
 from fgrecon.priors.size_prior import SizePrior
@@ -34,9 +35,9 @@ __all__ = ["BASIS", "KNOWN_SHAPE_OPTIONS", "KNOWN_SHAPE_ROWS", "KnownShapeScores
 Array = NDArray[np.float64]
 _Result = tuple[Array, list[str]]  # scores (R, 3) of one car, and why rows failed
 
-BASIS = 8
-"""Basis vectors of the priors: five, as shipped, leave 2.4 degrees and 4.4 % of the distance where eight leave 2.2 and
-4.0; twelve no longer help."""
+BASIS = 14
+"""Basis vectors of the priors: five, as shipped, leave 2.4 degrees and 4.3 % of the distance where eight leave 2.2 and
+3.9 and fourteen 2.2 and 3.7; what comes after these is finer than the marks."""
 
 KNOWN_SHAPE_OPTIONS = Options(
     sigma_relative=0.015, box_model=BoxModel.OFF, disabled_terms=frozenset({"laplacian"}), keep_history=True
@@ -60,7 +61,7 @@ class KnownShapeScores:
     """C cars by R rows (`KNOWN_SHAPE_ROWS`).
 
     Attributes:
-        names: C names of cars.
+        names: C names of cars, `<image>:<position in the image>`.
         distance: (C,) distance of the car, metres.
         marks: (C,) number of marked keypoints.
         rotation: (C, R) angle between estimated and true rotation, degrees; 180 for a failure.
@@ -78,6 +79,12 @@ class KnownShapeScores:
     translation: Array
     keypoint: Array
     failures: tuple[str, ...]
+
+    @property
+    def held_out(self) -> NDArray[np.bool_]:
+        """(C,) cars of the half of the images, by a hash of their names, that later settings were not chosen on."""
+        images = [name.partition(":")[0].encode() for name in self.names]
+        return np.array([hashlib.sha256(image).digest()[0] % 2 == 1 for image in images], dtype=bool)
 
 
 def score_known_shapes(
@@ -170,8 +177,8 @@ def _offsets(cars: MarkedCars, group: Sequence[MarkedCar]) -> Array:
 def _score_model(models: Apollo79, camera: Camera, cars: Sequence[MarkedCar], offsets: Array) -> list[_Result]:
     """Scores (R, 3) and failures of cars of one model."""
     prior = apollo79_prior(models, basis=BASIS, exclude=[cars[0].model])
-    size = cars[0].size
-    told = given_size(prior, SizePrior("the true size", size, _SIZE_SIGMA * size))
+    size, relation = cars[0].size, apollo79_size_relation(models, prior, [cars[0].model])
+    told = given_size(prior, SizePrior("the true size", size, _SIZE_SIGMA * size), relation)
     as_modelled = np.zeros_like(offsets)
     variants = [(base, marks) for base in (prior, told) for marks in (as_modelled, offsets)]
     return [_score_car(car, camera, variants) for car in cars]
@@ -211,11 +218,7 @@ def _stages(car: MarkedCar, camera: Camera, prior: ShapePrior) -> list[tuple[Arr
     result = reconstruct(
         car.keypoints, camera, confidence=marked, box=car.box, prior=prior, options=KNOWN_SHAPE_OPTIONS
     )
-    states: list[tuple[Array, Array]] = []
-    for stage in _STAGES:
-        steps = [step for step in result.history if step.stage == stage]
-        states.append((steps[-1].camera_T_object, steps[-1].keypoints) if steps else states[-1])
-    return states
+    return [(state.camera_T_object, state.keypoints) for state in stages_of(result, prior.category).values()]
 
 
 def _errors(car: MarkedCar, camera_T_object: Array, shape: Array) -> tuple[float, float, float]:

@@ -242,6 +242,8 @@ def known_shape_tables(scores: KnownShapeScores, note: str) -> tuple[Table, Tabl
         f"{NEAR:g} to {FAR:g} m": (scores.distance >= NEAR) & (scores.distance < FAR),
         f"beyond {FAR:g} m": scores.distance >= FAR,
         **{f"{count} keypoints marked": scores.marks == count for count in np.unique(scores.marks).tolist()},
+        "half for choosing": ~scores.held_out,
+        "held-out half": scores.held_out,
     }
     split = []
     for row in ("sqpnp", "joint", "joint+marks", "sqpnp+size", "joint+size", "joint+size+marks"):
@@ -249,8 +251,8 @@ def known_shape_tables(scores: KnownShapeScores, note: str) -> tuple[Table, Tabl
         split += [(f"{row}, {name} ({int(g.sum())})", _known(scores, r, g)) for name, g in groups.items() if g.any()]
     parts = Table(
         "known_shape_split",
-        "Known shape by distance and number of keypoints, medians",
-        "",
+        "Known shape by distance, number of keypoints and half of the images, medians",
+        "Halves by a hash of the image's name: numbers of vectors and the use of the size were chosen on the first.",
         columns,
         tuple(split),
         decimals=2,

@@ -16,11 +16,21 @@ from numpy.typing import NDArray
 
 from fgrecon.catalogue import load_category
 from fgrecon.errors import InvalidInputError
+from fgrecon.priors.conditioning import SizeRelation, learn_size_relation
 from fgrecon.priors.half_mesh import mirrored_half
 from fgrecon.priors.pca import SurfaceSamples, express, pca_prior
 from fgrecon.priors.shape_prior import ShapePrior, Surface
 
-__all__ = ["DUPLICATE", "Apollo79", "LeaveOneOut", "apollo79_prior", "leave_one_out", "load_apollo79", "rounded"]
+__all__ = [
+    "DUPLICATE",
+    "Apollo79",
+    "LeaveOneOut",
+    "apollo79_prior",
+    "apollo79_size_relation",
+    "leave_one_out",
+    "load_apollo79",
+    "rounded",
+]
 
 DUPLICATE = ("fengtian-puladuo-06", "guangqi-chuanqi-GS4-2015")
 """Two names of one and the same car: it is learnt from once, and held out by either name."""
@@ -144,6 +154,21 @@ def apollo79_prior(
             "terms": "ApolloScape terms (research); see the model card",
         },
     )
+
+
+def apollo79_size_relation(models: Apollo79, prior: ShapePrior, exclude: Sequence[str] = ()) -> SizeRelation:
+    """How the models' boxes go with a prior's coefficients, without those named.
+
+    Args:
+        models: The models.
+        prior: A prior from `apollo79_prior`.
+        exclude: Names of models not to learn from.
+
+    Raises:
+        InvalidInputError: A name is unknown, or too few models are left for the prior's number of vectors.
+    """
+    keep = _kept(models, exclude)
+    return learn_size_relation(prior, models.keypoints[keep], models.size[keep])
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from fgrecon.evaluation.paper_plots import (
     noise_plot,
     per_part_plot,
     per_part_table,
+    simulated_parts,
 )
 from fgrecon.evaluation.paper_tables import (
     Table,
@@ -191,13 +192,13 @@ def page(scores, known, scene):
     tables = (
         aop_table("table_1", "Table I", scores, MAIN_ROWS, "note <1>"),
         ms_table({"fgrecon, pose stage": [1.0, 3.0]}, 0.5),
-        per_part_table(scores, MAIN_ROWS, category),
+        per_part_table("parts", "Parts", "", simulated_parts(scores, MAIN_ROWS), category),
         *known_shape_tables(known, ""),
     )
     plots = {
         "bars": aop_plot(tables[0]),
         "curves": error_curves(scores, MAIN_ROWS, ("aspnp+size", "joint")),
-        "parts": per_part_plot(scores, MAIN_ROWS, category),
+        "parts": per_part_plot(simulated_parts(scores, MAIN_ROWS), category),
         "shapes": known_shape_plot(known),
         "noise": noise_plot([_network()], scores),
     }
