@@ -108,8 +108,8 @@ def known_shape_plot(scores: KnownShapeScores) -> str:
     import matplotlib.pyplot as plt
 
     figure, panels = plt.subplots(1, 3, figsize=(9.6, 3.2), layout="constrained")
-    shown = ("sqpnp", "joint", "joint+marks", "sqpnp+size", "joint+size", "joint+size+marks")
-    names = ("SQPnP", "fgrecon", "fgrecon,\nmarks", "SQPnP,\nsize", "fgrecon,\nsize", "fgrecon,\nboth")
+    shown = ("sqpnp", "joint", "joint+others", "sqpnp+size", "joint+size", "joint+size+others")
+    names = ("SQPnP", "fgrecon", "fgrecon,\nothers", "SQPnP,\nsize", "fgrecon,\nsize", "fgrecon,\nboth")
     measures = (
         ("rotation, degrees", scores.rotation, 12.0),
         ("position, % of distance", 100.0 * scores.translation, 20.0),

@@ -246,7 +246,7 @@ def known_shape_tables(scores: KnownShapeScores, note: str) -> tuple[Table, Tabl
         "held-out half": scores.held_out,
     }
     split = []
-    for row in ("sqpnp", "joint", "joint+marks", "sqpnp+size", "joint+size", "joint+size+marks"):
+    for row in ("sqpnp", "joint", "joint+others", "sqpnp+size", "joint+size", "joint+size+others"):
         r = KNOWN_SHAPE_ROWS.index(row)
         split += [(f"{row}, {name} ({int(g.sum())})", _known(scores, r, g)) for name, g in groups.items() if g.any()]
     parts = Table(

@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.catalogue import load_category
+from fgrecon.checks import as_shape
 from fgrecon.errors import InvalidInputError
 from fgrecon.priors.conditioning import SizeRelation, learn_size_relation
 from fgrecon.priors.half_mesh import mirrored_half
@@ -124,7 +125,11 @@ def load_apollo79(path: str | Path) -> Apollo79:
 
 
 def apollo79_prior(
-    path: str | Path | Apollo79, basis: int = 5, exclude: Sequence[str] = (), symmetric: bool = True
+    path: str | Path | Apollo79,
+    basis: int = 5,
+    exclude: Sequence[str] = (),
+    symmetric: bool = True,
+    weights: ArrayLike | None = None,
 ) -> ShapePrior:
     """Learn the `car14` prior with surface from the models, without those named (for experiments on held-out cars).
 
@@ -136,6 +141,7 @@ def apollo79_prior(
             medial plane and mirrored: symmetric for every lambda. Otherwise learn from the keypoints as fixed points
             of the meshes, whose left and right differ as those of a prior from 2D annotations do, and from the
             meshes as they are.
+        weights: (79,) how much each model counts, such as how frequent it is; equal by default.
 
     Raises:
         InvalidInputError: The file cannot be used, a name is unknown, or too few models are left.
@@ -147,6 +153,7 @@ def apollo79_prior(
         (models.keypoints if symmetric else models.keypoints_mesh)[keep],
         basis=basis,
         symmetric=symmetric,
+        weights=None if weights is None else as_shape("weights", weights, (len(models.names),))[keep],
         surface=_samples(models, keep, symmetric),
         name="car14",
         provenance={
