@@ -24,7 +24,7 @@ from fgrecon.evaluation.kitti_overlap import Space
 from fgrecon.evaluation.known_shape import BASIS, KNOWN_SHAPE_OPTIONS, score_known_shapes
 from fgrecon.evaluation.methods import METHODS, Scene, select
 from fgrecon.evaluation.network import NetworkScores, network_parts, network_table, score_network
-from fgrecon.evaluation.paper_claims import decoupling_claim, irls_claim, ranking_claim
+from fgrecon.evaluation.paper_claims import claims
 from fgrecon.evaluation.paper_plots import (
     aop_plot,
     error_curves,
@@ -213,11 +213,7 @@ def evaluate_paper(settings: Settings, advance: Callable[[str, int, int], None] 
     solved, seconds = sum(o.solved for o in outcomes.values()), sum(o.seconds for o in outcomes.values())
     return Page(
         conditions=_conditions(settings, outcomes, validation),
-        claims=(
-            irls_claim(main, rows),
-            ranking_claim(main, rows),
-            decoupling_claim(main, rows, chain, chain_rows),
-        ),
+        claims=claims(main, rows, chain, chain_rows),
         tables=tables,
         plots=plots,
         problems=count_defects(validation.problems),

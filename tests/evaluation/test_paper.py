@@ -16,7 +16,7 @@ from fgrecon.evaluation.keypoint_noise_fit import Residuals
 from fgrecon.evaluation.kitti_files import Objects
 from fgrecon.evaluation.known_shape import KNOWN_SHAPE_ROWS, KnownShapeScores
 from fgrecon.evaluation.paper import Page, _posed
-from fgrecon.evaluation.paper_claims import decoupling_claim, irls_claim, ranking_claim
+from fgrecon.evaluation.paper_claims import claims, decoupling_claim, irls_claim, ranking_claim
 from fgrecon.evaluation.paper_page import document, html, markdown
 from fgrecon.evaluation.paper_plots import (
     aop_plot,
@@ -165,6 +165,14 @@ def test_the_claim_about_decoupling_compares_sequence_and_joint(scores):
     assert "1.25 against 1.50 degrees" in text
     assert "9.00 against 0.00 degrees" in text
     assert "0.05 m on average, against 2.0 m" in text
+
+
+def test_of_no_car_nothing_is_claimed(scores):
+    chain = made_up(CHAIN_ROWS)
+    assert len(claims(scores, MAIN_ROWS, chain, CHAIN_ROWS)) == 3
+    empty = replace(scores, regimes=scores.regimes & [False, True, True])
+    (text,) = claims(empty, MAIN_ROWS, chain, CHAIN_ROWS)
+    assert "nothing can be said" in text
 
 
 def test_cells_as_text_and_as_json():
