@@ -30,7 +30,7 @@ from fgrecon.options import BoxModel, Options
 from fgrecon.priors.size_prior import size_prior
 from fgrecon.reconstruction import Reconstruction, rotation_y
 
-__all__ = ["NetworkScores", "adjust_marked", "network_parts", "network_table", "score_network"]
+__all__ = ["NetworkScores", "adjust_marked", "network_parts", "network_table", "parts_note", "score_network"]
 
 Array = NDArray[np.float64]
 
@@ -182,6 +182,12 @@ def network_table(scores: NetworkScores) -> Table:
     return Table(
         "table_2_real", "Table II on real images: own network's keypoints", note, columns, tuple(lines), printed, 2
     )
+
+
+def parts_note(scores: NetworkScores) -> str:
+    """How many visible points of each keypoint the parts are shares of."""
+    counts = (scores.visible & scores.used("hard")[:, None]).sum(axis=0)
+    return f"Percent of the visible points, of which there are {', '.join(map(str, counts.tolist()))} in this order."
 
 
 def network_parts(scores: NetworkScores) -> Mapping[str, Array]:

@@ -23,7 +23,7 @@ from fgrecon.evaluation.kitti_files import Objects, count_defects, write_results
 from fgrecon.evaluation.kitti_overlap import Space
 from fgrecon.evaluation.known_shape import BASIS, KNOWN_SHAPE_OPTIONS, score_known_shapes
 from fgrecon.evaluation.methods import METHODS, Scene, select
-from fgrecon.evaluation.network import NetworkScores, network_parts, network_table, score_network
+from fgrecon.evaluation.network import NetworkScores, network_parts, network_table, parts_note, score_network
 from fgrecon.evaluation.paper_claims import claims
 from fgrecon.evaluation.paper_plots import (
     aop_plot,
@@ -194,7 +194,7 @@ def evaluate_paper(settings: Settings, advance: Callable[[str, int, int], None] 
         ms_table(times, load),
         per_part_table("per_part", "APK of each part on Hard (simulated)", _PARTS_NOTE, simulated, category),
         network_table(network),
-        per_part_table("per_part_real", f"{parts_title}: visible points", "", on_images, category),
+        per_part_table("per_part_real", parts_title, parts_note(network), on_images, category),
         decoupling_table(main, rows, chain, chain_rows),
         *_variants(outcomes),
         _kitti_table(validation, main, rows, settings.out),

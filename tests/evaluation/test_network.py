@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fgrecon.evaluation.network import NetworkScores, network_parts, network_table
+from fgrecon.evaluation.network import NetworkScores, network_parts, network_table, parts_note
 
 
 @pytest.fixture
@@ -49,6 +49,7 @@ def test_parts_count_visible_points_of_hard_alone(scores):
     assert shares["keypoint network"][:2].tolist() == [100.0, 0.0]
     assert shares["fgrecon, pose stage"][:2].tolist() == [75.0, 75.0]
     assert np.isnan(shares["keypoint network"][2:]).all()
+    assert "are 4, 4, 0, 0" in parts_note(scores)
 
 
 def test_a_regime_without_a_car_is_empty(scores):
