@@ -37,8 +37,8 @@ Array = NDArray[np.float64]
 _Result = tuple[Array, list[str]]  # scores (R, 3) of one car, and why rows failed
 
 BASIS = 14
-"""Basis vectors of the priors: five, as shipped, leave 2.4 degrees and 4.3 % of the distance where eight leave 2.2 and
-3.9 and fourteen 2.2 and 3.7; what comes after these is finer than the marks."""
+"""Basis vectors of the priors: five, as shipped, leave 2.4 degrees and 4.4 % of the distance where eight leave 2.2 and
+4.0 and fourteen 2.2 and 3.8; what comes after these is finer than the marks."""
 
 KNOWN_SHAPE_OPTIONS = Options(
     sigma_relative=0.015, box_model=BoxModel.OFF, disabled_terms=frozenset({"laplacian"}), keep_history=True

@@ -252,7 +252,7 @@ def known_shape_tables(scores: KnownShapeScores, note: str) -> tuple[Table, Tabl
     parts = Table(
         "known_shape_split",
         "Known shape by distance, number of keypoints and half of the images, medians",
-        "Halves by a hash of the image's name: numbers of vectors and the use of the size were chosen on the first.",
+        "Halves by a hash of the image's name: vectors, relation of sizes and frequencies were chosen on the first.",
         columns,
         tuple(split),
         decimals=2,
