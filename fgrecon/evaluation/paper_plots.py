@@ -96,9 +96,9 @@ def per_part_plot(shares: Mapping[str, np.ndarray], category: Category) -> str:
         places = np.arange(category.size) + (s - (len(shares) - 1) / 2) * width
         axes.bar(places, np.nan_to_num(share), width, color=_COLOURS[s], label=label)
     names = [f"{k + 1}\n{name.replace('_', ' ').replace(' ', chr(10), 2)}" for k, name in enumerate(category.keypoints)]
-    axes.set_xticks(range(category.size), names, fontsize=7)
-    axes.set(ylim=(0, 108), ylabel="APK, %")
-    axes.legend(frameon=False, fontsize=7, ncols=len(shares), loc="upper center", bbox_to_anchor=(0.5, 1.14))
+    axes.set_xticks(range(category.size), names, fontsize=6.5)
+    axes.set(xlim=(-0.6, category.size - 0.4), ylim=(0, 104), ylabel="APK, %")
+    axes.legend(frameon=False, fontsize=8, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     axes.grid(visible=False, axis="x")
     return _svg(figure)
 
