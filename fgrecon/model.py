@@ -1,4 +1,4 @@
-"""A shape prior made ready for solving: scaled to a fleet, with visibility table and the points its box encloses."""
+"""A shape prior made ready for solving: brought to a size, with visibility table and the points its box encloses."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from fgrecon.errors import InvalidInputError
 from fgrecon.options import BoxModel
 from fgrecon.pose.visibility import VisibilityTable
+from fgrecon.priors.conditioning import given_size, is_one_vehicle
 from fgrecon.priors.shape_prior import ShapePrior
 from fgrecon.priors.size_prior import SizePrior
 
@@ -38,8 +39,9 @@ class VehicleModel:
     """What solving needs of a category and its prior, computed once.
 
     Attributes:
-        prior: The prior, scaled to the fleet where a size prior was given.
-        size: The size prior, or None.
+        prior: The prior; where a size was given scaled to the fleet, or conditioned on the size of the one vehicle
+            (`fgrecon.priors.conditioning.is_one_vehicle` decides).
+        size: The fleet's size prior; None where none was given, and where the prior holds it already.
         visibility: How visible each keypoint of the mean shape is from everywhere.
         outline: Surface points that can lie on the outline, for tight 2D boxes; the box's corners without a surface.
         corners: The eight corners of the vehicle's 3D box.
@@ -62,7 +64,7 @@ class VehicleModel:
 
 @lru_cache(maxsize=16)
 def prepare(prior: ShapePrior, size: SizePrior | None = None, basis_vectors: int | None = None) -> VehicleModel:
-    """The model of a prior and a fleet; remembered, since the visibility table takes a moment.
+    """The model of a prior and a size; remembered, since the visibility table takes a moment.
 
     Raises:
         InvalidInputError: The prior has fewer basis vectors than asked for.
@@ -72,7 +74,9 @@ def prepare(prior: ShapePrior, size: SizePrior | None = None, basis_vectors: int
             fix = f"Prior {prior.name} has {prior.dimension} basis vectors: give at most so many."
             raise InvalidInputError("options.basis_vectors", basis_vectors, fix)
         prior = prior.truncated(basis_vectors)
-    if size is not None:
+    if size is not None and is_one_vehicle(prior, size):
+        prior, size = given_size(prior, size), None
+    elif size is not None:
         prior = prior.for_fleet(size)
     operator = prior.category.dimension_operator
     mean = np.tensordot(operator, prior.mean, axes=2)

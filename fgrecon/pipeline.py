@@ -60,7 +60,8 @@ def reconstruct(
         distortion: OpenCV distortion coefficients, or None.
         prior: Shape prior, or its name, or the path of its file.
         ground: Ground plane; a number is the height in metres of a level camera; None assumes nothing.
-        size_prior: Fleet (`kitti`, `apollo79`), or a size prior; None takes sizes from the shape prior.
+        size_prior: Fleet (`kitti`, `apollo79`), or a size prior; one so tight that it is a single vehicle's tells its
+            shape as well (`fgrecon.priors.conditioning`). None takes sizes from the shape prior.
         initial: 3D box to start from as well, or a guess of rotation_y in radians to trust within 45 degrees.
         options: Settings.
 

@@ -142,7 +142,8 @@ def reconstruct_track(
         cameras: The camera, or one for each image.
         prior: Shape prior, or its name, or the path of its file.
         ground: Ground plane in every camera's frame; a number is the height in metres of a level camera.
-        size_prior: Fleet (`kitti`, `apollo79`), or a size prior; None takes sizes from the shape prior.
+        size_prior: Fleet (`kitti`, `apollo79`), or a size prior; one so tight that it is a single vehicle's tells its
+            shape as well (`fgrecon.priors.conditioning`). None takes sizes from the shape prior.
         options: Settings; `joint` must be set.
 
     Returns:

@@ -9,7 +9,7 @@ from fgrecon.catalogue import load_prior
 from fgrecon.errors import InvalidInputError
 from fgrecon.model import LinearPoints, prepare
 from fgrecon.options import BoxModel
-from fgrecon.priors.size_prior import SIZE_PRIORS
+from fgrecon.priors.size_prior import SIZE_PRIORS, SizePrior
 from tests.cars import project, yaw_pose
 
 
@@ -80,3 +80,15 @@ def test_basis_vectors(prior):
     with pytest.raises(InvalidInputError) as caught:
         prepare(prior, None, 6)
     assert caught.value.field == "options.basis_vectors"
+
+
+def test_the_size_of_one_car_moves_the_shape_and_that_of_a_fleet_stretches_it(prior):
+    wanted = prior.box_size([1.0, -0.5, 0.3, 0.2, 0.0])
+    one = prepare(prior, SizePrior("papers", wanted, 0.02 * wanted))
+    np.testing.assert_allclose(one.dimension_mean, wanted, rtol=0.02)
+    assert one.size is None  # the prior holds it: as a term of its own it would count twice
+    assert one.prior.name == "car14 given papers"
+    spread = np.sqrt(np.square(one.dimension_basis).sum(axis=1))
+    assert (spread <= 0.02 * wanted).all()
+    fleet = SIZE_PRIORS["kitti"]
+    assert prepare(prior, fleet).size is fleet

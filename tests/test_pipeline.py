@@ -104,6 +104,23 @@ def test_the_parts_of_a_result_fit_together(prior, seen):
     assert set(result.milliseconds) >= {"pose", "shape"}
 
 
+def test_the_size_of_one_car_tells_its_shape(prior):
+    """A long, tall car from few points: with its size told it comes out in shape, size and place."""
+    coefficients = np.array([1.5, -0.8, 0.6, 0.4, 0.0])
+    pose, size = yaw_pose(0.6), prior.box_size(coefficients)
+    observation = observe(prior, pose, coefficients, noise=1.0)
+    told = solve(observation, prior=prior, size_prior=",".join(f"{length:.3f}" for length in size))
+    untold = solve(observation, prior=prior)
+    assert told.prior.startswith("car14 given ")
+    assert "dimensions" not in told.energies
+    assert told.box_size == pytest.approx(size, rel=0.03)
+    shape = prior.keypoints(coefficients)
+    away = [np.linalg.norm(result.wireframe - shape, axis=1).mean() for result in (told, untold)]
+    assert away[0] < 0.04
+    assert away[0] < away[1]
+    assert np.linalg.norm(told.camera_T_object[:3, 3] - pose[:3, 3]) < 0.3
+
+
 def test_json_keeps_every_bit(seen):
     result = solve(seen[0], ground=1.65, size_prior="kitti")
     assert_same(result, Reconstruction.from_dict(json.loads(json.dumps(result.to_dict(), allow_nan=False))))

@@ -27,7 +27,6 @@ from fgrecon.keypoints.weights import load_weights
 
 __all__ = ["after_adjustment", "end_to_end", "marks_document", "print_marks", "run_training"]
 
-_CAMERA_HEIGHT = 1.65  # of KITTI's cameras, metres
 _SIZES = (0.0, 60.0, 120.0)  # pixels of the box's longer side from which street cars are counted
 
 
@@ -85,31 +84,10 @@ def marks_document(scored: Sequence[Scored], names: Sequence[str]) -> dict[str, 
 
 def after_adjustment(out: Console, scored: Sequence[Scored], data: Path) -> dict[str, Any]:
     """Marks again after pose and shape adjustment; street cars with KITTI's ground, fleet and boxes."""
-    from fgrecon.camera import Camera, Ground
-    from fgrecon.catalogue import load_prior
-    from fgrecon.from_image import reconstruct_detection
-    from fgrecon.keypoints.posed_cars import read_posed_cars
-    from fgrecon.kitti import read_calibration
-    from fgrecon.options import BoxModel, Options
-    from fgrecon.priors.size_prior import size_prior
+    from fgrecon.evaluation.network import adjust_marked
 
-    prior, fleet, plane = load_prior("car14"), size_prior("kitti"), Ground.level(_CAMERA_HEIGHT)
-    outline = Options(confidence_midpoint=CONFIDENCE_MIDPOINT, keep_history=False)
-    cuboid = replace(outline, box_model=BoxModel.CUBOID)
-    photographs = [item for item in scored if item.mark.group in GROUPS["photographs"]]
-    street = [item for item in scored if item.mark.group in GROUPS["hard"]]
-    matrices = {car.image.name: car.matrix for car in read_posed_cars(data / "posed_cars")}
-    calib = data / "kitti_object" / "training" / "calib"
-    after = adjusted(
-        photographs,
-        [Camera(matrices[item.mark.name]) for item in photographs],
-        lambda d, camera: reconstruct_detection(d, camera, options=outline, prior=prior),
-    )
-    after += adjusted(
-        street,
-        [read_calibration(calib / f"{item.mark.image.stem}.txt").camera for item in street],
-        lambda d, camera: reconstruct_detection(d, camera, options=cuboid, prior=prior, ground=plane, size_prior=fleet),
-    )
+    found = adjust_marked(scored, data)
+    after = adjusted(scored, [None if result is None else result.wireframe_uv for result in found])
     table = _table("after adjustment", "cars", "points", "PCK 0.1", "PCK 0.05", "median %")
     results = {name: localisation(after, groups) for name, groups in GROUPS.items()}
     for name, result in results.items():

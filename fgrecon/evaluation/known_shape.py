@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
@@ -21,10 +22,11 @@ from fgrecon.errors import FgreconError, InvalidInputError
 from fgrecon.evaluation.apollocar3d import MarkedCar, MarkedCars, marking_offsets
 from fgrecon.evaluation.metrics import FAILURE_DEGREES, keypoint_error, rotation_error
 from fgrecon.evaluation.simulated_run import single_threaded
+from fgrecon.evaluation.stages import stages_of
 from fgrecon.files import write_bytes
 from fgrecon.options import BoxModel, Options
 from fgrecon.pipeline import reconstruct
-from fgrecon.priors.apollo79 import Apollo79, apollo79_prior
+from fgrecon.priors.apollo79 import Apollo79, apollo79_prior, apollo79_size_relation
 from fgrecon.priors.conditioning import given_size
 from fgrecon.priors.shape_prior import ShapePrior
 from fgrecon.priors.size_prior import SizePrior
@@ -34,9 +36,9 @@ __all__ = ["BASIS", "KNOWN_SHAPE_OPTIONS", "KNOWN_SHAPE_ROWS", "KnownShapeScores
 Array = NDArray[np.float64]
 _Result = tuple[Array, list[str]]  # scores (R, 3) of one car, and why rows failed
 
-BASIS = 8
+BASIS = 14
 """Basis vectors of the priors: five, as shipped, leave 2.4 degrees and 4.4 % of the distance where eight leave 2.2 and
-4.0; twelve no longer help."""
+4.0 and fourteen 2.2 and 3.8; what comes after these is finer than the marks."""
 
 KNOWN_SHAPE_OPTIONS = Options(
     sigma_relative=0.015, box_model=BoxModel.OFF, disabled_terms=frozenset({"laplacian"}), keep_history=True
@@ -48,11 +50,17 @@ mean shape's proportions: it costs 0.2 degrees and 0.3 cm, and 1 cm where the si
 _SIZE_SIGMA = 0.02  # of each dimension: bumpers and lamps differ between cars of one length
 _STAGES = ("pose", "shape", "joint")
 
+EACH_MODEL = 10
+"""Cars that every model counts for in the prior of the rows `+others`, besides those that there are of it. The two
+commonest of 31 models make up a third of the cars, and the frequent ones are longer than the average model; 5 to 40 do
+alike."""
+
 KNOWN_SHAPE_ROWS = tuple(
-    f"{name}{size}{marks}" for size in ("", "+size") for marks in ("", "+marks") for name in ("sqpnp", *_STAGES)
+    f"{name}{size}{others}" for size in ("", "+size") for others in ("", "+others") for name in ("sqpnp", *_STAGES)
 )
-"""SQPnP with the mean shape, and fgrecon after each stage. `+size` knows the car's true length, width and height,
-`+marks` where people put their marks (`marking_offsets`, learnt from the cars of all other models)."""
+"""SQPnP with the mean shape, and fgrecon after each stage. `+size` knows the car's true length, width and height.
+`+others` knows what the cars of all other models tell: where people put their marks (`marking_offsets`) and, where the
+size is not told, how frequent each model is."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +68,7 @@ class KnownShapeScores:
     """C cars by R rows (`KNOWN_SHAPE_ROWS`).
 
     Attributes:
-        names: C names of cars.
+        names: C names of cars, `<image>:<position in the image>`.
         distance: (C,) distance of the car, metres.
         marks: (C,) number of marked keypoints.
         rotation: (C, R) angle between estimated and true rotation, degrees; 180 for a failure.
@@ -78,6 +86,12 @@ class KnownShapeScores:
     translation: Array
     keypoint: Array
     failures: tuple[str, ...]
+
+    @property
+    def held_out(self) -> NDArray[np.bool_]:
+        """(C,) cars of the half of the images, by a hash of their names, that later settings were not chosen on."""
+        images = [name.partition(":")[0].encode() for name in self.names]
+        return np.array([hashlib.sha256(image).digest()[0] % 2 == 1 for image in images], dtype=bool)
 
 
 def score_known_shapes(
@@ -110,7 +124,7 @@ def score_known_shapes(
     advance(len(found), len(cars.cars))
     with single_threaded(), ProcessPoolExecutor(workers, get_context("spawn")) as pool:
         waiting = {
-            pool.submit(_score_model, models, cars.camera, group, _offsets(cars, group)): (group, path)
+            pool.submit(_score_model, models, cars.camera, group, _others(models, cars, group)): (group, path)
             for group, path in todo
         }
         for future in as_completed(waiting):
@@ -135,7 +149,7 @@ def _digest(models: Apollo79, everyone: MarkedCars, cars: Sequence[MarkedCar]) -
     """Changes with everything that the results depend on, save for unreleased changes of the code."""
     options = replace(KNOWN_SHAPE_OPTIONS, disabled_terms=frozenset())  # a set has no order to print
     disabled = sorted(KNOWN_SHAPE_OPTIONS.disabled_terms)
-    plain = (metadata.version("fgrecon"), BASIS, options, disabled, KNOWN_SHAPE_ROWS, cars[0].model)
+    plain = (metadata.version("fgrecon"), BASIS, EACH_MODEL, options, disabled, KNOWN_SHAPE_ROWS, cars[0].model)
     digest = hashlib.sha256(repr(plain).encode())
     for array in (models.keypoints, models.vertices, models.size, everyone.camera.matrix):
         digest.update(np.ascontiguousarray(array).tobytes())
@@ -161,19 +175,27 @@ def _read(path: Path) -> list[_Result]:
         raise InvalidInputError(str(path), str(error), "Delete the file: it will be made again.") from error
 
 
-def _offsets(cars: MarkedCars, group: Sequence[MarkedCar]) -> Array:
-    """How the marks of all other models' cars lie."""
+def _others(models: Apollo79, cars: MarkedCars, group: Sequence[MarkedCar]) -> tuple[Array, Array]:
+    """What all other models' cars tell: how their marks lie (14, 3), and how much each model counts (79,)."""
     others = [car for car in cars.cars if car.model != group[0].model]
-    return marking_offsets(others, cars.camera, load_category("car14"))
+    found = Counter(car.model for car in others)
+    return (
+        marking_offsets(others, cars.camera, load_category("car14")),
+        np.array([float(EACH_MODEL + found[name]) for name in models.names]),
+    )
 
 
-def _score_model(models: Apollo79, camera: Camera, cars: Sequence[MarkedCar], offsets: Array) -> list[_Result]:
+def _score_model(
+    models: Apollo79, camera: Camera, cars: Sequence[MarkedCar], others: tuple[Array, Array]
+) -> list[_Result]:
     """Scores (R, 3) and failures of cars of one model."""
-    prior = apollo79_prior(models, basis=BASIS, exclude=[cars[0].model])
-    size = cars[0].size
-    told = given_size(prior, SizePrior("the true size", size, _SIZE_SIGMA * size))
+    exclude, size, (offsets, frequency) = [cars[0].model], cars[0].size, others
+    prior = apollo79_prior(models, basis=BASIS, exclude=exclude)
+    frequent = apollo79_prior(models, basis=BASIS, exclude=exclude, weights=frequency)
+    relation = apollo79_size_relation(models, prior, exclude)
+    told = given_size(prior, SizePrior("the true size", size, _SIZE_SIGMA * size), relation)
     as_modelled = np.zeros_like(offsets)
-    variants = [(base, marks) for base in (prior, told) for marks in (as_modelled, offsets)]
+    variants = [(prior, as_modelled), (frequent, offsets), (told, as_modelled), (told, offsets)]
     return [_score_car(car, camera, variants) for car in cars]
 
 
@@ -211,11 +233,7 @@ def _stages(car: MarkedCar, camera: Camera, prior: ShapePrior) -> list[tuple[Arr
     result = reconstruct(
         car.keypoints, camera, confidence=marked, box=car.box, prior=prior, options=KNOWN_SHAPE_OPTIONS
     )
-    states: list[tuple[Array, Array]] = []
-    for stage in _STAGES:
-        steps = [step for step in result.history if step.stage == stage]
-        states.append((steps[-1].camera_T_object, steps[-1].keypoints) if steps else states[-1])
-    return states
+    return [(state.camera_T_object, state.keypoints) for state in stages_of(result, prior.category).values()]
 
 
 def _errors(car: MarkedCar, camera_T_object: Array, shape: Array) -> tuple[float, float, float]:

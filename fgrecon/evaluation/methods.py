@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from fgrecon.camera import Camera, Ground
 from fgrecon.errors import FgreconError, InvalidInputError
+from fgrecon.model import prepare
 from fgrecon.observation import Observation
 from fgrecon.priors.shape_prior import ShapePrior
 from fgrecon.priors.size_prior import SizePrior
@@ -263,7 +264,7 @@ def _fgrecon(name: str, *, ground: bool, size: bool, robust: RobustStrategy | No
         return solve
 
     def prior_name(scene: Scene) -> str:
-        return scene.prior.for_fleet(scene.size).name if size else scene.prior.name
+        return prepare(scene.prior, scene.size if size else None).prior.name
 
     told = "pose and shape by factor-graph optimisation"
     return Method(name, told, bind, prior_name, partial(result_of, keep_history=True))

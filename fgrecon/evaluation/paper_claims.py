@@ -12,10 +12,24 @@ from fgrecon.evaluation.paper_numbers import PRINTED_MAE
 from fgrecon.evaluation.paper_tables import row_label
 from fgrecon.evaluation.simulated_scores import CHAIN_ROWS, STAGE_ROWS, Scores
 
-__all__ = ["decoupling_claim", "irls_claim", "ranking_claim"]
+__all__ = ["claims", "decoupling_claim", "irls_claim", "ranking_claim"]
 
 _BASELINES = ("aspnp+size", "epnp+size", "sqpnp+size", "sqpnp_confident+size", "poselib_ransac+size")
 _CLAIMED = 90.0
+
+
+def claims(scores: Scores, rows: Sequence[str], chain: Scores, chain_rows: Sequence[str]) -> tuple[str, ...]:
+    """What the numbers say about the paper's claims; nothing where a regime has no detected car in what was run."""
+    counts = [part.regimes[part.detection >= 0].sum(axis=0) for part in (scores, chain)]
+    if not np.all(counts):
+        return (
+            "No detected car on Easy, Moderate or Hard in this share of the set: of the claims nothing can be said.",
+        )
+    return (
+        irls_claim(scores, rows),
+        ranking_claim(scores, rows),
+        decoupling_claim(scores, rows, chain, chain_rows),
+    )
 
 
 def irls_claim(scores: Scores, rows: Sequence[str]) -> str:

@@ -15,10 +15,18 @@ from fgrecon.evaluation.known_shape import KNOWN_SHAPE_ROWS, KnownShapeScores
 from fgrecon.evaluation.paper_tables import APK_ALPHA, Table, row_label
 from fgrecon.evaluation.simulated_scores import STAGE_ROWS, Scores
 
-__all__ = ["aop_plot", "error_curves", "known_shape_plot", "noise_plot", "per_part_plot", "per_part_table"]
+__all__ = [
+    "aop_plot",
+    "error_curves",
+    "known_shape_plot",
+    "noise_plot",
+    "per_part_plot",
+    "per_part_table",
+    "simulated_parts",
+]
 
 _INK, _MUTED, _GRID = "#1b2733", "#6b7785", "#e3e8ee"
-_COLOURS = ("#8d99a6", "#4c78a8", "#e45756", "#54a24b")
+_COLOURS = ("#8d99a6", "#4c78a8", "#e45756", "#54a24b", "#b279a2")
 _OURS, _PRINTED = "#e45756", "#c9d1d9"
 
 
@@ -64,30 +72,33 @@ def aop_plot(table: Table) -> str:
     return _svg(figure)
 
 
-def per_part_table(scores: Scores, rows: Sequence[str], category: Category) -> Table:
-    """The per-part figure as numbers: APK of each keypoint on Hard, by stage."""
+def simulated_parts(scores: Scores, rows: Sequence[str]) -> Mapping[str, np.ndarray]:
+    """APK of each keypoint over the detected Hard cars, percent (K,), as measured and by stage."""
     used = scores.regimes[:, -1] & (scores.detection >= 0)
-    lines: list[tuple[str, tuple[float, ...]]] = []
-    shares = {row: _apk(scores, rows, row) for row in STAGE_ROWS}
-    measured = 100.0 * (scores.measured[used] <= APK_ALPHA).mean(axis=0)
-    for k, name in enumerate(category.keypoints):
-        lines.append((f"{k + 1} {name}", (float(measured[k]), *(float(shares[row][k]) for row in STAGE_ROWS))))
-    columns = ("as measured", *(row_label(row) for row in STAGE_ROWS))
-    note = "Percent of the detected Hard cars whose keypoint projects within 0.1 of the box's longer side of the truth."
-    return Table("per_part", "APK of each part on Hard (simulated)", note, columns, tuple(lines))
+    away = {"as measured": scores.measured} | {row: scores.reprojection[:, rows.index(row)] for row in STAGE_ROWS}
+    return {row_label(row): 100.0 * (values[used] <= APK_ALPHA).mean(axis=0) for row, values in away.items()}
 
 
-def per_part_plot(scores: Scores, rows: Sequence[str], category: Category) -> str:
-    """The paper's per-part figure: APK of each keypoint on Hard, by stage."""
+def per_part_table(key: str, title: str, note: str, shares: Mapping[str, np.ndarray], category: Category) -> Table:
+    """The paper's per-part figure as numbers: percent of each keypoint that is right (K,), by stage."""
+    lines = tuple(
+        (f"{k + 1} {name}", tuple(float(share[k]) for share in shares.values()))
+        for k, name in enumerate(category.keypoints)
+    )
+    return Table(key, title, note, tuple(shares), lines)
+
+
+def per_part_plot(shares: Mapping[str, np.ndarray], category: Category) -> str:
+    """The paper's per-part figure: percent of each keypoint that is right (K,), by stage."""
     figure, axes = _figure(8.6, 3.8)
-    width = 0.2
-    for s, row in enumerate(STAGE_ROWS):
-        places = np.arange(category.size) + (s - 1.5) * width
-        axes.bar(places, _apk(scores, rows, row), width, color=_COLOURS[s], label=row_label(row))
+    width = 0.8 / len(shares)
+    for s, (label, share) in enumerate(shares.items()):
+        places = np.arange(category.size) + (s - (len(shares) - 1) / 2) * width
+        axes.bar(places, np.nan_to_num(share), width, color=_COLOURS[s], label=label)
     names = [f"{k + 1}\n{name.replace('_', ' ').replace(' ', chr(10), 2)}" for k, name in enumerate(category.keypoints)]
-    axes.set_xticks(range(category.size), names, fontsize=7)
-    axes.set(ylim=(0, 108), ylabel="APK, %")
-    axes.legend(frameon=False, fontsize=8, ncols=4, loc="upper center", bbox_to_anchor=(0.5, 1.14))
+    axes.set_xticks(range(category.size), names, fontsize=6.5)
+    axes.set(xlim=(-0.6, category.size - 0.4), ylim=(0, 104), ylabel="APK, %")
+    axes.legend(frameon=False, fontsize=8, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     axes.grid(visible=False, axis="x")
     return _svg(figure)
 
@@ -97,8 +108,8 @@ def known_shape_plot(scores: KnownShapeScores) -> str:
     import matplotlib.pyplot as plt
 
     figure, panels = plt.subplots(1, 3, figsize=(9.6, 3.2), layout="constrained")
-    shown = ("sqpnp", "joint", "joint+marks", "sqpnp+size", "joint+size", "joint+size+marks")
-    names = ("SQPnP", "fgrecon", "fgrecon,\nmarks", "SQPnP,\nsize", "fgrecon,\nsize", "fgrecon,\nboth")
+    shown = ("sqpnp", "joint", "joint+others", "sqpnp+size", "joint+size", "joint+size+others")
+    names = ("SQPnP", "fgrecon", "fgrecon,\nothers", "SQPnP,\nsize", "fgrecon,\nsize", "fgrecon,\nboth")
     measures = (
         ("rotation, degrees", scores.rotation, 12.0),
         ("position, % of distance", 100.0 * scores.translation, 20.0),
@@ -136,12 +147,6 @@ def noise_plot(network: Sequence[Residuals], scores: Scores) -> str:
     )
     axes.legend(frameon=False, fontsize=8, loc="lower right")
     return _svg(figure)
-
-
-def _apk(scores: Scores, rows: Sequence[str], row: str) -> np.ndarray:
-    used = scores.regimes[:, -1] & (scores.detection >= 0)
-    share: np.ndarray = 100.0 * (scores.reprojection[used, rows.index(row)] <= APK_ALPHA).mean(axis=0)
-    return share
 
 
 def _figure(width: float, height: float) -> tuple[Any, Any]:

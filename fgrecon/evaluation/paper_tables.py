@@ -242,15 +242,17 @@ def known_shape_tables(scores: KnownShapeScores, note: str) -> tuple[Table, Tabl
         f"{NEAR:g} to {FAR:g} m": (scores.distance >= NEAR) & (scores.distance < FAR),
         f"beyond {FAR:g} m": scores.distance >= FAR,
         **{f"{count} keypoints marked": scores.marks == count for count in np.unique(scores.marks).tolist()},
+        "half for choosing": ~scores.held_out,
+        "held-out half": scores.held_out,
     }
     split = []
-    for row in ("sqpnp", "joint", "joint+marks", "sqpnp+size", "joint+size", "joint+size+marks"):
+    for row in ("sqpnp", "joint", "joint+others", "sqpnp+size", "joint+size", "joint+size+others"):
         r = KNOWN_SHAPE_ROWS.index(row)
         split += [(f"{row}, {name} ({int(g.sum())})", _known(scores, r, g)) for name, g in groups.items() if g.any()]
     parts = Table(
         "known_shape_split",
-        "Known shape by distance and number of keypoints, medians",
-        "",
+        "Known shape by distance, number of keypoints and half of the images, medians",
+        "Halves by a hash of the image's name: vectors, relation of sizes and frequencies were chosen on the first.",
         columns,
         tuple(split),
         decimals=2,

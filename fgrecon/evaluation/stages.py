@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.camera import Camera, Ground
+from fgrecon.category import Category
 from fgrecon.evaluation.methods import Scene
 from fgrecon.model import VehicleModel
 from fgrecon.observation import Observation
@@ -15,8 +16,18 @@ from fgrecon.options import Options
 from fgrecon.pipeline import reconstruct
 from fgrecon.pose.adjust import adjust_pose
 from fgrecon.pose.starts import around_the_clock
+from fgrecon.reconstruction import Reconstruction
 
-__all__ = ["AZIMUTH_GROSS", "AZIMUTH_SIGMA", "State", "algorithm1_state", "initial_state", "noisy_azimuth", "stages"]
+__all__ = [
+    "AZIMUTH_GROSS",
+    "AZIMUTH_SIGMA",
+    "State",
+    "algorithm1_state",
+    "initial_state",
+    "noisy_azimuth",
+    "stages",
+    "stages_of",
+]
 
 Array = NDArray[np.float64]
 
@@ -56,8 +67,6 @@ def stages(
 ) -> dict[str, State]:
     """State after each stage: `pose`, `shape` (pose fixed: solved one after the other) and `joint` (both together).
 
-    A stage without a step of its own ends where the one before did.
-
     Args:
         observation: Keypoints.
         camera: Camera.
@@ -81,13 +90,20 @@ def stages(
         size_prior=scene.size,
         options=options,
     )
-    operator = scene.prior.category.dimension_operator
+    return stages_of(result, scene.prior.category)
+
+
+def stages_of(result: Reconstruction, category: Category) -> dict[str, State]:
+    """The states that the history of a result holds: `pose`, `shape` and `joint`, the last being the result.
+
+    A stage without a step of its own ends where the one before did.
+    """
     states: dict[str, State] = {}
     for stage in _STAGES:
         steps = [step for step in result.history if step.stage == stage]
         if steps:
             last = steps[-1]
-            size = np.tensordot(operator, last.keypoints, axes=2)
+            size = np.tensordot(category.dimension_operator, last.keypoints, axes=2)
             states[stage] = State(last.camera_T_object, last.keypoints, size)
         elif states:
             states[stage] = next(reversed(states.values()))

@@ -117,24 +117,18 @@ def marks_reliability(scored: Sequence[Scored], bins: int = 8) -> Reliability:
     return reliability(np.concatenate(confidence), np.concatenate(right), bins)
 
 
-def adjusted(
-    scored: Sequence[Scored], cameras: Sequence[Camera], solve: Callable[[Detection, Camera], Any]
-) -> list[Scored]:
-    """The same cars after pose and shape adjustment, as in the paper's Table II: the projected wireframe is scored.
+def adjusted(scored: Sequence[Scored], projections: Sequence[Array | None]) -> list[Scored]:
+    """The same cars with other keypoints in the place of the network's, as in the paper's Table II.
 
     Args:
         scored: Cars as the network found them.
-        cameras: The camera of each.
-        solve: Makes a result with `wireframe_uv` from a detection and a camera; a refusal counts as infinitely far.
+        projections: (K, 2) pixels of each car's adjusted wireframe; None, where there is none, is infinitely far.
     """
     after = []
-    for item, camera in zip(scored, cameras, strict=True):
+    for item, pixels in zip(scored, projections, strict=True):
         away = np.full(len(item.error), np.inf)
-        try:
-            projected = solve(item.detection, camera).wireframe_uv
-            away = np.linalg.norm(projected - item.mark.keypoints, axis=1) / item.mark.extent
-        except FgreconError:
-            pass
+        if pixels is not None:
+            away = np.linalg.norm(pixels - item.mark.keypoints, axis=1) / item.mark.extent
         after.append(replace(item, error=away))
     return after
 

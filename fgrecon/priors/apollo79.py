@@ -12,15 +12,26 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.catalogue import load_category
+from fgrecon.checks import as_shape
 from fgrecon.errors import InvalidInputError
+from fgrecon.priors.conditioning import SizeRelation, learn_size_relation
 from fgrecon.priors.half_mesh import mirrored_half
 from fgrecon.priors.pca import SurfaceSamples, express, pca_prior
 from fgrecon.priors.shape_prior import ShapePrior, Surface
 
-__all__ = ["DUPLICATE", "Apollo79", "LeaveOneOut", "apollo79_prior", "leave_one_out", "load_apollo79", "rounded"]
+__all__ = [
+    "DUPLICATE",
+    "Apollo79",
+    "LeaveOneOut",
+    "apollo79_prior",
+    "apollo79_size_relation",
+    "leave_one_out",
+    "load_apollo79",
+    "rounded",
+]
 
 DUPLICATE = ("fengtian-puladuo-06", "guangqi-chuanqi-GS4-2015")
 """Two names of one and the same car: it is learnt from once, and held out by either name."""
@@ -114,7 +125,11 @@ def load_apollo79(path: str | Path) -> Apollo79:
 
 
 def apollo79_prior(
-    path: str | Path | Apollo79, basis: int = 5, exclude: Sequence[str] = (), symmetric: bool = True
+    path: str | Path | Apollo79,
+    basis: int = 5,
+    exclude: Sequence[str] = (),
+    symmetric: bool = True,
+    weights: ArrayLike | None = None,
 ) -> ShapePrior:
     """Learn the `car14` prior with surface from the models, without those named (for experiments on held-out cars).
 
@@ -126,6 +141,7 @@ def apollo79_prior(
             medial plane and mirrored: symmetric for every lambda. Otherwise learn from the keypoints as fixed points
             of the meshes, whose left and right differ as those of a prior from 2D annotations do, and from the
             meshes as they are.
+        weights: (79,) how much each model counts, such as how frequent it is; equal by default.
 
     Raises:
         InvalidInputError: The file cannot be used, a name is unknown, or too few models are left.
@@ -137,6 +153,7 @@ def apollo79_prior(
         (models.keypoints if symmetric else models.keypoints_mesh)[keep],
         basis=basis,
         symmetric=symmetric,
+        weights=None if weights is None else as_shape("weights", weights, (len(models.names),))[keep],
         surface=_samples(models, keep, symmetric),
         name="car14",
         provenance={
@@ -144,6 +161,21 @@ def apollo79_prior(
             "terms": "ApolloScape terms (research); see the model card",
         },
     )
+
+
+def apollo79_size_relation(models: Apollo79, prior: ShapePrior, exclude: Sequence[str] = ()) -> SizeRelation:
+    """How the models' boxes go with a prior's coefficients, without those named.
+
+    Args:
+        models: The models.
+        prior: A prior from `apollo79_prior`.
+        exclude: Names of models not to learn from.
+
+    Raises:
+        InvalidInputError: A name is unknown, or too few models are left for the prior's number of vectors.
+    """
+    keep = _kept(models, exclude)
+    return learn_size_relation(prior, models.keypoints[keep], models.size[keep])
 
 
 @dataclass(frozen=True)

@@ -146,10 +146,10 @@ def test_the_real_annotations_and_a_few_held_out_cars(data):
     assert len(cars.cars) + cars.too_few + len(cars.inconsistent) == cars.total
     assert len(cars.cars) > 400
     assert cars.noise < 0.02
-    rare = [car for car in cars.cars if car.model == "dongfeng-DS5"]
+    rare = [car for car in cars.cars if car.model == "dazhong-SUV"]
     scores = score_known_shapes(type(cars)(cars.camera, tuple(rare), len(rare), 0, (), 0.0), models)
     assert scores.rotation.shape == (len(rare), len(KNOWN_SHAPE_ROWS))
     assert np.median(scores.rotation) < 6.0
     assert np.median(scores.keypoint) < 0.16
-    # Knowing the size settles the distance.
+    # A large car: knowing its size settles the distance.
     assert np.median(scores.translation[:, 8:]) < np.median(scores.translation[:, :8])

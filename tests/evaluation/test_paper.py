@@ -16,7 +16,7 @@ from fgrecon.evaluation.keypoint_noise_fit import Residuals
 from fgrecon.evaluation.kitti_files import Objects
 from fgrecon.evaluation.known_shape import KNOWN_SHAPE_ROWS, KnownShapeScores
 from fgrecon.evaluation.paper import Page, _posed
-from fgrecon.evaluation.paper_claims import decoupling_claim, irls_claim, ranking_claim
+from fgrecon.evaluation.paper_claims import claims, decoupling_claim, irls_claim, ranking_claim
 from fgrecon.evaluation.paper_page import document, html, markdown
 from fgrecon.evaluation.paper_plots import (
     aop_plot,
@@ -25,6 +25,7 @@ from fgrecon.evaluation.paper_plots import (
     noise_plot,
     per_part_plot,
     per_part_table,
+    simulated_parts,
 )
 from fgrecon.evaluation.paper_tables import (
     Table,
@@ -166,6 +167,14 @@ def test_the_claim_about_decoupling_compares_sequence_and_joint(scores):
     assert "0.05 m on average, against 2.0 m" in text
 
 
+def test_of_no_car_nothing_is_claimed(scores):
+    chain = made_up(CHAIN_ROWS)
+    assert len(claims(scores, MAIN_ROWS, chain, CHAIN_ROWS)) == 3
+    empty = replace(scores, regimes=scores.regimes & [False, True, True])
+    (text,) = claims(empty, MAIN_ROWS, chain, CHAIN_ROWS)
+    assert "nothing can be said" in text
+
+
 def test_cells_as_text_and_as_json():
     cells = (Interval(50.0, 40.0, 62.0), 3, None, float("inf"))
     table = Table("key", "title", "", ("a", "b", "c", "d"), (("row", cells),))
@@ -191,13 +200,13 @@ def page(scores, known, scene):
     tables = (
         aop_table("table_1", "Table I", scores, MAIN_ROWS, "note <1>"),
         ms_table({"fgrecon, pose stage": [1.0, 3.0]}, 0.5),
-        per_part_table(scores, MAIN_ROWS, category),
+        per_part_table("parts", "Parts", "", simulated_parts(scores, MAIN_ROWS), category),
         *known_shape_tables(known, ""),
     )
     plots = {
         "bars": aop_plot(tables[0]),
         "curves": error_curves(scores, MAIN_ROWS, ("aspnp+size", "joint")),
-        "parts": per_part_plot(scores, MAIN_ROWS, category),
+        "parts": per_part_plot(simulated_parts(scores, MAIN_ROWS), category),
         "shapes": known_shape_plot(known),
         "noise": noise_plot([_network()], scores),
     }

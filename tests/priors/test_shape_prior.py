@@ -166,6 +166,14 @@ class TestApollo79:
         with pytest.raises(InvalidInputError, match="no-such-car"):
             apollo79_prior(models, exclude=["no-such-car"])
 
+    def test_a_model_counts_as_it_is_told_to(self, models):
+        weights = np.ones(len(models.names))
+        weights[12] = 1e6
+        prior = apollo79_prior(models, weights=weights)
+        assert prior.mean == pytest.approx(models.keypoints[12], abs=1e-3)
+        with pytest.raises(InvalidInputError, match="weights"):
+            apollo79_prior(models, weights=weights[1:])
+
     def test_unsymmetric_prior(self, models):
         prior = apollo79_prior(models, symmetric=False)
         gap = np.abs(prior.mean - prior.mean[prior.category.mirror] * FLIP).max()
