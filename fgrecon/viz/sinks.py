@@ -27,6 +27,7 @@ LOOPBACK = "127.0.0.1"
 
 _PATIENCE = 15.0  # seconds for a viewer to start listening
 _SETTLING = 1.0  # seconds for it to open its window
+_WRITING = 60.0  # seconds for the last of a recording to reach the disk
 
 
 @dataclass(frozen=True)
@@ -54,13 +55,14 @@ class Recording:
 
         Returns:
             What waits for them, puts the file in its place and returns its path; it may be called in another thread.
+            It raises an InvalidInputError where the file could not be written.
         """
         import rerun as rr  # on use: importing fgrecon must not import rerun
 
         stream = rr.RecordingStream(f"{APPLICATION}: {Path(path).stem}")
         with ExitStack() as started:
             part = started.enter_context(replacing(path))
-            started.callback(stream.disconnect)
+            started.callback(_finish, stream, path)
             stream.save(part, default_blueprint=self.layout())
             self.log(stream)
             rest = started.pop_all()
@@ -167,6 +169,18 @@ def start_viewer(bind: str = LOOPBACK) -> str:
         viewer.terminate()
     fix = "Use --save FILE.rrd, and open the file where there is a display."
     raise InvalidInputError("spawn", "the viewer does not start here", fix)
+
+
+def _finish(stream: Any, path: str | Path) -> None:
+    """Wait until all is written.
+
+    Disconnecting alone tells nobody what could not be written, and where the disk is full it may wait forever.
+    """
+    try:
+        stream.flush(timeout_sec=_WRITING)
+    except (RuntimeError, ValueError) as error:
+        raise InvalidInputError("save", f"{path}: {error}", "Give a file where there is room for it.") from error
+    stream.disconnect()
 
 
 def _listens(host: str, port: int) -> bool:
