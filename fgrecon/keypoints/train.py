@@ -184,19 +184,16 @@ def train_knet(
 
 
 def _batches(samples: _Samples, how: Training, first: int) -> Iterator[Any]:
+    import cv2
+
+    # A worker is one thread: the cores belong to the network. OpenCV's threads must end before processes are forked: a
+    # worker that inherits them waits for them for ever.
+    cv2.setNumThreads(1)
     numbers = range(first * how.batch, how.steps * how.batch)
     yield from DataLoader(
         samples,
         batch_size=how.batch,
         sampler=list(numbers),
         num_workers=how.workers,
-        worker_init_fn=_quiet if how.workers else None,
         prefetch_factor=4 if how.workers else None,
     )
-
-
-def _quiet(_: int) -> None:
-    """A worker is one thread: the cores belong to the network."""
-    import cv2
-
-    cv2.setNumThreads(1)
