@@ -185,7 +185,15 @@ def run_training(
         refining = RefineTraining(steps=refine_steps, seed=seed)
         weights = azimuth_weights(photographs.azimuth, chosen)
         refinement = train_refinement(
-            photographs, chosen, weights, partner, work / "refine.pt", refining, device=device, report=report
+            photographs,
+            chosen,
+            weights,
+            partner,
+            work / "refine.pt",
+            refining,
+            start=None if start is None else load_weights(start).refinement,
+            device=device,
+            report=report,
         )
         stored = replace(stored, refinement=refinement.state_dict(), refine_settings=refining.network.to_dict())
     save_weights(out, stored)

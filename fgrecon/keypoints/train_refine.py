@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -70,6 +71,7 @@ def train_refinement(
     checkpoint: Path,
     how: RefineTraining,
     *,
+    start: Mapping[str, Any] | None = None,
     device: str = "cpu",
     report: Callable[[Progress], None] | None = None,
 ) -> RefineNet:
@@ -82,6 +84,7 @@ def train_refinement(
         partner: (K,) index of each keypoint's mirror image.
         checkpoint: File to go on from and to write to.
         how: Settings.
+        start: Weights to start from, without a checkpoint.
         device: Torch's name of the device.
         report: Called after every `save_every` steps.
 
@@ -89,7 +92,10 @@ def train_refinement(
         The averaged networks, in evaluation mode.
     """
     torch.manual_seed(how.seed)
-    network: RefineNet = RefineNet(how.network).to(device)
+    network: RefineNet = RefineNet(how.network)
+    if start is not None:
+        network.load_state_dict(start, strict=False)
+    network = network.to(device)
     average: RefineNet = copy.deepcopy(network)
     optimizer = torch.optim.AdamW(network.parameters(), lr=how.rate)
     first = 0
