@@ -109,6 +109,9 @@ def read_boxes(file: Path, image: str) -> list[NamedBox]:
     boxes = []
     for number, line in enumerate(lines):
         words = line.split()
+        spaced = line.rsplit(maxsplit=_DETECTION_COLUMNS - 1)
+        if len(words) not in _LABEL_COLUMNS and len(spaced) == _DETECTION_COLUMNS and spaced[1].isdecimal():
+            words = spaced  # of a detection in an image whose name has spaces
         if not words:
             continue
         try:

@@ -54,7 +54,7 @@ class Options:
         plane_penalty: Weight mu of the penalty mu (1 - n'n)^2 on a plane's normal, square metres; None has unit normals
             by construction.
         disabled_terms: Names of energy terms to leave out (ablation): `planarity`, `symmetry`, `rectangularity`,
-            `dimensions`, `laplacian`, `box`, `ground`.
+            `dimensions`, `laplacian`, `box`, `ground`. The size of a single vehicle is in the prior, not a term.
         ambiguity_margin: Energy (nats) within which another pose makes the result ambiguous.
         keep_history: Record every iteration.
     """

@@ -102,11 +102,17 @@ def _write(recordings: Sequence[tuple[str, Recording]], save: Path, *, several: 
     from concurrent.futures import Future, ThreadPoolExecutor
 
     written: list[Path] = []
+    taken: set[Path] = set()
     with ThreadPoolExecutor(max_workers=1) as background:
         before: list[Future[Path]] = []
         for identity, recording in recordings:
             suffix = re.sub(r"[^\w.-]+", "-", identity)
             target = save.with_name(f"{save.stem}-{suffix}{save.suffix}") if several else save
+            number = 1
+            while target in taken:  # names need not be unique
+                number += 1
+                target = save.with_name(f"{save.stem}-{suffix}-{number}{save.suffix}")
+            taken.add(target)
             now = background.submit(recording.begin(target))
             written += [future.result() for future in before]
             before = [now]

@@ -27,6 +27,8 @@ def detect_command(
 ) -> None:
     """Find cars. The lines, `image class score x1 y1 x2 y2`, are what --boxes of other commands reads (score from 0.5).
 
+    Its boxes enclose the outline: give --box-model surface beside them, where --detect knows.
+
     Exit code 1: no car in any image.
     """
     from fgrecon.files import write_text

@@ -118,15 +118,19 @@ def prepare_photographs(cars: Sequence[PosedCar], fits: Sequence[ShapeFit], prio
 
 def draw_mask(car: PosedCar, fit: ShapeFit, prior: ShapePrior, scale: float = 1.0) -> NDArray[np.uint8]:
     """(192, 192) 255 where the projected surface covers the photograph resized by `scale`."""
-    import cv2
-
     surface = prior.surface
     if surface is None:
         raise ValueError("the prior has no surface")
     pixels = (car.project(surface.vertices(fit.coefficients)) + 0.5) * scale - 0.5
-    mask = np.zeros((SIDE, SIDE), dtype=np.uint8)
-    corners = np.clip(np.rint(pixels[surface.faces] * 16), -1e6, 1e6).astype(np.int32)
-    for triangle in corners:
+    return fill_faces(pixels[surface.faces], SIDE)
+
+
+def fill_faces(corners: Array, side: int) -> NDArray[np.uint8]:
+    """(side, side) 255 inside any of the triangles (F, 3, 2) in pixels."""
+    import cv2
+
+    mask = np.zeros((side, side), dtype=np.uint8)
+    for triangle in np.clip(np.rint(corners * 16), -1e6, 1e6).astype(np.int32):  # sixteenths of a pixel
         cv2.fillConvexPoly(mask, triangle, (255,), shift=4)
     return mask
 

@@ -8,6 +8,7 @@ checkpoint).
 from __future__ import annotations
 
 import io
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.errors import InvalidInputError
-from fgrecon.files import write_bytes
+from fgrecon.files import write_bytes, write_text
+from fgrecon.json_fields import read_json
 from fgrecon.keypoints.checkpoint import load_checkpoint
 from fgrecon.keypoints.dataset import Photographs, azimuth_weights, prepare_photographs
 from fgrecon.keypoints.decode import Calibration
@@ -34,9 +36,6 @@ from fgrecon.priors.shape_prior import ShapePrior
 __all__ = ["Labelling", "Source", "corrected", "first_labelling", "open_photographs", "read_source", "train_in_rounds"]
 
 Array = NDArray[np.float64]
-
-_FIRST_SIGMA = 2.5
-"""Spread of the targets in pixels of the crop while the labels are those of the boxes, which are less exact."""
 
 _BATCH = 32
 
@@ -114,6 +113,8 @@ class Labelling:
             for name, c, o in zip(stored["names"], stored["coefficients"], stored["offsets"], strict=True)
         }
         labels = Labels(stored["keypoints"], stored["visible"])
+        if "outlined" not in stored:
+            raise InvalidInputError(str(path), "labels of an older version", "Train in an empty folder.")
         return cls(labels, fits, posed, stored["trusted"], stored["outlined"])
 
 
@@ -138,22 +139,23 @@ def first_labelling(source: Source, silhouettes: Path | None = None) -> Labellin
             only photographs whose silhouette agrees with the shape are trusted.
 
     Raises:
-        InvalidInputError: The folder holds no silhouettes, or a file in it is no image.
+        InvalidInputError: The folder holds no silhouettes of these cars, or a file in it is no image of the right size.
     """
-    if silhouettes is not None and not any(silhouettes.glob("*.png")):
-        raise InvalidInputError("silhouettes", str(silhouettes), "Fill it with `fgrecon keypoints silhouettes`.")
     cars, found = list(source.cars), groups(source.cars)
     fits: dict[str, ShapeFit] = {}
     outlined = np.zeros(len(cars), dtype=bool)
     for name, members in found.items():
         fits[name] = fit_shape(source.prior, [cars[i] for i in members])
         if silhouettes is not None:
-            outlines = [read_outline(silhouettes / f"{cars[i].image.stem}.png") for i in members]
+            outlines = [read_outline(silhouettes / f"{cars[i].image.stem}.png", cars[i].size) for i in members]
             result = fit_outlines(source.prior, [cars[i] for i in members], outlines, fits[name])
             fits[name], outlined[members] = result.fit, result.used
             for row, car in zip(members, result.cars, strict=True):
                 cars[row] = car
-    trusted = outlined.copy() if outlined.any() else np.ones(len(cars), dtype=bool)
+    if silhouettes is not None and not outlined.any():
+        fix = "Fill it with `fgrecon keypoints silhouettes`."
+        raise InvalidInputError("silhouettes", f"{silhouettes}: none agrees with its car", fix)
+    trusted = np.ones(len(cars), dtype=bool) if silhouettes is None else outlined.copy()
     return _labelling(source.prior, cars, fits, found, trusted, outlined)
 
 
@@ -188,7 +190,7 @@ def open_photographs(source: Source, labelling: Labelling, folder: Path) -> Phot
     """The prepared photographs with these labels; prepares them where that has not been done."""
     if not (folder / "scales.npy").exists():  # the last file that is written
         fits = [labelling.fits[car.cad_id] for car in source.cars]
-        prepare_photographs(source.cars, fits, source.prior, folder)
+        prepare_photographs(labelling.cars, fits, source.prior, folder)
     return Photographs.load(folder, labelling.labels, np.array([car.azimuth for car in labelling.cars]))
 
 
@@ -225,6 +227,7 @@ def train_in_rounds(
     folder.mkdir(parents=True, exist_ok=True)
     checkpoint, partner = folder / "knet.pt", source.prior.category.mirror
     stops = [*(step for step in relabel_at if step < how.steps), how.steps]
+    _begin_alike(folder / "began.json", imagenet is not None, start, silhouettes)
     first = _first(source, folder / "labels-first.npz", silhouettes, tell)
     state = None if start is None else dict(load_weights(start).state)
     network: Any = None
@@ -251,14 +254,13 @@ def train_in_rounds(
             continue
         tell(f"Training to step {last}")
         chosen = source.learn[labelling.trusted[source.learn]]
-        sigma = _FIRST_SIGMA if number == 0 and start is None else how.sigma
         network = train_knet(
             photographs,
             chosen,
             azimuth_weights(photographs.azimuth, chosen),
             partner,
             checkpoint,
-            replace(how, sigma=sigma),
+            how,
             imagenet=imagenet,
             start=state,
             device=device,
@@ -270,6 +272,24 @@ def train_in_rounds(
     return network, labelling, photographs
 
 
+def _begin_alike(path: Path, imagenet: bool, start: Path | None, silhouettes: Path | None) -> None:
+    """Keep what a training began with; one that goes on has to name the same, since its networks come from that.
+
+    Raises:
+        InvalidInputError: It names something else.
+    """
+    named = {
+        "imagenet": imagenet,
+        "start": None if start is None else start.name,
+        "silhouettes": None if silhouettes is None else silhouettes.name,
+    }
+    if not path.exists():
+        write_text(path, json.dumps(named))
+    elif (before := read_json(path)) != named:
+        fix = f"Give what it began with, {json.dumps(before)}, or an empty folder."
+        raise InvalidInputError("work", f"{path.parent}: {json.dumps(named)}", fix)
+
+
 def _first(source: Source, path: Path, silhouettes: Path | None, tell: Callable[[str], None]) -> Labelling:
     """The first labels: those in the file, or made anew."""
     if path.exists():
@@ -277,6 +297,8 @@ def _first(source: Source, path: Path, silhouettes: Path | None, tell: Callable[
     tell("Labels from the boxes" if silhouettes is None else "Labels from boxes and silhouettes")
     labelling = first_labelling(source, silhouettes)
     labelling.save(path)
+    if silhouettes is not None:
+        tell(f"{int(labelling.outlined.sum())} silhouettes agree with their cars")
     return labelling
 
 

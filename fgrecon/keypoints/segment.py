@@ -26,6 +26,7 @@ __all__ = ["assemble", "draw_silhouettes", "in_order", "resized"]
 _MODEL = "/models/medium"
 _TRAINED_SIDE = 1024
 _MIDDLE, _SPREAD = 128.0, 256.0  # of the network's pixel values
+_INSTALL = "Run `pip install onnx onnxruntime`."
 _FIX = "Give the unpacked folder of the npm package @imgly/background-removal-data 1.4.5."
 
 
@@ -54,11 +55,13 @@ def resized(model: bytes, side: int) -> bytes:
         side: A multiple of 32.
 
     Raises:
-        InvalidInputError: The side is not.
+        InvalidInputError: The side is not, or the package `onnx` is not installed.
     """
-    import onnx
-    from onnx import numpy_helper
-
+    try:
+        import onnx
+        from onnx import numpy_helper
+    except ImportError as error:
+        raise InvalidInputError("onnx", "not installed", _INSTALL) from error
     if side < 32 or side % 32:
         raise InvalidInputError("side", side, "Give a multiple of 32.")
     graph = (loaded := onnx.load_model_from_string(model)).graph
@@ -120,12 +123,16 @@ def draw_silhouettes(
         How many were drawn.
 
     Raises:
-        InvalidInputError: The package or a photograph cannot be read.
+        InvalidInputError: The npm package or a photograph cannot be read, or a Python package is not installed.
     """
-    import onnxruntime
-
+    try:
+        import onnxruntime
+    except ImportError as error:
+        raise InvalidInputError("onnxruntime", "not installed", _INSTALL) from error
     out.mkdir(parents=True, exist_ok=True)
     missing = [car for car in cars if not (out / f"{car.image.stem}.png").exists()]
+    if not missing:
+        return 0
     session: Any = onnxruntime.InferenceSession(resized(assemble(package), side), providers=["CPUExecutionProvider"])
     name = session.get_inputs()[0].name
     for car in report(iter(missing)):

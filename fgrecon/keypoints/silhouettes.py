@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fgrecon.errors import InvalidInputError
+from fgrecon.keypoints.dataset import fill_faces
 from fgrecon.keypoints.labels import ShapeFit
 from fgrecon.keypoints.posed_cars import PosedCar
 from fgrecon.keypoints.relabel import SHIFT_SIGMA, TURN_SIGMA
@@ -43,7 +44,7 @@ class Outline:
     """A car's silhouette.
 
     Attributes:
-        mask: (240 + 48, 240 + 48) 1 on the car, 0 elsewhere: the photograph at `scale`, 48 pixels in.
+        mask: (288, 288) 1 on the car, 0 elsewhere: the photograph at `scale`, 48 pixels in.
         distance: Signed distance from the outline, positive outside, pixels of the mask.
         scale: Pixels of the mask per pixel of the photograph.
     """
@@ -122,17 +123,25 @@ class _Pose:
         self.translation = self.translation + step[3:]
 
 
-def read_outline(path: Path) -> Outline | None:
+def read_outline(path: Path, size: tuple[int, int]) -> Outline | None:
     """The silhouette in a grey image file as large as the photograph; None without one, or if it is empty.
 
+    Args:
+        path: The file.
+        size: (width, height) of the photograph, pixels.
+
     Raises:
-        InvalidInputError: The file is no image.
+        InvalidInputError: The file is no image, or of another size.
     """
     if not path.exists():
         return None
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if image is None:
         raise InvalidInputError(str(path), "unreadable", "Give a grey image: white on the car, black elsewhere.")
+    if image.shape != (size[1], size[0]):
+        raise InvalidInputError(
+            str(path), f"{image.shape[1]} x {image.shape[0]}", f"Give {size[0]} x {size[1]} pixels."
+        )
     return Outline.of(np.asarray(image, dtype=np.uint8))
 
 
@@ -213,7 +222,4 @@ def _overlap(surface: Surface, vertices: Array, car: PosedCar, outline: Outline)
 
 def _draw(places: Array, surface: Surface) -> NDArray[np.uint8]:
     """The projected surface in a silhouette's mask."""
-    mask = np.zeros((_SIDE + 2 * _PAD,) * 2, dtype=np.uint8)
-    for triangle in np.clip(np.rint(places[surface.faces] * 16), -1e6, 1e6).astype(np.int32):
-        cv2.fillConvexPoly(mask, triangle, (255,), shift=4)
-    return mask
+    return fill_faces(places[surface.faces], _SIDE + 2 * _PAD)

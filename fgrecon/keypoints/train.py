@@ -151,6 +151,7 @@ def train_knet(
         part.to(device=device, memory_format=torch.channels_last)
     network.train()
     sums: dict[str, float] = {}
+    summed = 0
     samples = _Samples(photographs, chosen, weights, partner, how)
     if first >= (how.steps if until is None else until):
         average.eval()
@@ -168,15 +169,15 @@ def train_knet(
         torch.nn.utils.clip_grad_norm_(network.parameters(), _CLIP)
         optimizer.step()
         follow(average, network, min(how.average, (step + 1) / (step + 10)))
+        summed += 1
         for name, value in losses.items():
             sums[name] = sums.get(name, 0.0) + float(value.detach())
         ending = step + 1 >= (how.steps if until is None else until)
         if (step + 1) % how.save_every == 0 or ending:
             save_checkpoint(checkpoint, network, average, optimizer, step + 1, how.network.to_dict())
             if report is not None:
-                count = (step % how.save_every) + 1
-                report(Progress(step + 1, how.steps, {name: value / count for name, value in sums.items()}))
-            sums = {}
+                report(Progress(step + 1, how.steps, {name: value / summed for name, value in sums.items()}))
+            sums, summed = {}, 0
         if ending:
             break
     average.eval()

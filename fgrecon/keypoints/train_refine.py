@@ -102,7 +102,7 @@ def train_refinement(
     if checkpoint.exists():
         first = restore_checkpoint(checkpoint, network, average, optimizer, how.network.to_dict())
     network.train()
-    street, sums = replace(how.street, size=how.network.crop), 0.0
+    street, sums, summed = replace(how.street, size=how.network.crop), 0.0, 0
     for step in range(first, how.steps):
         drawn = [
             photographs.draw(chosen, weights, street, partner, (how.seed, _SEED + step * how.batch + i))
@@ -125,11 +125,11 @@ def train_refinement(
         loss.backward()
         optimizer.step()
         follow(average, network, min(how.average, (step + 1) / (step + 10)))
-        sums += float(loss.detach())
+        sums, summed = sums + float(loss.detach()), summed + 1
         if (step + 1) % how.save_every == 0 or step + 1 == how.steps:
             save_checkpoint(checkpoint, network, average, optimizer, step + 1, how.network.to_dict())
             if report is not None:
-                report(Progress(step + 1, how.steps, {"patches": sums / (step % how.save_every + 1)}))
-            sums = 0.0
+                report(Progress(step + 1, how.steps, {"patches": sums / summed}))
+            sums, summed = 0.0, 0
     average.eval()
     return average

@@ -314,10 +314,13 @@ def _log_joint(whole: _Track) -> None:
 
 def _log_words(whole: _Track) -> None:
     """What became of every image, every joint weight update, how it ended and why; and the summary."""
+    import rerun as rr
+
     track = whole.track
     for index, reason in track.refused.items():
         line = f"frame {whole.sight.number(index)} was refused: {reason}"
-        whole.stream.send_columns(entities.LOG, [], log_columns([line], "WARN"))
+        when = rr.TimeColumn(entities.FRAME, sequence=[whole.sight.number(index)])
+        whole.stream.send_columns(entities.LOG, [when], log_columns([line], "WARN"))
     for play in whole.plays:
         searched = len(play.steps) - whole.joint_steps
         if searched > 0:

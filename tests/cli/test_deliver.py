@@ -32,6 +32,13 @@ def test_every_vehicle_has_its_file(example: Example, tmp_path: Path) -> None:
     assert [len(replay.read(path).history) for path in written] == [3, 4, 5, 6]
 
 
+def test_vehicles_of_one_name_have_two_files(example: Example, tmp_path: Path) -> None:
+    named = [("a car", recording) for _, recording in recordings(example, 2)]
+    written = deliver(named, tmp_path / "cars.rrd", None, spawn=False, several=True)
+    assert [path.name for path in written] == ["cars-a-car.rrd", "cars-a-car-2.rrd"]
+    assert [len(replay.read(path).history) for path in written] == [3, 4]
+
+
 def test_a_file_that_cannot_be_written_is_told_and_leaves_nothing(example: Example, tmp_path: Path) -> None:
     (tmp_path / "cars-car-1.rrd").mkdir()
     with pytest.raises(InvalidInputError, match="cars-car-1"):

@@ -70,6 +70,21 @@ def test_a_finished_training_is_not_done_again(trained, source):
         torch.testing.assert_close(value, again.state_dict()[name])
 
 
+def test_workers_start_after_opencv_has_used_threads(source, tmp_path):
+    import cv2
+
+    cv2.setNumThreads(2)
+    cv2.resize(np.zeros((2000, 2000, 3), dtype=np.uint8), (1000, 1000))
+    reports = []
+    train_in_rounds(source, tmp_path, replace(HOW, workers=1), [1], report=reports.append)
+    assert [report.step for report in reports] == [1, 2]
+
+
+def test_a_training_goes_on_with_what_it_began_with(trained, source, tmp_path):
+    with pytest.raises(InvalidInputError, match="began with"):
+        train_in_rounds(source, trained[0], HOW, [1], silhouettes=tmp_path)
+
+
 def test_a_trained_network_can_go_on(source, tmp_path):
     torch.manual_seed(1)
     begun = KNet(SMALL)

@@ -8,6 +8,7 @@ import pytest
 
 from fgrecon.errors import InvalidInputError
 from fgrecon.images import write_png
+from fgrecon.keypoints.dataset import fill_faces
 from fgrecon.keypoints.labels import ShapeFit
 from fgrecon.keypoints.rounds import Source, first_labelling
 from fgrecon.keypoints.silhouettes import Outline, fit_outlines, read_outline
@@ -23,11 +24,8 @@ def prior():
 
 def silhouette(prior, car, coefficients=TRUTH):
     """The car as a segmentation would show it."""
-    mask = np.zeros((car.size[1], car.size[0]), dtype=np.uint8)
     pixels = car.project(prior.surface.vertices(coefficients))
-    for triangle in np.rint(pixels[prior.surface.faces] * 16).astype(np.int32):
-        cv2.fillConvexPoly(mask, triangle, (255,), shift=4)
-    return mask
+    return fill_faces(pixels[prior.surface.faces], max(car.size))[: car.size[1], : car.size[0]]
 
 
 def start(count):
@@ -91,12 +89,14 @@ def test_without_silhouettes_nothing_changes(prior):
 
 
 def test_files(tmp_path):
-    assert read_outline(tmp_path / "none.png") is None
+    assert read_outline(tmp_path / "none.png", (60, 40)) is None
     write_png(tmp_path / "empty.png", np.zeros((40, 60, 3), dtype=np.uint8))
-    assert read_outline(tmp_path / "empty.png") is None
+    assert read_outline(tmp_path / "empty.png", (60, 40)) is None
+    with pytest.raises(InvalidInputError, match="60 x 41"):
+        read_outline(tmp_path / "empty.png", (60, 41))
     (tmp_path / "bad.png").write_bytes(b"no image")
     with pytest.raises(InvalidInputError, match=r"bad\.png"):
-        read_outline(tmp_path / "bad.png")
+        read_outline(tmp_path / "bad.png", (60, 40))
 
 
 def test_first_labels_trust_photographs_with_silhouettes(prior, tmp_path):
