@@ -141,6 +141,9 @@ def train_command(
     start: Annotated[
         Path | None, typer.Option(help="A trained network to go on from; it corrects the first labels as well.")
     ] = None,
+    start_share: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Share of that network in the resulting weights.")
+    ] = 0.5,
     silhouettes: Annotated[
         Path | None, typer.Option(help="Folder that `fgrecon keypoints silhouettes` filled: better first labels.")
     ] = None,
@@ -168,6 +171,7 @@ def train_command(
         out,
         imagenet=imagenet,
         start=start,
+        start_share=start_share,
         silhouettes=silhouettes,
         steps=steps,
         batch=batch,

@@ -23,7 +23,7 @@ from fgrecon.keypoints.evaluate import (
     localisation,
     marks_reliability,
 )
-from fgrecon.keypoints.weights import load_weights
+from fgrecon.keypoints.weights import load_weights, mean_state
 
 __all__ = ["after_adjustment", "end_to_end", "marks_document", "print_marks", "run_training"]
 
@@ -130,6 +130,7 @@ def run_training(
     *,
     imagenet: Path | None,
     start: Path | None,
+    start_share: float,
     silhouettes: Path | None,
     steps: int,
     batch: int,
@@ -175,10 +176,12 @@ def run_training(
     provenance = {
         "data": f"{len(source.learn)} photographs of posed cars; shapes from 79 car models"
         + (f"; {int(labelling.outlined.sum())} silhouettes" if silhouettes else ""),
-        "start": _began(imagenet, start),
+        "start": _began(imagenet, start, start_share),
         "training": f"{steps} steps of {batch}, labels corrected at {list(relabel_at)}, seed {seed}",
     }
-    stored = Stored(network.state_dict(), how.network.to_dict(), Calibration(), provenance)
+    begun = None if start is None else load_weights(start)
+    state = network.state_dict() if begun is None else mean_state(begun.state, network.state_dict(), start_share)
+    stored = Stored(state, how.network.to_dict(), Calibration(), provenance)
     if refine_steps:
         shown.print("Refinement networks")
         chosen = source.learn[labelling.trusted[source.learn]]
@@ -191,11 +194,14 @@ def run_training(
             partner,
             work / "refine.pt",
             refining,
-            start=None if start is None else load_weights(start).refinement,
+            start=None if begun is None else begun.refinement,
             device=device,
             report=report,
         )
-        stored = replace(stored, refinement=refinement.state_dict(), refine_settings=refining.network.to_dict())
+        refined = refinement.state_dict()
+        if begun is not None and begun.refinement is not None:
+            refined = mean_state(begun.refinement, refined, start_share)
+        stored = replace(stored, refinement=refined, refine_settings=refining.network.to_dict())
     save_weights(out, stored)
     shown.print("Calibration")
     held = source.validate[labelling.trusted[source.validate]]
@@ -203,10 +209,11 @@ def run_training(
     save_weights(out, replace(stored, calibration=fitted))
 
 
-def _began(imagenet: Path | None, start: Path | None) -> str:
+def _began(imagenet: Path | None, start: Path | None, share: float) -> str:
     """What a training began with, in words."""
     if start is not None:
-        return f"{start.name}, itself from: {load_weights(start).provenance.get('start', 'unknown')}"
+        origin = load_weights(start).provenance.get("start", "unknown")
+        return f"{start.name} (of which {share:g} is left in the weights), itself from: {origin}"
     return "random weights" if imagenet is None else "EfficientNet-lite0, ImageNet"
 
 

@@ -13,7 +13,7 @@ from fgrecon.errors import InvalidInputError
 from fgrecon.files import write_bytes
 from fgrecon.keypoints.decode import Calibration
 
-__all__ = ["FORMAT", "Stored", "load_weights", "save_weights", "shipped"]
+__all__ = ["FORMAT", "Stored", "load_weights", "mean_state", "save_weights", "shipped"]
 
 FORMAT = "fgrecon.keypoints/1"
 
@@ -42,6 +42,25 @@ class Stored:
     refinement: Mapping[str, Any] | None = None
     refine_settings: Mapping[str, int] | None = None
     trust: float = 0.5
+
+
+def mean_state(first: Mapping[str, Any], second: Mapping[str, Any], share: float) -> dict[str, Any]:
+    """`second` with `share` of `first` in its weights; what only `second` has is taken over.
+
+    The mean of a network and of what further training made of it does better on other images than either
+    (Wortsman et al., Robust fine-tuning of zero-shot models, CVPR 2022).
+
+    Args:
+        first: Tensors by name.
+        second: The same, trained on from them.
+        share: From 0 to 1.
+    """
+    return {
+        name: share * first[name].to(value) + (1.0 - share) * value
+        if name in first and value.dtype.is_floating_point
+        else value
+        for name, value in second.items()
+    }
 
 
 def shipped() -> Path:

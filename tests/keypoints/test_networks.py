@@ -10,7 +10,7 @@ from fgrecon.keypoints.augment import Street
 from fgrecon.keypoints.dataset import Photographs, azimuth_weights, prepare_photographs
 from fgrecon.keypoints.decode import Calibration
 from fgrecon.keypoints.labels import fit_shape, project_labels
-from fgrecon.keypoints.weights import Stored, load_weights, save_weights
+from fgrecon.keypoints.weights import Stored, load_weights, mean_state, save_weights
 from tests.keypoints.support import made_up_cars, unit_car_prior
 
 torch = pytest.importorskip("torch")
@@ -145,3 +145,12 @@ def test_weights_survive_the_file(tmp_path):
         (tmp_path / "bad.safetensors").write_bytes(content)
         with pytest.raises(InvalidInputError, match="weights"):
             load_weights(tmp_path / "bad.safetensors")
+
+
+def test_the_mean_of_two_networks():
+    first = {"a": torch.tensor([1.0, 2.0]), "n": torch.tensor(3)}
+    second = {"a": torch.tensor([3.0, 4.0]), "n": torch.tensor(7), "new": torch.tensor([5.0])}
+    mean = mean_state(first, second, 0.25)
+    torch.testing.assert_close(mean["a"], torch.tensor([2.5, 3.5]))
+    assert mean["n"].item() == 7
+    torch.testing.assert_close(mean["new"], second["new"])
