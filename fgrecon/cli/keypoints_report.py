@@ -23,7 +23,7 @@ from fgrecon.keypoints.evaluate import (
     localisation,
     marks_reliability,
 )
-from fgrecon.keypoints.weights import load_weights, mean_state
+from fgrecon.keypoints.weights import Stored, load_weights, mean_state, save_weights
 
 __all__ = ["after_adjustment", "end_to_end", "marks_document", "print_marks", "run_training"]
 
@@ -149,7 +149,6 @@ def run_training(
     from fgrecon.keypoints.rounds import read_source, train_in_rounds
     from fgrecon.keypoints.train import Progress, Training
     from fgrecon.keypoints.train_refine import RefineTraining, train_refinement
-    from fgrecon.keypoints.weights import Stored, save_weights
 
     shown = console(error=True)
 
@@ -173,13 +172,13 @@ def run_training(
         tell=shown.print,
     )
     partner = source.prior.category.mirror
+    begun = None if start is None else load_weights(start)
     provenance = {
         "data": f"{len(source.learn)} photographs of posed cars; shapes from 79 car models"
         + (f"; {int(labelling.outlined.sum())} silhouettes" if silhouettes else ""),
-        "start": _began(imagenet, start, start_share),
+        "start": _began(imagenet, start, begun, start_share),
         "training": f"{steps} steps of {batch}, labels corrected at {list(relabel_at)}, seed {seed}",
     }
-    begun = None if start is None else load_weights(start)
     state = network.state_dict() if begun is None else mean_state(begun.state, network.state_dict(), start_share)
     stored = Stored(state, how.network.to_dict(), Calibration(), provenance)
     if refine_steps:
@@ -209,10 +208,10 @@ def run_training(
     save_weights(out, replace(stored, calibration=fitted))
 
 
-def _began(imagenet: Path | None, start: Path | None, share: float) -> str:
+def _began(imagenet: Path | None, start: Path | None, begun: Stored | None, share: float) -> str:
     """What a training began with, in words."""
-    if start is not None:
-        origin = load_weights(start).provenance.get("start", "unknown")
+    if start is not None and begun is not None:
+        origin = begun.provenance.get("start", "unknown")
         return f"{start.name} (of which {share:g} is left in the weights), itself from: {origin}"
     return "random weights" if imagenet is None else "EfficientNet-lite0, ImageNet"
 

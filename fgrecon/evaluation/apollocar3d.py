@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.annotations.offsets import robust_offset
 from fgrecon.camera import Camera
 from fgrecon.category import Category
 from fgrecon.errors import InvalidInputError
@@ -40,7 +41,7 @@ _LAMPS = {4: (0, 1, 2, 3), 5: (54, 55, 56, 57), 6: (22, 23, 25, 26), 7: (31, 32,
 _MARKS = 66
 _IMAGE_SIZE = (3384, 2710)
 _HEIGHTS = np.arange(0.4, 1.5, 0.01)
-_ENOUGH, _REWEIGHTINGS, _MARK_SIGMA, _WEAK = 20, 10, 0.05, 1e-3  # of the marks' offsets; metres
+_ENOUGH, _MARK_SIGMA, _WEAK = 20, 0.05, 1e-3  # of the marks' offsets; metres
 _OUTLIER = 0.3  # metres; marks farther off do not say more about an origin's height
 _FROM_OBJECT = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])  # (left, up, forward) of (x, y, z)
 
@@ -168,7 +169,8 @@ def marking_offsets(cars: Sequence[MarkedCar], camera: Camera, category: Categor
             if (row := _mark_residual(car, point, side, camera)) is not None
         ]
         if len(rows) >= _ENOUGH:
-            offset = _robust_offset(np.array([j for j, _ in rows]), np.array([r for _, r in rows]))
+            jacobian, residual = np.array([j for j, _ in rows]), np.array([r for _, r in rows])
+            offset = robust_offset(jacobian, residual, np.ones(len(rows)), _MARK_SIGMA, _WEAK)
             offsets[keypoint], offsets[mirrored] = offset, offset * [1.0, 1.0, -1.0]
     return offsets
 
@@ -181,17 +183,6 @@ def _mark_residual(car: MarkedCar, keypoint: int, side: float, camera: Camera) -
     jacobian = pixel_jacobian(camera.matrix, point[None])[0] @ car.camera_T_object[:3, :3]
     scale = point[2] / focal
     return scale * jacobian * [1.0, 1.0, side], scale * (car.keypoints[keypoint] - camera.project(point))
-
-
-def _robust_offset(jacobian: Array, residual: Array) -> Array:
-    """Offset (3,) by iteratively re-weighted least squares with a Huber loss, drawn weakly to zero."""
-    offset = np.zeros(3)
-    for _ in range(_REWEIGHTINGS):
-        away = np.linalg.norm(jacobian @ offset - residual, axis=1)
-        weight = 1.0 / np.maximum(away, _MARK_SIGMA)
-        matrix = np.einsum("nij,nik,n->jk", jacobian, jacobian, weight) + _WEAK * len(jacobian) * np.eye(3)
-        offset = np.linalg.solve(matrix, np.einsum("nij,ni,n->j", jacobian, residual, weight))
-    return offset
 
 
 def _read_car(fields: Fields, name: str, models: Apollo79) -> MarkedCar:

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 import factors
 from factors import L, LinearShape, M, O, ProjectionKernel, RobustLoss, X
+from fgrecon.annotations.offsets import robust_offset
 from fgrecon.keypoints.labels import ShapeFit
 from fgrecon.keypoints.posed_cars import PosedCar
 from fgrecon.priors.shape_prior import ShapePrior
@@ -44,7 +45,7 @@ _LOSS = RobustLoss.of("geman_mcclure", 2.0)
 _OWN_SIGMA = 0.7  # of a photograph's own coefficients around its group's
 _OWN_OFFSET_SIGMA = 0.012  # of its own offsets around its group's
 _LEAST_CONFIDENCE = 0.05
-_SEEN, _REWEIGHTINGS, _WEAK = 0.6, 10, 1e-4  # of what tells the network's bias
+_SEEN, _WEAK = 0.6, 1e-4  # of what tells the network's bias
 _DISAGREES = np.deg2rad(12.0)  # a photograph whose pose had to turn further is left out
 _SUPPORT = 0.4  # share of the confidence that has to agree with the shape
 
@@ -195,20 +196,11 @@ def without_bias(
         by_offset[:, 1, :, 2] *= -1.0
         residual = (found.keypoints - pixels)[sure][:, pair] / extent[sure][..., None]
         weight = np.where(found.confidence[sure][:, pair] > _SEEN, found.confidence[sure][:, pair], 0.0)
-        bias[keypoint] = _offset(by_offset.reshape(-1, 2, 3), residual.reshape(-1, 2), weight.ravel())
+        bias[keypoint] = robust_offset(
+            by_offset.reshape(-1, 2, 3), residual.reshape(-1, 2), _POINT_SIGMA * weight.ravel(), _POINT_SIGMA, _WEAK
+        )
         bias[partner] = bias[keypoint] * [1.0, 1.0, -1.0]
     return replace(found, keypoints=found.keypoints - np.einsum("mkij,kj->mki", jacobian, bias))
-
-
-def _offset(jacobian: Array, residual: Array, weight: Array) -> Array:
-    """Offset (3,) that explains residuals (N, 2); Huber's loss at `_POINT_SIGMA`, drawn weakly to zero."""
-    offset = np.zeros(3)
-    for _ in range(_REWEIGHTINGS):
-        away = np.linalg.norm(residual - jacobian @ offset, axis=1)
-        robust = weight * np.minimum(1.0, _POINT_SIGMA / np.maximum(away, 1e-12))
-        normal = np.einsum("nij,nik,n->jk", jacobian, jacobian, robust) + _WEAK * max(len(weight), 1) * np.eye(3)
-        offset = np.linalg.solve(normal, np.einsum("nij,ni,n->j", jacobian, residual, robust))
-    return offset
 
 
 def _photograph_factors(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import cv2
@@ -21,6 +22,7 @@ from fgrecon.keypoints.dataset import fill_faces
 from fgrecon.keypoints.labels import ShapeFit
 from fgrecon.keypoints.posed_cars import PosedCar
 from fgrecon.keypoints.relabel import SHIFT_SIGMA, TURN_SIGMA
+from fgrecon.pose.geometry import pixel_jacobian
 from fgrecon.priors.shape_prior import ShapePrior, Surface
 
 __all__ = ["Outline", "OutlineFit", "fit_outlines", "read_outline"]
@@ -73,6 +75,12 @@ class Outline:
         places: Array = (pixels + 0.5) * self.scale - 0.5 + _PAD
         return places
 
+    @cached_property
+    def _fields(self) -> tuple[NDArray[np.float32], ...]:
+        """The distance and its derivatives to the right and down."""
+        down, right = np.gradient(self.distance)
+        return tuple(np.asarray(field, dtype=np.float32) for field in (self.distance, right, down))
+
     def residuals(self, pixels: Array) -> tuple[Array, Array]:
         """Signed distances (N,) of pixels (N, 2) of the photograph from the outline, as fractions of the longer side.
 
@@ -80,10 +88,9 @@ class Outline:
             The distances, and their derivatives (N, 2) by the pixels.
         """
         column, row = (self.to_mask(pixels).T.astype(np.float32)[i][None] for i in (0, 1))
-        down, right = np.gradient(self.distance)
         value, du, dv = (
-            np.asarray(cv2.remap(field.astype(np.float32), column, row, cv2.INTER_LINEAR, borderMode=1), np.float64)[0]
-            for field in (self.distance, right, down)
+            np.asarray(cv2.remap(field, column, row, cv2.INTER_LINEAR, borderMode=1), np.float64)[0]
+            for field in self._fields
         )
         return value / _SIDE, np.column_stack([du, dv]) * (self.scale / _SIDE)
 
@@ -205,8 +212,7 @@ def _outline_rows(surface: Surface, vertices: Array, pose: _Pose) -> tuple[Array
     contour = max(contours, key=len)[::_SPACING, 0].astype(np.float64)
     vertex = np.unique(cKDTree(places).query(contour)[1])
     residual, slope = outline.residuals(pixels[vertex])
-    rows = (car.matrix[:2] - pixels[vertex][:, :, None] * car.matrix[2]) / homogeneous[vertex, 2][:, None, None]
-    in_camera = np.einsum("ni,nij->nj", slope, rows) / _SIGMA
+    in_camera = np.einsum("ni,nij->nj", slope, pixel_jacobian(car.matrix, camera[vertex])) / _SIGMA
     by_pose = np.concatenate([np.cross(camera[vertex] - pose.translation, in_camera), in_camera], axis=1)
     by_shape = np.einsum("nj,jk,mnk->nm", in_camera, pose.rotation, surface.basis[:, vertex])
     away = np.abs(residual)

@@ -12,6 +12,7 @@ from fgrecon.files import replacing
 from fgrecon.priors.shape_prior import ShapePrior
 from fgrecon.viz import style
 from fgrecon.viz.prior_picture import MODE_RANGE
+from fgrecon.viz.sinks import finish_file
 
 __all__ = ["record_prior"]
 
@@ -39,7 +40,7 @@ def record_prior(path: str | Path, prior: ShapePrior) -> Path:
     with replacing(path) as part:
         stream.save(part, default_blueprint=_blueprint())
         _log(stream, prior)
-        stream.disconnect()
+        finish_file(stream, path)
     return Path(path)
 
 

@@ -16,7 +16,16 @@ from typing import Any
 from fgrecon.errors import InvalidInputError
 from fgrecon.files import replacing
 
-__all__ = ["APPLICATION", "LOOPBACK", "Recording", "check_viewer", "free_port", "start_viewer", "viewer_command"]
+__all__ = [
+    "APPLICATION",
+    "LOOPBACK",
+    "Recording",
+    "check_viewer",
+    "finish_file",
+    "free_port",
+    "start_viewer",
+    "viewer_command",
+]
 
 APPLICATION = "fgrecon"
 """First part of the application that a recording names; the second is the recording's own name. Viewers keep one layout
@@ -62,7 +71,7 @@ class Recording:
         stream = rr.RecordingStream(f"{APPLICATION}: {Path(path).stem}")
         with ExitStack() as started:
             part = started.enter_context(replacing(path))
-            started.callback(_finish, stream, path)
+            started.callback(finish_file, stream, path)
             stream.save(part, default_blueprint=self.layout())
             self.log(stream)
             rest = started.pop_all()
@@ -171,10 +180,13 @@ def start_viewer(bind: str = LOOPBACK) -> str:
     raise InvalidInputError("spawn", "the viewer does not start here", fix)
 
 
-def _finish(stream: Any, path: str | Path) -> None:
-    """Wait until all is written.
+def finish_file(stream: Any, path: str | Path) -> None:
+    """Wait until all of a stream is written to its file, and end it.
 
     Disconnecting alone tells nobody what could not be written, and where the disk is full it may wait forever.
+
+    Raises:
+        InvalidInputError: Not all could be written to `path`.
     """
     try:
         stream.flush(timeout_sec=_WRITING)
