@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from fgrecon.errors import InvalidInputError
 from fgrecon.reconstruction import Iteration
 from fgrecon.track import JointStep
 from fgrecon.viz import entities
+from fgrecon.viz.columns import FIELDS
 
 __all__ = ["LogLine", "Replay", "Series", "StageSummary", "read"]
 
@@ -163,11 +164,13 @@ def read(path: str | Path) -> Replay:
             columns = batch.to_pydict()
             steps, at_frames = columns.get(entities.STEP), columns.get(entities.FRAME)
             if entity == entities.HISTORY and steps is not None and at_frames is not None:
+                rows_of_history = columns[f"{entities.HISTORY_ARCHETYPE}:{FIELDS}"]
                 history += [
-                    (f, s, _iteration(columns, i)) for i, (f, s) in enumerate(zip(at_frames, steps, strict=True))
+                    (f, s, _iteration(row)) for f, s, (row,) in zip(at_frames, steps, rows_of_history, strict=True)
                 ]
             elif entity == entities.TRACK and steps is not None:
-                joint += [(step, _joint_step(columns, i)) for i, step in enumerate(steps)]
+                rows_of_joint = columns[f"{entities.JOINT_ARCHETYPE}:{FIELDS}"]
+                joint += [(step, _joint_step(row)) for step, (row,) in zip(steps, rows_of_joint, strict=True)]
             elif _SCALARS in columns:
                 times = at_frames if _by_frame(entity) else steps
                 rows.setdefault(entity, []).extend(zip(times or [], columns[_SCALARS], strict=True))
@@ -213,43 +216,29 @@ def _lines(columns: Mapping[str, Any], steps: list[int] | None) -> list[LogLine]
     return [LogLine(step, level[0], text[0]) for step, text, level in zip(at, texts, levels, strict=True)]
 
 
-def _iteration(columns: Mapping[str, Any], row: int) -> Iteration:
-    fields = _Row(columns, entities.HISTORY_ARCHETYPE, row)
+def _iteration(fields: Mapping[str, Any]) -> Iteration:
     return Iteration(
-        stage=fields.all("stage")[0],
-        irls=fields.all("irls")[0],
-        step=fields.all("step")[0],
-        camera_T_object=fields.array("camera_T_object", 4, 4),
-        coefficients=fields.array("coefficients", -1),
-        keypoints=fields.array("keypoints", -1, 3),
-        projections=fields.array("projections", -1, 2),
-        weights=fields.array("weights", -1),
-        energies=dict(zip(fields.all("terms"), fields.all("energies"), strict=True)),
+        stage=fields["stage"],
+        irls=fields["irls"],
+        step=fields["step"],
+        camera_T_object=_array(fields["camera_T_object"], 4, 4),
+        coefficients=_array(fields["coefficients"], -1),
+        keypoints=_array(fields["keypoints"], -1, 3),
+        projections=_array(fields["projections"], -1, 2),
+        weights=_array(fields["weights"], -1),
+        energies=dict(zip(fields["terms"], fields["energies"], strict=True)),
     )
 
 
-def _joint_step(columns: Mapping[str, Any], row: int) -> JointStep:
-    fields = _Row(columns, entities.JOINT_ARCHETYPE, row)
+def _joint_step(fields: Mapping[str, Any]) -> JointStep:
     return JointStep(
-        irls=fields.all("irls")[0],
-        step=fields.all("step")[0],
-        poses=fields.array("poses", -1, 4, 4),
-        coefficients=fields.array("coefficients", -1),
-        energies=dict(zip(fields.all("terms"), fields.all("energies"), strict=True)),
+        irls=fields["irls"],
+        step=fields["step"],
+        poses=_array(fields["poses"], -1, 4, 4),
+        coefficients=_array(fields["coefficients"], -1),
+        energies=dict(zip(fields["terms"], fields["energies"], strict=True)),
     )
 
 
-@dataclass(frozen=True)
-class _Row:
-    """One row of the columns of an archetype."""
-
-    columns: Mapping[str, Any]
-    archetype: str
-    row: int
-
-    def all(self, name: str) -> list[Any]:
-        values: list[Any] = self.columns[f"{self.archetype}:{name}"][self.row] or []
-        return values
-
-    def array(self, name: str, *shape: int) -> NDArray[np.float64]:
-        return np.array(self.all(name), dtype=np.float64).reshape(shape)
+def _array(numbers: Sequence[float], *shape: int) -> NDArray[np.float64]:
+    return np.array(numbers, dtype=np.float64).reshape(shape)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fgrecon.observation import Observation
 from fgrecon.reconstruction import Reconstruction
 from fgrecon.viz import entities, style
+from fgrecon.viz.columns import made_columns
 from fgrecon.viz.factor_graph import Layout, lay_out
 from fgrecon.viz.geometry import Box, crop_around
 from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR, Truth
@@ -36,6 +37,7 @@ __all__ = [
 
 _ASPECT = 1.6
 _STEPS_PER_SECOND = 8.0
+_LAYOUT_TIME, _CLOCK = "blueprint", "log_time"  # rerun's timelines of a layout
 _GRAPH_MARGIN = (75.0, 30.0)  # half a label beyond the outermost nodes
 _NEAR, _CLOSE_UP = 14.0, 8.0  # metres: how far a camera may be to stay in the view, and what is looked at without it
 
@@ -60,7 +62,7 @@ class Page:
     rerun takes it for a `Blueprint`, of which it asks no more than these two methods.
 
     Attributes:
-        chunks: All views and containers.
+        chunks: All views and containers, on the timeline of layouts.
         properties: What differs between recordings: a view's path and the archetype that it gets.
     """
 
@@ -73,9 +75,22 @@ class Page:
 
     def _log_to_stream(self, stream: Any) -> None:
         """Send all of it to a blueprint's stream."""
-        stream.send_chunks(self.chunks)
-        for view, archetype in self.properties:
-            stream.log(f"{view}/{type(archetype).__name__}", archetype)
+        import rerun as rr
+        from rerun.chunk import Chunk
+
+        now = rr.TimeColumn(_LAYOUT_TIME, sequence=[0])
+        zoom = [Chunk.from_columns(f"{v}/{type(a).__name__}", [now], made_columns(a)) for v, a in self.properties]
+        stream.send_chunks([*self.chunks, *zoom])
+
+
+def _without_clock(chunk: Any) -> Any:
+    """A chunk of a layout without the time of day, which nothing asks for: a file's table of contents lists it all."""
+    from rerun.chunk import Chunk
+
+    batch = chunk.to_record_batch()
+    kept = [name for name in batch.schema.names if name != _CLOCK]
+    (slim,) = Chunk.from_record_batch(batch.select(kept))
+    return slim
 
 
 @dataclass(frozen=True)
@@ -114,7 +129,7 @@ def _views(measures: tuple[tuple[str, str], ...], *, graph: bool) -> _Views:
         reader = RrdReader(path)
         (store,) = reader.blueprints()
         paths = (view.blueprint_path() for view in (image, scene, structure))
-        return _Views(tuple(reader.stream(store=store)), *paths)
+        return _Views(tuple(map(_without_clock, reader.stream(store=store))), *paths)
 
 
 def page(above: Sequence[Any], below: Sequence[Any], *, name: str, timeline: str) -> Any:

@@ -5,7 +5,7 @@ rerun's own constructors take many times as long as the numbers that they wrap; 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -13,7 +13,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Column", "Outbox", "column", "fixed", "fixed_chunk", "strip_column"]
+__all__ = [
+    "FIELDS",
+    "Column",
+    "Outbox",
+    "column",
+    "exact_column",
+    "fixed",
+    "fixed_columns",
+    "made_columns",
+    "strip_column",
+]
+
+FIELDS = "fields"
+"""Name of the component that `exact_column` makes."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +60,35 @@ class Outbox:
     def send_chunks(self, chunk: Any) -> None:
         """Add a chunk."""
         self.chunks.append(chunk)
+
+
+def exact_column(archetype: str, fields: Mapping[str, Sequence[Any] | NDArray[Any]]) -> Column:
+    """One component of an archetype of our own, whose row i holds all elements of every field's values[i].
+
+    One, not one for each field: the table of contents of a file has many columns for every component.
+
+    Args:
+        archetype: Its name.
+        fields: Numbers, texts, or arrays or lists of them, one for each row; an array's first axis are the rows.
+    """
+    import pyarrow as pa
+    import rerun as rr
+
+    arrays = [_exact(values) for values in fields.values()]
+    rows = pa.StructArray.from_arrays(arrays, names=list(fields))
+    descriptor = rr.ComponentDescriptor(f"{archetype}:{FIELDS}", archetype=archetype)
+    return Column(descriptor, pa.ListArray.from_arrays(np.arange(len(rows) + 1, dtype=np.int32), rows))
+
+
+def _exact(values: Sequence[Any] | NDArray[Any]) -> Any:
+    """One number, text or list per row."""
+    import pyarrow as pa
+
+    if isinstance(values, np.ndarray) and values.ndim > 1:
+        count = int(np.prod(values.shape[1:]))
+        ends = np.arange(0, values.size + 1, count, dtype=np.int32) if count else np.zeros(len(values) + 1, np.int32)
+        return pa.ListArray.from_arrays(ends, pa.array(values.ravel()))
+    return pa.array(values)
 
 
 def column(
@@ -100,15 +142,24 @@ def fixed(entity: str, archetype: Any, **fields: Any) -> Any:
 
 @lru_cache(maxsize=512)
 def _fixed(entity: str, archetype: Any, fields: tuple[tuple[str, Any], ...]) -> Any:
-    return fixed_chunk(entity, archetype.from_fields(**dict(fields)))
-
-
-def fixed_chunk(entity: str, *archetypes: Any) -> Any:
-    """A `rerun.chunk.Chunk` without a time that holds archetypes."""
     from rerun.chunk import Chunk
 
-    batches = [batch for archetype in archetypes for batch in archetype.as_component_batches()]
-    return Chunk.from_columns(entity, [], [batch.partition([len(batch.as_arrow_array())]) for batch in batches])
+    return Chunk.from_columns(entity, [], fixed_columns(archetype, **dict(fields)))
+
+
+def fixed_columns(archetype: Any, **fields: Any) -> tuple[Any, ...]:
+    """The columns of `fixed`, to send with others of the entity: a chunk costs more than what is in it."""
+    return _fixed_columns(archetype, tuple(fields.items()))
+
+
+@lru_cache(maxsize=512)
+def _fixed_columns(archetype: Any, fields: tuple[tuple[str, Any], ...]) -> tuple[Any, ...]:
+    return made_columns(archetype.from_fields(**dict(fields)))
+
+
+def made_columns(archetype: Any) -> tuple[Any, ...]:
+    """The columns of an archetype of rerun, in one row."""
+    return tuple(batch.partition([len(batch.as_arrow_array())]) for batch in archetype.as_component_batches())
 
 
 def strip_column(archetype: Any, strips: NDArray[np.float64]) -> Column:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fgrecon.reconstruction import GraphFactor
 from fgrecon.viz import entities, style
-from fgrecon.viz.columns import Outbox, column, fixed
+from fgrecon.viz.columns import Outbox, column, fixed_columns
 from fgrecon.viz.playback import Playback
 from fgrecon.viz.style import Colour
 
@@ -85,10 +85,13 @@ def log_layout(stream: Outbox, layout: Layout, *, colours: bool = False) -> None
     }
     if colours:
         nodes["colors"] = np.array(layout.colours, dtype=np.uint8)
-    stream.send_chunks(fixed(entities.GRAPH, rr.GraphNodes, show_labels=True))
-    stream.send_chunks(fixed(entities.GRAPH, rr.GraphEdges, graph_type="undirected"))
-    columns = [column(rr.GraphNodes, name, values) for name, values in nodes.items()]
-    stream.send_columns(entities.GRAPH, [], [*columns, column(rr.GraphEdges, "edges", layout.edges)])
+    columns = [
+        *fixed_columns(rr.GraphNodes, show_labels=True),
+        *(column(rr.GraphNodes, name, values) for name, values in nodes.items()),
+        *fixed_columns(rr.GraphEdges, graph_type="undirected"),
+        column(rr.GraphEdges, "edges", layout.edges),
+    ]
+    stream.send_columns(entities.GRAPH, [], columns)
 
 
 @lru_cache(maxsize=16)

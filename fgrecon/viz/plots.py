@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import accumulate
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.reconstruction import Iteration, Status
+from fgrecon.reconstruction import Status
 from fgrecon.viz import entities, style
-from fgrecon.viz.columns import Column, Outbox, column, fixed
+from fgrecon.viz.columns import Column, Outbox, column, exact_column, fixed_columns
 from fgrecon.viz.describe import describe_stop, describe_update, median_residual, summary_table
 from fgrecon.viz.playback import Playback, Rows
 from fgrecon.viz.style import Colour
 
 __all__ = [
+    "INFO",
+    "WARN",
+    "energy_fields",
     "energy_series",
     "error_series",
-    "exact_columns",
     "keypoint_series",
     "log_columns",
     "log_history",
@@ -30,6 +31,9 @@ __all__ = [
     "series_style",
     "status_line",
 ]
+
+INFO, WARN = "INFO", "WARN"
+"""Levels of the log's lines; that of a failure is `ERROR`."""
 
 Names = tuple[str, ...]
 
@@ -102,45 +106,38 @@ def measure_name(measure: str) -> str:
 
 def log_history(rows: Rows) -> None:
     """Every field of every step, to the last bit: what `fgrecon.replay` makes the history of again."""
-    arrays = ("camera_T_object", "coefficients", "keypoints", "projections", "weights")
-    names = ("stage", "irls", "step", *arrays)
-    fields: dict[str, list[Any]] = {name: [getattr(step, name) for step in rows.steps] for name in names}
-    fields |= _energy_fields(rows.steps)
-    rows.send(entities.HISTORY, exact_columns(entities.HISTORY_ARCHETYPE, fields))
-
-
-def _energy_fields(steps: Sequence[Iteration]) -> dict[str, list[Any]]:
-    return {
-        "terms": [list(step.energies) for step in steps],
-        "energies": [np.array(list(step.energies.values()), dtype=np.float64) for step in steps],
+    steps = rows.steps
+    fields: dict[str, Any] = {
+        "stage": [step.stage for step in steps],
+        "irls": [step.irls for step in steps],
+        "step": [step.step for step in steps],
+        "camera_T_object": rows.poses,
+        "coefficients": np.stack([step.coefficients for step in steps]),
+        "keypoints": rows.keypoints,
+        "projections": np.stack([step.projections for step in steps]),
+        "weights": rows.weights,
+        **energy_fields([step.energies for step in steps]),
     }
+    rows.send(entities.HISTORY, [exact_column(entities.HISTORY_ARCHETYPE, fields)])
 
 
-def exact_columns(archetype: str, fields: Mapping[str, Sequence[Any]]) -> list[Column]:
-    """Component columns whose row i holds all elements of values[i]: arrays, numbers, texts or lists of texts."""
-    import pyarrow as pa
-    import rerun as rr
-
-    columns = []
-    for name, values in fields.items():
-        if isinstance(values[0], str | list):
-            parts: list[Any] = [[value] if isinstance(value, str) else value for value in values]
-            flat = pa.array([text for part in parts for text in part], pa.string())
-        else:
-            parts = [value.ravel() if isinstance(value, np.ndarray) else (value,) for value in values]
-            flat = pa.array(np.concatenate(parts))
-        ends = np.array([0, *accumulate(map(len, parts))], dtype=np.int32)
-        descriptor = rr.ComponentDescriptor(f"{archetype}:{name}", archetype=archetype)
-        columns.append(Column(descriptor, pa.ListArray.from_arrays(ends, flat)))
-    return columns
+def energy_fields(energies: Sequence[Mapping[str, float]]) -> dict[str, list[Any]]:
+    """Names and energies of the terms of n states, as `exact_column` takes them."""
+    return {
+        "terms": [list(state) for state in energies],
+        "energies": [list(state.values()) for state in energies],
+    }
 
 
 def log_words(play: Playback) -> None:
     """One line per weight update, why each stage stopped, how it ended and why; and the summary."""
     rows, texts = _lines(play) if play.steps else ([], [])
-    if rows:
-        play.every_step(entities.LOG, log_columns(texts), np.array(rows))
-    play.at_result(entities.LOG, status_line(play.reconstruction.status, play.reconstruction.message))
+    level, end = status_line(play.reconstruction.status, play.reconstruction.message)
+    columns = log_columns([*texts, end], [*[INFO] * len(texts), level])
+    if play.steps:
+        play.every_step(entities.LOG, columns, np.array([*rows, len(play.steps) - 1]))
+    else:
+        play.at_result(entities.LOG, columns)
     table = summary_table(play.reconstruction, play.observation, play.truth)
     log_summary(play.stream, table)
 
@@ -149,21 +146,21 @@ def log_summary(stream: Outbox, table: str) -> None:
     """The summary, a table in Markdown."""
     import rerun as rr
 
-    stream.send_chunks(fixed(entities.SUMMARY, rr.TextDocument, media_type="text/markdown"))
-    stream.send_columns(entities.SUMMARY, [], [column(rr.TextDocument, "text", [table])])
+    style = fixed_columns(rr.TextDocument, media_type="text/markdown")
+    stream.send_columns(entities.SUMMARY, [], [*style, column(rr.TextDocument, "text", [table])])
 
 
-def log_columns(texts: Sequence[str], level: str = "INFO") -> list[Column]:
-    """Columns of lines of the log, one a row."""
+def log_columns(texts: Sequence[str], levels: Sequence[str]) -> list[Column]:
+    """Columns of lines of the log and their levels, one a row."""
     import rerun as rr
 
-    return [column(rr.TextLog, "text", texts, 1), column(rr.TextLog, "level", [level] * len(texts), 1)]
+    return [column(rr.TextLog, "text", texts, 1), column(rr.TextLog, "level", levels, 1)]
 
 
-def status_line(status: Status, message: str) -> list[Column]:
-    """How it ended, and why."""
-    levels = {Status.CONVERGED: "INFO", Status.FAILED: "ERROR"}
-    return log_columns([f"{status.value}: {message}"], levels.get(status, "WARN"))
+def status_line(status: Status, message: str) -> tuple[str, str]:
+    """Level and text of the line that says how it ended, and why."""
+    levels = {Status.CONVERGED: INFO, Status.FAILED: "ERROR"}
+    return levels.get(status, WARN), f"{status.value}: {message}"
 
 
 def _lines(play: Playback) -> tuple[list[int], list[str]]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fgrecon.camera import Ground
 from fgrecon.viz import entities, style
-from fgrecon.viz.columns import Column, column, strip_column
+from fgrecon.viz.columns import Column, column, fixed_columns, strip_column
 from fgrecon.viz.geometry import (
     BOX_EDGES,
     box_corners,
@@ -51,13 +51,13 @@ def log_camera(play: Playback, image: NDArray[np.uint8] | None) -> None:
     depth = play.reconstruction.location[2]
     distance = min(_IMAGE_PLANE * depth, _FARTHEST_PLANE) if np.isfinite(depth) and depth > 0 else _FARTHEST_PLANE
     play.once(entities.SCENE, rr.ViewCoordinates, xyz=_AXES)
-    play.once(entities.CAMERA, rr.Pinhole, color=style.SCREEN_INK)
     values = {
         "image_from_camera": play.camera.matrix[None],
         "resolution": np.array([resolution(play.camera, image)]),
         "image_plane_distance": np.array([distance]),
     }
-    play.always(entities.CAMERA, [column(rr.Pinhole, name, value) for name, value in values.items()])
+    look = fixed_columns(rr.Pinhole, color=style.SCREEN_INK)
+    play.always(entities.CAMERA, [*look, *(column(rr.Pinhole, name, value) for name, value in values.items())])
 
 
 def log_frame(play: Playback, image: NDArray[np.uint8] | None) -> None:
@@ -183,8 +183,8 @@ def log_ground(play: Playback, ground: Ground | None) -> None:
     import rerun as rr
 
     grid = ground_grid(play.reconstruction.camera_T_object, ground)
-    play.once(entities.GROUND, **line_style(3, style.GROUND, 0.4))
-    play.always(entities.GROUND, [strip_column(rr.LineStrips3D, grid[None])])
+    look = fixed_columns(**line_style(3, style.GROUND, 0.4))
+    play.always(entities.GROUND, [*look, strip_column(rr.LineStrips3D, grid[None])])
 
 
 def log_result(play: Playback) -> None:

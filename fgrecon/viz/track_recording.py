@@ -21,15 +21,17 @@ from fgrecon.errors import InvalidInputError
 from fgrecon.observation import Observation
 from fgrecon.track import TrackReconstruction
 from fgrecon.viz import entities, style
-from fgrecon.viz.columns import Outbox, fixed, strip_column
+from fgrecon.viz.columns import Outbox, exact_column, fixed, strip_column
 from fgrecon.viz.describe import track_table
 from fgrecon.viz.factor_graph import lay_out, log_layout
 from fgrecon.viz.geometry import as_image, image_points
 from fgrecon.viz.playback import Playback, Rows
 from fgrecon.viz.plots import (
+    INFO,
+    WARN,
+    energy_fields,
     energy_series,
     error_series,
-    exact_columns,
     keypoint_series,
     log_columns,
     log_history,
@@ -304,12 +306,14 @@ def _log_joint(whole: _Track) -> None:
         colours = tuple(style.categorical(j) for j in numbers)
         whole.stream.send_chunks(fixed(entities.COEFFICIENTS, **series_style(lambdas, colours)))
         whole.stream.send_columns(entities.COEFFICIENTS, times, series_columns(coefficients))
-    fields: dict[str, list[Any]] = {
-        name: [getattr(step, name) for step in history] for name in ("irls", "step", "poses", "coefficients")
+    fields: dict[str, Any] = {
+        "irls": [step.irls for step in history],
+        "step": [step.step for step in history],
+        "poses": np.stack([step.poses for step in history]),
+        "coefficients": coefficients,
+        **energy_fields([step.energies for step in history]),
     }
-    fields["terms"] = [list(step.energies) for step in history]
-    fields["energies"] = [np.array(list(step.energies.values())) for step in history]
-    whole.stream.send_columns(entities.TRACK, times, exact_columns(entities.JOINT_ARCHETYPE, fields))
+    whole.stream.send_columns(entities.TRACK, times, [exact_column(entities.JOINT_ARCHETYPE, fields)])
 
 
 def _log_words(whole: _Track) -> None:
@@ -320,23 +324,22 @@ def _log_words(whole: _Track) -> None:
     for index, reason in track.refused.items():
         line = f"frame {whole.sight.number(index)} was refused: {reason}"
         when = rr.TimeColumn(entities.FRAME, sequence=[whole.sight.number(index)])
-        whole.stream.send_columns(entities.LOG, [when], log_columns([line], "WARN"))
+        whole.stream.send_columns(entities.LOG, [when], log_columns([line], [WARN]))
     for play in whole.plays:
         searched = len(play.steps) - whole.joint_steps
         if searched > 0:
             energy = sum(play.steps[searched - 1].energies.values())
             text = f"frame {play.frame}: pose found in {searched} steps, energy {energy:.4g}"
-            play.every_step(entities.LOG, log_columns([text]), np.array([searched - 1]))
+            play.every_step(entities.LOG, log_columns([text], [INFO]), np.array([searched - 1]))
+    level, end = status_line(track.status, track.message)
     last = {step.irls: row for row, step in enumerate(track.history)}
     if last:
         totals = [sum(track.history[row].energies.values()) for row in last.values()]
         texts = [f"joint {irls}: energy {total:.5g}" for irls, total in zip(last, totals, strict=True)]
-        whole.stream.send_columns(entities.LOG, whole.joint_times(list(last.values())), log_columns(texts))
-    end = status_line(track.status, track.message)
-    if last:
-        whole.stream.send_columns(entities.LOG, whole.joint_times([whole.joint_steps - 1]), end)
+        lines = log_columns([*texts, end], [*[INFO] * len(texts), level])
+        whole.stream.send_columns(entities.LOG, whole.joint_times([*last.values(), whole.joint_steps - 1]), lines)
     else:
-        whole.plays[-1].at_result(entities.LOG, end)
+        whole.plays[-1].at_result(entities.LOG, log_columns([end], [level]))
     errors = [
         play.truth.errors(play.reconstruction.camera_T_object, play.reconstruction.wireframe)
         for play in whole.plays
