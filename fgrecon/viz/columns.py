@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -77,7 +78,7 @@ def exact_column(archetype: str, fields: Mapping[str, Sequence[Any] | NDArray[An
     arrays = [_exact(values) for values in fields.values()]
     rows = pa.StructArray.from_arrays(arrays, names=list(fields))
     descriptor = rr.ComponentDescriptor(f"{archetype}:{FIELDS}", archetype=archetype)
-    return Column(descriptor, pa.ListArray.from_arrays(np.arange(len(rows) + 1, dtype=np.int32), rows))
+    return Column(descriptor, pa.ListArray.from_arrays(_even_ends(len(rows), 1), rows))
 
 
 def _exact(values: Sequence[Any] | NDArray[Any]) -> Any:
@@ -85,9 +86,7 @@ def _exact(values: Sequence[Any] | NDArray[Any]) -> Any:
     import pyarrow as pa
 
     if isinstance(values, np.ndarray) and values.ndim > 1:
-        count = int(np.prod(values.shape[1:]))
-        ends = np.arange(0, values.size + 1, count, dtype=np.int32) if count else np.zeros(len(values) + 1, np.int32)
-        return pa.ListArray.from_arrays(ends, pa.array(values.ravel()))
+        return pa.ListArray.from_arrays(_even_ends(len(values), prod(values.shape[1:])), pa.array(values.ravel()))
     return pa.array(values)
 
 
@@ -121,9 +120,9 @@ def column(
         numbers = _packed(values) if values.ndim == 2 else values
         flat = pa.array(numbers.astype(item.to_pandas_dtype(), copy=False))
     if counts is None:
-        counts = len(values)
-    if isinstance(counts, int):
-        ends = np.arange(0, len(values) + 1, counts, dtype=np.int32) if counts else np.zeros(2, np.int32)
+        ends = _even_ends(1, len(values))
+    elif isinstance(counts, int):
+        ends = _even_ends(len(values) // counts, counts)
     else:
         ends = _ends(counts)
     return Column(descriptor, pa.ListArray.from_arrays(ends, flat, type=rows))
@@ -168,13 +167,17 @@ def strip_column(archetype: Any, strips: NDArray[np.float64]) -> Column:
 
     descriptor, rows = _types(archetype, "strips", (2, strips.shape[3]))
     strip = rows.value_type
-    drawn = np.isfinite(strips).reshape(*strips.shape[:2], -1).all(axis=2)
-    found = strips[drawn]
-    numbers = pa.array(found.astype(np.float32).ravel())
+    finite = np.isfinite(strips)
+    if finite.all():
+        ends = _even_ends(*strips.shape[:2])
+    else:
+        drawn = finite.all(axis=(2, 3))
+        strips, ends = strips[drawn], _ends(drawn.sum(axis=1))
+    numbers = pa.array(strips.astype(np.float32).ravel())
     points = pa.FixedSizeListArray.from_arrays(numbers, type=strip.value_type)
-    ends = np.arange(0, len(found) * strips.shape[2] + 1, strips.shape[2], dtype=np.int32)
-    lists = pa.ListArray.from_arrays(ends, points, type=strip)
-    return Column(descriptor, pa.ListArray.from_arrays(_ends(drawn.sum(axis=1)), lists, type=rows))
+    length = strips.shape[-2]
+    lists = pa.ListArray.from_arrays(_even_ends(len(points) // length, length), points, type=strip)
+    return Column(descriptor, pa.ListArray.from_arrays(ends, lists, type=rows))
 
 
 def _ends(counts: NDArray[np.int64]) -> NDArray[np.int32]:
@@ -182,6 +185,14 @@ def _ends(counts: NDArray[np.int64]) -> NDArray[np.int32]:
     ends = np.zeros(len(counts) + 1, dtype=np.int32)
     counts.cumsum(out=ends[1:])
     return ends
+
+
+@lru_cache(maxsize=64)
+def _even_ends(rows: int, count: int) -> Any:
+    """The same as Arrow data where all rows have as many."""
+    import pyarrow as pa
+
+    return pa.array(np.arange(rows + 1, dtype=np.int32) * np.int32(count))
 
 
 def _packed(colours: NDArray[np.uint8]) -> NDArray[np.uint32]:

@@ -63,7 +63,7 @@ def log_graph(play: Playback) -> None:
     colours = np.broadcast_to(np.array(layout.colours, dtype=np.uint8), (len(play.steps), len(layout.nodes), 3)).copy()
     if drawn:
         nodes, keypoints = np.array(drawn).T
-        colours[:, nodes] = style.weight_colours(play.weights)[:, keypoints]
+        colours[:, nodes] = play.colours[:, keypoints]
     columns = [column(rr.GraphNodes, "colors", colours.reshape(-1, 3), len(layout.nodes))]
     play.every_step(entities.GRAPH, columns)
 

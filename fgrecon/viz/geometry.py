@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.camera import Camera, Ground
 from fgrecon.errors import InvalidInputError
 from fgrecon.observation import Observation
+from fgrecon.pose.geometry import cross
 
 __all__ = [
     "BOX_EDGES",
@@ -145,7 +146,7 @@ def ground_grid(
         origin = origin + (ground.distance - down @ origin) * down
     forward = forward - (forward @ down) * down
     forward = forward / np.linalg.norm(forward)
-    left = np.cross(forward, down)
+    left = cross(forward, down)
     at = np.arange(-half_size, half_size + spacing / 2, spacing)
     low, high = np.full_like(at, -half_size), np.full_like(at, half_size)
     along = np.stack([np.stack([low, at], axis=-1), np.stack([high, at], axis=-1)], axis=1)

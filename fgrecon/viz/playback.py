@@ -91,13 +91,33 @@ class Playback:
     @cached_property
     def weights(self) -> NDArray[np.float64]:
         """(n, K) weights of every step."""
-        return np.stack([step.weights for step in self.steps])
+        return np.array([step.weights for step in self.steps])
+
+    @cached_property
+    def colours(self) -> NDArray[np.uint8]:
+        """(n, K, 3) colour of every keypoint by its weight."""
+        return style.weight_colours(self.weights)
+
+    @cached_property
+    def coefficients(self) -> NDArray[np.float64]:
+        """(n, N) coefficients of every step."""
+        return np.array([step.coefficients for step in self.steps])
+
+    @cached_property
+    def poses(self) -> NDArray[np.float64]:
+        """(n, 4, 4) pose of every step."""
+        return np.array([step.camera_T_object for step in self.steps])
+
+    @cached_property
+    def keypoints(self) -> NDArray[np.float64]:
+        """(n, K, 3) keypoints of every step in the object frame."""
+        return np.array([step.keypoints for step in self.steps])
 
     @cached_property
     def keypoints_in_camera(self) -> NDArray[np.float64]:
         """(n, K, 3) keypoints of every step in the camera frame."""
-        poses = np.stack([step.camera_T_object for step in self.steps])
-        return into_camera(poses, np.stack([step.keypoints for step in self.steps]))
+        in_camera: NDArray[np.float64] = self.keypoints @ self.poses[:, :3, :3].transpose(0, 2, 1)
+        return in_camera + self.poses[:, None, :3, 3]
 
     @cached_property
     def pixels(self) -> NDArray[np.float64]:
@@ -161,6 +181,12 @@ class Rows:
         times: (n,) position of every step on each timeline.
         detected: (n, K, 2) detected keypoints of each step's frame, pixels; NaN where not measured.
         pixels: (n, K, 2) where the real image shows the wireframe; NaN where it does not.
+        weights: (n, K) weights.
+        colours: (n, K, 3) colour of every keypoint by its weight.
+        coefficients: (n, N) coefficients.
+        poses: (n, 4, 4) poses.
+        keypoints: (n, K, 3) keypoints in the object frame.
+        keypoints_in_camera: (n, K, 3) the same in the camera frame.
         previous: (n,) row of the last step of the weight update before each step's; the frame's first in its first.
         logged: Entities of the stream that have what does not change.
     """
@@ -171,6 +197,12 @@ class Rows:
     times: Mapping[str, NDArray[np.int64]]
     detected: NDArray[np.float64]
     pixels: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    colours: NDArray[np.uint8]
+    coefficients: NDArray[np.float64]
+    poses: NDArray[np.float64]
+    keypoints: NDArray[np.float64]
+    keypoints_in_camera: NDArray[np.float64]
     previous: NDArray[np.int64]
     logged: set[str]
 
@@ -186,34 +218,15 @@ class Rows:
             times={name: np.concatenate([play.times[name] for play in plays]) for name in plays[0].times},
             detected=np.concatenate(seen),
             pixels=np.concatenate([play.pixels for play in plays]),
+            weights=np.concatenate([play.weights for play in plays]),
+            colours=np.concatenate([play.colours for play in plays]),
+            coefficients=np.concatenate([play.coefficients for play in plays]),
+            poses=np.concatenate([play.poses for play in plays]),
+            keypoints=np.concatenate([play.keypoints for play in plays]),
+            keypoints_in_camera=np.concatenate([play.keypoints_in_camera for play in plays]),
             previous=np.concatenate([play.previous + start for play, start in zip(plays, first, strict=False)]),
             logged=plays[0].logged,
         )
-
-    @cached_property
-    def weights(self) -> NDArray[np.float64]:
-        """(n, K) weights of every step."""
-        return np.stack([step.weights for step in self.steps])
-
-    @cached_property
-    def colours(self) -> NDArray[np.uint8]:
-        """(n, K, 3) colour of every keypoint by its weight."""
-        return style.weight_colours(self.weights)
-
-    @cached_property
-    def poses(self) -> NDArray[np.float64]:
-        """(n, 4, 4) pose of every step."""
-        return np.stack([step.camera_T_object for step in self.steps])
-
-    @cached_property
-    def keypoints(self) -> NDArray[np.float64]:
-        """(n, K, 3) keypoints of every step in the object frame."""
-        return np.stack([step.keypoints for step in self.steps])
-
-    @cached_property
-    def keypoints_in_camera(self) -> NDArray[np.float64]:
-        """(n, K, 3) keypoints of every step in the camera frame."""
-        return into_camera(self.poses, self.keypoints)
 
     @cached_property
     def edges(self) -> Mapping[Side, NDArray[np.int64]]:
@@ -238,12 +251,6 @@ class Rows:
         import rerun as rr
 
         return [rr.TimeColumn(timeline, sequence=at) for timeline, at in self.times.items()]
-
-
-def into_camera(poses: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points (n, K, 3) of the object frame in the camera frame by poses (n, 4, 4)."""
-    in_camera: NDArray[np.float64] = points @ poses[:, :3, :3].transpose(0, 2, 1) + poses[:, None, :3, 3]
-    return in_camera
 
 
 def _once(stream: Outbox, logged: set[str], entity: str, archetype: Any, fields: Mapping[str, Any]) -> None:

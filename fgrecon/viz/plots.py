@@ -45,10 +45,9 @@ def log_plots(play: Playback) -> None:
     _plot(play, entities.ENERGY, energies, names, tuple(style.energy_colour(n, i) for i, n in enumerate(names)))
     names, colours = keypoint_series(play)
     _plot(play, entities.WEIGHTS, play.weights, names, colours)
-    coefficients = np.stack([step.coefficients for step in steps])
-    numbers = range(coefficients.shape[1])
+    numbers = range(play.coefficients.shape[1])
     names = tuple(f"lambda {j + 1}" for j in numbers)
-    _plot(play, entities.COEFFICIENTS, coefficients, names, tuple(style.categorical(j) for j in numbers))
+    _plot(play, entities.COEFFICIENTS, play.coefficients, names, tuple(style.categorical(j) for j in numbers))
     if play.truth is not None:
         errors = [play.truth.errors(step.camera_T_object, step.keypoints) for step in steps]
         for index, (measure, values) in enumerate(error_series(errors).items()):
@@ -89,7 +88,7 @@ def keypoint_series(play: Playback) -> tuple[Names, tuple[Colour, ...]]:
     """Names and colours of one series per keypoint."""
     sides = style.keypoint_sides(play.reconstruction.keypoint_names, play.reconstruction.wireframe)
     names = tuple(name.replace("_", " ") for name in play.reconstruction.keypoint_names)
-    return names, tuple(style.series_colours(sides))
+    return names, style.series_colours(sides)
 
 
 def error_series(errors: Sequence[Mapping[str, float]]) -> dict[str, NDArray[np.float64]]:
@@ -112,9 +111,9 @@ def log_history(rows: Rows) -> None:
         "irls": [step.irls for step in steps],
         "step": [step.step for step in steps],
         "camera_T_object": rows.poses,
-        "coefficients": np.stack([step.coefficients for step in steps]),
+        "coefficients": rows.coefficients,
         "keypoints": rows.keypoints,
-        "projections": np.stack([step.projections for step in steps]),
+        "projections": np.array([step.projections for step in steps]),
         "weights": rows.weights,
         **energy_fields([step.energies for step in steps]),
     }

@@ -167,7 +167,7 @@ def _log_planes(rows: Rows) -> None:
     """The planes of the faces, and the medial plane."""
     import rerun as rr
 
-    outlines = {name: face_outlines(rows.keypoints, face) for name, face in rows.look.faces.items()}
+    outlines = face_outlines(rows.keypoints, rows.look.faces)
     if len(rows.look.symmetric_pairs):
         outlines[entities.MEDIAL] = medial_outlines(rows.keypoints, rows.look.symmetric_pairs)
     for index, (name, outline) in enumerate(outlines.items()):

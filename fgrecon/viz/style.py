@@ -7,8 +7,8 @@ weight map runs through viridis, whose lightness rises with the weight, so it su
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from enum import StrEnum
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -159,7 +159,8 @@ def plane_colour(index: int) -> Colour:
     return _PLANES[index % len(_PLANES)]
 
 
-def series_colours(sides: Sequence[Side]) -> list[Colour]:
+@lru_cache(maxsize=16)
+def series_colours(sides: tuple[Side, ...]) -> tuple[Colour, ...]:
     """Colours of one series per keypoint: shades of its side's colour, darker to lighter along the vehicle."""
     colours = []
     for index, side in enumerate(sides):
@@ -168,7 +169,7 @@ def series_colours(sides: Sequence[Side]) -> list[Colour]:
         shade = base + mix * (255 - base) if mix > 0 else base * (1 + mix)
         red, green, blue = (int(channel) for channel in shade)
         colours.append((red, green, blue))
-    return colours
+    return tuple(colours)
 
 
 def keypoint_sides(names: tuple[str, ...], wireframe: NDArray[np.float64]) -> tuple[Side, ...]:

@@ -77,7 +77,7 @@ def test_no_edges_is_no_edges() -> None:
 
 
 def test_series_of_one_side_differ() -> None:
-    colours = style.series_colours([Side.LEFT, Side.RIGHT] * 7)
+    colours = style.series_colours((Side.LEFT, Side.RIGHT) * 7)
     assert len(set(colours)) == 14
     assert all(0 <= channel <= 255 for colour in colours for channel in colour)
 
