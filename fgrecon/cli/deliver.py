@@ -32,6 +32,9 @@ ConnectOption = Annotated[
 SpawnOption = Annotated[bool, typer.Option("--spawn", help="Show the recording in a new rerun viewer.")]
 
 
+_AT_ONCE = 2  # encoding one takes longer than making the next
+
+
 def wants_recording(save: Path | None, connect: str | None, *, spawn: bool) -> bool:
     """Whether any of the options is given."""
     return save is not None or connect is not None or spawn
@@ -98,12 +101,12 @@ def recordings_of(sights: Sequence[Sight], ground: Ground | None) -> list[tuple[
 
 
 def _write(recordings: Sequence[tuple[str, Recording]], save: Path, *, several: bool) -> list[Path]:
-    """Write recordings to files: while one is encoded and written, the next is made."""
+    """Write recordings to files: while some are encoded and written, the next is made."""
     from concurrent.futures import Future, ThreadPoolExecutor
 
     written: list[Path] = []
     taken: set[Path] = set()
-    with ThreadPoolExecutor(max_workers=1) as background:
+    with ThreadPoolExecutor(max_workers=_AT_ONCE) as background:
         before: list[Future[Path]] = []
         for identity, recording in recordings:
             suffix = re.sub(r"[^\w.-]+", "-", identity)
@@ -113,7 +116,7 @@ def _write(recordings: Sequence[tuple[str, Recording]], save: Path, *, several: 
                 number += 1
                 target = save.with_name(f"{save.stem}-{suffix}-{number}{save.suffix}")
             taken.add(target)
-            now = background.submit(recording.begin(target))
-            written += [future.result() for future in before]
-            before = [now]
+            before.append(background.submit(recording.begin(target)))
+            if len(before) > _AT_ONCE:  # no more of them in memory
+                written.append(before.pop(0).result())
         return written + [future.result() for future in before]

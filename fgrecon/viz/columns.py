@@ -48,8 +48,14 @@ class Column:
 
 @dataclass(frozen=True)
 class Outbox:
-    """Chunks on their way into a stream, to which they go all at once: sent one by one, each wakes rerun's threads."""
+    """Chunks on their way into a stream, to which they go all at once: sent one by one, each wakes rerun's threads.
 
+    Attributes:
+        name: Name of the recording.
+        chunks: What was sent so far.
+    """
+
+    name: str
     chunks: list[Any] = field(default_factory=list)
 
     def send_columns(self, entity: str, times: Iterable[Any], columns: Iterable[Any]) -> None:
@@ -61,6 +67,11 @@ class Outbox:
     def send_chunks(self, chunk: Any) -> None:
         """Add a chunk."""
         self.chunks.append(chunk)
+
+    def empty_into(self, stream: Any) -> None:
+        """Send all of them and the name into a `rerun.RecordingStream`."""
+        stream.send_recording_name(self.name)
+        stream.send_chunks(self.chunks)
 
 
 def exact_column(archetype: str, fields: Mapping[str, Sequence[Any] | NDArray[Any]]) -> Column:

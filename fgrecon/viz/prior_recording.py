@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.files import replacing
 from fgrecon.priors.shape_prior import ShapePrior
 from fgrecon.viz import style
 from fgrecon.viz.prior_picture import MODE_RANGE
-from fgrecon.viz.sinks import finish_file
+from fgrecon.viz.sinks import APPLICATION, Recording
 
 __all__ = ["record_prior"]
 
@@ -34,14 +33,7 @@ def record_prior(path: str | Path, prior: ShapePrior) -> Path:
     Raises:
         InvalidInputError: The file cannot be written.
     """
-    import rerun as rr
-
-    stream = rr.RecordingStream(f"fgrecon prior: {prior.name}")
-    with replacing(path) as part:
-        stream.save(part, default_blueprint=_blueprint())
-        _log(stream, prior)
-        finish_file(stream, path)
-    return Path(path)
+    return Recording(lambda: lambda stream: _log(stream, prior), _blueprint, f"{APPLICATION} prior").write(path)
 
 
 def _blueprint() -> Any:

@@ -7,6 +7,7 @@ runs, a file that holds more). The names are those of `fgrecon.viz.entities`; `f
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -70,10 +71,10 @@ def recording_of(
     """The recording that `record` writes, to be sent elsewhere; the arguments are those of `record`."""
     from fgrecon.viz.blueprint import blueprint
 
-    def log(stream: Any) -> None:
-        log_reconstruction(stream, reconstruction, observation, camera, image=image, truth=truth, ground=ground)
+    def make() -> Callable[[Any], None]:
+        return _outbox(reconstruction, observation, camera, image, truth, ground).empty_into
 
-    return Recording(log, lambda: blueprint(reconstruction, observation, truth))
+    return Recording(make, lambda: blueprint(reconstruction, observation, truth))
 
 
 def log_reconstruction(
@@ -91,8 +92,20 @@ def log_reconstruction(
     Raises:
         InvalidInputError: The image is not (H, W, 3) of bytes.
     """
+    _outbox(reconstruction, observation, camera, image, truth, ground).empty_into(stream)
+
+
+def _outbox(
+    reconstruction: Reconstruction,
+    observation: Observation,
+    camera: Camera,
+    image: NDArray[np.uint8] | None,
+    truth: Truth | None,
+    ground: Ground | None,
+) -> Outbox:
+    """All chunks of a recording."""
     photograph = None if image is None else as_image(image)
-    out = Outbox()
+    out = Outbox(f"{reconstruction.category}, {reconstruction.status.value}")
     play = Playback(out, reconstruction, observation, camera, truth)
     log_camera(play, photograph)
     log_frame(play, photograph)
@@ -109,5 +122,4 @@ def log_reconstruction(
         log_ground(play, ground)
         log_result(play)
     log_words(play)
-    stream.send_recording_name(f"{reconstruction.category}, {reconstruction.status.value}")
-    stream.send_chunks(out.chunks)
+    return out

@@ -111,7 +111,7 @@ def track_recording_of(track: TrackReconstruction, sight: TrackSight) -> Recordi
     """The recording that `record_track` writes, to be sent elsewhere; the arguments are those of `record_track`."""
     from fgrecon.viz.track_blueprint import track_blueprint
 
-    return Recording(lambda stream: log_track(stream, track, sight), lambda: track_blueprint(track, sight))
+    return Recording(lambda: _outbox(track, sight).empty_into, lambda: track_blueprint(track, sight))
 
 
 def log_track(stream: Any, track: TrackReconstruction, sight: TrackSight) -> None:
@@ -120,7 +120,12 @@ def log_track(stream: Any, track: TrackReconstruction, sight: TrackSight) -> Non
     Raises:
         InvalidInputError: An image is not (H, W, 3) of bytes.
     """
-    out = Outbox()
+    _outbox(track, sight).empty_into(stream)
+
+
+def _outbox(track: TrackReconstruction, sight: TrackSight) -> Outbox:
+    """All chunks of a recording."""
+    out = Outbox(f"track of {track.frames[0].category}, {track.status.value}")
     whole = _Track(out, track, sight)
     for index, play in zip(track.numbers, whole.plays, strict=True):
         image = None if sight.images is None else sight.images[index]
@@ -143,8 +148,7 @@ def log_track(stream: Any, track: TrackReconstruction, sight: TrackSight) -> Non
     if track.graph:
         log_layout(out, lay_out(track.graph), colours=True)
     _log_words(whole)
-    stream.send_recording_name(f"track of {track.frames[0].category}, {track.status.value}")
-    stream.send_chunks(out.chunks)
+    return out
 
 
 @dataclass(frozen=True)
