@@ -92,12 +92,15 @@ def recordings_of(sights: Sequence[Sight], ground: Ground | None) -> list[tuple[
         sights: The vehicles.
         ground: The ground plane that was assumed.
     """
-    from fgrecon.viz import recording_of
+    from fgrecon.viz import Photograph, recording_of
 
-    return [
-        (s.title, recording_of(s.reconstruction, s.observation, s.camera, image=s.image, truth=s.truth, ground=ground))
-        for s in sights
-    ]
+    images = {id(s.image): Photograph.of(s.image) for s in sights}  # several vehicles may be in one
+
+    def recording(s: Sight) -> Recording:
+        image = images[id(s.image)]
+        return recording_of(s.reconstruction, s.observation, s.camera, image=image, truth=s.truth, ground=ground)
+
+    return [(s.title, recording(s)) for s in sights]
 
 
 def _write(recordings: Sequence[tuple[str, Recording]], save: Path, *, several: bool) -> list[Path]:

@@ -13,6 +13,7 @@ neither rerun nor matplotlib: they are imported on use.
 """
 
 from fgrecon.viz.animation import animate
+from fgrecon.viz.photograph import Photograph
 from fgrecon.viz.picture import Sight, as_rgb, contact_sheet, picture, save_picture
 from fgrecon.viz.recording import log_reconstruction, record, recording_of
 from fgrecon.viz.sinks import Recording
@@ -20,6 +21,7 @@ from fgrecon.viz.track_recording import TrackSight, log_track, record_track, tra
 from fgrecon.viz.truth import Truth
 
 __all__ = [
+    "Photograph",
     "Recording",
     "Sight",
     "TrackSight",

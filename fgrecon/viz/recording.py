@@ -19,7 +19,7 @@ from fgrecon.observation import Observation
 from fgrecon.reconstruction import Reconstruction
 from fgrecon.viz.columns import Outbox
 from fgrecon.viz.factor_graph import log_graph
-from fgrecon.viz.geometry import as_image
+from fgrecon.viz.photograph import Photograph
 from fgrecon.viz.playback import Playback, Rows
 from fgrecon.viz.plots import log_history, log_plots, log_words
 from fgrecon.viz.scene import log_camera, log_frame, log_ground, log_result, log_steps, log_truth
@@ -64,11 +64,14 @@ def recording_of(
     observation: Observation,
     camera: Camera,
     *,
-    image: NDArray[np.uint8] | None = None,
+    image: NDArray[np.uint8] | Photograph | None = None,
     truth: Truth | None = None,
     ground: Ground | None = None,
 ) -> Recording:
-    """The recording that `record` writes, to be sent elsewhere; the arguments are those of `record`."""
+    """The recording that `record` writes, to be sent elsewhere; the arguments are those of `record`.
+
+    A `Photograph` that several recordings share is encoded once.
+    """
     from fgrecon.viz.blueprint import blueprint
 
     def make() -> Callable[[Any], None]:
@@ -99,12 +102,12 @@ def _outbox(
     reconstruction: Reconstruction,
     observation: Observation,
     camera: Camera,
-    image: NDArray[np.uint8] | None,
+    image: NDArray[np.uint8] | Photograph | None,
     truth: Truth | None,
     ground: Ground | None,
 ) -> Outbox:
     """All chunks of a recording."""
-    photograph = None if image is None else as_image(image)
+    photograph = Photograph.of(image)
     out = Outbox(f"{reconstruction.category}, {reconstruction.status.value}")
     play = Playback(out, reconstruction, observation, camera, truth)
     log_camera(play, photograph)

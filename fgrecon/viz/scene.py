@@ -19,6 +19,7 @@ from fgrecon.viz.geometry import (
     resolution,
     vertex_normals,
 )
+from fgrecon.viz.photograph import Photograph
 from fgrecon.viz.planes import face_outlines, fan, medial_outlines
 from fgrecon.viz.playback import Playback, Rows
 from fgrecon.viz.truth import Truth
@@ -26,7 +27,6 @@ from fgrecon.viz.truth import Truth
 __all__ = ["line_style", "log_camera", "log_frame", "log_ground", "log_result", "log_steps", "log_truth"]
 
 _AXES = (3, 2, 5)  # right, down, forward in rerun's numbers
-_JPEG_QUALITY = 92
 _SURFACE_ALPHA = 150  # of 255: the wireframe shows through
 _PLANE_ALPHA = 40
 _FAINT = 90
@@ -44,7 +44,7 @@ def line_style(dimension: int, colour: tuple[int, ...], radius: float, order: fl
     return {"archetype": rr.LineStrips3D, "colors": colour, "radii": -radius}
 
 
-def log_camera(play: Playback, image: NDArray[np.uint8] | None) -> None:
+def log_camera(play: Playback, photograph: Photograph | None) -> None:
     """The camera and its frame."""
     import rerun as rr
 
@@ -53,32 +53,25 @@ def log_camera(play: Playback, image: NDArray[np.uint8] | None) -> None:
     play.once(entities.SCENE, rr.ViewCoordinates, xyz=_AXES)
     values = {
         "image_from_camera": play.camera.matrix[None],
-        "resolution": np.array([resolution(play.camera, image)]),
+        "resolution": np.array([resolution(play.camera, None if photograph is None else photograph.pixels)]),
         "image_plane_distance": np.array([distance]),
     }
     look = fixed_columns(rr.Pinhole, color=style.SCREEN_INK)
     play.always(entities.CAMERA, [*look, *(column(rr.Pinhole, name, value) for name, value in values.items())])
 
 
-def log_frame(play: Playback, image: NDArray[np.uint8] | None) -> None:
+def log_frame(play: Playback, photograph: Photograph | None) -> None:
     """The photograph and the 2D box of the observation."""
     import rerun as rr
 
-    if image is not None:
+    if photograph is not None:
         play.once(entities.IMAGE, rr.EncodedImage, media_type="image/jpeg", draw_order=-10.0)
-        play.at_start(entities.IMAGE, rr.EncodedImage.columns(blob=[_jpeg(image)]))
+        play.at_start(entities.IMAGE, photograph.columns)
     box = play.observation.box
     if box is not None:
         play.once(entities.BOX_2D, rr.Boxes2D, colors=style.SCREEN_INK, radii=-0.5)
         values = {"centers": (box[None, :2] + box[None, 2:]) / 2, "half_sizes": (box[None, 2:] - box[None, :2]) / 2}
         play.at_start(entities.BOX_2D, [column(rr.Boxes2D, name, value) for name, value in values.items()])
-
-
-def _jpeg(image: NDArray[np.uint8]) -> bytes:
-    import cv2
-
-    bgr = np.ascontiguousarray(image[..., ::-1])
-    return bytes(cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1])
 
 
 def log_truth(play: Playback, truth: Truth) -> None:

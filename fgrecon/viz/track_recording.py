@@ -24,7 +24,8 @@ from fgrecon.viz import entities, style
 from fgrecon.viz.columns import Outbox, exact_column, fixed, strip_column
 from fgrecon.viz.describe import track_table
 from fgrecon.viz.factor_graph import lay_out, log_layout
-from fgrecon.viz.geometry import as_image, image_points
+from fgrecon.viz.geometry import image_points
+from fgrecon.viz.photograph import Photograph
 from fgrecon.viz.playback import Playback, Rows
 from fgrecon.viz.plots import (
     INFO,
@@ -129,7 +130,7 @@ def _outbox(track: TrackReconstruction, sight: TrackSight) -> Outbox:
     whole = _Track(out, track, sight)
     for index, play in zip(track.numbers, whole.plays, strict=True):
         image = None if sight.images is None else sight.images[index]
-        photograph = None if image is None else as_image(image)
+        photograph = Photograph.of(image)
         log_camera(play, photograph)
         log_frame(play, photograph)
         if play.truth is not None:

@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
+from rerun.chunk import RrdReader
 
 from fgrecon import replay
-from fgrecon.cli.deliver import deliver
+from fgrecon.cli.deliver import deliver, recordings_of
 from fgrecon.errors import InvalidInputError
-from fgrecon.viz import Recording, recording_of
+from fgrecon.viz import Recording, Sight, entities, recording_of
 from tests.viz.made_up import Example, make_example
 
 
@@ -30,6 +33,34 @@ def test_every_vehicle_has_its_file(example: Example, tmp_path: Path) -> None:
     assert [path.name for path in written] == [f"cars-car-{i}.rrd" for i in range(4)]
     assert sorted(tmp_path.iterdir()) == written
     assert [len(replay.read(path).history) for path in written] == [3, 4, 5, 6]
+
+
+def test_the_photograph_of_several_vehicles_is_encoded_once(
+    example: Example, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    encoded = []
+    encode = cv2.imencode
+    monkeypatch.setattr(cv2, "imencode", lambda *given: encoded.append(given) or encode(*given))
+    other = 255 - example.image
+    sights = [
+        Sight(example.reconstruction, example.observation, example.camera, image=image, title=f"car {i}")
+        for i, image in enumerate((example.image, other, example.image, None))
+    ]
+    written = deliver(recordings_of(sights, None), tmp_path / "cars.rrd", None, spawn=False, several=True)
+    assert len(encoded) == 2
+    shown = [
+        [
+            chunk.to_record_batch().to_pydict()["EncodedImage:blob"][0][0]
+            for chunk in RrdReader(path).stream()
+            if str(chunk.entity_path).strip("/") == entities.IMAGE and not chunk.is_static
+        ]
+        for path in written
+    ]
+    assert [len(photographs) for photographs in shown] == [1, 1, 1, 0]
+    assert shown[0] == shown[2] != shown[1]
+    (jpeg,) = shown[1]
+    found = cv2.imdecode(np.array(jpeg, dtype=np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+    assert np.abs(found.astype(float) - other).mean() < 10.0
 
 
 def test_vehicles_of_one_name_have_two_files(example: Example, tmp_path: Path) -> None:
