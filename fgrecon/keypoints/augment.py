@@ -30,7 +30,7 @@ class View:
     Attributes:
         image: (H, W, 3) RGB.
         mask: (H, W) 255 on the car, 0 elsewhere.
-        keypoints: (K, 2) pixels.
+        keypoints: (K, 2) pixels; NaN where unknown.
         visible: (K,) probability that each can be seen.
         azimuth: Direction from the car to the camera, radians; 0 ahead, pi / 2 to its left.
     """
@@ -54,7 +54,7 @@ class Sample:
 
     Attributes:
         crop: (S, S, 3) RGB.
-        keypoints: (K, 2) pixels of the crop.
+        keypoints: (K, 2) pixels of the crop; NaN where unknown.
         visible: (K,) probability that each can be seen.
         azimuth: As in `View`.
     """
@@ -129,7 +129,7 @@ class Street:
             canvas, cover = self._block(canvas, cover, rng)
         outside = np.zeros(cover.shape, dtype=bool) if border is None else _beyond(border, self.size)
         cover[outside] = 255
-        at = np.rint(keypoints).astype(int)
+        at = np.rint(np.nan_to_num(keypoints, nan=-1.0)).astype(int)
         inside = ((at >= 0) & (at < self.size)).all(axis=1)
         column, row = np.clip(at, 0, self.size - 1).T
         visible[~inside | (cover[row, column] > 127)] = 0.0

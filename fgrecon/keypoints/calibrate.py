@@ -88,13 +88,14 @@ def calibrate(
         found = detector.together([sample.crop for sample in drawn], np.tile(box, (count, 1)))
         for sample, detection in zip(drawn, found, strict=True):
             away = (detection.observation.keypoints - sample.keypoints) / extent
+            known = np.isfinite(sample.keypoints).all(axis=1)
             hit = (sample.visible > _SEEN) & (np.linalg.norm(away, axis=1) <= REACH)
-            visible.append(logit(detection.visible))
-            mass.append(detection.mass)
-            right.append(hit)
+            visible.append(logit(detection.visible)[known])
+            mass.append(detection.mass[known])
+            right.append(hit[known])
             if detection.observation.covariance is not None:
                 spread.append(detection.observation.covariance[hit] / extent**2)
                 error.append(away[hit])
-    fitted = Calibration.fit(np.array(visible), np.array(mass), np.array(right))
+    fitted = Calibration.fit(np.concatenate(visible), np.concatenate(mass), np.concatenate(right))
     fitted = fitted.with_spread(np.concatenate(spread), np.concatenate(error))
     return replace(fitted, floor=float(np.hypot(fitted.floor, _UNLABELLED)))

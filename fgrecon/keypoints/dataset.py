@@ -36,7 +36,7 @@ class Photographs:
         masks: (M, 192, 192) 255 on the car.
         sizes: (M, 2) width and height.
         scales: (M,) prepared pixels per pixel of the file.
-        keypoints: (M, K, 2) labels in prepared pixels.
+        keypoints: (M, K, 2) labels in prepared pixels; NaN where unknown.
         visible: (M, K) probability that each keypoint can be seen.
         azimuth: (M,) direction from the car to the camera, radians.
     """
@@ -87,7 +87,13 @@ class Photographs:
         return street.sample(self.view(index), another, partner, rng)
 
 
-def prepare_photographs(cars: Sequence[PosedCar], fits: Sequence[ShapeFit], prior: ShapePrior, folder: Path) -> None:
+def prepare_photographs(
+    cars: Sequence[PosedCar],
+    fits: Sequence[ShapeFit],
+    prior: ShapePrior,
+    folder: Path,
+    silhouettes: Sequence[Path | None] | None = None,
+) -> None:
     """Resize all photographs and draw their masks into memory-mapped arrays (about 0.15 MB a photograph).
 
     Args:
@@ -95,6 +101,8 @@ def prepare_photographs(cars: Sequence[PosedCar], fits: Sequence[ShapeFit], prio
         fits: The shape of each.
         prior: The model that the shapes are of.
         folder: Where to write; made if missing.
+        silhouettes: Grey image of each that is white on the car, for its mask; None where the shape's projection has to
+            do, or for all.
     """
     import cv2
 
@@ -109,7 +117,12 @@ def prepare_photographs(cars: Sequence[PosedCar], fits: Sequence[ShapeFit], prio
         width, height = (max(round(n * float(scales[i])), 1) for n in (image.shape[1], image.shape[0]))
         sizes[i] = width, height
         images[i, :height, :width] = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
-        masks[i, :height, :width] = draw_mask(car, fit, prior, float(scales[i]))[:height, :width]
+        file = None if silhouettes is None else silhouettes[i]
+        drawn = None if file is None else cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+        if drawn is None:
+            masks[i, :height, :width] = draw_mask(car, fit, prior, float(scales[i]))[:height, :width]
+        else:
+            masks[i, :height, :width] = cv2.resize(drawn, (width, height), interpolation=cv2.INTER_AREA)
     images.flush()
     masks.flush()
     np.save(folder / _FILES[2], sizes)

@@ -52,7 +52,7 @@ class Labels:
     """Keypoints of photographs.
 
     Attributes:
-        keypoints: (M, K, 2) pixels.
+        keypoints: (M, K, 2) pixels; NaN where unknown.
         visible: (M, K) probability that each is visible; 0 outside the photograph.
     """
 

@@ -44,7 +44,7 @@ def knet_loss(output: KNetOutput, points: Any, visible: Any, azimuth: Any, sigma
 
     Args:
         output: Of B crops.
-        points: (B, K, 2) pixels of the crop.
+        points: (B, K, 2) pixels of the crop; NaN where unknown: these keypoints do not count.
         visible: (B, K) probability of being seen.
         azimuth: (B,) radians.
         sigma: Standard deviation of the targets, pixels.
@@ -52,8 +52,10 @@ def knet_loss(output: KNetOutput, points: Any, visible: Any, azimuth: Any, sigma
     size = output.maps.shape[-1] * STRIDE
     inside = ((points > -0.5) & (points < size - 0.5)).all(dim=-1)
     weight = (HIDDEN_WEIGHT + (1.0 - HIDDEN_WEIGHT) * visible) * inside
-    maps = map_loss(output.maps, points, weight, STRIDE, sigma)
-    seen = functional.binary_cross_entropy_with_logits(output.visible.float(), visible)
+    maps = map_loss(output.maps, points.nan_to_num(), weight, STRIDE, sigma)
+    known = torch.isfinite(points).all(dim=-1).float()
+    seen = functional.binary_cross_entropy_with_logits(output.visible.float(), visible, known, reduction="sum")
+    seen = seen / known.sum().clamp(min=1.0)
     centres = torch.arange(AZIMUTH_BINS, device=azimuth.device) * (2.0 * torch.pi / AZIMUTH_BINS)
     closeness = (torch.cos(azimuth[:, None] - centres) - 1.0) / torch.deg2rad(torch.tensor(_AZIMUTH_SIGMA)) ** 2
     turn = functional.cross_entropy(output.azimuth.float(), torch.softmax(closeness, dim=1))

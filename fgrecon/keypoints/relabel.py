@@ -39,11 +39,12 @@ SHIFT_SIGMA = np.array([0.02, 0.02, 0.06])  # across, down and along the view, i
 _OUTLINED = 0.5  # of these spreads where the silhouette has corrected the pose
 _OUTLINED_SIGMA = 0.5  # of the coefficients around those of the silhouettes
 _OFFSET_SIGMA = 0.02  # of a keypoint's free offset per axis: 10 cm on a car of 5 m
+_UNKNOWN_SIGMA = 0.08  # of the offset along the car of one that the silhouettes say is elsewhere
 _SYMMETRY_SIGMA = 0.002
 _POINT_SIGMA = 0.02  # of the network's points, as a fraction of the photograph's longer side, beside their covariance
 _LOSS = RobustLoss.of("geman_mcclure", 2.0)
 _OWN_SIGMA = 0.7  # of a photograph's own coefficients around its group's
-_OWN_OFFSET_SIGMA = 0.012  # of its own offsets around its group's
+_OWN_OFFSET_SIGMA = 0.03  # of its own offsets around its group's
 _LEAST_CONFIDENCE = 0.05
 _SEEN, _WEAK = 0.6, 1e-4  # of what tells the network's bias
 _DISAGREES = np.deg2rad(12.0)  # a photograph whose pose had to turn further is left out
@@ -90,6 +91,7 @@ def relabel_shape(
     start: ShapeFit,
     found: Found,
     outlined: NDArray[np.bool_] | None = None,
+    known: NDArray[np.bool_] | None = None,
 ) -> Relabelled:
     """Correct shape and poses of the photographs of one shape.
 
@@ -100,6 +102,7 @@ def relabel_shape(
         found: What the network found in them.
         outlined: (M,) which poses were corrected by a silhouette and are surer for that; where there are any, the shape
             that it starts from is the silhouettes', and what is found may only correct it.
+        known: (K,) about which keypoints of it the shape so far tells; others may be anywhere along the car.
     """
     sure = np.zeros(len(cars), dtype=bool) if outlined is None else outlined
     shape = LinearShape(prior.mean, prior.basis, L(0), O(0))
@@ -109,7 +112,11 @@ def relabel_shape(
         graph.add(gtsam.PriorFactorVector(L(0), start.coefficients, noise))
     else:
         graph.add(factors.coefficients_prior(L(0), prior.dimension))
-    graph.add(factors.offsets_prior(O(0), np.full(prior.category.size, _OFFSET_SIGMA)))
+    spread = np.full(prior.mean.shape, _OFFSET_SIGMA)
+    if known is not None:
+        spread[~known, 0] = _UNKNOWN_SIGMA
+    free = gtsam.noiseModel.Diagonal.Sigmas(spread.ravel())
+    graph.add(gtsam.PriorFactorVector(O(0), np.zeros(spread.size), free))
     graph.add(factors.symmetry_factor(shape, prior.category.symmetric_pairs, M(0), _SYMMETRY_SIGMA))
     values.insert(L(0), start.coefficients)
     values.insert(O(0), start.offsets.ravel())
@@ -175,7 +182,7 @@ def without_bias(
         prior: Model of the shapes.
         cars: M photographs with their poses.
         fits: The shape of each.
-        sure: (M,) in which of them shape and pose can be relied on.
+        sure: (M, K) in which of them shape and pose can be relied on for a keypoint.
         found: What the network found in them.
     """
     points = np.array([prior.keypoints(fit.coefficients, fit.offsets) for fit in fits])
@@ -192,10 +199,11 @@ def without_bias(
         if keypoint > partner:
             continue
         pair = [keypoint, partner]
-        by_offset = jacobian[sure][:, pair] / extent[sure][..., None, None]
+        rely = sure[:, keypoint] & sure[:, partner]
+        by_offset = jacobian[rely][:, pair] / extent[rely][..., None, None]
         by_offset[:, 1, :, 2] *= -1.0
-        residual = (found.keypoints - pixels)[sure][:, pair] / extent[sure][..., None]
-        weight = np.where(found.confidence[sure][:, pair] > _SEEN, found.confidence[sure][:, pair], 0.0)
+        residual = (found.keypoints - pixels)[rely][:, pair] / extent[rely][..., None]
+        weight = np.where(found.confidence[rely][:, pair] > _SEEN, found.confidence[rely][:, pair], 0.0)
         bias[keypoint] = robust_offset(
             by_offset.reshape(-1, 2, 3), residual.reshape(-1, 2), _POINT_SIGMA * weight.ravel(), _POINT_SIGMA, _WEAK
         )

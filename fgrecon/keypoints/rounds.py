@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.category import Category
 from fgrecon.errors import InvalidInputError
 from fgrecon.files import write_bytes, write_text
 from fgrecon.json_fields import read_json
@@ -27,7 +28,7 @@ from fgrecon.keypoints.detect import Detector
 from fgrecon.keypoints.labels import Labels, ShapeFit, fit_shape, project_labels, unit_prior
 from fgrecon.keypoints.posed_cars import PosedCar, groups, read_posed_cars, read_validation_ids
 from fgrecon.keypoints.relabel import Found, relabel_shape, without_bias
-from fgrecon.keypoints.silhouettes import fit_outlines, read_outline
+from fgrecon.keypoints.silhouettes import Outline, contradicted, fit_outlines, read_outline
 from fgrecon.keypoints.train import Progress, Training, train_knet
 from fgrecon.keypoints.weights import Stored, load_weights, save_weights
 from fgrecon.priors.apollo79 import load_apollo79
@@ -147,7 +148,7 @@ def first_labelling(source: Source, silhouettes: Path | None = None) -> Labellin
     for name, members in found.items():
         fits[name] = fit_shape(source.prior, [cars[i] for i in members])
         if silhouettes is not None:
-            outlines = [read_outline(silhouettes / f"{cars[i].image.stem}.png", cars[i].size) for i in members]
+            outlines = _outlines(silhouettes, [cars[i] for i in members])
             result = fit_outlines(source.prior, [cars[i] for i in members], outlines, fits[name])
             fits[name], outlined[members] = result.fit, result.used
             for row, car in zip(members, result.cars, strict=True):
@@ -156,41 +157,59 @@ def first_labelling(source: Source, silhouettes: Path | None = None) -> Labellin
         fix = "Fill it with `fgrecon keypoints silhouettes`."
         raise InvalidInputError("silhouettes", f"{silhouettes}: none agrees with its car", fix)
     trusted = np.ones(len(cars), dtype=bool) if silhouettes is None else outlined.copy()
-    return _labelling(source.prior, cars, fits, found, trusted, outlined)
+    labelling = _labelling(source.prior, cars, fits, found, trusted, outlined)
+    return labelling if silhouettes is None else _uncontradicted(labelling, source.prior.category, silhouettes)
 
 
-def corrected(source: Source, first: Labelling, detector: Detector, photographs: Photographs) -> Labelling:
+def corrected(
+    source: Source, first: Labelling, detector: Detector, photographs: Photographs, silhouettes: Path | None = None
+) -> Labelling:
     """Labels corrected by what the network finds in all photographs of each shape.
 
     What boxes and silhouettes say is the evidence in every round; the corrections of the last round are not built upon.
     With silhouettes, what the network has learnt to put aside in all shapes alike is taken off what it finds.
+
+    Args:
+        source: The photographs.
+        first: Labels from boxes and silhouettes.
+        detector: The network.
+        photographs: Prepared photographs.
+        silhouettes: Folder of the silhouettes behind `first`.
     """
     members = groups(source.cars)
     found = _find(source.cars, detector, photographs)
+    known = np.asarray(np.isfinite(first.labels.keypoints).all(axis=-1), dtype=np.bool_)
     if first.outlined.any():
-        found = without_bias(
-            source.prior, first.cars, [first.fits[c.cad_id] for c in first.cars], first.outlined, found
-        )
+        sure = first.outlined[:, None] & known
+        found = without_bias(source.prior, first.cars, [first.fits[c.cad_id] for c in first.cars], sure, found)
     fits: dict[str, ShapeFit] = {}
     cars, trusted = list(first.cars), np.ones(len(first.cars), dtype=bool)
-    keypoints = np.zeros_like(first.labels.keypoints)
+    keypoints = np.zeros(first.labels.keypoints.shape)
     for name, rows in members.items():
         seen = Found(found.keypoints[rows], found.confidence[rows], found.covariance[rows])
         mine = [first.cars[i] for i in rows]
-        result = relabel_shape(source.prior, mine, first.fits[name], seen, first.outlined[rows])
+        told = np.logical_and.reduce(known[rows])
+        result = relabel_shape(source.prior, mine, first.fits[name], seen, first.outlined[rows], told)
         fits[name] = result.fit
         trusted[rows], keypoints[rows] = result.trusted, result.keypoints
         for row, car in zip(rows, result.cars, strict=True):
             cars[row] = car
     labelling = _labelling(source.prior, cars, fits, members, trusted, first.outlined)
-    return replace(labelling, labels=Labels(keypoints, labelling.labels.visible))
+    labelling = replace(labelling, labels=Labels(keypoints, labelling.labels.visible))
+    return labelling if silhouettes is None else _uncontradicted(labelling, source.prior.category, silhouettes)
 
 
-def open_photographs(source: Source, labelling: Labelling, folder: Path) -> Photographs:
+def open_photographs(
+    source: Source, labelling: Labelling, folder: Path, silhouettes: Path | None = None
+) -> Photographs:
     """The prepared photographs with these labels; prepares them where that has not been done."""
     if not (folder / "scales.npy").exists():  # the last file that is written
         fits = [labelling.fits[car.cad_id] for car in source.cars]
-        prepare_photographs(labelling.cars, fits, source.prior, folder)
+        drawn = None
+        if silhouettes is not None:
+            files = [silhouettes / f"{car.image.stem}.png" for car in source.cars]
+            drawn = [f if used else None for f, used in zip(files, labelling.outlined, strict=True)]
+        prepare_photographs(labelling.cars, fits, source.prior, folder, drawn)
     return Photographs.load(folder, labelling.labels, np.array([car.azimuth for car in labelling.cars]))
 
 
@@ -246,10 +265,10 @@ def train_in_rounds(
                 detector = Detector(start, device=device)
             else:
                 detector = _as_detector(load_checkpoint(checkpoint), folder, device)
-            prepared = open_photographs(source, first, folder / "photographs")
-            labelling = corrected(source, first, detector, prepared)
+            prepared = open_photographs(source, first, folder / "photographs", silhouettes)
+            labelling = corrected(source, first, detector, prepared, silhouettes)
             labelling.save(path)
-        photographs = open_photographs(source, labelling, folder / "photographs")
+        photographs = open_photographs(source, labelling, folder / "photographs", silhouettes)
         if checkpoint.exists() and load_checkpoint(checkpoint)["step"] >= last and number < len(stops) - 1:
             continue
         tell(f"Training to step {last}")
@@ -323,6 +342,23 @@ def _labelling(
         labels = project_labels(prior, fits[name], [cars[i] for i in rows])
         keypoints[rows], visible[rows] = labels.keypoints, labels.visible
     return Labelling(Labels(keypoints, visible), fits, cars, trusted, outlined)
+
+
+def _uncontradicted(labelling: Labelling, category: Category, silhouettes: Path) -> Labelling:
+    """Labels without the keypoints of planar faces that the silhouettes of their shape contradict."""
+    checked = np.zeros(category.size, dtype=bool)  # mirrors are too thin for silhouettes
+    checked[sorted({k for face in category.faces for k in face.keypoints})] = True
+    keypoints = labelling.labels.keypoints.copy()
+    for rows in groups(labelling.cars).values():
+        believed = [i for i in rows if labelling.outlined[i]]
+        outlines = _outlines(silhouettes, [labelling.cars[i] for i in believed])
+        wrong = contradicted(outlines, keypoints[believed], category.mirror) & checked
+        keypoints[np.array(rows)[:, None], np.flatnonzero(wrong)] = np.nan
+    return replace(labelling, labels=Labels(keypoints, labelling.labels.visible))
+
+
+def _outlines(silhouettes: Path, cars: Sequence[PosedCar]) -> list[Outline | None]:
+    return [read_outline(silhouettes / f"{car.image.stem}.png", car.size) for car in cars]
 
 
 def _find(cars: Sequence[PosedCar], detector: Detector, photographs: Photographs) -> Found:

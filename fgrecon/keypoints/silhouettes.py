@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -25,7 +26,7 @@ from fgrecon.keypoints.relabel import SHIFT_SIGMA, TURN_SIGMA
 from fgrecon.pose.geometry import pixel_jacobian
 from fgrecon.priors.shape_prior import ShapePrior, Surface
 
-__all__ = ["Outline", "OutlineFit", "fit_outlines", "read_outline"]
+__all__ = ["Outline", "OutlineFit", "contradicted", "fit_outlines", "read_outline"]
 
 Array = NDArray[np.float64]
 
@@ -39,6 +40,9 @@ _FAR = 0.06  # of the longer side: a point that far off counts a quarter
 _OVERLAP = 0.75  # intersection over union with the projected start below which a silhouette is not believed
 _ITERATIONS = 8
 _STEP, _TURN_STEP = 0.7, 0.1  # largest change of a coefficient, and of a pose, in one iteration
+_OUTSIDE = 0.02  # of the longer side by which a keypoint has to be beyond the outline
+_CONTRADICTED = 0.3  # share of the photographs in which it has to be for its place to be wrong
+_ENOUGH = 5  # photographs that can tell
 
 
 @dataclass(frozen=True)
@@ -67,8 +71,7 @@ class Outline:
         if count < 2:
             return None
         mask = (parts == 1 + statistics[1:, cv2.CC_STAT_AREA].argmax()).astype(np.uint8)
-        away = cv2.distanceTransform(1 - mask, cv2.DIST_L2, 5) - cv2.distanceTransform(mask, cv2.DIST_L2, 5)
-        return cls(mask, np.asarray(cv2.GaussianBlur(away, (0, 0), 1.0), dtype=np.float64), scale)
+        return cls(mask, _signed_distance(mask), scale)
 
     def to_mask(self, pixels: Array) -> Array:
         """Places (..., 2) in the mask of pixels (..., 2) of the photograph."""
@@ -87,11 +90,8 @@ class Outline:
         Returns:
             The distances, and their derivatives (N, 2) by the pixels.
         """
-        column, row = (self.to_mask(pixels).T.astype(np.float32)[i][None] for i in (0, 1))
-        value, du, dv = (
-            np.asarray(cv2.remap(field, column, row, cv2.INTER_LINEAR, borderMode=1), np.float64)[0]
-            for field in self._fields
-        )
+        places = self.to_mask(pixels)
+        value, du, dv = (_sampled(field, places) for field in self._fields)
         return value / _SIDE, np.column_stack([du, dv]) * (self.scale / _SIDE)
 
 
@@ -208,16 +208,50 @@ def _outline_rows(surface: Surface, vertices: Array, pose: _Pose) -> tuple[Array
     homogeneous = camera @ car.matrix.T
     pixels = homogeneous[:, :2] / homogeneous[:, 2:]
     places = outline.to_mask(pixels)
-    contours, _ = cv2.findContours(_draw(places, surface), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    drawn = np.minimum(_draw(places, surface), 1)
+    contours, _ = cv2.findContours(drawn, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     contour = max(contours, key=len)[::_SPACING, 0].astype(np.float64)
     vertex = np.unique(cKDTree(places).query(contour)[1])
     residual, slope = outline.residuals(pixels[vertex])
+    # The vertices next to the drawn outline lie a little inside it, and should as far inside the car's.
+    residual = residual - _sampled(_signed_distance(drawn), places[vertex]) / _SIDE
     in_camera = np.einsum("ni,nij->nj", slope, pixel_jacobian(car.matrix, camera[vertex])) / _SIGMA
     by_pose = np.concatenate([np.cross(camera[vertex] - pose.translation, in_camera), in_camera], axis=1)
     by_shape = np.einsum("nj,jk,mnk->nm", in_camera, pose.rotation, surface.basis[:, vertex])
     away = np.abs(residual)
     weight = np.minimum(1.0, _HUBER * _SIGMA / np.maximum(away, 1e-12)) / (1.0 + (away / _FAR) ** 2) ** 2
     return residual / _SIGMA, by_pose, by_shape, weight * (_INDEPENDENT / len(vertex))
+
+
+def contradicted(outlines: Sequence[Outline | None], keypoints: Array, mirror: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Which keypoints the silhouettes of a shape say are elsewhere: those that often lie beyond the outline.
+
+    A shape model knows sedans and vans; on a pickup or a convertible its rear window floats in the air.
+
+    Args:
+        outlines: Silhouettes of M photographs, None where there is none.
+        keypoints: (M, K, 2) pixels of the photographs.
+        mirror: (K,) index of each keypoint's mirror image, which counts with it.
+    """
+    away = np.array([o.residuals(points)[0] for o, points in zip(outlines, keypoints, strict=True) if o is not None])
+    if len(away) < _ENOUGH:
+        return np.zeros(len(mirror), dtype=bool)
+    outside = np.maximum(away, away[:, mirror]) > _OUTSIDE
+    result: NDArray[np.bool_] = outside.mean(axis=0) > _CONTRADICTED
+    return result
+
+
+def _signed_distance(mask: NDArray[np.uint8]) -> Array:
+    """Distance of every pixel from the outline of a mask of ones and zeros, positive outside."""
+    away = cv2.distanceTransform(1 - mask, cv2.DIST_L2, 5) - cv2.distanceTransform(mask, cv2.DIST_L2, 5)
+    return np.asarray(cv2.GaussianBlur(away, (0, 0), 1.0), dtype=np.float64)
+
+
+def _sampled(field: NDArray[Any], places: Array) -> Array:
+    """Values (N,) of a field at places (N, 2), bilinear; the border's beyond it."""
+    column, row = np.ascontiguousarray(places.T.astype(np.float32))[:, None]
+    values = cv2.remap(field.astype(np.float32, copy=False), column, row, cv2.INTER_LINEAR, borderMode=1)
+    return np.asarray(values[0], dtype=np.float64)
 
 
 def _overlap(surface: Surface, vertices: Array, car: PosedCar, outline: Outline) -> float:

@@ -110,13 +110,15 @@ def train_refinement(
         ]
         rng = np.random.default_rng((how.seed, _SEED, step))
         points = np.array([sample.keypoints for sample in drawn])
+        known = np.isfinite(points).all(axis=-1)
+        points = np.where(known[..., None], points, 0.0)
         estimate = points + rng.normal(0.0, how.estimate * how.network.crop / MARGIN, points.shape)
         corners = np.rint(estimate).astype(np.int64)[:, None] - PATCH // 2
         patches = cut_patches(np.stack([sample.crop for sample in drawn]), corners)[:, 0]
         inside = points - corners[:, 0]
         there = ((inside >= 0) & (inside <= PATCH - 1)).all(axis=-1)
         visible = np.array([sample.visible for sample in drawn])
-        weight = (HIDDEN_WEIGHT * 0.4 + (1.0 - HIDDEN_WEIGHT * 0.4) * visible) * there
+        weight = (HIDDEN_WEIGHT * 0.4 + (1.0 - HIDDEN_WEIGHT * 0.4) * visible) * (there & known)
         tensors = [torch.from_numpy(np.ascontiguousarray(a)).to(device).float() for a in (patches, inside, weight)]
         for group in optimizer.param_groups:
             group["lr"] = how.rate_at(step)

@@ -84,3 +84,14 @@ def test_beyond_the_border_nothing_is_visible_and_the_crop_follows_the_box():
     street = replace(PLAIN, truncated=1.0, roll=0.0)
     share = [street.sample(view, lambda _: view, MIRROR, np.random.default_rng(s)).visible.mean() for s in range(20)]
     assert 0.3 < np.mean(share) < 0.95
+
+
+def test_keypoints_of_unknown_place_stay_unknown():
+    view = made_up_view(np.random.default_rng(4))
+    unknown = view.keypoints.copy()
+    unknown[5] = np.nan
+    sample = Street().sample(replace(view, keypoints=unknown), lambda _: view, MIRROR, np.random.default_rng(3))
+    lost = np.isnan(sample.keypoints).all(axis=1)
+    assert lost.sum() == 1
+    assert set(lost.nonzero()[0]) <= {5, int(MIRROR[5])}
+    assert sample.visible[lost] == 0.0

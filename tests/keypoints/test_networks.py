@@ -101,6 +101,23 @@ def test_hidden_and_absent_points_count_less_and_not_at_all():
     assert float(knet_loss(output, gone, torch.zeros(1, 14), azimuth, 2.0)["maps"]) == 0.0
 
 
+def test_keypoints_of_unknown_place_teach_nothing():
+    torch.manual_seed(0)
+    network = KNet(SMALL).eval()
+    crops, azimuth = torch.randn(1, 3, 32, 32) * 50 + 127, torch.zeros(1)
+    points = torch.full((1, 14, 2), 12.0)
+    points[0, 12:] = torch.nan
+    slopes = []
+    for visible in (torch.ones(1, 14), torch.cat([torch.ones(1, 12), torch.zeros(1, 2)], dim=1)):
+        network.zero_grad()
+        loss = knet_loss(network(crops), points, visible, azimuth, 2.0)
+        loss["total"].backward()
+        slopes.append([p.grad.clone() for p in network.parameters() if p.grad is not None])
+    assert all(torch.isfinite(slope).all() for slope in slopes[0])
+    assert all(torch.equal(a, b) for a, b in zip(*slopes, strict=True))
+    assert slopes[0][-1].abs().max() > 0
+
+
 def test_an_interrupted_training_ends_like_an_uninterrupted_one(photographs, tmp_path):
     prepared, _ = photographs
     how = Training(

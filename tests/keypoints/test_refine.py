@@ -39,6 +39,27 @@ class OneView:
         return street.sample(self.view, lambda _: self.view, partner, np.random.default_rng(list(seed)))
 
 
+class PartlyKnown(OneView):
+    """Photographs in which only the first keypoint's place is known."""
+
+    def draw(self, chosen, weights, street, partner, seed):
+        sample = super().draw(chosen, weights, street, partner, seed)
+        sample.keypoints[1:] = np.nan
+        return sample
+
+
+def test_keypoints_of_unknown_place_teach_nothing(tmp_path):
+    torch.manual_seed(0)
+    how = RefineTraining(steps=3, batch=2, network=SMALL, street=Street(size=64), average=0.0)
+    begun = RefineNet(SMALL).state_dict()
+    trained = train_refinement(PartlyKnown(), np.arange(1), np.ones(1), MIRROR, tmp_path / "a.pt", how, start=begun)
+    weight, before = trained.head.weight.detach().reshape(14, -1), begun["head.weight"].reshape(14, -1)
+    assert torch.isfinite(weight).all()
+    moved = (weight / before - 1.0).abs().amax(dim=1)
+    assert moved[0] > 1e-2
+    assert moved[1:].max() < 1e-3  # the decay of weights alone
+
+
 def test_patches_are_cut_where_asked_and_repeat_the_edge():
     crops = np.arange(2 * 40 * 40 * 3, dtype=np.int64).reshape(2, 40, 40, 3) % 251
     crops = crops.astype(np.uint8)

@@ -89,7 +89,8 @@ def test_what_is_off_in_all_shapes_is_taken_off():
     wrong = rng.random(keypoints.shape[:2]) < 0.1
     spoilt = np.where(wrong[..., None], rng.uniform(0, 200, keypoints.shape), keypoints)
     covariance = np.broadcast_to(np.eye(2), (48, 14, 2, 2)).copy()
-    found = without_bias(prior, cars, fits, np.arange(48) < 40, Found(spoilt, np.full((48, 14), 0.8), covariance))
+    sure = np.broadcast_to(np.arange(48)[:, None] < 40, (48, 14))
+    found = without_bias(prior, cars, fits, sure, Found(spoilt, np.full((48, 14), 0.8), covariance))
     left, before = (np.abs((k - exact)[~wrong]).mean() for k in (found.keypoints, keypoints))
     assert left < 0.4 * before
 
@@ -104,3 +105,19 @@ def test_silhouettes_hold_shape_and_pose_more_tightly():
     begin = ShapeFit(np.zeros(5), np.zeros((14, 3)), np.zeros((10, 4)))
     free, held = (relabel_shape(prior, cars, begin, found, np.full(10, sure)) for sure in (False, True))
     assert np.abs(held.fit.coefficients).max() < np.abs(free.fit.coefficients).max()
+
+
+def test_a_keypoint_of_unknown_place_may_move_along_the_car():
+    rng = np.random.default_rng(8)
+    prior = unit_car_prior()
+    cars = made_up_cars(prior, np.zeros(5), 12, rng)
+    offsets = np.zeros((14, 3))
+    offsets[12:, 0] = 0.12  # the cab of a pickup
+    keypoints = np.array([car.project(prior.keypoints(np.zeros(5), offsets)) for car in cars])
+    found = Found(keypoints, np.full((12, 14), 0.8), np.broadcast_to(np.eye(2), (12, 14, 2, 2)).copy())
+    begin, known = ShapeFit(np.zeros(5), np.zeros((14, 3)), np.zeros((12, 4))), np.arange(14) < 12
+    sure = np.ones(12, dtype=bool)
+    held, free = (relabel_shape(prior, cars, begin, found, sure, told) for told in (None, known))
+    far, near = (np.abs(r.fit.offsets - offsets)[12:, 0].max() for r in (held, free))
+    assert near < 0.5 * far
+    np.testing.assert_allclose(free.fit.offsets[:12], 0.0, atol=0.02)

@@ -10,8 +10,8 @@ from fgrecon.errors import InvalidInputError
 from fgrecon.images import write_png
 from fgrecon.keypoints.dataset import fill_faces
 from fgrecon.keypoints.labels import ShapeFit
-from fgrecon.keypoints.rounds import Source, first_labelling
-from fgrecon.keypoints.silhouettes import Outline, fit_outlines, read_outline
+from fgrecon.keypoints.rounds import Source, first_labelling, open_photographs
+from fgrecon.keypoints.silhouettes import Outline, contradicted, fit_outlines, read_outline
 from tests.keypoints.support import made_up_cars, unit_car_prior
 
 TRUTH = np.array([1.0, -0.8, 0.6, 0.3, -0.4])
@@ -81,6 +81,32 @@ def test_a_silhouette_of_something_else_is_not_believed(prior):
     assert np.abs(result.fit.coefficients).max() < 0.5
 
 
+def test_the_projected_surface_meets_the_silhouette_without_bias(prior):
+    rng = np.random.default_rng(6)
+    cars = made_up_cars(prior, TRUTH, 16, rng)
+    outlines = [Outline.of(silhouette(prior, car)) for car in cars]
+    result = fit_outlines(prior, cars, outlines, ShapeFit(TRUTH, np.zeros((14, 3)), np.zeros((16, 4))))
+    vertices = prior.surface.vertices(result.fit.coefficients)
+    extent = np.ptp(vertices, axis=0) / np.ptp(prior.surface.vertices(TRUTH), axis=0)
+    np.testing.assert_allclose(extent, 1.0, atol=0.006)
+    np.testing.assert_allclose(
+        [np.linalg.norm(c.translation) for c in result.cars], [np.linalg.norm(c.translation) for c in cars], rtol=0.006
+    )
+
+
+def test_keypoints_beyond_the_outline_are_contradicted(prior):
+    cars = made_up_cars(prior, TRUTH, 8, np.random.default_rng(7))
+    outlines = [Outline.of(silhouette(prior, car)) for car in cars]
+    offsets = np.zeros((14, 3))
+    offsets[12, 1] = -0.1  # left above the roof, right where it belongs
+    keypoints = np.array([car.project(prior.keypoints(TRUTH, offsets)) for car in cars])
+    mirror = prior.category.mirror
+    assert contradicted(outlines, keypoints, mirror).nonzero()[0].tolist() == [12, 13]
+    right = np.array([car.project(prior.keypoints(TRUTH)) for car in cars])
+    assert not contradicted(outlines, right, mirror).any()
+    assert not contradicted([*outlines[:4], *[None] * 4], keypoints, mirror).any()
+
+
 def test_without_silhouettes_nothing_changes(prior):
     cars = made_up_cars(prior, np.zeros(5), 3, np.random.default_rng(4))
     result = fit_outlines(prior, cars, [None] * 3, start(3))
@@ -109,3 +135,22 @@ def test_first_labels_trust_photographs_with_silhouettes(prior, tmp_path):
         write_png(tmp_path / f"{car.image.stem}.png", np.repeat(mask[..., None], 3, axis=2))
     labelling = first_labelling(source, tmp_path)
     assert labelling.trusted.tolist() == labelling.outlined.tolist() == [True, True, True, False, False]
+
+
+def test_labels_that_silhouettes_contradict_are_left_out_and_masks_are_theirs(prior, tmp_path):
+    cars = made_up_cars(prior, np.zeros(5), 6, np.random.default_rng(8), tmp_path)
+    source = Source(cars, np.arange(6), np.arange(0), prior)
+    for car in cars:
+        mask = silhouette(prior, car, np.zeros(5))
+        mask[: int(0.45 * len(mask))] = 0  # a car without a roof
+        write_png(tmp_path / f"{car.image.stem}.png", np.repeat(mask[..., None], 3, axis=2))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fgrecon.keypoints.silhouettes._OVERLAP", 0.1)
+        labelling = first_labelling(source, tmp_path)
+    unknown = np.isnan(labelling.labels.keypoints).all(axis=(0, 2))
+    assert unknown[10:].all()
+    assert not unknown[:10].any()
+    prepared = open_photographs(source, labelling, tmp_path / "work", tmp_path)
+    view = prepared.view(0)
+    assert not view.mask[: int(0.4 * len(view.mask))].any()
+    assert view.mask.any()
