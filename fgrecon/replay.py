@@ -147,7 +147,7 @@ def read(path: str | Path) -> Replay:
     """
     from rerun.chunk import RrdReader  # on use: importing fgrecon must not import rerun
 
-    fix = "Give a .rrd file that fgrecon wrote."
+    fix = "Give a .rrd file that this version of fgrecon wrote."
     if not Path(path).is_file():
         raise InvalidInputError("recording", str(path), fix)
     history: list[tuple[int, int, Iteration]] = []

@@ -112,7 +112,7 @@ def silhouettes_command(
     package: Annotated[Path, typer.Argument(help="Unpacked npm package @imgly/background-removal-data 1.4.5.")],
     data: Annotated[Path, typer.Option(help="Data folder, with posed_cars.")],
     out: Annotated[Path, typer.Option(help="Folder to write to; what is there already is left.")],
-    each: Annotated[int, typer.Option(min=1, help="Photographs of each shape.")] = 20,
+    each: Annotated[int, typer.Option(min=1, help="Photographs of each shape, at most.")] = 300,
     side: Annotated[int, typer.Option(help="Side of the network's input, pixels.")] = 320,
 ) -> None:
     """Draw the silhouettes of the photographs' cars, for `train`. Needs the packages of fgrecon[silhouettes]."""
