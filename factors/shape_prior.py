@@ -37,11 +37,13 @@ def offsets_prior(offsets_key: int, sigmas: ArrayLike) -> gtsam.PriorFactorVecto
 
     Args:
         offsets_key: Key of the offsets (one vector of 3K numbers).
-        sigmas: (K,) standard deviation of each keypoint's offset per axis, metres.
+        sigmas: (K,) standard deviation of each keypoint's offset per axis, metres; or (K, 3), one for each axis.
 
     Raises:
         InvalidInputError: A sigma is not positive (leave the offsets out instead of fixing them).
     """
+    if isinstance(sigmas, np.ndarray) and sigmas.ndim == 2:
+        return _zero_prior(offsets_key, finite_array("sigmas", sigmas, (None, 3)).ravel())
     return _zero_prior(offsets_key, np.repeat(finite_array("sigmas", sigmas, (None,)), 3))
 
 

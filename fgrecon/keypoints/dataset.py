@@ -9,13 +9,22 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgrecon.errors import InvalidInputError
 from fgrecon.images import read_image
 from fgrecon.keypoints.augment import Sample, Street, View
 from fgrecon.keypoints.labels import Labels, ShapeFit
 from fgrecon.keypoints.posed_cars import PosedCar
 from fgrecon.priors.shape_prior import ShapePrior
 
-__all__ = ["SIDE", "Photographs", "azimuth_weights", "draw_mask", "prepare_photographs"]
+__all__ = [
+    "SIDE",
+    "Photographs",
+    "azimuth_weights",
+    "draw_mask",
+    "fill_faces",
+    "prepare_photographs",
+    "read_silhouette",
+]
 
 SIDE = 192
 """Longest side of the prepared photographs, pixels."""
@@ -103,6 +112,9 @@ def prepare_photographs(
         folder: Where to write; made if missing.
         silhouettes: Grey image of each that is white on the car, for its mask; None where the shape's projection has to
             do, or for all.
+
+    Raises:
+        InvalidInputError: A photograph or silhouette cannot be read.
     """
     import cv2
 
@@ -118,15 +130,37 @@ def prepare_photographs(
         sizes[i] = width, height
         images[i, :height, :width] = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
         file = None if silhouettes is None else silhouettes[i]
-        drawn = None if file is None else cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
-        if drawn is None:
+        if file is None:
             masks[i, :height, :width] = draw_mask(car, fit, prior, float(scales[i]))[:height, :width]
         else:
+            drawn = read_silhouette(file, car.size)
             masks[i, :height, :width] = cv2.resize(drawn, (width, height), interpolation=cv2.INTER_AREA)
     images.flush()
     masks.flush()
     np.save(folder / _FILES[2], sizes)
     np.save(folder / _FILES[3], scales)
+
+
+def read_silhouette(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """(H, W) silhouette in a grey image file: 255 on the car, 0 elsewhere.
+
+    Args:
+        path: The file.
+        size: (width, height) of the photograph, pixels.
+
+    Raises:
+        InvalidInputError: The file is no image, or of another size.
+    """
+    import cv2
+
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise InvalidInputError(str(path), "unreadable", "Give a grey image: white on the car, black elsewhere.")
+    if image.shape != (size[1], size[0]):
+        raise InvalidInputError(
+            str(path), f"{image.shape[1]} x {image.shape[0]}", f"Give {size[0]} x {size[1]} pixels."
+        )
+    return np.asarray(image, dtype=np.uint8)
 
 
 def draw_mask(car: PosedCar, fit: ShapeFit, prior: ShapePrior, scale: float = 1.0) -> NDArray[np.uint8]:

@@ -50,6 +50,10 @@ class PosedCar:
         x, _, z = -self.rotation.T @ self.translation
         return float(np.arctan2(z, x))
 
+    def silhouette(self, folder: Path) -> Path:
+        """The file of its silhouette in a folder of them."""
+        return folder / f"{self.image.stem}.png"
+
     def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Pixels (..., 2) of points (..., 3) in the object frame."""
         camera = points @ self.rotation.T + self.translation

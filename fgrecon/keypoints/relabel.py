@@ -115,8 +115,7 @@ def relabel_shape(
     spread = np.full(prior.mean.shape, _OFFSET_SIGMA)
     if known is not None:
         spread[~known, 0] = _UNKNOWN_SIGMA
-    free = gtsam.noiseModel.Diagonal.Sigmas(spread.ravel())
-    graph.add(gtsam.PriorFactorVector(O(0), np.zeros(spread.size), free))
+    graph.add(factors.offsets_prior(O(0), spread))
     graph.add(factors.symmetry_factor(shape, prior.category.symmetric_pairs, M(0), _SYMMETRY_SIGMA))
     values.insert(L(0), start.coefficients)
     values.insert(O(0), start.offsets.ravel())

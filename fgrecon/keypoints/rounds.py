@@ -157,8 +157,9 @@ def first_labelling(source: Source, silhouettes: Path | None = None) -> Labellin
         fix = "Fill it with `fgrecon keypoints silhouettes`."
         raise InvalidInputError("silhouettes", f"{silhouettes}: none agrees with its car", fix)
     trusted = np.ones(len(cars), dtype=bool) if silhouettes is None else outlined.copy()
-    labelling = _labelling(source.prior, cars, fits, found, trusted, outlined)
-    return labelling if silhouettes is None else _uncontradicted(labelling, source.prior.category, silhouettes)
+    return _uncontradicted(
+        _labelling(source.prior, cars, fits, found, trusted, outlined), source.prior.category, silhouettes
+    )
 
 
 def corrected(
@@ -196,7 +197,7 @@ def corrected(
             cars[row] = car
     labelling = _labelling(source.prior, cars, fits, members, trusted, first.outlined)
     labelling = replace(labelling, labels=Labels(keypoints, labelling.labels.visible))
-    return labelling if silhouettes is None else _uncontradicted(labelling, source.prior.category, silhouettes)
+    return _uncontradicted(labelling, source.prior.category, silhouettes)
 
 
 def open_photographs(
@@ -207,8 +208,8 @@ def open_photographs(
         fits = [labelling.fits[car.cad_id] for car in source.cars]
         drawn = None
         if silhouettes is not None:
-            files = [silhouettes / f"{car.image.stem}.png" for car in source.cars]
-            drawn = [f if used else None for f, used in zip(files, labelling.outlined, strict=True)]
+            outlined = zip(source.cars, labelling.outlined, strict=True)
+            drawn = [car.silhouette(silhouettes) if used else None for car, used in outlined]
         prepare_photographs(labelling.cars, fits, source.prior, folder, drawn)
     return Photographs.load(folder, labelling.labels, np.array([car.azimuth for car in labelling.cars]))
 
@@ -344,8 +345,10 @@ def _labelling(
     return Labelling(Labels(keypoints, visible), fits, cars, trusted, outlined)
 
 
-def _uncontradicted(labelling: Labelling, category: Category, silhouettes: Path) -> Labelling:
-    """Labels without the keypoints of planar faces that the silhouettes of their shape contradict."""
+def _uncontradicted(labelling: Labelling, category: Category, silhouettes: Path | None) -> Labelling:
+    """Labels without the keypoints of planar faces that the silhouettes of their shape, if any, contradict."""
+    if silhouettes is None:
+        return labelling
     checked = np.zeros(category.size, dtype=bool)  # mirrors are too thin for silhouettes
     checked[sorted({k for face in category.faces for k in face.keypoints})] = True
     keypoints = labelling.labels.keypoints.copy()
@@ -358,7 +361,7 @@ def _uncontradicted(labelling: Labelling, category: Category, silhouettes: Path)
 
 
 def _outlines(silhouettes: Path, cars: Sequence[PosedCar]) -> list[Outline | None]:
-    return [read_outline(silhouettes / f"{car.image.stem}.png", car.size) for car in cars]
+    return [read_outline(car.silhouette(silhouettes), car.size) for car in cars]
 
 
 def _find(cars: Sequence[PosedCar], detector: Detector, photographs: Photographs) -> Found:

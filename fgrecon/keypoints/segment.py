@@ -130,7 +130,7 @@ def draw_silhouettes(
     except ImportError as error:
         raise InvalidInputError("onnxruntime", "not installed", _INSTALL) from error
     out.mkdir(parents=True, exist_ok=True)
-    missing = [car for car in cars if not (out / f"{car.image.stem}.png").exists()]
+    missing = [car for car in cars if not car.silhouette(out).exists()]
     if not missing:
         return 0
     session: Any = onnxruntime.InferenceSession(resized(assemble(package), side), providers=["CPUExecutionProvider"])
@@ -139,7 +139,7 @@ def draw_silhouettes(
         image = read_image(car.image)
         small = cv2.resize(image, (side, side), interpolation=cv2.INTER_LINEAR).astype(np.float32)
         found = session.run(None, {name: ((small - _MIDDLE) / _SPREAD).transpose(2, 0, 1)[None]})[0][0, 0]
-        write_bytes(out / f"{car.image.stem}.png", _png(cv2.resize(found, (image.shape[1], image.shape[0]))))
+        write_bytes(car.silhouette(out), _png(cv2.resize(found, (image.shape[1], image.shape[0]))))
     return len(missing)
 
 

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from fgrecon.errors import InvalidInputError
-from fgrecon.keypoints.dataset import fill_faces
+from fgrecon.keypoints.dataset import fill_faces, read_silhouette
 from fgrecon.keypoints.labels import ShapeFit
 from fgrecon.keypoints.posed_cars import PosedCar
 from fgrecon.keypoints.relabel import SHIFT_SIGMA, TURN_SIGMA
@@ -140,16 +139,7 @@ def read_outline(path: Path, size: tuple[int, int]) -> Outline | None:
     Raises:
         InvalidInputError: The file is no image, or of another size.
     """
-    if not path.exists():
-        return None
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    if image is None:
-        raise InvalidInputError(str(path), "unreadable", "Give a grey image: white on the car, black elsewhere.")
-    if image.shape != (size[1], size[0]):
-        raise InvalidInputError(
-            str(path), f"{image.shape[1]} x {image.shape[0]}", f"Give {size[0]} x {size[1]} pixels."
-        )
-    return Outline.of(np.asarray(image, dtype=np.uint8))
+    return Outline.of(read_silhouette(path, size)) if path.exists() else None
 
 
 def fit_outlines(

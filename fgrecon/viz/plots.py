@@ -145,8 +145,8 @@ def log_summary(stream: Outbox, table: str) -> None:
     """The summary, a table in Markdown."""
     import rerun as rr
 
-    style = fixed_columns(rr.TextDocument, media_type="text/markdown")
-    stream.send_columns(entities.SUMMARY, [], [*style, column(rr.TextDocument, "text", [table])])
+    look = fixed_columns(rr.TextDocument, media_type="text/markdown")
+    stream.send_columns(entities.SUMMARY, [], [*look, column(rr.TextDocument, "text", [table])])
 
 
 def log_columns(texts: Sequence[str], levels: Sequence[str]) -> list[Column]:

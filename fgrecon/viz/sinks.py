@@ -66,7 +66,7 @@ class Recording:
             What does so, puts the file in its place and returns its path; it may be called in another thread. It raises
             an InvalidInputError where the file could not be written.
         """
-        with ExitStack() as started:
+        with ExitStack() as started:  # a path that cannot be written to stops all before anything is made
             part = started.enter_context(replacing(path))
             send, layout = self.make(), self.layout()
             rest = started.pop_all()
