@@ -185,6 +185,7 @@ def run_training(
         shown.print("Refinement networks")
         chosen = source.learn[labelling.trusted[source.learn]]
         refining = RefineTraining(steps=refine_steps, seed=seed)
+        refining = replace(refining, street=refining.street.moving(source.prior.category))
         weights = azimuth_weights(photographs.azimuth, chosen)
         refinement = train_refinement(
             photographs,

@@ -1,26 +1,34 @@
 """Training samples from photographs: cars as street scenes show them.
 
-A car is turned, mirrored, placed before something else, half hidden by other cars and blocks, cut off by the image's
-border, and degraded to the resolution, exposure and compression of a street camera. Everything is drawn from the
-generator that is passed in.
+A car is turned, mirrored, stretched and bent a little (there are more shapes than photographs show), placed before
+something else, half hidden by other cars and blocks, cut off by the image's border, and degraded to the resolution,
+exposure and compression of a street camera. Everything is drawn from the generator that is passed in.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.category import Category
 from fgrecon.keypoints.crops import FILL, MARGIN
+from fgrecon.keypoints.deform import Field, deform, deform_points, move_points, random_field
 
 __all__ = ["Another", "Sample", "Street", "View"]
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.uint8]
+
+_MOVED = (
+    -0.15,
+    0.5,
+)  # share of the way by which parts are moved: a coupe's rear window begins half a roof further ahead
+_UNEVEN = 0.5  # standard deviation of the logarithm of the boxes' jitter
 
 
 @dataclass(frozen=True)
@@ -82,8 +90,13 @@ class Street:
         block: A block in front.
         truncated: The image's border cuts the car off.
         extent: Range of the car's longer side in pixels before it is resampled to the crop.
-        jitter: Standard deviation of the box's centre, and of its size, as a fraction of its longer side.
+        jitter: Standard deviation of the box's centre, and of its size, as a fraction of its longer side; that of the
+            median box, since some are much worse than others.
         roll: Standard deviation of the rotation in the image, degrees.
+        stretch: Standard deviation of the logarithm of the car's aspect ratio.
+        bend: Largest standard deviation of a smooth displacement of the car's parts, as a fraction of the crop's side.
+        moved: A pair of parts is moved towards another pair.
+        moves: Keypoints that may be moved, each with the one towards which.
     """
 
     size: int = 96
@@ -96,6 +109,21 @@ class Street:
     extent: tuple[float, float] = (24.0, 220.0)
     jitter: float = 0.035
     roll: float = 3.0
+    stretch: float = 0.08
+    bend: float = 0.025
+    moved: float = 0.5
+    moves: tuple[tuple[int, int], ...] = ()
+
+    def moving(self, category: Category) -> Street:
+        """The same with `moves` along the sides of the category's faces, but for those that stand on the ground."""
+        sides = [
+            pair
+            for face in category.faces
+            if not face.ground_parallel
+            for pair in zip(face.keypoints, (*face.keypoints[1:], face.keypoints[0]), strict=True)
+        ]
+        along = [(a, b) for a, b in sides if category.mirror[a] != b]
+        return replace(self, moves=(*along, *((b, a) for a, b in along)))
 
     def sample(self, view: View, another: Another, partner: NDArray[np.intp], rng: np.random.Generator) -> Sample:
         """Make one sample.
@@ -119,8 +147,10 @@ class Street:
         else:
             whole = np.full(view.mask.shape, 255, dtype=np.uint8)
             alpha = _warp(whole, matrix, self.size)
-        canvas = _blend(canvas, car, alpha)
         keypoints = view.keypoints @ matrix[:, :2].T + matrix[:, 2]
+        field = self._field(keypoints, partner, rng)
+        car, alpha, keypoints = deform(car, field), deform(alpha, field), deform_points(keypoints, field)
+        canvas = _blend(canvas, car, alpha)
         visible = view.visible.copy()
         cover = np.zeros((self.size, self.size), dtype=np.uint8)
         if rng.random() < self.covered:
@@ -148,16 +178,29 @@ class Street:
             low[0] += cut * width * (side == "left")
             high[0] -= cut * width * (side == "right")
             high[1] -= cut * height * (side == "bottom")
-        extent = float((high - low).max())
-        centre = (low + high) / 2 + rng.normal(0.0, self.jitter, 2) * extent
-        scale = self.size / (extent * MARGIN * np.exp(rng.normal(0.0, 1.3 * self.jitter)))
+        aspect = np.exp(rng.normal(0.0, self.stretch) * np.array([0.5, -0.5]))
+        extent = float(((high - low) * aspect).max())
+        jitter = self.jitter * np.exp(rng.normal(0.0, _UNEVEN))
+        centre = (low + high) / 2 + rng.normal(0.0, jitter, 2) * extent / aspect
+        scale = self.size / (extent * MARGIN * np.exp(rng.normal(0.0, 1.3 * jitter)))
         angle = np.deg2rad(rng.normal(0.0, self.roll)) if side is None else 0.0
-        turn = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        turn = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) * aspect
         matrix = np.column_stack([turn, (self.size - 1) / 2 - turn @ centre])
         if side is None:
             return matrix, None
         corner = turn @ (low if side == "left" else high) + matrix[:, 2]
         return matrix, (side, float(corner[1 if side == "bottom" else 0]))
+
+    def _field(self, points: Array, partner: NDArray[np.intp], rng: np.random.Generator) -> Field:
+        """How the car's shape is changed: a little at random, and sometimes one pair of parts by far."""
+        field = random_field(self.size, rng.uniform(0.0, self.bend) * self.size, rng)
+        if not self.moves or rng.random() >= self.moved:
+            return field
+        part, towards = self.moves[rng.integers(len(self.moves))]
+        share, by = rng.uniform(*_MOVED), np.zeros_like(points)
+        for a, b in ((part, towards), (partner[part], partner[towards])):
+            by[a] = share * (points[b] - points[a])
+        return field + move_points(self.size, points, by) if np.isfinite(by).all() else field
 
     def _other(self, view: View, another: Another, rng: np.random.Generator) -> View:
         """A car beside this one: in a street, cars mostly point the same way."""

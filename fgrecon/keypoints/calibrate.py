@@ -72,11 +72,12 @@ def calibrate(
         photographs: With labels.
         chosen: Which of them to use.
         partner: (K,) index of each keypoint's mirror image.
-        street: Degradation; None for that of the training with less occlusion, as street cars are.
+        street: Degradation; None for that of the training with less occlusion, as street cars are, and
+            the cars as they are.
         samples: How many samples.
         seed: Of the samples.
     """
-    scene = replace(Street(), covered=0.25, block=0.1) if street is None else street
+    scene = replace(Street(), covered=0.25, block=0.1, stretch=0.0, bend=0.0) if street is None else street
     scene = replace(scene, size=_SIDE)
     extent = _SIDE / MARGIN
     box = (_SIDE - 1) / 2 + np.array([-0.5, -0.5, 0.5, 0.5]) * extent

@@ -246,10 +246,11 @@ def train_in_rounds(
     """
     folder.mkdir(parents=True, exist_ok=True)
     checkpoint, partner = folder / "knet.pt", source.prior.category.mirror
+    how = replace(how, street=how.street.moving(source.prior.category))
     stops = [*(step for step in relabel_at if step < how.steps), how.steps]
     _begin_alike(folder / "began.json", imagenet is not None, start, silhouettes)
     first = _first(source, folder / "labels-first.npz", silhouettes, tell)
-    state = None if start is None else dict(load_weights(start).state)
+    begun = None if start is None else load_weights(start)
     network: Any = None
     labelling: Labelling | None = None
     photographs: Photographs | None = None
@@ -265,7 +266,7 @@ def train_in_rounds(
             if number == 0:
                 detector = Detector(start, device=device)
             else:
-                detector = _as_detector(load_checkpoint(checkpoint), folder, device)
+                detector = _as_detector(load_checkpoint(checkpoint), begun, folder, device)
             prepared = open_photographs(source, first, folder / "photographs", silhouettes)
             labelling = corrected(source, first, detector, prepared, silhouettes)
             labelling.save(path)
@@ -282,7 +283,7 @@ def train_in_rounds(
             checkpoint,
             how,
             imagenet=imagenet,
-            start=state,
+            start=None if begun is None else dict(begun.state),
             device=device,
             report=report,
             until=last,
@@ -322,10 +323,17 @@ def _first(source: Source, path: Path, silhouettes: Path | None, tell: Callable[
     return labelling
 
 
-def _as_detector(content: dict[str, Any], folder: Path, device: str) -> Detector:
-    """The checkpoint's averaged network at work; confidences as an untrained calibration has them."""
+def _as_detector(content: dict[str, Any], begun: Stored | None, folder: Path, device: str) -> Detector:
+    """The checkpoint's averaged network at work.
+
+    Refinement networks and calibration are those that the training began with: patches around an estimate look the same
+    whichever KNet made it. Without, there is no refinement, and confidences are as an untrained calibration has them.
+    """
     path = folder / "round.safetensors"
-    save_weights(path, Stored(content["average"], content["settings"], Calibration(), {}))
+    if begun is None:
+        save_weights(path, Stored(content["average"], content["settings"], Calibration(), {}))
+    else:
+        save_weights(path, replace(begun, state=content["average"], settings=content["settings"]))
     return Detector(path, device=device)
 
 
