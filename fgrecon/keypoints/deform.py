@@ -20,7 +20,7 @@ _PLACES = 4  # a random field is drawn at so many places along each side
 _GRID = 24  # and one that moves points is computed at so many
 _REACH = 0.16  # standard deviation of the Gaussians that carry points along, as a fraction of the side
 _RIDGE = 0.05  # lets points that are close together be moved apart only a little
-_STEEPEST = 0.6  # a steeper field would fold the image
+_STEEPEST = 0.7  # norm of a field's derivative; from 1 on it may fold the image
 _STEPS = 12
 
 
@@ -44,8 +44,8 @@ def move_points(side: int, points: Array, by: Array) -> Field:
     row, column = (np.mgrid[:_GRID, :_GRID] + 0.5) / _GRID - 0.5 / side
     away = (column[..., None] - ends[:, 0]) ** 2 + (row[..., None] - ends[:, 1]) ** 2
     coarse = np.exp(-away / (2.0 * _REACH**2)) @ weights
-    cell = side / _GRID
-    slope = max(float(np.abs(np.diff(coarse, axis=axis)).max()) / cell for axis in (0, 1))
+    down, right = np.gradient(coarse, side / _GRID, axis=(0, 1))
+    slope = float(np.sqrt((down**2 + right**2).sum(axis=-1)).max())
     coarse *= min(1.0, _STEEPEST / max(slope, 1e-9))
     return np.asarray(cv2.resize(coarse.astype(np.float32), (side, side), interpolation=cv2.INTER_CUBIC))
 

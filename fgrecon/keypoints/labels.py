@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.catalogue import load_category
+from fgrecon.category import Category
 from fgrecon.keypoints.posed_cars import PosedCar
 from fgrecon.pose.visibility import clearance, probability
 from fgrecon.priors.apollo79 import Apollo79
 from fgrecon.priors.half_mesh import mirrored_half
 from fgrecon.priors.shape_prior import ShapePrior, Surface
 
-__all__ = ["Labels", "ShapeFit", "fit_shape", "project_labels", "unit_prior"]
+__all__ = ["Labels", "ShapeFit", "fit_shape", "project_labels", "unit_prior", "unmodelled"]
 
 Array = NDArray[np.float64]
 
@@ -29,6 +30,9 @@ _DIAGONAL = 5.0  # metres: what a unit of the poses is on a typical car
 _EDGE_SIGMA = 0.05  # of the box's longer side; wider than the residuals, which poses common to four edges correlate
 _HUBER = 1.5  # standard deviations
 _ITERATIONS = 12
+_UNMODELLED = dict.fromkeys(("Coupe", "Convertible"), ("left_back_roof", "right_back_roof"))
+"""What the car models, of sedans, hatchbacks, SUVs and vans, do not tell of other bodies: their rear windows begin
+further ahead, within the same outline."""
 
 
 @dataclass(frozen=True)
@@ -154,3 +158,12 @@ def project_labels(prior: ShapePrior, fit: ShapeFit, cars: Sequence[PosedCar]) -
         inside = ((keypoints[row] >= car.box[:2]) & (keypoints[row] <= car.box[2:])).all(axis=1)
         visible[row] = np.where(inside, probability(hidden * _DIAGONAL), 0.0)
     return Labels(keypoints, visible)
+
+
+def unmodelled(cars: Sequence[PosedCar], category: Category) -> NDArray[np.bool_]:
+    """(M, K) which keypoints the car models do not know, by the bodies in the photographs' names."""
+    unknown = np.zeros((len(cars), category.size), dtype=bool)
+    for row, car in zip(unknown, cars, strict=True):
+        for body in set(car.name.split()) & set(_UNMODELLED):
+            row[[category.keypoints.index(name) for name in _UNMODELLED[body] if name in category.keypoints]] = True
+    return unknown

@@ -30,6 +30,7 @@ class PosedCar:
         matrix: (3, 3) intrinsics.
         rotation: (3, 3) of camera_T_object; object frame x forward, y down, z left.
         translation: (3,) of camera_T_object, in diagonals of the car's box.
+        name: Of the car's model, with the kind of its body, such as `Audi TTS Coupe 2012`; empty if unknown.
     """
 
     image: Path
@@ -38,6 +39,7 @@ class PosedCar:
     matrix: NDArray[np.float64]
     rotation: NDArray[np.float64]
     translation: NDArray[np.float64]
+    name: str = ""
 
     @property
     def box(self) -> NDArray[np.float64]:
@@ -82,6 +84,7 @@ def read_posed_cars(folder: Path) -> list[PosedCar]:
                 matrix=fields.numbers("K", (3, 3)),
                 rotation=_nearest_rotation(fields.numbers("R", (3, 3))),
                 translation=fields.numbers("t", (3,)),
+                name=fields.get("model_name", str) if "model_name" in fields else "",
             )
         )
     return cars

@@ -25,7 +25,7 @@ from fgrecon.keypoints.checkpoint import load_checkpoint
 from fgrecon.keypoints.dataset import Photographs, azimuth_weights, prepare_photographs
 from fgrecon.keypoints.decode import Calibration
 from fgrecon.keypoints.detect import Detector
-from fgrecon.keypoints.labels import Labels, ShapeFit, fit_shape, project_labels, unit_prior
+from fgrecon.keypoints.labels import Labels, ShapeFit, fit_shape, project_labels, unit_prior, unmodelled
 from fgrecon.keypoints.posed_cars import PosedCar, groups, read_posed_cars, read_validation_ids
 from fgrecon.keypoints.relabel import Found, relabel_shape, without_bias
 from fgrecon.keypoints.silhouettes import Outline, contradicted, fit_outlines, read_outline
@@ -157,9 +157,7 @@ def first_labelling(source: Source, silhouettes: Path | None = None) -> Labellin
         fix = "Fill it with `fgrecon keypoints silhouettes`."
         raise InvalidInputError("silhouettes", f"{silhouettes}: none agrees with its car", fix)
     trusted = np.ones(len(cars), dtype=bool) if silhouettes is None else outlined.copy()
-    return _uncontradicted(
-        _labelling(source.prior, cars, fits, found, trusted, outlined), source.prior.category, silhouettes
-    )
+    return _known(_labelling(source.prior, cars, fits, found, trusted, outlined), source.prior.category, silhouettes)
 
 
 def corrected(
@@ -197,7 +195,7 @@ def corrected(
             cars[row] = car
     labelling = _labelling(source.prior, cars, fits, members, trusted, first.outlined)
     labelling = replace(labelling, labels=Labels(keypoints, labelling.labels.visible))
-    return _uncontradicted(labelling, source.prior.category, silhouettes)
+    return _known(labelling, source.prior.category, silhouettes)
 
 
 def open_photographs(
@@ -243,6 +241,9 @@ def train_in_rounds(
 
     Returns:
         The averaged network, and the last labels with their photographs.
+
+    Raises:
+        InvalidInputError: There is no step, no photograph to learn from, or the folder's training began otherwise.
     """
     folder.mkdir(parents=True, exist_ok=True)
     checkpoint, partner = folder / "knet.pt", source.prior.category.mirror
@@ -275,6 +276,9 @@ def train_in_rounds(
             continue
         tell(f"Training to step {last}")
         chosen = source.learn[labelling.trusted[source.learn]]
+        if not len(chosen):
+            fix = "Start from another network, or from none."
+            raise InvalidInputError("labels", f"{path}: no photograph agrees with its shape", fix)
         network = train_knet(
             photographs,
             chosen,
@@ -353,19 +357,22 @@ def _labelling(
     return Labelling(Labels(keypoints, visible), fits, cars, trusted, outlined)
 
 
-def _uncontradicted(labelling: Labelling, category: Category, silhouettes: Path | None) -> Labelling:
-    """Labels without the keypoints of planar faces that the silhouettes of their shape, if any, contradict."""
-    if silhouettes is None:
-        return labelling
-    checked = np.zeros(category.size, dtype=bool)  # mirrors are too thin for silhouettes
-    checked[sorted({k for face in category.faces for k in face.keypoints})] = True
-    keypoints = labelling.labels.keypoints.copy()
-    for rows in groups(labelling.cars).values():
-        believed = [i for i in rows if labelling.outlined[i]]
-        outlines = _outlines(silhouettes, [labelling.cars[i] for i in believed])
-        wrong = contradicted(outlines, keypoints[believed], category.mirror) & checked
-        keypoints[np.array(rows)[:, None], np.flatnonzero(wrong)] = np.nan
-    return replace(labelling, labels=Labels(keypoints, labelling.labels.visible))
+def _known(labelling: Labelling, category: Category, silhouettes: Path | None) -> Labelling:
+    """Labels without what the car models cannot tell.
+
+    That is what bodies have that no model has, and the keypoints of planar faces that the silhouettes of their shape,
+    if there are some, contradict.
+    """
+    given = labelling.labels.keypoints
+    unknown = unmodelled(labelling.cars, category)
+    if silhouettes is not None:
+        checked = np.zeros(category.size, dtype=bool)  # mirrors are too thin for silhouettes
+        checked[sorted({k for face in category.faces for k in face.keypoints})] = True
+        for rows in groups(labelling.cars).values():
+            believed = [i for i in rows if labelling.outlined[i]]
+            outlines = _outlines(silhouettes, [labelling.cars[i] for i in believed])
+            unknown[rows] |= contradicted(outlines, given[believed], category.mirror) & checked
+    return replace(labelling, labels=Labels(np.where(unknown[..., None], np.nan, given), labelling.labels.visible))
 
 
 def _outlines(silhouettes: Path, cars: Sequence[PosedCar]) -> list[Outline | None]:

@@ -1,9 +1,11 @@
 """Shapes from boxes, and the labels that they give."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from fgrecon.keypoints.labels import fit_shape, project_labels, unit_prior
+from fgrecon.keypoints.labels import fit_shape, project_labels, unit_prior, unmodelled
 from fgrecon.priors.apollo79 import load_apollo79
 from tests.keypoints.support import made_up_cars, unit_car_prior
 
@@ -30,8 +32,6 @@ def test_a_few_bad_boxes_change_little(prior):
     rng = np.random.default_rng(1)
     cars = made_up_cars(prior, np.zeros(5), 40, rng)
     clean = fit_shape(prior, cars).coefficients
-    from dataclasses import replace
-
     spoilt = [replace(car, size=(car.size[0] + 120, car.size[1])) if i % 10 == 0 else car for i, car in enumerate(cars)]
     assert np.abs(fit_shape(prior, spoilt).coefficients - clean).max() < 0.8
 
@@ -57,3 +57,12 @@ def test_the_model_in_unit_boxes(data):
     np.testing.assert_allclose((low + high)[1:], 0.0, atol=0.01)
     assert prior.is_symmetric
     assert prior.explained.sum() > 0.9
+
+
+def test_rear_windows_of_coupes_and_convertibles_are_unknown(prior):
+    names = ["BMW M3 Coupe 2012", "BMW M3 Sedan 2012", "", "smart fortwo Convertible 2012"]
+    cars = made_up_cars(prior, np.zeros(5), 4, np.random.default_rng(0))
+    cars = [replace(car, name=name) for car, name in zip(cars, names, strict=True)]
+    unknown = unmodelled(cars, prior.category)
+    assert [sorted(np.flatnonzero(row)) for row in unknown] == [[12, 13], [], [], [12, 13]]
+    assert prior.category.keypoints[12:] == ("left_back_roof", "right_back_roof")

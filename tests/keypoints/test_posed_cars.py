@@ -31,6 +31,9 @@ def test_fields_and_directions(tmp_path):
     # The car's forward axis points along -z of the camera, so it is seen from ahead.
     assert car.azimuth == pytest.approx(0.0)
     np.testing.assert_allclose(car.project(np.zeros(3)), [10, 5])
+    assert car.name == ""
+    (named,) = read_posed_cars(written(tmp_path, [{**ENTRY, "model_name": "Audi TTS Coupe 2012"}]))
+    assert named.name == "Audi TTS Coupe 2012"
 
 
 def test_groups_are_ordered_and_can_leave_out(tmp_path):

@@ -8,18 +8,20 @@ import pytest
 from fgrecon.errors import InvalidInputError
 from fgrecon.images import write_png
 from fgrecon.keypoints.calibrate import calibrate, reliability
+from fgrecon.keypoints.checkpoint import load_checkpoint
 from fgrecon.keypoints.decode import Calibration
 from fgrecon.keypoints.detect import Detector
 from fgrecon.keypoints.evaluate import azimuth_errors, localisation, marks_reliability, score_marks
 from fgrecon.keypoints.marks import Mark
-from fgrecon.keypoints.weights import Stored, save_weights
+from fgrecon.keypoints.weights import Stored, load_weights, save_weights
 from tests.keypoints.support import made_up_cars, unit_car_prior
 
 torch = pytest.importorskip("torch")
 
 from fgrecon.keypoints.augment import Street  # noqa: E402
 from fgrecon.keypoints.knet import KNet, KNetSettings  # noqa: E402
-from fgrecon.keypoints.rounds import Labelling, Source, first_labelling, train_in_rounds  # noqa: E402
+from fgrecon.keypoints.refine import RefineNet, RefineSettings  # noqa: E402
+from fgrecon.keypoints.rounds import Labelling, Source, _as_detector, first_labelling, train_in_rounds  # noqa: E402
 from fgrecon.keypoints.train import Training  # noqa: E402
 
 SMALL = KNetSettings(crop=32, width=8)
@@ -94,6 +96,42 @@ def test_a_trained_network_can_go_on(source, tmp_path):
     torch.testing.assert_close(network.head.weight, begun.head.weight, atol=1e-3, rtol=1e-3)
     first = Labelling.load(tmp_path / "work" / "labels-first.npz", source.cars)
     assert np.abs(labelling.labels.keypoints - first.labels.keypoints).max() > 0
+
+
+def test_networks_between_rounds_keep_the_refinement_that_they_began_with(trained, tmp_path):
+    sizes = RefineSettings(crop=64, width=4)
+    calibration = Calibration(floor=0.03)
+    begun = Stored(
+        KNet(SMALL).state_dict(), SMALL.to_dict(), calibration, {}, RefineNet(sizes).state_dict(), sizes.to_dict()
+    )
+    content = load_checkpoint(trained[0] / "knet.pt")
+    detector = _as_detector(content, begun, tmp_path, "cpu")
+    between = load_weights(tmp_path / "round.safetensors")
+    assert between.calibration == calibration
+    assert between.refine_settings == sizes.to_dict()
+    assert detector.refinement is not None
+    for name, value in between.refinement.items():
+        torch.testing.assert_close(value.float(), begun.refinement[name].float(), atol=1e-3, rtol=1e-3)
+    torch.testing.assert_close(detector.network.head.weight, content["average"]["head.weight"], atol=1e-3, rtol=1e-3)
+
+
+def test_a_network_whose_points_agree_with_no_shape_is_refused(source, tmp_path):
+    labelling = first_labelling(source)
+    folder = tmp_path / "work"
+    folder.mkdir()
+    for name in ("labels-first.npz", "labels-0.npz"):
+        replace(labelling, trusted=np.zeros(6, dtype=bool)).save(folder / name)
+    with pytest.raises(InvalidInputError, match="no photograph agrees"):
+        train_in_rounds(source, folder, HOW, [])
+
+
+def test_coupes_do_not_teach_where_rear_windows_are(source):
+    names = ("Audi A4 Sedan 2012", "Audi TTS Coupe 2012")
+    cars = [replace(car, name=names[i == 1]) for i, car in enumerate(source.cars)]
+    labels = first_labelling(replace(source, cars=cars)).labels.keypoints
+    unknown = np.isnan(labels).any(axis=-1)
+    assert np.flatnonzero(unknown.any(axis=1)).tolist() == [1]
+    assert np.flatnonzero(unknown[1]).tolist() == [12, 13]
 
 
 def test_labels_survive_the_file(source, tmp_path):
