@@ -20,7 +20,7 @@ __all__ = ["NamedBox", "boxes_of", "detected_boxes", "read_boxes"]
 
 _COCO_CAR = 3  # COCO's number of cars, where the file names no categories
 _DETECTION_CAR = "2"  # the number of cars in files `image class score x1 y1 x2 y2`
-_LABEL_COLUMNS, _RESULT_COLUMNS = 15, 16  # KITTI's; a result's last is its score
+_LABEL_COLUMNS = (15, 16)
 _DETECTION_COLUMNS = 7
 _LEAST_SCORE = 0.5
 _FIX = "Give KITTI labels, detections `image class score x1 y1 x2 y2`, or COCO JSON."
@@ -91,8 +91,7 @@ def detected_boxes(image: NDArray[Any]) -> list[NamedBox]:
 def read_boxes(file: Path, image: str) -> list[NamedBox]:
     """The cars of an image in a file: of KITTI's labels (type `Car`), of detections with a score from 0.5, of COCO.
 
-    KITTI's labelled boxes are projections of the 3D boxes, those of detectors trained on them (with a score) enclose
-    these by eye, COCO's enclose the outline.
+    KITTI's boxes enclose the projected 3D box, and so do those of detectors trained on them; COCO's the outline.
 
     Args:
         file: KITTI label or result file, detections with lines `image class score x1 y1 x2 y2`, or COCO JSON.
@@ -111,19 +110,14 @@ def read_boxes(file: Path, image: str) -> list[NamedBox]:
     for number, line in enumerate(lines):
         words = line.split()
         spaced = line.rsplit(maxsplit=_DETECTION_COLUMNS - 1)
-        if (
-            len(words) not in (_LABEL_COLUMNS, _RESULT_COLUMNS)
-            and len(spaced) == _DETECTION_COLUMNS
-            and spaced[1].isdecimal()
-        ):
+        if len(words) not in _LABEL_COLUMNS and len(spaced) == _DETECTION_COLUMNS and spaced[1].isdecimal():
             words = spaced  # of a detection in an image whose name has spaces
         if not words:
             continue
         try:
-            if len(words) in (_LABEL_COLUMNS, _RESULT_COLUMNS):
+            if len(words) in _LABEL_COLUMNS:
                 if words[0] == "Car":
-                    model = BoxModel.LABEL if len(words) == _LABEL_COLUMNS else BoxModel.CUBOID
-                    boxes.append(_named(str(number), words[4:8], model))
+                    boxes.append(_named(str(number), words[4:8], BoxModel.CUBOID))
             elif len(words) == _DETECTION_COLUMNS:
                 if Path(words[0]).stem == image and words[1] == _DETECTION_CAR and float(words[2]) >= _LEAST_SCORE:
                     boxes.append(_named(str(len(boxes)), words[3:], BoxModel.CUBOID))

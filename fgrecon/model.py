@@ -59,7 +59,7 @@ class VehicleModel:
 
     def box_points(self, box_model: BoxModel) -> LinearPoints:
         """The points that a 2D box encloses."""
-        return self.corners if box_model in (BoxModel.CUBOID, BoxModel.LABEL) else self.outline
+        return self.corners if box_model is BoxModel.CUBOID else self.outline
 
 
 @lru_cache(maxsize=16)

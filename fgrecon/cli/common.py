@@ -42,7 +42,7 @@ __all__ = [
 
 _WIDTH = 180
 
-BOX_MODEL_HELP = "What 2D boxes enclose: the outline, the 3D box, the latter exactly; off: they are no evidence."
+BOX_MODEL_HELP = "What 2D boxes enclose: the outline or the 3D box; off: they are no evidence."
 
 CalibOption = Annotated[Path | None, typer.Option(help="KITTI calibration file; its P2 is the camera.")]
 IntrinsicsOption = Annotated[

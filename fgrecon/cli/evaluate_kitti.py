@@ -7,16 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli.common import (
-    BOX_MODEL_HELP,
-    GroundOption,
-    JsonOption,
-    PriorOption,
-    check_outputs,
-    console,
-    ground_plane,
-    write_json,
-)
+from fgrecon.cli.common import GroundOption, JsonOption, PriorOption, check_outputs, console, ground_plane, write_json
 from fgrecon.cli.deliver import (
     ConnectOption,
     SaveOption,
@@ -55,10 +46,7 @@ def kitti_command(
         float | None, typer.Option(help="Height of a level camera above the road, m.", show_default=str(_CAMERA_HEIGHT))
     ] = None,
     ground: GroundOption = None,
-    box_model: Annotated[
-        BoxModel | None,
-        typer.Option(help=BOX_MODEL_HELP, show_default="label; cuboid for detections"),
-    ] = None,
+    box_model: Annotated[BoxModel, typer.Option(help="What the 2D boxes enclose.")] = BoxModel.CUBOID,
     weights: Annotated[Path | None, typer.Option(help="Network.", show_default="the shipped one")] = None,
     picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Contact sheet of every car.")] = None,
     save: SaveOption = None,
@@ -85,7 +73,6 @@ def kitti_command(
     check_outputs(json_out, picture)
     check_delivery(save, connect)
     plane, origin = ground_plane(ground, camera_height) or (Ground.level(_CAMERA_HEIGHT), "level camera (KITTI's)")
-    box_model = box_model or (BoxModel.LABEL if boxes is None else BoxModel.CUBOID)
     names = None if split is None else read_image_set(split)
     frames, problems = kitti_images.read_frames(images, labels, calib, names, boxes)
     setup = kitti_images.Setup(

@@ -48,7 +48,7 @@ def reconstruct_command(
         BoxModel | None,
         typer.Option(
             help=BOX_MODEL_HELP,
-            show_default="surface; label or cuboid for KITTI's",
+            show_default="surface; cuboid for KITTI's boxes",
         ),
     ] = None,
     joint: Annotated[

@@ -52,7 +52,7 @@ def adjust_marked(scored: Sequence[Scored], data: Path, *, keep_history: bool = 
     """
     prior, fleet, plane = load_prior("car14"), size_prior("kitti"), Ground.level(_CAMERA_HEIGHT)
     outline = Options(confidence_midpoint=CONFIDENCE_MIDPOINT, keep_history=keep_history)
-    street = {"options": replace(outline, box_model=BoxModel.LABEL), "ground": plane, "size_prior": fleet}
+    street = {"options": replace(outline, box_model=BoxModel.CUBOID), "ground": plane, "size_prior": fleet}
     posed = {}
     if any(item.mark.group in GROUPS["photographs"] for item in scored):
         posed = {car.image.name: car.matrix for car in read_posed_cars(data / "posed_cars")}

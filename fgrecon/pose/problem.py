@@ -86,7 +86,7 @@ def box_term(observation: Observation, camera: Camera, model: VehicleModel, opti
         return None
     points = model.box_points(options.box_model)
     extent = observation.extent
-    sigma = options.box_sigma(extent)
+    sigma = float(np.hypot(options.box_sigma_relative * extent, options.box_sigma_pixels))
     outlier = _EDGE_WRONG / (1.0 - _EDGE_WRONG) * np.sqrt(2.0 * np.pi) * sigma / extent
     used = np.ones(4, dtype=bool)
     if camera.image_size is not None:

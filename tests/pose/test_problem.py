@@ -111,16 +111,6 @@ def test_box_models(prior, seen):
     assert term.sigma == pytest.approx(np.hypot(0.02 * seen.extent, 1.5))
 
 
-def test_labelled_boxes_are_surer(prior, seen):
-    model = prepare(prior)
-    cuboid, label = (box_term(seen, CAMERA, model, Options(box_model=name)) for name in ("cuboid", "label"))
-    np.testing.assert_array_equal(cuboid.mean, label.mean)
-    assert label.sigma == pytest.approx(np.hypot(0.01 * seen.extent, 0.3))
-    assert label.sigma < cuboid.sigma
-    given = Options(box_model="label", box_sigma_pixels=2.0, box_sigma_relative=0.0)
-    assert box_term(seen, CAMERA, model, given).sigma == 2.0
-
-
 @pytest.mark.parametrize(
     ("box", "used"),
     [
