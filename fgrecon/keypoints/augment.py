@@ -24,10 +24,7 @@ __all__ = ["Another", "Sample", "Street", "View"]
 Array = NDArray[np.float64]
 Pixels = NDArray[np.uint8]
 
-_MOVED = (
-    -0.15,
-    0.5,
-)  # share of the way by which parts are moved: a coupe's rear window begins half a roof further ahead
+_MOVED = -0.15, 0.5  # share of the way by which parts are moved: a coupe's rear window begins half a roof ahead
 _UNEVEN = 0.5  # standard deviation of the logarithm of the boxes' jitter
 
 

@@ -72,8 +72,8 @@ def calibrate(
         photographs: With labels.
         chosen: Which of them to use.
         partner: (K,) index of each keypoint's mirror image.
-        street: Degradation; None for that of the training with less occlusion, as street cars are, and
-            the cars as they are.
+        street: Degradation; None for that of the training with less occlusion, as street cars are, and with
+            cars that are not deformed.
         samples: How many samples.
         seed: Of the samples.
     """
