@@ -7,11 +7,13 @@ many places relative to the others looks for the part, not for where most cars h
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Field", "deform", "deform_points", "move_points", "random_field"]
+__all__ = ["Field", "deform", "deform_points", "move_points", "random_field", "sampled"]
 
 Array = NDArray[np.float64]
 Field = NDArray[np.float32]
@@ -63,6 +65,14 @@ def deform_points(points: Array, field: Field) -> Array:
     """Where points (K, 2) of an image are in the deformed one; NaN stays NaN."""
     moved = points
     for _ in range(_STEPS):  # p = point - field(p): a contraction, since the field is not steep
-        at = np.nan_to_num(moved).clip(0, len(field) - 1).astype(np.float32)
-        moved = points - cv2.remap(field, at[:, None, 0], at[:, None, 1], cv2.INTER_LINEAR)[:, 0]
+        moved = points - sampled(field, np.nan_to_num(moved))
     return moved
+
+
+def sampled(values: NDArray[Any], places: Array) -> Array:
+    """Values (N, ...) of an image (H, W, ...) at places (N, 2) in pixels, bilinear; those of its border beyond it."""
+    column, row = np.ascontiguousarray(places.T.astype(np.float32))[:, None]
+    found = cv2.remap(
+        values.astype(np.float32, copy=False), column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.asarray(found[0], dtype=np.float64)

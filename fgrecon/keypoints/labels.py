@@ -30,9 +30,10 @@ _DIAGONAL = 5.0  # metres: what a unit of the poses is on a typical car
 _EDGE_SIGMA = 0.05  # of the box's longer side; wider than the residuals, which poses common to four edges correlate
 _HUBER = 1.5  # standard deviations
 _ITERATIONS = 12
-_UNMODELLED = dict.fromkeys(("Coupe", "Convertible"), ("left_back_roof", "right_back_roof"))
-"""What the car models, of sedans, hatchbacks, SUVs and vans, do not tell of other bodies: their rear windows begin
-further ahead, within the same outline."""
+_UNMODELLED = "Coupe", "Convertible"
+_REAR_WINDOW = "left_back_roof", "right_back_roof"
+"""What the car models, of sedans, hatchbacks, SUVs and vans, do not tell of these bodies: it begins further ahead,
+within the same outline."""
 
 
 @dataclass(frozen=True)
@@ -162,8 +163,6 @@ def project_labels(prior: ShapePrior, fit: ShapeFit, cars: Sequence[PosedCar]) -
 
 def unmodelled(cars: Sequence[PosedCar], category: Category) -> NDArray[np.bool_]:
     """(M, K) which keypoints the car models do not know, by the bodies in the photographs' names."""
-    unknown = np.zeros((len(cars), category.size), dtype=bool)
-    for row, car in zip(unknown, cars, strict=True):
-        for body in set(car.name.split()) & set(_UNMODELLED):
-            row[[category.keypoints.index(name) for name in _UNMODELLED[body] if name in category.keypoints]] = True
+    bodies = np.array([any(body in car.name.split() for body in _UNMODELLED) for car in cars], dtype=bool)
+    unknown: NDArray[np.bool_] = bodies[:, None] & np.isin(category.keypoints, _REAR_WINDOW)
     return unknown

@@ -142,22 +142,27 @@ def first_labelling(source: Source, silhouettes: Path | None = None) -> Labellin
     Raises:
         InvalidInputError: The folder holds no silhouettes of these cars, or a file in it is no image of the right size.
     """
-    cars, found = list(source.cars), groups(source.cars)
+    prior, cars = source.prior, list(source.cars)
     fits: dict[str, ShapeFit] = {}
     outlined = np.zeros(len(cars), dtype=bool)
-    for name, members in found.items():
-        fits[name] = fit_shape(source.prior, [cars[i] for i in members])
-        if silhouettes is not None:
-            outlines = _outlines(silhouettes, [cars[i] for i in members])
-            result = fit_outlines(source.prior, [cars[i] for i in members], outlines, fits[name])
-            fits[name], outlined[members] = result.fit, result.used
-            for row, car in zip(members, result.cars, strict=True):
-                cars[row] = car
+    keypoints, visible = np.zeros((len(cars), prior.category.size, 2)), np.zeros((len(cars), prior.category.size))
+    unknown = unmodelled(cars, prior.category)
+    for name, rows in groups(cars).items():
+        mine = [cars[i] for i in rows]
+        outlines = _outlines(silhouettes, mine)
+        result = fit_outlines(prior, mine, outlines, fit_shape(prior, mine))
+        fits[name], outlined[rows] = result.fit, result.used
+        for row, car in zip(rows, result.cars, strict=True):
+            cars[row] = car
+        labels = project_labels(prior, result.fit, result.cars)
+        keypoints[rows], visible[rows] = labels.keypoints, labels.visible
+        believed = np.flatnonzero(result.used)
+        unknown[rows] |= _contradicted(prior.category, [outlines[i] for i in believed], labels.keypoints[believed])
     if silhouettes is not None and not outlined.any():
         fix = "Fill it with `fgrecon keypoints silhouettes`."
         raise InvalidInputError("silhouettes", f"{silhouettes}: none agrees with its car", fix)
     trusted = np.ones(len(cars), dtype=bool) if silhouettes is None else outlined.copy()
-    return _known(_labelling(source.prior, cars, fits, found, trusted, outlined), source.prior.category, silhouettes)
+    return Labelling(_known(keypoints, visible, unknown), fits, cars, trusted, outlined)
 
 
 def corrected(
@@ -175,27 +180,30 @@ def corrected(
         photographs: Prepared photographs.
         silhouettes: Folder of the silhouettes behind `first`.
     """
-    members = groups(source.cars)
+    prior = source.prior
     found = _find(source.cars, detector, photographs)
     known = np.asarray(np.isfinite(first.labels.keypoints).all(axis=-1), dtype=np.bool_)
     if first.outlined.any():
         sure = first.outlined[:, None] & known
-        found = without_bias(source.prior, first.cars, [first.fits[c.cad_id] for c in first.cars], sure, found)
+        found = without_bias(prior, first.cars, [first.fits[c.cad_id] for c in first.cars], sure, found)
     fits: dict[str, ShapeFit] = {}
     cars, trusted = list(first.cars), np.ones(len(first.cars), dtype=bool)
-    keypoints = np.zeros(first.labels.keypoints.shape)
-    for name, rows in members.items():
+    keypoints, visible = np.zeros(first.labels.keypoints.shape), np.zeros(known.shape)
+    unknown = unmodelled(cars, prior.category)
+    for name, rows in groups(source.cars).items():
         seen = Found(found.keypoints[rows], found.confidence[rows], found.covariance[rows])
         mine = [first.cars[i] for i in rows]
         told = np.logical_and.reduce(known[rows])
-        result = relabel_shape(source.prior, mine, first.fits[name], seen, first.outlined[rows], told)
+        result = relabel_shape(prior, mine, first.fits[name], seen, first.outlined[rows], told)
         fits[name] = result.fit
         trusted[rows], keypoints[rows] = result.trusted, result.keypoints
         for row, car in zip(rows, result.cars, strict=True):
             cars[row] = car
-    labelling = _labelling(source.prior, cars, fits, members, trusted, first.outlined)
-    labelling = replace(labelling, labels=Labels(keypoints, labelling.labels.visible))
-    return _known(labelling, source.prior.category, silhouettes)
+        visible[rows] = project_labels(prior, result.fit, result.cars).visible
+        believed = np.flatnonzero(first.outlined[rows])
+        outlines = _outlines(silhouettes, [result.cars[i] for i in believed])
+        unknown[rows] |= _contradicted(prior.category, outlines, result.keypoints[believed])
+    return Labelling(_known(keypoints, visible, unknown), fits, cars, trusted, first.outlined)
 
 
 def open_photographs(
@@ -341,42 +349,20 @@ def _as_detector(content: dict[str, Any], begun: Stored | None, folder: Path, de
     return Detector(path, device=device)
 
 
-def _labelling(
-    prior: ShapePrior,
-    cars: Sequence[PosedCar],
-    fits: dict[str, ShapeFit],
-    members: dict[str, list[int]],
-    trusted: NDArray[np.bool_],
-    outlined: NDArray[np.bool_],
-) -> Labelling:
-    keypoints = np.zeros((len(cars), prior.category.size, 2))
-    visible = np.zeros(keypoints.shape[:2])
-    for name, rows in members.items():
-        labels = project_labels(prior, fits[name], [cars[i] for i in rows])
-        keypoints[rows], visible[rows] = labels.keypoints, labels.visible
-    return Labelling(Labels(keypoints, visible), fits, cars, trusted, outlined)
+def _known(keypoints: Array, visible: Array, unknown: NDArray[np.bool_]) -> Labels:
+    """Labels without the keypoints (M, K) of unknown place."""
+    return Labels(np.where(unknown[..., None], np.nan, keypoints), visible)
 
 
-def _known(labelling: Labelling, category: Category, silhouettes: Path | None) -> Labelling:
-    """Labels without what the car models cannot tell.
-
-    That is what bodies have that no model has, and the keypoints of planar faces that the silhouettes of their shape,
-    if there are some, contradict.
-    """
-    given = labelling.labels.keypoints
-    unknown = unmodelled(labelling.cars, category)
-    if silhouettes is not None:
-        checked = np.zeros(category.size, dtype=bool)  # mirrors are too thin for silhouettes
-        checked[sorted({k for face in category.faces for k in face.keypoints})] = True
-        for rows in groups(labelling.cars).values():
-            believed = [i for i in rows if labelling.outlined[i]]
-            outlines = _outlines(silhouettes, [labelling.cars[i] for i in believed])
-            unknown[rows] |= contradicted(outlines, given[believed], category.mirror) & checked
-    return replace(labelling, labels=Labels(np.where(unknown[..., None], np.nan, given), labelling.labels.visible))
+def _contradicted(category: Category, outlines: Sequence[Outline | None], keypoints: Array) -> NDArray[np.bool_]:
+    """(K,) which keypoints of planar faces the silhouettes of their shape contradict; mirrors are too thin for that."""
+    checked = np.isin(np.arange(category.size), [k for face in category.faces for k in face.keypoints])
+    wrong: NDArray[np.bool_] = contradicted(outlines, keypoints, category.mirror) & checked
+    return wrong
 
 
-def _outlines(silhouettes: Path, cars: Sequence[PosedCar]) -> list[Outline | None]:
-    return [read_outline(car.silhouette(silhouettes), car.size) for car in cars]
+def _outlines(silhouettes: Path | None, cars: Sequence[PosedCar]) -> list[Outline | None]:
+    return [None if silhouettes is None else read_outline(car.silhouette(silhouettes), car.size) for car in cars]
 
 
 def _find(cars: Sequence[PosedCar], detector: Detector, photographs: Photographs) -> Found:

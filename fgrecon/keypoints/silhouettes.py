@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fgrecon.keypoints.dataset import fill_faces, read_silhouette
+from fgrecon.keypoints.deform import sampled
 from fgrecon.keypoints.labels import ShapeFit
 from fgrecon.keypoints.posed_cars import PosedCar
 from fgrecon.keypoints.relabel import SHIFT_SIGMA, TURN_SIGMA
@@ -90,7 +90,7 @@ class Outline:
             The distances, and their derivatives (N, 2) by the pixels.
         """
         places = self.to_mask(pixels)
-        value, du, dv = (_sampled(field, places) for field in self._fields)
+        value, du, dv = (sampled(field, places) for field in self._fields)
         return value / _SIDE, np.column_stack([du, dv]) * (self.scale / _SIDE)
 
 
@@ -204,7 +204,7 @@ def _outline_rows(surface: Surface, vertices: Array, pose: _Pose) -> tuple[Array
     vertex = np.unique(cKDTree(places).query(contour)[1])
     residual, slope = outline.residuals(pixels[vertex])
     # The vertices next to the drawn outline lie a little inside it, and should as far inside the car's.
-    residual = residual - _sampled(_signed_distance(drawn), places[vertex]) / _SIDE
+    residual = residual - sampled(_signed_distance(drawn), places[vertex]) / _SIDE
     in_camera = np.einsum("ni,nij->nj", slope, pixel_jacobian(car.matrix, camera[vertex])) / _SIGMA
     by_pose = np.concatenate([np.cross(camera[vertex] - pose.translation, in_camera), in_camera], axis=1)
     by_shape = np.einsum("nj,jk,mnk->nm", in_camera, pose.rotation, surface.basis[:, vertex])
@@ -235,13 +235,6 @@ def _signed_distance(mask: NDArray[np.uint8]) -> Array:
     """Distance of every pixel from the outline of a mask of ones and zeros, positive outside."""
     away = cv2.distanceTransform(1 - mask, cv2.DIST_L2, 5) - cv2.distanceTransform(mask, cv2.DIST_L2, 5)
     return np.asarray(cv2.GaussianBlur(away, (0, 0), 1.0), dtype=np.float64)
-
-
-def _sampled(field: NDArray[Any], places: Array) -> Array:
-    """Values (N,) of a field at places (N, 2), bilinear; the border's beyond it."""
-    column, row = np.ascontiguousarray(places.T.astype(np.float32))[:, None]
-    values = cv2.remap(field.astype(np.float32, copy=False), column, row, cv2.INTER_LINEAR, borderMode=1)
-    return np.asarray(values[0], dtype=np.float64)
 
 
 def _overlap(surface: Surface, vertices: Array, car: PosedCar, outline: Outline) -> float:
