@@ -147,6 +147,9 @@ def train_command(
     silhouettes: Annotated[
         Path | None, typer.Option(help="Folder that `fgrecon keypoints silhouettes` filled: better first labels.")
     ] = None,
+    marks: Annotated[
+        Path | None, typer.Option(help="Keypoints marked by hand in photographs that are learnt from (JSON).")
+    ] = None,
     steps: Annotated[int, typer.Option(help="Gradient steps of KNet.")] = 5150,
     batch: Annotated[int, typer.Option(help="Samples per step.")] = 32,
     relabel_at: Annotated[
@@ -173,6 +176,7 @@ def train_command(
         start=start,
         start_share=start_share,
         silhouettes=silhouettes,
+        marks=marks,
         steps=steps,
         batch=batch,
         relabel_at=stops,

@@ -132,6 +132,7 @@ def run_training(
     start: Path | None,
     start_share: float,
     silhouettes: Path | None,
+    marks: Path | None,
     steps: int,
     batch: int,
     relabel_at: Sequence[int],
@@ -156,7 +157,7 @@ def run_training(
         losses = ", ".join(f"{name} {value:.3f}" for name, value in progress.losses.items())
         shown.print(f"step {progress.step} of {progress.steps}: {losses}", markup=False)
 
-    source = read_source(data)
+    source = read_source(data, marks)
     pretrained = None if imagenet is None else torch.load(imagenet, map_location="cpu", weights_only=True)
     how = Training(steps=steps, batch=batch, seed=seed, workers=workers)
     network, labelling, photographs = train_in_rounds(
@@ -175,7 +176,8 @@ def run_training(
     begun = None if start is None else load_weights(start)
     provenance = {
         "data": f"{len(source.learn)} photographs of posed cars; shapes from 79 car models"
-        + (f"; {int(labelling.outlined.sum())} silhouettes" if silhouettes else ""),
+        + (f"; {int(labelling.outlined.sum())} silhouettes" if silhouettes else "")
+        + (f"; {source.marked} keypoints marked by hand" if marks else ""),
         "start": _began(imagenet, start, begun, start_share),
         "training": f"{steps} steps of {batch}, labels corrected at {list(relabel_at)}, seed {seed}",
     }

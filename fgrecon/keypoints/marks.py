@@ -1,17 +1,19 @@
-"""Keypoints marked by hand, with their photographs: the judge of the networks, never learnt from."""
+"""Keypoints marked by hand: the judge of the networks, never learnt from, and the few that the training is told."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.category import Category
 from fgrecon.errors import InvalidInputError
 from fgrecon.json_fields import Fields, read_json
 
-__all__ = ["Mark", "read_photograph_marks", "read_street_marks"]
+__all__ = ["Mark", "read_given_marks", "read_photograph_marks", "read_street_marks"]
 
 Array = NDArray[np.float64]
 
@@ -79,6 +81,33 @@ def read_street_marks(path: Path, images: Path, size: int = 14) -> list[Mark]:
         name = f"{frame}/{fields.get('object_index', int)}"
         box = fields.numbers("box_xyxy", (4,))
         marks.append(Mark(images / f"{frame}.png", name, fields.get("regime", str), box, *_keypoints(fields, size)))
+    return marks
+
+
+def read_given_marks(path: Path, images: Sequence[str], category: Category) -> Array:
+    """Marks of a few keypoints in photographs that are learnt from: what no model of the shapes tells.
+
+    Args:
+        path: JSON file: a list of `{"image": NAME, "keypoints": {NAME: [u, v], ...}}`.
+        images: Names of the M photographs that may be marked.
+        category: Names the keypoints.
+
+    Returns:
+        (M, K, 2) pixels; NaN where nothing is marked.
+
+    Raises:
+        InvalidInputError: The file is malformed, or marks another photograph or keypoint; names the field.
+    """
+    marks = np.full((len(images), category.size, 2), np.nan)
+    rows = {name: row for row, name in enumerate(images)}
+    for fields in _entries(path):
+        name, points = fields.get("image", str), Fields(fields.get("keypoints", dict), f"{fields.where}keypoints.")
+        if name not in rows:
+            raise InvalidInputError(f"{fields.where}image", name, "Give a photograph that is learnt from.")
+        for keypoint in points.data:
+            if keypoint not in category.keypoints:
+                raise InvalidInputError(f"{points.where}{keypoint}", "no keypoint", f"{category.name} has none of it.")
+            marks[rows[name], category.keypoints.index(keypoint)] = points.numbers(keypoint, (2,))
     return marks
 
 

@@ -26,7 +26,7 @@ class PosedCar:
     Attributes:
         image: Its file.
         size: (width, height) in pixels; the car fills it.
-        cad_id: Name of the shape; photographs with the same name show nearly the same shape.
+        cad_id: Name of the 3D model that the pose was measured with; the same one does for several models of cars.
         matrix: (3, 3) intrinsics.
         rotation: (3, 3) of camera_T_object; object frame x forward, y down, z left.
         translation: (3,) of camera_T_object, in diagonals of the car's box.
@@ -40,6 +40,11 @@ class PosedCar:
     rotation: NDArray[np.float64]
     translation: NDArray[np.float64]
     name: str = ""
+
+    @property
+    def shape(self) -> str:
+        """Name of its shape: photographs with the same name show nearly the same shape."""
+        return f"{self.cad_id} {self.name}".rstrip()
 
     @property
     def box(self) -> NDArray[np.float64]:
@@ -107,7 +112,7 @@ def groups(cars: Sequence[PosedCar], leave_out: Collection[str] = ()) -> dict[st
     found: dict[str, list[int]] = {}
     for index, car in enumerate(cars):
         if car.cad_id not in leave_out:
-            found.setdefault(car.cad_id, []).append(index)
+            found.setdefault(car.shape, []).append(index)
     return dict(sorted(found.items()))
 
 

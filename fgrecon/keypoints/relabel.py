@@ -1,7 +1,7 @@
 """Labels corrected by a factor graph over all photographs of one shape.
 
     N(0, I) ---- L(0) ------- reprojection, robust, 14 x 2 per photograph ------- X(0, t) ---- measured pose
-    offsets ---- O(0) ---------------+                                           (one each)
+    offsets ---- O(0) ---------------+--- reprojection of marks, if any -------- (one each)
     prior          |
                 symmetry ---- M(0)
 
@@ -46,6 +46,8 @@ _LOSS = RobustLoss.of("geman_mcclure", 2.0)
 _OWN_SIGMA = 0.7  # of a photograph's own coefficients around its group's
 _OWN_OFFSET_SIGMA = 0.03  # of its own offsets around its group's
 _LEAST_CONFIDENCE = 0.05
+_MARK_SIGMA = 0.015  # of a keypoint marked by hand, as a fraction of the longer side
+_MARK_LOSS = RobustLoss.of("huber", 1.5)
 _SEEN, _WEAK = 0.6, 1e-4  # of what tells the network's bias
 _DISAGREES = np.deg2rad(12.0)  # a photograph whose pose had to turn further is left out
 _SUPPORT = 0.4  # share of the confidence that has to agree with the shape
@@ -75,14 +77,14 @@ class Relabelled:
         cars: The photographs with corrected poses.
         trusted: (M,) whether a photograph agrees with the shape well enough to learn from.
         keypoints: (M, K, 2) labels in pixels: projections of each photograph's own shape.
-        residual: (M, K) distance of the network's points from the labels as a fraction of the longer side.
+        marked: (K,) which keypoints are where marks say.
     """
 
     fit: ShapeFit
     cars: tuple[PosedCar, ...]
     trusted: NDArray[np.bool_]
     keypoints: Array
-    residual: Array
+    marked: NDArray[np.bool_]
 
 
 def relabel_shape(
@@ -92,6 +94,7 @@ def relabel_shape(
     found: Found,
     outlined: NDArray[np.bool_] | None = None,
     known: NDArray[np.bool_] | None = None,
+    marks: Array | None = None,
 ) -> Relabelled:
     """Correct shape and poses of the photographs of one shape.
 
@@ -103,7 +106,12 @@ def relabel_shape(
         outlined: (M,) which poses were corrected by a silhouette and are surer for that; where there are any, the shape
             that it starts from is the silhouettes', and what is found may only correct it.
         known: (K,) about which keypoints of it the shape so far tells; others may be anywhere along the car.
+        marks: (M, K, 2) keypoints marked by hand, NaN where none is. In a shape where a keypoint or its mirror image is
+            marked, it is where the marks say, and what was found of it counts nothing.
     """
+    given = np.full((len(cars), prior.category.size, 2), np.nan) if marks is None else marks
+    told = np.asarray(np.isfinite(given).all(axis=-1).any(axis=0), dtype=np.bool_)
+    told = told | told[prior.category.mirror]
     sure = np.zeros(len(cars), dtype=bool) if outlined is None else outlined
     shape = LinearShape(prior.mean, prior.basis, L(0), O(0))
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
@@ -113,8 +121,7 @@ def relabel_shape(
     else:
         graph.add(factors.coefficients_prior(L(0), prior.dimension))
     spread = np.full(prior.mean.shape, _OFFSET_SIGMA)
-    if known is not None:
-        spread[~known, 0] = _UNKNOWN_SIGMA
+    spread[told if known is None else told | ~known, 0] = _UNKNOWN_SIGMA
     graph.add(factors.offsets_prior(O(0), spread))
     graph.add(factors.symmetry_factor(shape, prior.category.symmetric_pairs, M(0), _SYMMETRY_SIGMA))
     values.insert(L(0), start.coefficients)
@@ -123,7 +130,7 @@ def relabel_shape(
     extent = np.array([max(car.size) for car in cars], dtype=np.float64)
     covariance = found.covariance + (_POINT_SIGMA * extent)[:, None, None, None] ** 2 * np.eye(2)
     covariance = (covariance + covariance.swapaxes(-1, -2)) / 2
-    weights = np.where(found.confidence < _LEAST_CONFIDENCE, 0.0, found.confidence)
+    weights = np.where((found.confidence < _LEAST_CONFIDENCE) | told, 0.0, found.confidence)
     photographs = [
         _photograph_factors(
             car,
@@ -133,6 +140,7 @@ def relabel_shape(
             weights[number],
             covariance[number],
             _OUTLINED if sure[number] else 1.0,
+            given[number],
         )
         for number, car in enumerate(cars)
     ]
@@ -160,8 +168,7 @@ def relabel_shape(
     for number, car in enumerate(corrected):
         if trusted[number]:
             labels[number] = _own_labels(prior, fit, car, X(0, number), photographs[number])
-    residual = np.linalg.norm(found.keypoints - labels, axis=-1) / extent[:, None]
-    return Relabelled(fit, corrected, trusted, labels, residual)
+    return Relabelled(fit, corrected, trusted, labels, told)
 
 
 def without_bias(
@@ -211,19 +218,31 @@ def without_bias(
 
 
 def _photograph_factors(
-    car: PosedCar, shape: LinearShape, key: int, points: Array, weights: Array, covariance: Array, spread: float
+    car: PosedCar,
+    shape: LinearShape,
+    key: int,
+    points: Array,
+    weights: Array,
+    covariance: Array,
+    spread: float,
+    marks: Array,
 ) -> list[gtsam.NonlinearFactor]:
-    """The pose of a photograph with `spread` times the measured ones' spread, and the keypoints found in it."""
+    """A photograph's pose with `spread` times the measured ones' spread, and the keypoints found and marked in it."""
     # GTSAM's increments are in the object's frame; the shift's spread is given in the camera's.
     shift = car.rotation.T @ np.diag(SHIFT_SIGMA**2) @ car.rotation
     full = np.zeros((6, 6))
     full[:3, :3], full[3:, 3:] = TURN_SIGMA**2 * np.eye(3), (shift + shift.T) / 2
     measured = gtsam.PriorFactorPose3(key, _pose(car), gtsam.noiseModel.Gaussian.Covariance(spread**2 * full))
-    if not weights.any():
-        return [measured]
+    result: list[gtsam.NonlinearFactor] = [measured]
     kernel = ProjectionKernel(shape, car.matrix, key)
-    seen = factors.stacked_reprojection_factor(kernel, points, weights, 1.0, covariances=covariance, robust=_LOSS)
-    return [measured, seen]
+    if weights.any():
+        seen = factors.stacked_reprojection_factor(kernel, points, weights, 1.0, covariances=covariance, robust=_LOSS)
+        result.append(seen)
+    marked = np.isfinite(marks).all(axis=-1)
+    if marked.any():
+        sigma = _MARK_SIGMA * max(car.size)
+        result.append(factors.stacked_reprojection_factor(kernel, marks, marked * 1.0, sigma, robust=_MARK_LOSS))
+    return result
 
 
 def _own_labels(

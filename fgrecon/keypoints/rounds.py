@@ -26,6 +26,7 @@ from fgrecon.keypoints.dataset import Photographs, azimuth_weights, prepare_phot
 from fgrecon.keypoints.decode import Calibration
 from fgrecon.keypoints.detect import Detector
 from fgrecon.keypoints.labels import Labels, ShapeFit, fit_shape, project_labels, unit_prior, unmodelled
+from fgrecon.keypoints.marks import read_given_marks
 from fgrecon.keypoints.posed_cars import PosedCar, groups, read_posed_cars, read_validation_ids
 from fgrecon.keypoints.relabel import Found, relabel_shape, without_bias
 from fgrecon.keypoints.silhouettes import Outline, contradicted, fit_outlines, read_outline
@@ -50,12 +51,19 @@ class Source:
         learn: (N,) indices of those to learn from.
         validate: Indices of those set aside.
         prior: Model of the shapes in the unit of the photographs' poses.
+        marks: (N, K, 2) keypoints marked by hand, pixels; NaN where none is, None without any.
     """
 
     cars: Sequence[PosedCar]
     learn: NDArray[np.intp]
     validate: NDArray[np.intp]
     prior: ShapePrior
+    marks: Array | None = None
+
+    @property
+    def marked(self) -> int:
+        """Number of keypoints marked by hand."""
+        return 0 if self.marks is None else int(np.isfinite(self.marks).all(axis=-1).sum())
 
 
 @dataclass(frozen=True)
@@ -64,7 +72,7 @@ class Labelling:
 
     Attributes:
         labels: Keypoints in pixels of the files, and visibilities.
-        fits: Shape of each `cad_id`.
+        fits: The shapes by name.
         cars: The photographs with their poses as corrected so far.
         trusted: (M,) which photographs to learn from.
         outlined: (M,) which poses were corrected by a silhouette.
@@ -119,8 +127,12 @@ class Labelling:
         return cls(labels, fits, posed, stored["trusted"], stored["outlined"])
 
 
-def read_source(data: Path) -> Source:
+def read_source(data: Path, marks: Path | None = None) -> Source:
     """Read what the training needs from the data folder: `posed_cars`, `apollo79` and the validation shapes.
+
+    Args:
+        data: The folder.
+        marks: File of keypoints marked in photographs that are learnt from.
 
     Raises:
         InvalidInputError: A file is missing or malformed.
@@ -128,7 +140,13 @@ def read_source(data: Path) -> Source:
     cars = read_posed_cars(data / "posed_cars")
     apart = read_validation_ids(data / "hand_labels" / "validation_cad_ids.json")
     held = np.array([car.cad_id in apart for car in cars])
-    return Source(cars, np.flatnonzero(~held), np.flatnonzero(held), unit_prior(load_apollo79(data)))
+    prior = unit_prior(load_apollo79(data))
+    given = None
+    if marks is not None:
+        given = np.full((len(cars), prior.category.size, 2), np.nan)
+        learnt = [car.image.name for car in cars if car.cad_id not in apart]
+        given[~held] = read_given_marks(marks, learnt, prior.category)
+    return Source(cars, np.flatnonzero(~held), np.flatnonzero(held), prior, given)
 
 
 def first_labelling(source: Source, silhouettes: Path | None = None) -> Labelling:
@@ -185,7 +203,7 @@ def corrected(
     known = np.asarray(np.isfinite(first.labels.keypoints).all(axis=-1), dtype=np.bool_)
     if first.outlined.any():
         sure = first.outlined[:, None] & known
-        found = without_bias(prior, first.cars, [first.fits[c.cad_id] for c in first.cars], sure, found)
+        found = without_bias(prior, first.cars, [first.fits[c.shape] for c in first.cars], sure, found)
     fits: dict[str, ShapeFit] = {}
     cars, trusted = list(first.cars), np.ones(len(first.cars), dtype=bool)
     keypoints, visible = np.zeros(first.labels.keypoints.shape), np.zeros(known.shape)
@@ -194,7 +212,9 @@ def corrected(
         seen = Found(found.keypoints[rows], found.confidence[rows], found.covariance[rows])
         mine = [first.cars[i] for i in rows]
         told = np.logical_and.reduce(known[rows])
-        result = relabel_shape(prior, mine, first.fits[name], seen, first.outlined[rows], told)
+        marks = None if source.marks is None else source.marks[rows]
+        result = relabel_shape(prior, mine, first.fits[name], seen, first.outlined[rows], told, marks)
+        unknown[rows] &= ~result.marked
         fits[name] = result.fit
         trusted[rows], keypoints[rows] = result.trusted, result.keypoints
         for row, car in zip(rows, result.cars, strict=True):
@@ -211,7 +231,7 @@ def open_photographs(
 ) -> Photographs:
     """The prepared photographs with these labels; prepares them where that has not been done."""
     if not (folder / "scales.npy").exists():  # the last file that is written
-        fits = [labelling.fits[car.cad_id] for car in source.cars]
+        fits = [labelling.fits[car.shape] for car in source.cars]
         drawn = None
         if silhouettes is not None:
             outlined = zip(source.cars, labelling.outlined, strict=True)
@@ -257,7 +277,7 @@ def train_in_rounds(
     checkpoint, partner = folder / "knet.pt", source.prior.category.mirror
     how = replace(how, street=how.street.moving(source.prior.category))
     stops = [*(step for step in relabel_at if step < how.steps), how.steps]
-    _begin_alike(folder / "began.json", imagenet is not None, start, silhouettes)
+    _begin_alike(folder / "began.json", imagenet is not None, start, silhouettes, source.marked)
     first = _first(source, folder / "labels-first.npz", silhouettes, tell)
     begun = None if start is None else load_weights(start)
     network: Any = None
@@ -305,7 +325,7 @@ def train_in_rounds(
     return network, labelling, photographs
 
 
-def _begin_alike(path: Path, imagenet: bool, start: Path | None, silhouettes: Path | None) -> None:
+def _begin_alike(path: Path, imagenet: bool, start: Path | None, silhouettes: Path | None, marked: int) -> None:
     """Keep what a training began with; one that goes on has to name the same, since its networks come from that.
 
     Raises:
@@ -315,6 +335,7 @@ def _begin_alike(path: Path, imagenet: bool, start: Path | None, silhouettes: Pa
         "imagenet": imagenet,
         "start": None if start is None else start.name,
         "silhouettes": None if silhouettes is None else silhouettes.name,
+        "marks": marked,
     }
     if not path.exists():
         write_text(path, json.dumps(named))

@@ -5,8 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from fgrecon.catalogue import load_category
 from fgrecon.errors import InvalidInputError
-from fgrecon.keypoints.marks import read_photograph_marks, read_street_marks
+from fgrecon.keypoints.marks import read_given_marks, read_photograph_marks, read_street_marks
 
 POINTS = {"keypoints_uv": [[1.0, 2.0]] * 14, "visible": [True] + [False] * 13}
 
@@ -33,3 +34,25 @@ def test_what_is_wrong_is_named(tmp_path):
         read_photograph_marks(written(tmp_path / "p.json", [photo]), tmp_path)
     with pytest.raises(InvalidInputError, match="list of marked cars"):
         read_street_marks(written(tmp_path / "s.json", {}), tmp_path)
+
+
+def test_marks_for_the_training_name_photographs_and_keypoints(tmp_path):
+    category = load_category("car14")
+    entries = [{"image": "b.jpg", "keypoints": {"left_back_roof": [3.0, 4.5]}}]
+    marks = read_given_marks(written(tmp_path / "m.json", entries), ["a.jpg", "b.jpg"], category)
+    assert marks.shape == (2, 14, 2)
+    np.testing.assert_array_equal(marks[1, 12], [3.0, 4.5])
+    assert np.isnan(marks).sum() == marks.size - 2
+
+
+@pytest.mark.parametrize(
+    ("entry", "named"),
+    [
+        ({"image": "c.jpg", "keypoints": {}}, r"\[0\].image"),
+        ({"image": "a.jpg", "keypoints": {"bumper": [1, 2]}}, r"keypoints.bumper"),
+        ({"image": "a.jpg", "keypoints": {"left_back_roof": [1, None]}}, r"left_back_roof\[1\]"),
+    ],
+)
+def test_marks_that_cannot_be_used_are_named(tmp_path, entry, named):
+    with pytest.raises(InvalidInputError, match=named):
+        read_given_marks(written(tmp_path / "m.json", [entry]), ["a.jpg"], load_category("car14"))

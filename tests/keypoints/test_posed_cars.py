@@ -42,6 +42,12 @@ def test_groups_are_ordered_and_can_leave_out(tmp_path):
     assert groups(cars, leave_out={"b"}) == {"a": [1]}
 
 
+def test_models_of_cars_that_share_a_3d_model_are_shapes_of_their_own(tmp_path):
+    names = ("Honda Accord Sedan 2012", "Honda Accord Coupe 2012")
+    cars = read_posed_cars(written(tmp_path, [{**ENTRY, "model_name": name} for name in names]))
+    assert groups(cars) == {"b Honda Accord Coupe 2012": [1], "b Honda Accord Sedan 2012": [0]}
+
+
 def test_what_is_wrong_is_named(tmp_path):
     with pytest.raises(InvalidInputError, match=r"\[1\].cad_id"):
         read_posed_cars(written(tmp_path, [ENTRY, {k: v for k, v in ENTRY.items() if k != "cad_id"}]))

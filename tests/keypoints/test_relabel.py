@@ -121,3 +121,24 @@ def test_a_keypoint_of_unknown_place_may_move_along_the_car():
     far, near = (np.abs(r.fit.offsets - offsets)[12:, 0].max() for r in (held, free))
     assert near < 0.5 * far
     np.testing.assert_allclose(free.fit.offsets[:12], 0.0, atol=0.02)
+
+
+def test_marks_in_a_few_photographs_say_where_a_keypoint_is():
+    rng = np.random.default_rng(9)
+    prior = unit_car_prior()
+    cars = made_up_cars(prior, np.zeros(5), 12, rng)
+    offsets = np.zeros((14, 3))
+    offsets[12:, 0] = 0.12  # a coupe's rear window
+    exact = np.array([car.project(prior.keypoints(np.zeros(5), offsets)) for car in cars])
+    believed = np.array([car.project(prior.mean) for car in cars])  # what a network found that knows sedans alone
+    found = Found(believed, np.full((12, 14), 0.8), np.broadcast_to(np.eye(2), (12, 14, 2, 2)).copy())
+    begin = ShapeFit(np.zeros(5), np.zeros((14, 3)), np.zeros((12, 4)))
+    marks = np.full((12, 14, 2), np.nan)
+    marks[2, 12], marks[7, 12] = exact[2, 12], exact[7, 12]  # of the left corner alone
+    result = relabel_shape(prior, cars, begin, found, np.ones(12, dtype=bool), None, marks)
+    assert np.flatnonzero(result.marked).tolist() == [12, 13]
+    assert result.trusted.all()
+    extent = np.array([max(car.size) for car in cars])[:, None]
+    error, before = (np.linalg.norm(points - exact, axis=-1) / extent for points in (result.keypoints, believed))
+    assert error[:, 12:].max() < 0.25 * before[:, 12:].max()
+    assert error[:, :12].max() < 0.01

@@ -21,7 +21,15 @@ torch = pytest.importorskip("torch")
 from fgrecon.keypoints.augment import Street  # noqa: E402
 from fgrecon.keypoints.knet import KNet, KNetSettings  # noqa: E402
 from fgrecon.keypoints.refine import RefineNet, RefineSettings  # noqa: E402
-from fgrecon.keypoints.rounds import Labelling, Source, _as_detector, first_labelling, train_in_rounds  # noqa: E402
+from fgrecon.keypoints.rounds import (  # noqa: E402
+    Labelling,
+    Source,
+    _as_detector,
+    corrected,
+    first_labelling,
+    open_photographs,
+    train_in_rounds,
+)
 from fgrecon.keypoints.train import Training  # noqa: E402
 
 SMALL = KNetSettings(crop=32, width=8)
@@ -132,6 +140,19 @@ def test_coupes_do_not_teach_where_rear_windows_are(source):
     unknown = np.isnan(labels).any(axis=-1)
     assert np.flatnonzero(unknown.any(axis=1)).tolist() == [1]
     assert np.flatnonzero(unknown[1]).tolist() == [12, 13]
+
+
+def test_marks_teach_where_a_coupes_rear_window_is(source, detector, tmp_path):
+    cars = [replace(car, name="Audi TTS Coupe 2012") for car in source.cars]
+    marks = np.full((6, 14, 2), np.nan)
+    marks[0, 12] = cars[0].project(source.prior.mean)[12]
+    marked = replace(source, cars=cars, marks=marks)
+    assert marked.marked == 1
+    first = first_labelling(marked)
+    assert np.isnan(first.labels.keypoints[:, 12:]).all()
+    labels = corrected(marked, first, detector, open_photographs(marked, first, tmp_path)).labels.keypoints
+    assert np.isfinite(labels[:3]).all()
+    assert np.isnan(labels[3:, 12:]).all()  # another shape
 
 
 def test_labels_survive_the_file(source, tmp_path):
