@@ -1,6 +1,7 @@
 """Reading keypoints marked by hand."""
 
 import json
+from importlib import resources
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from fgrecon.catalogue import load_category
 from fgrecon.errors import InvalidInputError
 from fgrecon.keypoints.marks import read_given_marks, read_photograph_marks, read_street_marks
+from fgrecon.keypoints.posed_cars import read_posed_cars, read_validation_ids
 
 POINTS = {"keypoints_uv": [[1.0, 2.0]] * 14, "visible": [True] + [False] * 13}
 
@@ -56,3 +58,29 @@ def test_marks_for_the_training_name_photographs_and_keypoints(tmp_path):
 def test_marks_that_cannot_be_used_are_named(tmp_path, entry, named):
     with pytest.raises(InvalidInputError, match=named):
         read_given_marks(written(tmp_path / "m.json", [entry]), ["a.jpg"], load_category("car14"))
+
+
+GIVEN = resources.files("fgrecon") / "data" / "marks" / "posed_cars.json"
+
+
+def test_the_marks_that_come_with_the_package_are_upper_corners_of_rear_windows():
+    entries = json.loads(GIVEN.read_text())
+    images = [entry["image"] for entry in entries]
+    assert len(set(images)) == len(images) > 200
+    marks = read_given_marks(GIVEN, images, load_category("car14"))
+    marked = np.isfinite(marks).all(axis=-1)
+    assert marked[:, 12:].any(axis=1).all()
+    assert not marked[:, :12].any()
+
+
+@pytest.mark.data
+def test_no_photograph_of_a_validation_shape_is_marked(data):
+    cars = {car.image.name: car for car in read_posed_cars(data / "posed_cars")}
+    apart = read_validation_ids(data / "hand_labels" / "validation_cad_ids.json")
+    for entry in json.loads(GIVEN.read_text()):
+        car = cars[entry["image"]]
+        assert car.cad_id not in apart
+        assert "Convertible" not in car.name
+        for u, v in entry["keypoints"].values():
+            assert -0.5 <= u <= car.size[0]
+            assert -0.5 <= v <= car.size[1] / 2 + 20
