@@ -110,8 +110,8 @@ def relabel_shape(
             marked, it is where the marks say, and what was found of it counts nothing.
     """
     given = np.full((len(cars), prior.category.size, 2), np.nan) if marks is None else marks
-    told = np.asarray(np.isfinite(given).all(axis=-1).any(axis=0), dtype=np.bool_)
-    told = told | told[prior.category.mirror]
+    marked = np.asarray(np.isfinite(given).all(axis=-1).any(axis=0), dtype=np.bool_)
+    marked = marked | marked[prior.category.mirror]
     sure = np.zeros(len(cars), dtype=bool) if outlined is None else outlined
     shape = LinearShape(prior.mean, prior.basis, L(0), O(0))
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
@@ -121,7 +121,7 @@ def relabel_shape(
     else:
         graph.add(factors.coefficients_prior(L(0), prior.dimension))
     spread = np.full(prior.mean.shape, _OFFSET_SIGMA)
-    spread[told if known is None else told | ~known, 0] = _UNKNOWN_SIGMA
+    spread[marked if known is None else marked | ~known, 0] = _UNKNOWN_SIGMA
     graph.add(factors.offsets_prior(O(0), spread))
     graph.add(factors.symmetry_factor(shape, prior.category.symmetric_pairs, M(0), _SYMMETRY_SIGMA))
     values.insert(L(0), start.coefficients)
@@ -130,7 +130,7 @@ def relabel_shape(
     extent = np.array([max(car.size) for car in cars], dtype=np.float64)
     covariance = found.covariance + (_POINT_SIGMA * extent)[:, None, None, None] ** 2 * np.eye(2)
     covariance = (covariance + covariance.swapaxes(-1, -2)) / 2
-    weights = np.where((found.confidence < _LEAST_CONFIDENCE) | told, 0.0, found.confidence)
+    weights = np.where((found.confidence < _LEAST_CONFIDENCE) | marked, 0.0, found.confidence)
     photographs = [
         _photograph_factors(
             car,
@@ -168,7 +168,7 @@ def relabel_shape(
     for number, car in enumerate(corrected):
         if trusted[number]:
             labels[number] = _own_labels(prior, fit, car, X(0, number), photographs[number])
-    return Relabelled(fit, corrected, trusted, labels, told)
+    return Relabelled(fit, corrected, trusted, labels, marked)
 
 
 def without_bias(
@@ -238,10 +238,9 @@ def _photograph_factors(
     if weights.any():
         seen = factors.stacked_reprojection_factor(kernel, points, weights, 1.0, covariances=covariance, robust=_LOSS)
         result.append(seen)
-    marked = np.isfinite(marks).all(axis=-1)
-    if marked.any():
-        sigma = _MARK_SIGMA * max(car.size)
-        result.append(factors.stacked_reprojection_factor(kernel, marks, marked * 1.0, sigma, robust=_MARK_LOSS))
+    if np.isfinite(marks).any():
+        sigma, alike = _MARK_SIGMA * max(car.size), np.ones(len(marks))
+        result.append(factors.stacked_reprojection_factor(kernel, marks, alike, sigma, robust=_MARK_LOSS))
     return result
 
 

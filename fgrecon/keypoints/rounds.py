@@ -51,7 +51,7 @@ class Source:
         learn: (N,) indices of those to learn from.
         validate: Indices of those set aside.
         prior: Model of the shapes in the unit of the photographs' poses.
-        marks: (N, K, 2) keypoints marked by hand, pixels; NaN where none is, None without any.
+        marks: (M, K, 2) keypoints marked by hand in all M photographs, pixels; NaN where none is, None without any.
     """
 
     cars: Sequence[PosedCar]
@@ -140,13 +140,11 @@ def read_source(data: Path, marks: Path | None = None) -> Source:
     cars = read_posed_cars(data / "posed_cars")
     apart = read_validation_ids(data / "hand_labels" / "validation_cad_ids.json")
     held = np.array([car.cad_id in apart for car in cars])
-    prior = unit_prior(load_apollo79(data))
-    given = None
+    learn, prior, given = np.flatnonzero(~held), unit_prior(load_apollo79(data)), None
     if marks is not None:
         given = np.full((len(cars), prior.category.size, 2), np.nan)
-        learnt = [car.image.name for car in cars if car.cad_id not in apart]
-        given[~held] = read_given_marks(marks, learnt, prior.category)
-    return Source(cars, np.flatnonzero(~held), np.flatnonzero(held), prior, given)
+        given[learn] = read_given_marks(marks, [cars[i].image.name for i in learn], prior.category)
+    return Source(cars, learn, np.flatnonzero(held), prior, given)
 
 
 def first_labelling(source: Source, silhouettes: Path | None = None) -> Labelling:

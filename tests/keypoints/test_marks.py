@@ -11,6 +11,7 @@ from fgrecon.errors import InvalidInputError
 from fgrecon.keypoints.marks import read_given_marks, read_photograph_marks, read_street_marks
 from fgrecon.keypoints.posed_cars import read_posed_cars, read_validation_ids
 
+GIVEN = resources.files("fgrecon") / "data" / "marks" / "posed_cars.json"
 POINTS = {"keypoints_uv": [[1.0, 2.0]] * 14, "visible": [True] + [False] * 13}
 
 
@@ -58,9 +59,6 @@ def test_marks_for_the_training_name_photographs_and_keypoints(tmp_path):
 def test_marks_that_cannot_be_used_are_named(tmp_path, entry, named):
     with pytest.raises(InvalidInputError, match=named):
         read_given_marks(written(tmp_path / "m.json", [entry]), ["a.jpg"], load_category("car14"))
-
-
-GIVEN = resources.files("fgrecon") / "data" / "marks" / "posed_cars.json"
 
 
 def test_the_marks_that_come_with_the_package_are_upper_corners_of_rear_windows():
