@@ -9,7 +9,8 @@ from .conftest import REPOSITORY
 
 EDGE = ("fgrecon.cli", "fgrecon.viz", "fgrecon.evaluation", "fgrecon.replay", "fgrecon.export")
 CORE = ("pipeline", "model", "shape", "pose", "priors", "catalogue", "category", "camera", "observation", "options")
-CORE += ("reconstruction", "result", "track", "robust", "checks", "errors")
+CORE += ("reconstruction", "result", "track", "robust", "checks", "errors", "keypoints", "vehicles", "from_image")
+CORE += ("boxes", "render", "simulate")
 
 
 def imports(*places):

@@ -6,7 +6,7 @@ relative to a 3D model of the car whose box is centred at the origin and has a d
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -107,12 +107,11 @@ def read_validation_ids(path: Path) -> frozenset[str]:
     return frozenset(names)
 
 
-def groups(cars: Sequence[PosedCar], leave_out: Collection[str] = ()) -> dict[str, list[int]]:
+def groups(cars: Sequence[PosedCar]) -> dict[str, list[int]]:
     """Indices of the photographs of each shape, by name in alphabetical order."""
     found: dict[str, list[int]] = {}
     for index, car in enumerate(cars):
-        if car.cad_id not in leave_out:
-            found.setdefault(car.shape, []).append(index)
+        found.setdefault(car.shape, []).append(index)
     return dict(sorted(found.items()))
 
 

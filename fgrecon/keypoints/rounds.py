@@ -7,6 +7,7 @@ checkpoint).
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 from collections.abc import Callable, Sequence
@@ -275,7 +276,7 @@ def train_in_rounds(
     checkpoint, partner = folder / "knet.pt", source.prior.category.mirror
     how = replace(how, street=how.street.moving(source.prior.category))
     stops = [*(step for step in relabel_at if step < how.steps), how.steps]
-    _begin_alike(folder / "began.json", imagenet is not None, start, silhouettes, source.marked)
+    _begin_alike(folder / "began.json", imagenet is not None, start, silhouettes, source.marks)
     first = _first(source, folder / "labels-first.npz", silhouettes, tell)
     begun = None if start is None else load_weights(start)
     network: Any = None
@@ -323,7 +324,7 @@ def train_in_rounds(
     return network, labelling, photographs
 
 
-def _begin_alike(path: Path, imagenet: bool, start: Path | None, silhouettes: Path | None, marked: int) -> None:
+def _begin_alike(path: Path, imagenet: bool, start: Path | None, silhouettes: Path | None, marks: Array | None) -> None:
     """Keep what a training began with; one that goes on has to name the same, since its networks come from that.
 
     Raises:
@@ -333,7 +334,7 @@ def _begin_alike(path: Path, imagenet: bool, start: Path | None, silhouettes: Pa
         "imagenet": imagenet,
         "start": None if start is None else start.name,
         "silhouettes": None if silhouettes is None else silhouettes.name,
-        "marks": marked,
+        "marks": None if marks is None else hashlib.sha256(marks.tobytes()).hexdigest()[:16],
     }
     if not path.exists():
         write_text(path, json.dumps(named))

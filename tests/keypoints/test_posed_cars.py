@@ -36,10 +36,9 @@ def test_fields_and_directions(tmp_path):
     assert named.name == "Audi TTS Coupe 2012"
 
 
-def test_groups_are_ordered_and_can_leave_out(tmp_path):
+def test_groups_are_ordered(tmp_path):
     cars = read_posed_cars(written(tmp_path, [ENTRY, {**ENTRY, "cad_id": "a"}, ENTRY]))
     assert groups(cars) == {"a": [1], "b": [0, 2]}
-    assert groups(cars, leave_out={"b"}) == {"a": [1]}
 
 
 def test_models_of_cars_that_share_a_3d_model_are_shapes_of_their_own(tmp_path):

@@ -95,6 +95,16 @@ def test_a_training_goes_on_with_what_it_began_with(trained, source, tmp_path):
         train_in_rounds(source, trained[0], HOW, [1], silhouettes=tmp_path)
 
 
+def test_a_training_goes_on_with_the_same_marks(source, tmp_path):
+    marks = np.full((6, 14, 2), np.nan)
+    marks[0, 12] = 1.0
+    begun = replace(source, marks=marks)
+    train_in_rounds(begun, tmp_path, HOW, [1])
+    train_in_rounds(begun, tmp_path, HOW, [1])
+    with pytest.raises(InvalidInputError, match="began with"):
+        train_in_rounds(replace(source, marks=marks + 1.0), tmp_path, HOW, [1])
+
+
 def test_a_trained_network_can_go_on(source, tmp_path):
     torch.manual_seed(1)
     begun = KNet(SMALL)
