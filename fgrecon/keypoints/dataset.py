@@ -1,4 +1,8 @@
-"""Photographs, car masks and labels, prepared once in memory-mapped arrays, and training samples drawn from them."""
+"""Photographs, car masks and labels, prepared once in memory-mapped arrays, and training samples drawn from them.
+
+Of M photographs the arrays have 2 M rows: row M + i is photograph i as it would look from further away, where one could
+be made (`distant.py`).
+"""
 
 from __future__ import annotations
 
@@ -12,7 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.errors import InvalidInputError
 from fgrecon.images import read_image
 from fgrecon.keypoints.augment import Sample, Street, View
-from fgrecon.keypoints.labels import Labels, ShapeFit
+from fgrecon.keypoints.distant import Distant, draw_distant
+from fgrecon.keypoints.labels import Labels, ShapeFit, project_labels
 from fgrecon.keypoints.posed_cars import PosedCar
 from fgrecon.priors.shape_prior import ShapePrior
 
@@ -29,25 +34,27 @@ __all__ = [
 SIDE = 192
 """Longest side of the prepared photographs, pixels."""
 
+_SEED = 11_000_000  # of the distances from which photographs are seen again
 _BINS = 36
 _TRIES = 12
 _FILES = ("images.npy", "masks.npy", "sizes.npy", "scales.npy")
+_DISTANT = "distant.npz"
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Photographs:
-    """Prepared photographs; arrays of M, read from disk on use.
+    """Prepared photographs, read from disk on use.
 
     Attributes:
-        images: (M, 192, 192, 3) RGB, each in the upper left corner.
-        masks: (M, 192, 192) 255 on the car.
-        sizes: (M, 2) width and height.
+        images: (2 M, 192, 192, 3) RGB, each in the upper left corner.
+        masks: (2 M, 192, 192) 255 on the car.
+        sizes: (2 M, 2) width and height; 0 where there is no distant one.
         scales: (M,) prepared pixels per pixel of the file.
-        keypoints: (M, K, 2) labels in prepared pixels; NaN where unknown.
-        visible: (M, K) probability that each keypoint can be seen.
-        azimuth: (M,) direction from the car to the camera, radians.
+        keypoints: (2 M, K, 2) labels in prepared pixels; NaN where unknown.
+        visible: (2 M, K) probability that each keypoint can be seen.
+        azimuth: (2 M,) direction from the car to the camera, radians.
     """
 
     images: NDArray[np.uint8]
@@ -63,7 +70,24 @@ class Photographs:
         """What `prepare_photographs` wrote, with labels in pixels of the files."""
         images, masks, sizes, scales = (np.load(folder / name, mmap_mode="r") for name in _FILES)
         keypoints = (labels.keypoints + 0.5) * scales[:, None, None] - 0.5
-        return cls(images, masks, np.asarray(sizes), np.asarray(scales), keypoints, labels.visible, azimuth)
+        with np.load(folder / _DISTANT, allow_pickle=False) as far:
+            # The distant image was made with the shape of that time: labels that have moved since move in it as well.
+            moved = far["after"] + far["ratio"][:, None, None] * (keypoints - far["before"])
+            seen = far["visible"]
+        return cls(
+            images,
+            masks,
+            np.asarray(sizes),
+            np.asarray(scales),
+            np.concatenate([keypoints, moved]),
+            np.concatenate([labels.visible, seen]),
+            np.concatenate([azimuth, azimuth]),
+        )
+
+    def with_distant(self, chosen: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Photographs, and rows of their distant ones where these exist."""
+        again = chosen + len(self.scales)
+        return np.concatenate([chosen, again[self.sizes[again, 0] > 0]])
 
     def view(self, index: int) -> View:
         """One photograph with its labels."""
@@ -103,7 +127,7 @@ def prepare_photographs(
     folder: Path,
     silhouettes: Sequence[Path | None] | None = None,
 ) -> None:
-    """Resize all photographs and draw their masks into memory-mapped arrays (about 0.15 MB a photograph).
+    """Resize all photographs, draw their masks and make distant ones, in memory-mapped arrays (0.2 MB a photograph).
 
     Args:
         cars: The photographs.
@@ -111,7 +135,7 @@ def prepare_photographs(
         prior: The model that the shapes are of.
         folder: Where to write; made if missing.
         silhouettes: Grey image of each that is white on the car, for its mask; None where the shape's projection has to
-            do, or for all.
+            do, or for all. Only those that have one are also seen from further away.
 
     Raises:
         InvalidInputError: A photograph or silhouette cannot be read.
@@ -119,10 +143,13 @@ def prepare_photographs(
     import cv2
 
     folder.mkdir(parents=True, exist_ok=True)
-    shape = (len(cars), SIDE, SIDE)
+    count = len(cars)
+    shape = (2 * count, SIDE, SIDE)  # without distant ones the second half is a hole in the file
     images = np.lib.format.open_memmap(folder / _FILES[0], "w+", np.uint8, (*shape, 3))
     masks = np.lib.format.open_memmap(folder / _FILES[1], "w+", np.uint8, shape)
-    sizes, scales = np.zeros((len(cars), 2), dtype=np.int64), np.ones(len(cars))
+    sizes, scales = np.zeros((2 * count, 2), dtype=np.int64), np.ones(count)
+    before, after = np.zeros((2, count, prior.category.size, 2))
+    ratio, visible = np.ones(count), np.zeros((count, prior.category.size))
     for i, (car, fit) in enumerate(zip(cars, fits, strict=True)):
         image = read_image(car.image)
         scales[i] = min(1.0, SIDE / max(image.shape[:2]))
@@ -132,13 +159,29 @@ def prepare_photographs(
         file = None if silhouettes is None else silhouettes[i]
         if file is None:
             masks[i, :height, :width] = draw_mask(car, fit, prior, float(scales[i]))[:height, :width]
-        else:
-            drawn = read_silhouette(file, car.size)
-            masks[i, :height, :width] = cv2.resize(drawn, (width, height), interpolation=cv2.INTER_AREA)
+            continue
+        drawn = read_silhouette(file, car.size)
+        masks[i, :height, :width] = cv2.resize(drawn, (width, height), interpolation=cv2.INTER_AREA)
+        small = car.resized(float(scales[i]), (width, height))
+        taken = np.asarray(images[i, :height, :width]), np.asarray(masks[i, :height, :width])
+        distant = draw_distant(*taken, small, fit, prior, SIDE, np.random.default_rng((_SEED, i)))
+        if distant is not None:
+            _keep(distant, i + count, images, masks, sizes)
+            labels = project_labels(prior, fit, [distant.car])
+            before[i] = project_labels(prior, fit, [small]).keypoints[0]
+            after[i], visible[i], ratio[i] = labels.keypoints[0], labels.visible[0], distant.scale
     images.flush()
     masks.flush()
     np.save(folder / _FILES[2], sizes)
+    np.savez(folder / _DISTANT, before=before, after=after, ratio=ratio, visible=visible)
     np.save(folder / _FILES[3], scales)
+
+
+def _keep(
+    distant: Distant, row: int, images: NDArray[np.uint8], masks: NDArray[np.uint8], sizes: NDArray[np.int64]
+) -> None:
+    width, height = sizes[row] = distant.car.size
+    images[row, :height, :width], masks[row, :height, :width] = distant.image, distant.mask
 
 
 def read_silhouette(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:

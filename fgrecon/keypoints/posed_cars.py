@@ -7,7 +7,7 @@ relative to a 3D model of the car whose box is centred at the origin and has a d
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +60,12 @@ class PosedCar:
     def silhouette(self, folder: Path) -> Path:
         """The file of its silhouette in a folder of them."""
         return folder / f"{self.image.stem}.png"
+
+    def resized(self, scale: float, size: tuple[int, int]) -> PosedCar:
+        """The photograph resized by a factor, to so many pixels (width, height)."""
+        middle = (scale - 1.0) / 2.0  # pixel centres are at integers
+        to_image = np.array([[scale, 0.0, middle], [0.0, scale, middle], [0.0, 0.0, 1.0]])
+        return replace(self, matrix=to_image @ self.matrix, size=size)
 
     def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Pixels (..., 2) of points (..., 3) in the object frame."""

@@ -302,7 +302,7 @@ def train_in_rounds(
         if checkpoint.exists() and load_checkpoint(checkpoint)["step"] >= last and number < len(stops) - 1:
             continue
         tell(f"Training to step {last}")
-        chosen = source.learn[labelling.trusted[source.learn]]
+        chosen = photographs.with_distant(source.learn[labelling.trusted[source.learn]])
         if not len(chosen):
             fix = "Start from another network, or from none."
             raise InvalidInputError("labels", f"{path}: no photograph agrees with its shape", fix)

@@ -1,0 +1,194 @@
+"""Photographs as they would look from further away.
+
+People photograph cars from one car's length, street cameras see them from two to ten: from nearby, the rear hides the
+mirrors and the sides that a street camera sees beside it. The shape behind a photograph tells how far away each of its
+pixels is, so that the photograph can be laid over the shape and seen again from a distance, in the same direction and
+at the same size (a dolly zoom). What the photograph does not show is taken from the car's other side, or from what is
+next to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.keypoints.labels import ShapeFit
+from fgrecon.keypoints.posed_cars import PosedCar
+from fgrecon.priors.shape_prior import ShapePrior
+from fgrecon.render import Fragments, rasterise
+
+__all__ = ["Distant", "draw_distant", "further_away", "seen_from_afar"]
+
+Array = NDArray[np.float64]
+Pixels = NDArray[np.uint8]
+
+_MIRROR = np.array([1.0, 1.0, -1.0])
+_BEHIND = 0.02  # by so much of the car's diagonal a hidden point lies behind what hides it
+_DISTANCES = 1.5, 8.0  # diagonals of the car: 7 to 40 metres
+_LEAST = 1.2  # factor from which another photograph is worth while
+_MADE_UP = 0.1  # largest share of the car that is guessed
+_TRIES = 3
+_SMOOTH = 3.0  # standard deviation in pixels of the smoothing of the background's displacement
+
+
+@dataclass(frozen=True)
+class Distant:
+    """A photograph seen again.
+
+    Attributes:
+        image: (H, W, 3) RGB.
+        mask: (H, W) 255 on the car.
+        car: The photograph with the camera that would take this image; its `size` is that of the image.
+        scale: Pixels of this image per pixel of the photograph, at the car's middle.
+        made_up: Share of the car that the photograph shows from neither side.
+    """
+
+    image: Pixels
+    mask: Pixels
+    car: PosedCar
+    scale: float
+    made_up: float
+
+
+def draw_distant(
+    image: Pixels, mask: Pixels, car: PosedCar, fit: ShapeFit, prior: ShapePrior, side: int, rng: np.random.Generator
+) -> Distant | None:
+    """The photograph seen again from a random distance; None where it was taken from afar or would show too little.
+
+    Args:
+        image: (H, W, 3) RGB.
+        mask: (H, W) 255 on the car.
+        car: Camera and pose, in pixels of this image.
+        fit: Its shape.
+        prior: The model that the shape is of.
+        side: Longest side of the new image, pixels.
+        rng: Source of the distance.
+    """
+    surface = prior.surface
+    if surface is None:
+        raise ValueError("the prior has no surface")
+    low, high = np.log(_DISTANCES)
+    factor = float(np.exp(rng.uniform(low, high)) / np.linalg.norm(car.translation))
+    vertices = surface.vertices(fit.coefficients)
+    for _ in range(_TRIES):
+        if factor < _LEAST:
+            return None
+        distant = seen_from_afar(image, mask, car, vertices, surface.faces, factor, side)
+        if distant.made_up <= _MADE_UP:
+            return distant
+        factor = 1.0 + (factor - 1.0) / 2.0
+    return None
+
+
+def further_away(car: PosedCar, vertices: Array, factor: float, side: int) -> PosedCar:
+    """The car from `factor` times the distance, in the same direction, filling an image of that longest side.
+
+    Args:
+        car: The photograph's camera and pose.
+        vertices: (V, 3) of the car's surface, in the unit of the pose.
+        factor: At least 1.
+        side: Longest side in pixels of the image; its outline leaves as much around the surface as the photograph's.
+    """
+    before = car.project(vertices)
+    origin = car.project(np.zeros(3))
+    matrix = car.matrix.copy()
+    matrix[:2, :2] *= factor
+    matrix[:2, 2] -= (factor - 1.0) * (origin - car.matrix[:2, 2])
+    moved = replace(car, matrix=matrix, translation=car.translation * factor)
+    after = moved.project(vertices)
+    low = after.min(axis=0) + (car.box[:2] - before.min(axis=0))
+    high = after.max(axis=0) + (car.box[2:] - before.max(axis=0))
+    scale = side / float((high - low).max())
+    width, height = np.maximum(np.rint((high - low) * scale), 1).astype(int)
+    to_image = np.array([[scale, 0.0, -low[0] * scale - 0.5], [0.0, scale, -low[1] * scale - 0.5], [0.0, 0.0, 1.0]])
+    return replace(moved, matrix=to_image @ matrix, size=(int(width), int(height)))
+
+
+def seen_from_afar(
+    image: Pixels, mask: Pixels, car: PosedCar, vertices: Array, faces: NDArray[np.integer], factor: float, side: int
+) -> Distant:
+    """The photograph seen again from `factor` times the distance.
+
+    Args:
+        image: (H, W, 3) RGB.
+        mask: (H, W) 255 on the car.
+        car: Camera and pose, in pixels of this image.
+        vertices: (V, 3) of the car's surface, in the unit of the pose.
+        faces: (F, 3) its triangles.
+        factor: At least 1.
+        side: Longest side of the new image, pixels.
+    """
+    far = further_away(car, vertices, factor, side)
+    width, height = far.size
+    seen, points = _seen(far, vertices, faces)
+    depth = _depth(_seen(car, vertices, faces)[0], car.size)
+    places, other = car.project(points), car.project(points * _MIRROR)
+    shown, mirrored = _shown(car, points, places, depth), _shown(car, points * _MIRROR, other, depth)
+    places = np.where((~shown & mirrored)[:, None], other, places)
+    known = np.zeros((height, width), dtype=bool)
+    known[seen.rows, seen.columns] = shown | mirrored
+    if not known.any():
+        return Distant(image, mask, car, 1.0, 1.0)
+    row, column = np.mgrid[:height, :width].astype(np.float64)
+    grid = np.stack([column, row], axis=-1)
+    shift = np.zeros((height, width, 2))
+    shift[seen.rows, seen.columns] = places - grid[seen.rows, seen.columns]
+    covered = np.zeros((height, width), dtype=bool)
+    covered[seen.rows, seen.columns] = True
+    nearest = _nearest(known)
+    # Beyond the surface the photograph moves as its edge does; on it, what nothing shows looks like what is beside it.
+    extended = shift[nearest]
+    smooth = np.stack([cv2.GaussianBlur(extended[..., i], (0, 0), _SMOOTH) for i in range(2)], axis=-1)
+    taken = grid + np.where(known[..., None], shift, smooth)
+    beside = covered & ~known
+    taken[beside] = (grid + shift)[nearest][beside]
+    at = taken.astype(np.float32)
+    new = cv2.remap(image, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    outline = cv2.remap(mask, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    unseen = np.zeros((height, width), dtype=bool)
+    unseen[seen.rows, seen.columns] = ~shown
+    scale = float(far.matrix[0, 0] / car.matrix[0, 0] / factor)
+    everywhere = np.where(unseen, 255, outline).astype(np.uint8)
+    return Distant(np.asarray(new, np.uint8), everywhere, far, scale, 1.0 - float(known.sum()) / len(points))
+
+
+def _seen(car: PosedCar, vertices: Array, faces: NDArray[np.integer]) -> tuple[Fragments, Array]:
+    """What each pixel shows of the surface, and where on it, (M, 3)."""
+    camera = vertices @ car.rotation.T + car.translation
+    corner = camera[faces]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    towards = faces[np.einsum("fi,fi->f", normal, corner[:, 0]) < 0.0]  # no other is seen; drawing takes most time
+    fragments = rasterise(camera, towards, car.matrix, car.size)
+    return fragments, fragments.interpolate(vertices, towards)
+
+
+def _depth(fragments: Fragments, size: tuple[int, int]) -> Array:
+    """(H, W) depth of the surface, the largest of 3 x 3 pixels; 0 where there is none."""
+    depth = np.zeros((size[1], size[0]))
+    depth[fragments.rows, fragments.columns] = fragments.depth
+    return np.asarray(cv2.dilate(depth, np.ones((3, 3), dtype=np.uint8)), dtype=np.float64)
+
+
+def _shown(car: PosedCar, points: Array, pixels: Array, depth: Array) -> NDArray[np.bool_]:
+    """(M,) which of the points (M, 3) at pixels (M, 2) the photograph shows, by the depth of its surface."""
+    height, width = depth.shape
+    at = np.rint(pixels).astype(int)
+    inside = ((at >= 0) & (at < [width, height])).all(axis=1)
+    column, row = np.clip(at, 0, [width - 1, height - 1]).T
+    behind = points @ car.rotation[2] + car.translation[2] - depth[row, column]
+    shown: NDArray[np.bool_] = inside & (behind <= _BEHIND)
+    return shown
+
+
+def _nearest(known: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Row and column (H, W) of the known pixel nearest to each."""
+    _, label = cv2.distanceTransformWithLabels(
+        (~known).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    rows, columns = np.nonzero(known)
+    of_label = np.zeros(int(label.max()) + 1, dtype=np.intp)
+    of_label[label[rows, columns]] = np.arange(len(rows))
+    return rows[of_label[label]], columns[of_label[label]]
