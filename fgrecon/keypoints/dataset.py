@@ -67,7 +67,13 @@ class Photographs:
 
     @classmethod
     def load(cls, folder: Path, labels: Labels, azimuth: Array) -> Photographs:
-        """What `prepare_photographs` wrote, with labels in pixels of the files."""
+        """What `prepare_photographs` wrote, with labels in pixels of the files.
+
+        Raises:
+            InvalidInputError: An older version wrote it.
+        """
+        if not (folder / _DISTANT).exists():
+            raise InvalidInputError(str(folder), "photographs of an older version", "Train in an empty folder.")
         images, masks, sizes, scales = (np.load(folder / name, mmap_mode="r") for name in _FILES)
         keypoints = (labels.keypoints + 0.5) * scales[:, None, None] - 0.5
         with np.load(folder / _DISTANT, allow_pickle=False) as far:

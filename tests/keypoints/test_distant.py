@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from fgrecon.camera import Camera
+from fgrecon.errors import InvalidInputError
 from fgrecon.images import write_png
 from fgrecon.keypoints.dataset import Photographs, prepare_photographs
 from fgrecon.keypoints.distant import draw_distant, further_away, seen_from_afar
@@ -124,3 +125,6 @@ def test_prepared_photographs_have_distant_ones_whose_labels_follow(prior, tmp_p
     np.testing.assert_allclose(step, np.broadcast_to(step[0], step.shape), atol=1e-9)
     np.testing.assert_allclose(step[0, 0] / step[0, 1], -1.5)
     assert 0.3 < step[0, 0] / 3.0 < 3.0
+    (tmp_path / "p" / "distant.npz").unlink()
+    with pytest.raises(InvalidInputError, match="older version"):
+        Photographs.load(tmp_path / "p", labels, azimuth)
