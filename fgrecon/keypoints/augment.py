@@ -1,8 +1,8 @@
 """Training samples from photographs: cars as street scenes show them.
 
 A car is turned, mirrored, stretched and bent a little (there are more shapes than photographs show), placed before
-something else, half hidden by other cars and blocks, cut off by the image's border, and degraded to the resolution,
-exposure and compression of a street camera. Everything is drawn from the generator that is passed in.
+something else, put in the shade, half hidden by other cars and blocks, cut off by the image's border, and degraded to
+the resolution, exposure and compression of a street camera. Everything is drawn from the generator that is passed in.
 """
 
 from __future__ import annotations
@@ -85,6 +85,7 @@ class Street:
         covered: Another car in front.
         aligned: Other cars point the same way.
         block: A block in front.
+        backlit: The car is in the shade, before something too bright for the camera.
         truncated: The image's border cuts the car off.
         extent: Range of the car's longer side in pixels before it is resampled to the crop.
         jitter: Standard deviation of the box's centre, and of its size, as a fraction of its longer side; that of the
@@ -102,6 +103,7 @@ class Street:
     covered: float = 0.4
     aligned: float = 0.6
     block: float = 0.2
+    backlit: float = 0.15
     truncated: float = 0.12
     extent: tuple[float, float] = (24.0, 220.0)
     jitter: float = 0.035
@@ -148,6 +150,8 @@ class Street:
         field = self._field(keypoints, partner, rng)
         car, alpha, keypoints = deform(car, field), deform(alpha, field), deform_points(keypoints, field)
         canvas = _blend(canvas, car, alpha)
+        if rng.random() < self.backlit:
+            canvas = _backlit(canvas, deform(mask, field), rng)
         visible = view.visible.copy()
         cover = np.zeros((self.size, self.size), dtype=np.uint8)
         if rng.random() < self.covered:
@@ -298,6 +302,12 @@ def _blend(under: Pixels, over: Pixels, alpha: Pixels) -> Pixels:
     share = alpha[..., None].astype(np.uint16)
     mixed: Pixels = ((over * share + under * (255 - share)) // 255).astype(np.uint8)
     return mixed
+
+
+def _backlit(canvas: Pixels, mask: Pixels, rng: np.random.Generator) -> Pixels:
+    """The car darker, and what is around it brighter."""
+    car = cv2.blur(mask, (3, 3))[..., None] / 255.0
+    return _bytes(canvas * (rng.uniform(0.25, 0.8) * car + rng.uniform(1.2, 3.0) * (1.0 - car)))
 
 
 def _bytes(values: NDArray[Any]) -> Pixels:

@@ -95,3 +95,16 @@ def test_keypoints_of_unknown_place_stay_unknown():
     assert lost.sum() == 1
     assert set(lost.nonzero()[0]) <= {5, int(MIRROR[5])}
     assert sample.visible[lost] == 0.0
+
+
+def test_a_backlit_car_is_darker_and_what_is_around_it_brighter():
+    rng = np.random.default_rng(0)
+    image, mask = np.full((80, 120, 3), 100, dtype=np.uint8), np.zeros((80, 120), dtype=np.uint8)
+    mask[20:60, 30:90] = 255
+    view = View(image, mask, np.full((14, 2), 40.0), np.ones(14), 0.7)
+    plain = {name: getattr(PLAIN, name) for name in PLAIN.__dataclass_fields__}
+    still = {"jitter": 0.0, "roll": 0.0, "stretch": 0.0, "bend": 0.0, "moved": 0.0}
+    street = Bright(**{**plain, **still, "backlit": 1.0})
+    crop = street.sample(view, lambda _: view, MIRROR, rng).crop
+    assert 20 <= crop[48, 48].max() < 85
+    assert crop[48, 12].min() > 115
