@@ -122,37 +122,43 @@ def seen_from_afar(
         side: Longest side of the new image, pixels.
     """
     far = further_away(car, vertices, factor, side)
-    width, height = far.size
     seen, points = _seen(far, vertices, faces)
     depth = _depth(_seen(car, vertices, faces)[0], car.size)
     places, other = car.project(points), car.project(points * _MIRROR)
     shown, mirrored = _shown(car, points, places, depth), _shown(car, points * _MIRROR, other, depth)
-    places = np.where((~shown & mirrored)[:, None], other, places)
-    known = np.zeros((height, width), dtype=bool)
-    known[seen.rows, seen.columns] = shown | mirrored
-    if not known.any():
+    told = shown | mirrored
+    if not told.any():
         return Distant(image, mask, car, 1.0, 1.0)
-    row, column = np.mgrid[:height, :width].astype(np.float64)
-    grid = np.stack([column, row], axis=-1)
-    shift = np.zeros((height, width, 2))
-    shift[seen.rows, seen.columns] = places - grid[seen.rows, seen.columns]
-    covered = np.zeros((height, width), dtype=bool)
-    covered[seen.rows, seen.columns] = True
-    nearest = _nearest(known)
-    # Beyond the surface the photograph moves as its edge does; on it, what nothing shows looks like what is beside it.
-    extended = shift[nearest]
-    smooth = np.stack([cv2.GaussianBlur(extended[..., i], (0, 0), _SMOOTH) for i in range(2)], axis=-1)
-    taken = grid + np.where(known[..., None], shift, smooth)
-    beside = covered & ~known
-    taken[beside] = (grid + shift)[nearest][beside]
-    at = taken.astype(np.float32)
+    places = np.where((~shown & mirrored)[:, None], other, places)
+    at = _sources(seen, places, told, far.size)
     new = cv2.remap(image, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     outline = cv2.remap(mask, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-    unseen = np.zeros((height, width), dtype=bool)
-    unseen[seen.rows, seen.columns] = ~shown
+    outline[seen.rows[~shown], seen.columns[~shown]] = 255
     scale = float(far.matrix[0, 0] / car.matrix[0, 0] / factor)
-    everywhere = np.where(unseen, 255, outline).astype(np.uint8)
-    return Distant(np.asarray(new, np.uint8), everywhere, far, scale, 1.0 - float(known.sum()) / len(points))
+    made_up = 1.0 - float(told.mean())
+    return Distant(np.asarray(new, dtype=np.uint8), np.asarray(outline, dtype=np.uint8), far, scale, made_up)
+
+
+def _sources(seen: Fragments, places: Array, told: NDArray[np.bool_], size: tuple[int, int]) -> NDArray[np.float32]:
+    """(H, W, 2) pixel of the photograph that each of the new image shows.
+
+    Args:
+        seen: The M pixels that show the surface.
+        places: (M, 2) where the photograph shows that part of the surface.
+        told: (M,) whether it does.
+        size: Width and height of the new image.
+    """
+    row, column = np.mgrid[: size[1], : size[0]].astype(np.float64)
+    grid = np.stack([column, row], axis=-1)
+    shift, known, covered = np.zeros_like(grid), np.zeros(row.shape, dtype=bool), np.zeros(row.shape, dtype=bool)
+    shift[seen.rows, seen.columns] = places - grid[seen.rows, seen.columns]
+    known[seen.rows, seen.columns], covered[seen.rows, seen.columns] = told, True
+    # Beyond the surface the photograph moves as its edge does; on it, what nothing shows looks like what is beside it.
+    nearest = _nearest(known)
+    smooth = np.stack([cv2.GaussianBlur(shift[nearest][..., i], (0, 0), _SMOOTH) for i in range(2)], axis=-1)
+    taken = grid + np.where(known[..., None], shift, smooth)
+    taken = np.where((covered & ~known)[..., None], (grid + shift)[nearest], taken)
+    return np.asarray(taken, dtype=np.float32)
 
 
 def _seen(car: PosedCar, vertices: Array, faces: NDArray[np.integer]) -> tuple[Fragments, Array]:
