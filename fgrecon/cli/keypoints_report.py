@@ -185,7 +185,7 @@ def run_training(
     stored = Stored(state, how.network.to_dict(), Calibration(), provenance)
     if refine_steps:
         shown.print("Refinement networks")
-        chosen = photographs.with_distant(source.learn[labelling.trusted[source.learn]])
+        chosen = labelling.samples(photographs, source.learn)
         refining = RefineTraining(steps=refine_steps, seed=seed)
         refining = replace(refining, street=refining.street.moving(source.prior.category))
         weights = azimuth_weights(photographs.azimuth, chosen)
@@ -206,7 +206,7 @@ def run_training(
         stored = replace(stored, refinement=refined, refine_settings=refining.network.to_dict())
     save_weights(out, stored)
     shown.print("Calibration")
-    held = photographs.with_distant(source.validate[labelling.trusted[source.validate]])
+    held = labelling.samples(photographs, source.validate)
     fitted = calibrate(Detector(out, device=device), photographs, held, partner, seed=seed + 1)
     save_weights(out, replace(stored, calibration=fitted))
 

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.errors import InvalidInputError
 from fgrecon.images import read_image
 from fgrecon.keypoints.augment import Sample, Street, View
-from fgrecon.keypoints.distant import Distant, draw_distant
-from fgrecon.keypoints.labels import Labels, ShapeFit, project_labels
+from fgrecon.keypoints.distant import draw_distant
+from fgrecon.keypoints.labels import Labels, ShapeFit, project_labels, surface_of
 from fgrecon.keypoints.posed_cars import PosedCar
 from fgrecon.priors.shape_prior import ShapePrior
 
@@ -172,22 +172,16 @@ def prepare_photographs(
         taken = np.asarray(images[i, :height, :width]), np.asarray(masks[i, :height, :width])
         distant = draw_distant(*taken, small, fit, prior, SIDE, np.random.default_rng((_SEED, i)))
         if distant is not None:
-            _keep(distant, i + count, images, masks, sizes)
+            width, height = sizes[count + i] = distant.car.size
+            images[count + i, :height, :width], masks[count + i, :height, :width] = distant.image, distant.mask
             labels = project_labels(prior, fit, [distant.car])
-            before[i] = project_labels(prior, fit, [small]).keypoints[0]
+            before[i] = small.project(prior.keypoints(fit.coefficients, fit.offsets))
             after[i], visible[i], ratio[i] = labels.keypoints[0], labels.visible[0], distant.scale
     images.flush()
     masks.flush()
     np.save(folder / _FILES[2], sizes)
     np.savez(folder / _DISTANT, before=before, after=after, ratio=ratio, visible=visible)
     np.save(folder / _FILES[3], scales)
-
-
-def _keep(
-    distant: Distant, row: int, images: NDArray[np.uint8], masks: NDArray[np.uint8], sizes: NDArray[np.int64]
-) -> None:
-    width, height = sizes[row] = distant.car.size
-    images[row, :height, :width], masks[row, :height, :width] = distant.image, distant.mask
 
 
 def read_silhouette(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
@@ -214,9 +208,7 @@ def read_silhouette(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
 
 def draw_mask(car: PosedCar, fit: ShapeFit, prior: ShapePrior, scale: float = 1.0) -> NDArray[np.uint8]:
     """(192, 192) 255 where the projected surface covers the photograph resized by `scale`."""
-    surface = prior.surface
-    if surface is None:
-        raise ValueError("the prior has no surface")
+    surface = surface_of(prior)
     pixels = (car.project(surface.vertices(fit.coefficients)) + 0.5) * scale - 0.5
     return fill_faces(pixels[surface.faces], SIDE)
 

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.keypoints.labels import ShapeFit
+from fgrecon.keypoints.labels import ShapeFit, surface_of
 from fgrecon.keypoints.posed_cars import PosedCar
 from fgrecon.priors.shape_prior import ShapePrior
 from fgrecon.render import Fragments, rasterise
@@ -67,9 +67,7 @@ def draw_distant(
         side: Longest side of the new image, pixels.
         rng: Source of the distance.
     """
-    surface = prior.surface
-    if surface is None:
-        raise ValueError("the prior has no surface")
+    surface = surface_of(prior)
     low, high = np.log(_DISTANCES)
     factor = float(np.exp(rng.uniform(low, high)) / np.linalg.norm(car.translation))
     vertices = surface.vertices(fit.coefficients)
@@ -103,8 +101,7 @@ def further_away(car: PosedCar, vertices: Array, factor: float, side: int) -> Po
     high = after.max(axis=0) + (car.box[2:] - before.max(axis=0))
     scale = side / float((high - low).max())
     width, height = np.maximum(np.rint((high - low) * scale), 1).astype(int)
-    to_image = np.array([[scale, 0.0, -low[0] * scale - 0.5], [0.0, scale, -low[1] * scale - 0.5], [0.0, 0.0, 1.0]])
-    return replace(moved, matrix=to_image @ matrix, size=(int(width), int(height)))
+    return moved.resized(scale, (int(width), int(height)), low)
 
 
 def seen_from_afar(
@@ -122,7 +119,8 @@ def seen_from_afar(
         side: Longest side of the new image, pixels.
     """
     far = further_away(car, vertices, factor, side)
-    seen, points = _seen(far, vertices, faces)
+    seen, towards = _seen(far, vertices, faces)
+    points = seen.interpolate(vertices, towards)
     depth = _depth(_seen(car, vertices, faces)[0], car.size)
     places, other = car.project(points), car.project(points * _MIRROR)
     shown, mirrored = _shown(car, points, places, depth), _shown(car, points * _MIRROR, other, depth)
@@ -161,14 +159,13 @@ def _sources(seen: Fragments, places: Array, told: NDArray[np.bool_], size: tupl
     return np.asarray(taken, dtype=np.float32)
 
 
-def _seen(car: PosedCar, vertices: Array, faces: NDArray[np.integer]) -> tuple[Fragments, Array]:
-    """What each pixel shows of the surface, and where on it, (M, 3)."""
+def _seen(car: PosedCar, vertices: Array, faces: NDArray[np.integer]) -> tuple[Fragments, NDArray[np.integer]]:
+    """What each pixel shows of the surface, and the triangles that this names: those that face the camera."""
     camera = vertices @ car.rotation.T + car.translation
     corner = camera[faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     towards = faces[np.einsum("fi,fi->f", normal, corner[:, 0]) < 0.0]  # no other is seen; drawing takes most time
-    fragments = rasterise(camera, towards, car.matrix, car.size)
-    return fragments, fragments.interpolate(vertices, towards)
+    return rasterise(camera, towards, car.matrix, car.size), towards
 
 
 def _depth(fragments: Fragments, size: tuple[int, int]) -> Array:

@@ -21,7 +21,7 @@ from fgrecon.priors.apollo79 import Apollo79
 from fgrecon.priors.half_mesh import mirrored_half
 from fgrecon.priors.shape_prior import ShapePrior, Surface
 
-__all__ = ["Labels", "ShapeFit", "fit_shape", "project_labels", "unit_prior", "unmodelled"]
+__all__ = ["Labels", "ShapeFit", "fit_shape", "project_labels", "surface_of", "unit_prior", "unmodelled"]
 
 Array = NDArray[np.float64]
 
@@ -103,6 +103,13 @@ def unit_prior(models: Apollo79, basis: int = 10) -> ShapePrior:
     )
 
 
+def surface_of(prior: ShapePrior) -> Surface:
+    """The surface that labels, masks and silhouettes are made with; a prior from `unit_prior` has one."""
+    if prior.surface is None:
+        raise ValueError("the prior has no surface")
+    return prior.surface
+
+
 def fit_shape(prior: ShapePrior, cars: Sequence[PosedCar]) -> ShapeFit:
     """The coefficients whose surface touches the edges of all boxes (robust; coefficients ~ N(0, I)).
 
@@ -110,9 +117,7 @@ def fit_shape(prior: ShapePrior, cars: Sequence[PosedCar]) -> ShapeFit:
         prior: Model with a surface, from `unit_prior`.
         cars: Photographs of one shape.
     """
-    surface = prior.surface
-    if surface is None:
-        raise ValueError("the prior has no surface")
+    surface = surface_of(prior)
     rotation, translation, matrix = (
         np.array([getattr(c, f) for c in cars]) for f in ("rotation", "translation", "matrix")
     )
@@ -147,9 +152,7 @@ def fit_shape(prior: ShapePrior, cars: Sequence[PosedCar]) -> ShapeFit:
 
 def project_labels(prior: ShapePrior, fit: ShapeFit, cars: Sequence[PosedCar]) -> Labels:
     """Keypoints and their visibility in every photograph of a shape."""
-    surface = prior.surface
-    if surface is None:
-        raise ValueError("the prior has no surface")
+    surface = surface_of(prior)
     points, vertices = prior.keypoints(fit.coefficients, fit.offsets), surface.vertices(fit.coefficients)
     keypoints = np.array([car.project(points) for car in cars])
     visible = np.zeros(keypoints.shape[:2])

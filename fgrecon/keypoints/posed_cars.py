@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.errors import InvalidInputError
 from fgrecon.json_fields import Fields, read_json
@@ -61,10 +61,10 @@ class PosedCar:
         """The file of its silhouette in a folder of them."""
         return folder / f"{self.image.stem}.png"
 
-    def resized(self, scale: float, size: tuple[int, int]) -> PosedCar:
-        """The photograph resized by a factor, to so many pixels (width, height)."""
-        middle = (scale - 1.0) / 2.0  # pixel centres are at integers
-        to_image = np.array([[scale, 0.0, middle], [0.0, scale, middle], [0.0, 0.0, 1.0]])
+    def resized(self, scale: float, size: tuple[int, int], corner: ArrayLike = (-0.5, -0.5)) -> PosedCar:
+        """The photograph resized by a factor, to so many pixels (width, height), from an upper left corner (2,) on."""
+        u, v = -np.asarray(corner, dtype=np.float64) * scale - 0.5  # pixel centres are at integers
+        to_image = np.array([[scale, 0.0, u], [0.0, scale, v], [0.0, 0.0, 1.0]])
         return replace(self, matrix=to_image @ self.matrix, size=size)
 
     def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:

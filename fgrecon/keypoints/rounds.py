@@ -85,6 +85,10 @@ class Labelling:
     trusted: NDArray[np.bool_]
     outlined: NDArray[np.bool_]
 
+    def samples(self, photographs: Photographs, among: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Rows of the trusted photographs among some, and of their distant ones."""
+        return photographs.with_distant(among[self.trusted[among]])
+
     def save(self, path: Path) -> None:
         """Write to an npz file, whole or not at all."""
         names = sorted(self.fits)
@@ -302,7 +306,7 @@ def train_in_rounds(
         if checkpoint.exists() and load_checkpoint(checkpoint)["step"] >= last and number < len(stops) - 1:
             continue
         tell(f"Training to step {last}")
-        chosen = photographs.with_distant(source.learn[labelling.trusted[source.learn]])
+        chosen = labelling.samples(photographs, source.learn)
         if not len(chosen):
             fix = "Start from another network, or from none."
             raise InvalidInputError("labels", f"{path}: no photograph agrees with its shape", fix)

@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 
 from fgrecon.keypoints.dataset import fill_faces, read_silhouette
 from fgrecon.keypoints.deform import sampled
-from fgrecon.keypoints.labels import ShapeFit
+from fgrecon.keypoints.labels import ShapeFit, surface_of
 from fgrecon.keypoints.posed_cars import PosedCar
 from fgrecon.keypoints.relabel import SHIFT_SIGMA, TURN_SIGMA
 from fgrecon.pose.geometry import pixel_jacobian
@@ -153,9 +153,7 @@ def fit_outlines(
         outlines: Their silhouettes, None where there is none.
         start: The shape so far.
     """
-    surface = prior.surface
-    if surface is None:
-        raise ValueError("the prior has no surface")
+    surface = surface_of(prior)
     vertices = surface.vertices(start.coefficients)
     poses = {
         number: _Pose(car, outline, car.rotation, car.translation)
