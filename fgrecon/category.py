@@ -98,6 +98,11 @@ class Category:
         return mirror
 
     @cached_property
+    def off_faces(self) -> NDArray[np.intp]:
+        """Keypoints on no planar face: parts that stand out of the body, such as mirrors."""
+        return np.setdiff1d(np.arange(self.size), [k for face in self.faces for k in face.keypoints])
+
+    @cached_property
     def dimension_operator(self) -> NDArray[np.float64]:
         """(3, K, 3) linear map from keypoints (K, 3) to the box's length, width and height, in metres."""
         operator = np.zeros((3, self.size, 3))

@@ -29,6 +29,11 @@ def test_mirror_is_an_involution(content):
     assert (mirror != np.arange(14)).all()
 
 
+def test_mirrors_are_on_no_face(content):
+    category = Category.from_dict(content)
+    assert [category.keypoints[i] for i in category.off_faces] == ["left_side_mirror", "right_side_mirror"]
+
+
 def test_dimensions_of_a_box_with_known_size(content):
     category = Category.from_dict(content)
     shape = np.zeros((14, 3))

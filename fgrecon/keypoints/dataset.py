@@ -177,6 +177,7 @@ def prepare_photographs(
             labels = project_labels(prior, fit, [distant.car])
             before[i] = small.project(prior.keypoints(fit.coefficients, fit.offsets))
             after[i], visible[i], ratio[i] = labels.keypoints[0], labels.visible[0], distant.scale
+            after[i, (visible[i] > 0.5) & ~distant.believes(after[i])] = np.nan
     images.flush()
     masks.flush()
     np.save(folder / _FILES[2], sizes)

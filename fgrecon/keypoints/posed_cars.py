@@ -67,6 +67,13 @@ class PosedCar:
         to_image = np.array([[scale, 0.0, u], [0.0, scale, v], [0.0, 0.0, 1.0]])
         return replace(self, matrix=to_image @ self.matrix, size=size)
 
+    def zoomed(self, factor: float) -> PosedCar:
+        """The car from `factor` times the distance, in the same direction and as large in the image (a dolly zoom)."""
+        matrix = self.matrix.copy()
+        matrix[:2, :2] *= factor
+        matrix[:2, 2] -= (factor - 1.0) * (self.project(np.zeros(3)) - self.matrix[:2, 2])
+        return replace(self, matrix=matrix, translation=self.translation * factor)
+
     def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Pixels (..., 2) of points (..., 3) in the object frame."""
         camera = points @ self.rotation.T + self.translation

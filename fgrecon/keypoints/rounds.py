@@ -99,6 +99,7 @@ class Labelling:
             visible=self.labels.visible,
             trusted=self.trusted,
             outlined=self.outlined,
+            matrix=np.array([car.matrix for car in self.cars]),
             rotation=np.array([car.rotation for car in self.cars]),
             translation=np.array([car.translation for car in self.cars]),
             names=np.array(names),
@@ -118,17 +119,17 @@ class Labelling:
             stored = {name: file[name] for name in file.files}
         if len(stored["trusted"]) != len(cars):
             raise InvalidInputError(str(path), f"{len(stored['trusted'])} photographs", "Train in an empty folder.")
+        if "matrix" not in stored:
+            raise InvalidInputError(str(path), "labels of an older version", "Train in an empty folder.")
         posed = [
-            replace(car, rotation=r, translation=t)
-            for car, r, t in zip(cars, stored["rotation"], stored["translation"], strict=True)
+            replace(car, matrix=k, rotation=r, translation=t)
+            for car, k, r, t in zip(cars, stored["matrix"], stored["rotation"], stored["translation"], strict=True)
         ]
         fits = {
             str(name): ShapeFit(c, o, np.zeros((0, 4)))
             for name, c, o in zip(stored["names"], stored["coefficients"], stored["offsets"], strict=True)
         }
         labels = Labels(stored["keypoints"], stored["visible"])
-        if "outlined" not in stored:
-            raise InvalidInputError(str(path), "labels of an older version", "Train in an empty folder.")
         return cls(labels, fits, posed, stored["trusted"], stored["outlined"])
 
 
@@ -380,7 +381,7 @@ def _known(keypoints: Array, visible: Array, unknown: NDArray[np.bool_]) -> Labe
 
 def _contradicted(category: Category, outlines: Sequence[Outline | None], keypoints: Array) -> NDArray[np.bool_]:
     """(K,) which keypoints of planar faces the silhouettes of their shape contradict; mirrors are too thin for that."""
-    checked = np.isin(np.arange(category.size), [k for face in category.faces for k in face.keypoints])
+    checked = np.isin(np.arange(category.size), category.off_faces, invert=True)
     wrong: NDArray[np.bool_] = contradicted(outlines, keypoints, category.mirror) & checked
     return wrong
 

@@ -33,12 +33,13 @@ _SIDE = 192  # pixels of the silhouette's longer side
 _PAD = 48  # pixels around it
 _SPACING = 5  # pixels between the points of the outline
 _SIGMA = 0.02  # of a point, as a fraction of the longer side
-_INDEPENDENT = 100.0  # points' worth that one photograph counts
+_INDEPENDENT = 250.0  # points' worth that one photograph counts
 _HUBER = 0.5  # standard deviations
 _FAR = 0.06  # of the longer side: a point that far off counts a quarter
 _OVERLAP = 0.75  # intersection over union with the projected start below which a silhouette is not believed
-_ITERATIONS = 8
+_ITERATIONS = 10
 _STEP, _TURN_STEP = 0.7, 0.1  # largest change of a coefficient, and of a pose, in one iteration
+_ZOOM_SIGMA = 0.45  # of the logarithm of the measured distance and focal length: one looks much like the other
 _OUTSIDE = 0.02  # of the longer side by which a keypoint has to be beyond the outline
 _CONTRADICTED = 0.3  # share of the photographs in which it has to be for its place to be wrong
 _ENOUGH = 5  # photographs that can tell
@@ -111,22 +112,26 @@ class OutlineFit:
 
 @dataclass
 class _Pose:
-    """A photograph on the way: its pose in the camera's frame."""
+    """A photograph on the way: its pose in the camera's frame, and the logarithm of its dolly zoom so far."""
 
     car: PosedCar
     outline: Outline
     rotation: Array
     translation: Array
+    zoom: float = 0.0
 
     def turned_by(self) -> Array:
         """Rotation vector (3,) from the measured to the present rotation."""
         return np.asarray(cv2.Rodrigues(self.rotation @ self.car.rotation.T)[0], dtype=np.float64).ravel()
 
     def move(self, step: Array) -> None:
-        """Turn and shift by (6,)."""
+        """Turn, shift and zoom by (7,)."""
         step = step * min(1.0, _TURN_STEP / max(float(np.abs(step).max()), 1e-12))
         self.rotation = np.asarray(cv2.Rodrigues(step[:3])[0], dtype=np.float64) @ self.rotation
-        self.translation = self.translation + step[3:]
+        self.zoom += float(step[6])
+        factor = float(np.exp(step[6]))
+        self.car = self.car.zoomed(factor)
+        self.translation = (self.translation + step[3:6]) * factor
 
 
 def read_outline(path: Path, size: tuple[int, int]) -> Outline | None:
@@ -167,8 +172,8 @@ def fit_outlines(
         normal, gradient, parts = np.eye(prior.dimension), coefficients.copy(), []
         for pose in poses.values():
             residual, by_pose, by_shape, weight = _outline_rows(surface, vertices, pose)
-            precision = np.concatenate([np.full(3, TURN_SIGMA**-2), SHIFT_SIGMA**-2])
-            away = np.concatenate([pose.turned_by(), pose.translation - pose.car.translation])
+            precision = np.concatenate([np.full(3, TURN_SIGMA**-2), SHIFT_SIGMA**-2, [_ZOOM_SIGMA**-2]])
+            away = np.concatenate([pose.turned_by(), pose.translation - pose.car.translation, [pose.zoom]])
             own = np.diag(precision) + (by_pose * weight[:, None]).T @ by_pose
             own_gradient = precision * away + by_pose.T @ (weight * residual)
             cross = (by_pose * weight[:, None]).T @ by_shape
@@ -182,7 +187,7 @@ def fit_outlines(
             pose.move(-solved[:, -1] - solved[:, :-1] @ step)
         coefficients = coefficients + step
     corrected = [
-        replace(car, rotation=poses[n].rotation, translation=poses[n].translation) if n in poses else car
+        replace(poses[n].car, rotation=poses[n].rotation, translation=poses[n].translation) if n in poses else car
         for n, car in enumerate(cars)
     ]
     used = np.array([n in poses for n in range(len(cars))])
@@ -190,7 +195,7 @@ def fit_outlines(
 
 
 def _outline_rows(surface: Surface, vertices: Array, pose: _Pose) -> tuple[Array, Array, Array, Array]:
-    """Of the vertices on the projected outline: residuals (N,), derivatives by pose (N, 6) and shape, weights (N,)."""
+    """Of the vertices on the projected outline: residuals (N,), derivatives by pose (N, 7) and shape, weights (N,)."""
     car, outline = pose.car, pose.outline
     camera = vertices @ pose.rotation.T + pose.translation
     homogeneous = camera @ car.matrix.T
@@ -204,7 +209,10 @@ def _outline_rows(surface: Surface, vertices: Array, pose: _Pose) -> tuple[Array
     # The vertices next to the drawn outline lie a little inside it, and should as far inside the car's.
     residual = residual - sampled(_signed_distance(drawn), places[vertex]) / _SIDE
     in_camera = np.einsum("ni,nij->nj", slope, pixel_jacobian(car.matrix, camera[vertex])) / _SIGMA
-    by_pose = np.concatenate([np.cross(camera[vertex] - pose.translation, in_camera), in_camera], axis=1)
+    from_centre = np.einsum("ni,ni->n", slope, pixels[vertex] - car.project(np.zeros(3))) / _SIGMA
+    zoom = from_centre + in_camera @ pose.translation
+    turn = np.cross(camera[vertex] - pose.translation, in_camera)
+    by_pose = np.column_stack([turn, in_camera, zoom])
     by_shape = np.einsum("nj,jk,mnk->nm", in_camera, pose.rotation, surface.basis[:, vertex])
     away = np.abs(residual)
     weight = np.minimum(1.0, _HUBER * _SIGMA / np.maximum(away, 1e-12)) / (1.0 + (away / _FAR) ** 2) ** 2

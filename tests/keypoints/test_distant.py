@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from fgrecon.images import write_png
 from fgrecon.keypoints.dataset import Photographs, prepare_photographs
 from fgrecon.keypoints.distant import draw_distant, further_away, seen_from_afar
 from fgrecon.keypoints.labels import Labels, ShapeFit, project_labels
+from fgrecon.keypoints.posed_cars import PosedCar
 from fgrecon.render import Body, render
 
 from .support import made_up_cars, unit_car_prior
@@ -128,3 +130,39 @@ def test_prepared_photographs_have_distant_ones_whose_labels_follow(prior, tmp_p
     (tmp_path / "p" / "distant.npz").unlink()
     with pytest.raises(InvalidInputError, match="older version"):
         Photographs.load(tmp_path / "p", labels, azimuth)
+
+
+def test_mirrors_that_the_photograph_hides_are_drawn(prior):
+    """Stubs beside the middle of a car, seen from right behind it: from nearby, its rear hides them."""
+    vertices, faces = prior.surface.vertices(np.zeros(5)), prior.surface.faces
+    behind, away = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]), np.array([0.0, 0.0, 1.0])
+    matrix = np.array([[250.0, 0.0, 100.0], [0.0, 250.0, 90.0], [0.0, 0.0, 1.0]])
+    car = PosedCar(Path("behind.png"), (200, 160), "shape", matrix, behind, away)
+    assert abs(car.azimuth) == pytest.approx(np.pi)
+    image, mask = photograph(prior, car)
+    mirrors = prior.mean[prior.category.off_faces]
+    plain = seen_from_afar(image, mask, car, vertices, faces, 6.0, 192)
+    distant = seen_from_afar(image, mask, car, vertices, faces, 6.0, 192, mirrors, 0.0)
+    np.testing.assert_array_equal(distant.car.matrix, plain.car.matrix)  # it is the body that fills the image
+    black = (distant.image == 0).all(axis=2) & ~(plain.image == 0).all(axis=2)
+    assert black.any()
+    assert distant.told[black].all()
+    assert (distant.mask[black] == 255).all()
+    row, column = np.nonzero(black)
+    away = np.linalg.norm(np.stack([column, row], axis=1)[:, None] - distant.car.project(mirrors), axis=2).min(axis=1)
+    assert away.max() < 0.03 * distant.car.matrix[0, 0] / np.linalg.norm(distant.car.translation)
+    away = np.abs(distant.image.astype(int) - plain.image)[~black].max(axis=1)
+    assert (away < 40).mean() > 0.97  # and nothing else changes much
+
+
+def test_labels_are_believed_where_the_photograph_tells(prior):
+    (car,) = made_up_cars(prior, np.zeros(5), 1, np.random.default_rng(2))
+    image, mask = photograph(prior, car)
+    surface = prior.surface
+    distant = seen_from_afar(image, mask, car, surface.vertices(np.zeros(5)), surface.faces, 4.0, 200)
+    row, column = np.nonzero(distant.told)
+    middle = len(row) // 2
+    places = np.array([[column[middle], row[middle]], [-50.0, -50.0]], dtype=float)
+    assert distant.believes(places).tolist() == [True, False]
+    blind = replace(distant, told=np.zeros_like(distant.told))
+    assert not blind.believes(places).any()

@@ -36,6 +36,17 @@ def test_fields_and_directions(tmp_path):
     assert named.name == "Audi TTS Coupe 2012"
 
 
+def test_a_dolly_zoom_keeps_direction_and_size(tmp_path):
+    (car,) = read_posed_cars(written(tmp_path, [{**ENTRY, "t": [0.2, -0.1, 2]}]))
+    far = car.zoomed(3.0)
+    np.testing.assert_allclose(far.project(np.zeros(3)), car.project(np.zeros(3)), atol=1e-9)
+    np.testing.assert_allclose(far.translation, 3.0 * car.translation)
+    assert far.azimuth == pytest.approx(car.azimuth)
+    across = np.array([[0.0, 0.0, 0.1], [0.0, 0.1, 0.0]])  # at the car's own depth, where nothing changes
+    np.testing.assert_allclose(far.project(across), car.project(across), atol=1e-9)
+    np.testing.assert_allclose(far.zoomed(1 / 3.0).matrix, car.matrix, atol=1e-9)
+
+
 def test_groups_are_ordered(tmp_path):
     cars = read_posed_cars(written(tmp_path, [ENTRY, {**ENTRY, "cad_id": "a"}, ENTRY]))
     assert groups(cars) == {"a": [1], "b": [0, 2]}

@@ -89,9 +89,20 @@ def test_the_projected_surface_meets_the_silhouette_without_bias(prior):
     vertices = prior.surface.vertices(result.fit.coefficients)
     extent = np.ptp(vertices, axis=0) / np.ptp(prior.surface.vertices(TRUTH), axis=0)
     np.testing.assert_allclose(extent, 1.0, atol=0.006)
-    np.testing.assert_allclose(
-        [np.linalg.norm(c.translation) for c in result.cars], [np.linalg.norm(c.translation) for c in cars], rtol=0.006
-    )
+    size, true = ([c.matrix[0, 0] / np.linalg.norm(c.translation) for c in some] for some in (result.cars, cars))
+    np.testing.assert_allclose(size, true, rtol=0.006)
+
+
+def test_the_outline_tells_how_near_the_camera_was(prior):
+    rng = np.random.default_rng(8)
+    cars = made_up_cars(prior, TRUTH, 16, rng)
+    outlines = [Outline.of(silhouette(prior, car)) for car in cars]
+    factor = np.exp(rng.normal(0.0, 0.4, 16))
+    measured = [car.zoomed(f) for car, f in zip(cars, factor, strict=True)]
+    result = fit_outlines(prior, measured, outlines, ShapeFit(TRUTH, np.zeros((14, 3)), np.zeros((16, 4))))
+    assert result.used.all()
+    left = [c.matrix[0, 0] / t.matrix[0, 0] for c, t in zip(result.cars, cars, strict=True)]
+    assert np.std(np.log(left)) < 0.4 * np.std(np.log(factor))
 
 
 def test_keypoints_beyond_the_outline_are_contradicted(prior):
