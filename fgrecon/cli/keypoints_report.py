@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -143,19 +144,32 @@ def run_training(
 ) -> None:
     """The work of `fgrecon keypoints train`."""
     import torch
+    from rich.progress import track
 
     from fgrecon.keypoints.calibrate import calibrate
     from fgrecon.keypoints.dataset import azimuth_weights
     from fgrecon.keypoints.decode import Calibration
-    from fgrecon.keypoints.rounds import read_source, train_in_rounds
+    from fgrecon.keypoints.labelling import read_source
+    from fgrecon.keypoints.rounds import train_in_rounds
     from fgrecon.keypoints.train import Progress, Training
     from fgrecon.keypoints.train_refine import RefineTraining, train_refinement
 
     shown = console(error=True)
+    reported: list[tuple[int, float]] = []  # step and time of the last report
 
     def report(progress: Progress) -> None:
-        losses = ", ".join(f"{name} {value:.3f}" for name, value in progress.losses.items())
-        shown.print(f"step {progress.step} of {progress.steps}: {losses}", markup=False)
+        text = ", ".join(f"{name} {value:.3f}" for name, value in progress.losses.items())
+        if progress.score is not None:
+            text += f"; held out PCK 0.1 {100 * progress.score:.1f} %"
+        step, now = progress.step, time.monotonic()
+        if reported and reported[0][0] < step:
+            rate = (step - reported[0][0]) / (now - reported[0][1])
+            text += f"; {rate:.2f} steps/s, {(progress.steps - step) / rate / 60:.0f} min left"
+        reported[:] = [(step, now)]
+        shown.print(f"step {step} of {progress.steps}: {text}", markup=False, soft_wrap=True)
+
+    def watch(things: Sequence[Any], heading: str) -> Iterable[Any]:
+        return track(things, heading, console=shown)
 
     source = read_source(data, marks)
     pretrained = None if imagenet is None else torch.load(imagenet, map_location="cpu", weights_only=True)
@@ -171,6 +185,7 @@ def run_training(
         device=device,
         report=report,
         tell=shown.print,
+        watch=watch,
     )
     partner = source.prior.category.mirror
     begun = None if start is None else load_weights(start)

@@ -19,6 +19,7 @@ from fgrecon.keypoints.augment import Sample, Street, View
 from fgrecon.keypoints.distant import draw_distant
 from fgrecon.keypoints.labels import Labels, ShapeFit, project_labels, surface_of
 from fgrecon.keypoints.posed_cars import PosedCar
+from fgrecon.keypoints.watch import Watch, unwatched
 from fgrecon.priors.shape_prior import ShapePrior
 
 __all__ = [
@@ -132,6 +133,7 @@ def prepare_photographs(
     prior: ShapePrior,
     folder: Path,
     silhouettes: Sequence[Path | None] | None = None,
+    watch: Watch = unwatched,
 ) -> None:
     """Resize all photographs, draw their masks and make distant ones, in memory-mapped arrays (0.2 MB a photograph).
 
@@ -142,6 +144,7 @@ def prepare_photographs(
         folder: Where to write; made if missing.
         silhouettes: Grey image of each that is white on the car, for its mask; None where the shape's projection has to
             do, or for all. Only those that have one are also seen from further away.
+        watch: Shows the progress.
 
     Raises:
         InvalidInputError: A photograph or silhouette cannot be read.
@@ -156,7 +159,7 @@ def prepare_photographs(
     sizes, scales = np.zeros((2 * count, 2), dtype=np.int64), np.ones(count)
     before, after = np.zeros((2, count, prior.category.size, 2))
     ratio, visible = np.ones(count), np.zeros((count, prior.category.size))
-    for i, (car, fit) in enumerate(zip(cars, fits, strict=True)):
+    for i, (car, fit) in watch(list(enumerate(zip(cars, fits, strict=True))), "Photographs"):
         image = read_image(car.image)
         scales[i] = min(1.0, SIDE / max(image.shape[:2]))
         width, height = (max(round(n * float(scales[i])), 1) for n in (image.shape[1], image.shape[0]))

@@ -18,6 +18,7 @@ from fgrecon.keypoints.checkpoint import follow, restore_checkpoint, save_checkp
 from fgrecon.keypoints.dataset import Photographs
 from fgrecon.keypoints.knet import KNet, KNetSettings, load_imagenet
 from fgrecon.keypoints.losses import knet_loss
+from fgrecon.keypoints.validate import HeldOut
 
 __all__ = ["Progress", "Training", "train_knet"]
 
@@ -73,11 +74,13 @@ class Progress:
         step: Steps done.
         steps: Of how many.
         losses: Mean of each part of the loss since the last report.
+        score: PCK at 0.1 of the averaged network on samples of held-out photographs; None where there are none.
     """
 
     step: int
     steps: int
     losses: dict[str, float]
+    score: float | None = None
 
 
 class _Samples(Dataset):  # type: ignore[misc]
@@ -114,6 +117,7 @@ def train_knet(
     device: str = "cpu",
     report: Callable[[Progress], None] | None = None,
     until: int | None = None,
+    held: HeldOut | None = None,
 ) -> KNet:
     """Train, or go on where the checkpoint ends.
 
@@ -129,6 +133,7 @@ def train_knet(
         device: Torch's name of the device; mixed precision on a GPU.
         report: Called after every `save_every` steps.
         until: Step after which to end with a checkpoint; None for the last.
+        held: What the averaged network is scored on for the report.
 
     Returns:
         The averaged network, in evaluation mode.
@@ -139,7 +144,7 @@ def train_knet(
         load_imagenet(network, imagenet)
     if start is not None:
         network.load_state_dict(start, strict=False)
-    average = copy.deepcopy(network)
+    average: KNet = copy.deepcopy(network).eval()
     encoder = [p for part in (network.stem, network.stages) for p in part.parameters()]
     inner = {id(p) for p in encoder}
     others = [p for p in network.parameters() if id(p) not in inner]
@@ -154,7 +159,6 @@ def train_knet(
     summed = 0
     samples = _Samples(photographs, chosen, weights, partner, how)
     if first >= (how.steps if until is None else until):
-        average.eval()
         return average
     for step, batch in enumerate(_batches(samples, how, first), start=first):
         crops, points, visible, azimuth = (b.to(device) for b in batch)
@@ -176,11 +180,11 @@ def train_knet(
         if (step + 1) % how.save_every == 0 or ending:
             save_checkpoint(checkpoint, network, average, optimizer, step + 1, how.network.to_dict())
             if report is not None:
-                report(Progress(step + 1, how.steps, {name: value / summed for name, value in sums.items()}))
+                means = {name: value / summed for name, value in sums.items()}
+                report(Progress(step + 1, how.steps, means, None if held is None else held.score(average, device)))
             sums, summed = {}, 0
         if ending:
             break
-    average.eval()
     return average
 
 

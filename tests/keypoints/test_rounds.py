@@ -1,6 +1,7 @@
 """The whole training on made-up photographs: two steps, labels corrected between them, calibration, scores."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,17 +21,17 @@ torch = pytest.importorskip("torch")
 
 from fgrecon.keypoints.augment import Street  # noqa: E402
 from fgrecon.keypoints.knet import KNet, KNetSettings  # noqa: E402
-from fgrecon.keypoints.refine import RefineNet, RefineSettings  # noqa: E402
-from fgrecon.keypoints.rounds import (  # noqa: E402
+from fgrecon.keypoints.labelling import (  # noqa: E402
     Labelling,
     Source,
-    _as_detector,
     corrected,
     first_labelling,
     open_photographs,
-    train_in_rounds,
 )
+from fgrecon.keypoints.refine import RefineNet, RefineSettings  # noqa: E402
+from fgrecon.keypoints.rounds import _as_detector, train_in_rounds  # noqa: E402
 from fgrecon.keypoints.train import Training  # noqa: E402
+from fgrecon.keypoints.validate import HeldOut  # noqa: E402
 
 SMALL = KNetSettings(crop=32, width=8)
 HOW = Training(steps=2, batch=2, warmup=1, save_every=1, workers=0, network=SMALL, street=Street(size=32))
@@ -78,6 +79,51 @@ def test_a_finished_training_is_not_done_again(trained, source):
     assert reports == []
     for name, value in network.state_dict().items():
         torch.testing.assert_close(value, again.state_dict()[name])
+
+
+def test_every_report_has_a_score_that_changes_nothing(trained, source, tmp_path):
+    _, _, reports, (network, _, _) = trained
+    assert all(0.0 <= report.score <= 1.0 for report in reports)
+    reports, headings = [], []
+
+    def watch(things, heading):
+        headings.append((heading, len(things)))
+        return things
+
+    blind = replace(source, validate=np.arange(0))
+    other, _, _ = train_in_rounds(blind, tmp_path, HOW, [1], report=reports.append, watch=watch)
+    assert [report.score for report in reports] == [None, None]
+    for name, value in network.state_dict().items():
+        torch.testing.assert_close(value, other.state_dict()[name])
+    first, found, told = ("Shapes of boxes and silhouettes", 2), ("Keypoints in all photographs", 1), "Shapes of what"
+    assert headings[:3] == [first, ("Photographs", 6), found]
+    assert headings[3][0].startswith(told)
+
+
+def test_the_score_is_the_share_of_visible_points_that_are_near(trained, source):
+    photographs = trained[3][2]
+    held = HeldOut.draw(photographs, source.validate, HOW.street, source.prior.category.mirror, 0, count=40)
+    again = HeldOut.draw(photographs, source.validate, HOW.street, source.prior.category.mirror, 0, count=40)
+    np.testing.assert_array_equal(held.samples[7].crop, again.samples[7].crop)
+
+    def network(away):
+        """Peaks at the labels, or a tenth of the crop and more beside them."""
+        rest = iter(held.samples)
+
+        def run(crops):
+            maps = np.zeros((len(crops), 14, 16, 16), dtype=np.float32)
+            for m, sample in zip(maps, rest, strict=False):
+                cells = np.clip(np.rint(np.nan_to_num((sample.keypoints + 0.5) / 2 - 0.5)).astype(int), 0, 15)
+                for k, (column, row) in enumerate(cells):
+                    m[k, row, (column + away) % 16] = 1.0
+            return SimpleNamespace(maps=torch.from_numpy(maps))
+
+        return run
+
+    assert held.score(network(0)) == 1.0
+    assert held.score(network(4)) == 0.0
+    hidden = HeldOut([replace(sample, visible=np.zeros(14)) for sample in held.samples])
+    assert np.isnan(hidden.score(network(0)))
 
 
 def test_workers_start_after_opencv_has_used_threads(source, tmp_path):

@@ -9,8 +9,8 @@ import pytest
 from fgrecon.errors import InvalidInputError
 from fgrecon.images import write_png
 from fgrecon.keypoints.dataset import fill_faces
+from fgrecon.keypoints.labelling import Source, first_labelling, open_photographs
 from fgrecon.keypoints.labels import ShapeFit
-from fgrecon.keypoints.rounds import Source, first_labelling, open_photographs
 from fgrecon.keypoints.silhouettes import Outline, contradicted, fit_outlines, read_outline
 from tests.keypoints.support import made_up_cars, unit_car_prior
 
