@@ -162,11 +162,15 @@ def run_training(
         if progress.score is not None:
             text += f"; held out PCK 0.1 {100 * progress.score:.1f} %"
         step, now = progress.step, time.monotonic()
-        if reported and reported[0][0] < step:
+        if reported:
             rate = (step - reported[0][0]) / (now - reported[0][1])
             text += f"; {rate:.2f} steps/s, {(progress.steps - step) / rate / 60:.0f} min left"
         reported[:] = [(step, now)]
         shown.print(f"step {step} of {progress.steps}: {text}", markup=False, soft_wrap=True)
+
+    def tell(line: str) -> None:
+        reported.clear()  # what comes between is not the training's rate
+        shown.print(line)
 
     def watch(things: Sequence[Any], heading: str) -> Iterable[Any]:
         return track(things, heading, console=shown)
@@ -184,7 +188,7 @@ def run_training(
         silhouettes=silhouettes,
         device=device,
         report=report,
-        tell=shown.print,
+        tell=tell,
         watch=watch,
     )
     partner = source.prior.category.mirror
@@ -199,7 +203,7 @@ def run_training(
     state = network.state_dict() if begun is None else mean_state(begun.state, network.state_dict(), start_share)
     stored = Stored(state, how.network.to_dict(), Calibration(), provenance)
     if refine_steps:
-        shown.print("Refinement networks")
+        tell("Refinement networks")
         chosen = labelling.samples(photographs, source.learn)
         refining = RefineTraining(steps=refine_steps, seed=seed)
         refining = replace(refining, street=refining.street.moving(source.prior.category))
@@ -220,7 +224,7 @@ def run_training(
             refined = mean_state(begun.refinement, refined, start_share)
         stored = replace(stored, refinement=refined, refine_settings=refining.network.to_dict())
     save_weights(out, stored)
-    shown.print("Calibration")
+    tell("Calibration")
     held = labelling.samples(photographs, source.validate)
     fitted = calibrate(Detector(out, device=device), photographs, held, partner, seed=seed + 1)
     save_weights(out, replace(stored, calibration=fitted))

@@ -2,7 +2,9 @@
 
 Boxes alone leave the shape's roof, width and wheels to the model, and are drawn a little too large. The outline of the
 projected surface has to meet the outline of the car: Gauss-Newton over the coefficients that all photographs share and
-a correction of each photograph's measured pose, with the signed distance to the car's outline as residual.
+a correction of each photograph's measured pose, with the signed distance to the car's outline as residual. From
+twice as far away and with twice the focal length a car looks much the same, so that what was measured of both is least
+sure: a dolly zoom is part of the correction.
 """
 
 from __future__ import annotations
