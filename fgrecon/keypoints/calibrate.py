@@ -12,6 +12,7 @@ from fgrecon.keypoints.crops import MARGIN
 from fgrecon.keypoints.dataset import Photographs, azimuth_weights
 from fgrecon.keypoints.decode import Calibration, logit
 from fgrecon.keypoints.detect import REACH, Detector
+from fgrecon.keypoints.labels import SEEN
 
 __all__ = ["Reliability", "calibrate", "reliability"]
 
@@ -21,7 +22,6 @@ _UNLABELLED = 0.015
 """Added to the spread of keypoints, as a fraction of the box: labels of a photograph follow the network's points, and
 so understate how far these are from a shape model's. Shapes common to a group are met to 0.011 per axis (median of the
 last rounds), and five coefficients express a car that they were not learnt from to 0.008."""
-_SEEN = 0.5  # a label counts as visible from this probability
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def calibrate(
         for sample, detection in zip(drawn, found, strict=True):
             away = (detection.observation.keypoints - sample.keypoints) / extent
             known = np.isfinite(sample.keypoints).all(axis=1)
-            hit = (sample.visible > _SEEN) & (np.linalg.norm(away, axis=1) <= REACH)
+            hit = (sample.visible > SEEN) & (np.linalg.norm(away, axis=1) <= REACH)
             visible.append(logit(detection.visible)[known])
             mass.append(detection.mass[known])
             right.append(hit[known])

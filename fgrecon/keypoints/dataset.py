@@ -17,7 +17,7 @@ from fgrecon.errors import InvalidInputError
 from fgrecon.images import read_image
 from fgrecon.keypoints.augment import Sample, Street, View
 from fgrecon.keypoints.distant import draw_distant
-from fgrecon.keypoints.labels import Labels, ShapeFit, project_labels, surface_of
+from fgrecon.keypoints.labels import SEEN, Labels, ShapeFit, project_labels, surface_of
 from fgrecon.keypoints.posed_cars import PosedCar
 from fgrecon.keypoints.watch import Watch, unwatched
 from fgrecon.priors.shape_prior import ShapePrior
@@ -180,7 +180,7 @@ def prepare_photographs(
             labels = project_labels(prior, fit, [distant.car])
             before[i] = small.project(prior.keypoints(fit.coefficients, fit.offsets))
             after[i], visible[i], ratio[i] = labels.keypoints[0], labels.visible[0], distant.scale
-            after[i, (visible[i] > 0.5) & ~distant.believes(after[i])] = np.nan
+            after[i, (visible[i] > SEEN) & ~distant.believes(after[i])] = np.nan
     images.flush()
     masks.flush()
     np.save(folder / _FILES[2], sizes)

@@ -21,9 +21,12 @@ from fgrecon.priors.apollo79 import Apollo79
 from fgrecon.priors.half_mesh import mirrored_half
 from fgrecon.priors.shape_prior import ShapePrior, Surface
 
-__all__ = ["Labels", "ShapeFit", "fit_shape", "project_labels", "surface_of", "unit_prior", "unmodelled"]
+__all__ = ["SEEN", "Labels", "ShapeFit", "fit_shape", "project_labels", "surface_of", "unit_prior", "unmodelled"]
 
 Array = NDArray[np.float64]
+
+SEEN = 0.5
+"""A label counts as visible above this probability."""
 
 _MIRROR = np.array([1.0, 1.0, -1.0])
 _DIAGONAL = 5.0  # metres: what a unit of the poses is on a typical car

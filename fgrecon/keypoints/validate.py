@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from fgrecon.keypoints.augment import Sample, Street
 from fgrecon.keypoints.crops import MARGIN
 from fgrecon.keypoints.dataset import Photographs, azimuth_weights
+from fgrecon.keypoints.detect import REACH
 from fgrecon.keypoints.knet import STRIDE
+from fgrecon.keypoints.labels import SEEN
 
 __all__ = ["HeldOut"]
 
 _BATCH = 32
 _SEED = 12_000_000  # of the samples
-_SEEN = 0.5  # a label counts as visible from this probability
-_ALPHA = 0.1  # of the car's longer side
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class HeldOut:
             places = (np.stack([column, row], axis=-1) + 0.5) * STRIDE - 0.5
             points = np.array([sample.keypoints for sample in some])
             away = np.linalg.norm(places - points, axis=-1) / (maps.shape[-1] * STRIDE / MARGIN)
-            seen = (np.array([sample.visible for sample in some]) > _SEEN) & np.isfinite(away)
-            hits.append((away <= _ALPHA)[seen])
+            seen = (np.array([sample.visible for sample in some]) > SEEN) & np.isfinite(away)
+            hits.append((away <= REACH)[seen])
         found = np.concatenate(hits)
         return float(found.mean()) if len(found) else float("nan")
