@@ -20,9 +20,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.pose import _polynomial
-from fgrecon.pose.aspnp import aspnp, aspnp_cost
-from tests.pose.problems import KINDS, PnPProblem, random_problem
+from fgrecon.solve.proposals import _polynomial
+from fgrecon.solve.proposals.aspnp import aspnp, aspnp_cost
+from tests.solve.proposals.problems import KINDS, PnPProblem, random_problem
 
 Array = NDArray[np.float64]
 

@@ -21,15 +21,15 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.catalogue import load_prior
-from fgrecon.errors import FgreconError
-from fgrecon.model import prepare
-from fgrecon.options import Options
-from fgrecon.pose.aspnp import aspnp_cost
-from fgrecon.pose.irls import Algorithm1Result, algorithm1
-from fgrecon.pose.problem import build_problem
-from fgrecon.robust import StrategyName, strategy
-from fgrecon.simulate import KITTI_CAMERA, Vehicle, kitti_like_pose, simulate
+from fgrecon.core.errors import FgreconError
+from fgrecon.core.options import Options
+from fgrecon.core.robust import StrategyName, strategy
+from fgrecon.io.catalogue import load_prior
+from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, kitti_like_pose, simulate
+from fgrecon.solve.proposals.aspnp import aspnp_cost
+from fgrecon.solve.proposals.irls import Algorithm1Result, algorithm1
+from fgrecon.solve.proposals.problem import build_problem
+from fgrecon.solve.vehicle.model import prepare
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from fgrecon.keypoints import Detector
+from fgrecon.perception.keypoints import Detector
 
 CONDITIONS = {
     "KNet": {"refine": False, "mirror": False},

@@ -18,14 +18,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.annotations import Annotations, load_annotations, spread
-from fgrecon.catalogue import load_category, load_prior
-from fgrecon.category import Category
-from fgrecon.priors.compare import align, compare_priors, expression_error, mean_error
-from fgrecon.priors.icra2017 import import_icra2017
-from fgrecon.priors.learn import LearntPrior, learn_prior
-from fgrecon.priors.nrsfm import NrsfmOptions
-from fgrecon.priors.shape_prior import ShapePrior
+from fgrecon.core.category import Category
+from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.io.annotations import Annotations, load_annotations, spread
+from fgrecon.io.catalogue import load_category, load_prior
+from fgrecon.paper.icra2017_release import import_icra2017
+from fgrecon.training.priors.compare import align, compare_priors, expression_error, mean_error
+from fgrecon.training.priors.learn import LearntPrior, learn_prior
+from fgrecon.training.priors.nrsfm import NrsfmOptions
 
 Array = NDArray[np.float64]
 DEFAULT = NrsfmOptions()

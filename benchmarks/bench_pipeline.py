@@ -32,28 +32,28 @@ import scipy
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from fgrecon.camera import Camera, Ground
-from fgrecon.catalogue import load_prior
-from fgrecon.errors import FgreconError
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.errors import FgreconError
+from fgrecon.core.observation import Observation
+from fgrecon.core.options import BoxModel, Options
+from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.evaluation.methods import METHODS
 from fgrecon.evaluation.methods import Scene as Known
-from fgrecon.evaluation.tracks import read_track
-from fgrecon.model import VehicleModel, prepare
-from fgrecon.observation import Observation
-from fgrecon.options import BoxModel, Options
-from fgrecon.pipeline import reconstruct
-from fgrecon.pose.adjust import PoseEstimate, adjust_pose
-from fgrecon.pose.problem import build_problem, keypoint_covariances
-from fgrecon.pose.search import PoseProblem
-from fgrecon.priors.icra2017 import import_icra2017, load_icra2017_example
-from fgrecon.priors.size_prior import SIZE_PRIORS
-from fgrecon.shape.adjust import ShapeEstimate, adjust_shape
-from fgrecon.shape.covariance import covariances
-from fgrecon.shape.graph import Scene, VehicleGraph, build
-from fgrecon.shape.solver import minimise
-from fgrecon.simulate import KITTI_CAMERA, Vehicle, kitti_like_pose, simulate
+from fgrecon.io.catalogue import load_prior
+from fgrecon.io.track_file import read_track
+from fgrecon.paper.icra2017_release import import_icra2017, load_icra2017_example
+from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, kitti_like_pose, simulate
+from fgrecon.solve.graph.adjust import ShapeEstimate, adjust_shape
+from fgrecon.solve.graph.covariance import covariances
+from fgrecon.solve.graph.graph import Scene, VehicleGraph, build
+from fgrecon.solve.graph.solver import minimise
+from fgrecon.solve.pipeline import reconstruct
+from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
+from fgrecon.solve.proposals.problem import build_problem, keypoint_covariances
+from fgrecon.solve.proposals.search import PoseProblem
+from fgrecon.solve.vehicle.model import VehicleModel, prepare
 from tests.conftest import data_root
-from tests.shape.energy import Energy, minimise_by_ceres
+from tests.solve.graph.energy import Energy, minimise_by_ceres
 
 Array = NDArray[np.float64]
 GROUND, SIZE = Ground.level(1.65), SIZE_PRIORS["kitti"]

@@ -19,8 +19,8 @@ from rerun.chunk import RrdReader
 
 import fgrecon
 from fgrecon.cli.deliver import deliver
-from fgrecon.simulate import KITTI_CAMERA, Vehicle, simulate_many, simulate_track
-from fgrecon.track import reconstruct_track
+from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate_many, simulate_track
+from fgrecon.solve.track import reconstruct_track
 from fgrecon.viz import Recording, TrackSight, recording_of, track_recording_of
 
 CARS, FRAMES, ROUNDS = 30, 15, 3

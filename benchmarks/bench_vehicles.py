@@ -16,12 +16,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from fgrecon.evaluation.kitti_devkit import REGIMES, regime_members
-from fgrecon.evaluation.kitti_files import Objects, read_labels
+from fgrecon.evaluation.kitti_devkit import REGIMES, match_detections, regime_members
 from fgrecon.evaluation.kitti_overlap import box_overlap
-from fgrecon.evaluation.simulated import match_detections
-from fgrecon.images import read_image
-from fgrecon.vehicles import VehicleDetector
+from fgrecon.io.images import read_image
+from fgrecon.io.kitti_files import Objects, read_labels
+from fgrecon.perception.vehicles import VehicleDetector
 
 
 def recall(labels: Objects, found: Objects, least: float) -> np.ndarray:

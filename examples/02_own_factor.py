@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 import fgrecon
 from factors import X, guarded_factor
-from fgrecon.model import prepare
-from fgrecon.shape.graph import Scene, VehicleGraph, build
-from fgrecon.shape.solver import minimise
-from fgrecon.simulate import KITTI_CAMERA, Vehicle, simulate, yaw_pose
+from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate, yaw_pose
+from fgrecon.solve.graph.graph import Scene, VehicleGraph, build
+from fgrecon.solve.graph.solver import minimise
+from fgrecon.solve.vehicle.model import prepare
 
 
 def distance_factor(metres: float, sigma: float) -> gtsam.CustomFactor:

@@ -1,6 +1,6 @@
 """A car from an image: its box, its keypoints, and from these its pose and shape.
 
-The image is rendered; read your photograph with `fgrecon.images.read_image` in its place. The networks' part of the
+The image is rendered; read your photograph with `fgrecon.io.images.read_image` in its place. The networks' part of the
 graph is the reprojection: every keypoint comes with a covariance and with the probability that it is right.
 
      image ---- detector ---- box ---- networks ---- keypoint_i, covariance_i, confidence_i
@@ -16,10 +16,10 @@ graph is the reprojection: every keypoint comes with a covariance and with the p
 import numpy as np
 
 import fgrecon
-from fgrecon.demo import demo_scene
-from fgrecon.from_image import reconstruct_image
-from fgrecon.reconstruction import rotation_y
-from fgrecon.vehicles import VehicleDetector
+from fgrecon.core.reconstruction import rotation_y
+from fgrecon.perception.from_image import reconstruct_image
+from fgrecon.perception.vehicles import VehicleDetector
+from fgrecon.simulation.demo import demo_scene
 
 
 def main() -> None:

@@ -26,32 +26,35 @@ projection with all Jacobians for all reprojection factors of a frame. O(v) is o
 with the pose, lambda or the offsets held constant. Every callback passes through `factors.guard`.
 """
 
-from factors.box import box_factor
-from factors.cheirality import check_in_front, cheirality_factor, is_in_front
-from factors.dimensions import dimensions_factor
-from factors.errors import DegenerateProblemError, FactorCallbackError, FgreconError, InvalidInputError
-from factors.ground import ground_height_factor, upright_factor
-from factors.guard import guarded_factor
-from factors.kernel import Projection, ProjectionKernel
-from factors.keys import DecodedKey, L, M, O, P, X, decode_key, key_name
-from factors.laplacian import laplacian_factor
-from factors.noise import Loss, Noise, RobustLoss, as_noise, diagonal_noise, keypoint_noise, keypoint_whiteners
-from factors.planarity import (
-    ground_parallel_factor,
-    penalty_ground_parallel_factor,
-    penalty_planarity_factor,
-    planarity_factor,
-)
-from factors.planes import fit_plane, make_plane
-from factors.rectangularity import rectangularity_factor
-from factors.reprojection import (
-    reprojection_factor,
-    reprojection_factors,
-    stacked_reprojection_factor,
-)
-from factors.shape import LinearShape
-from factors.shape_prior import coefficients_prior, offsets_prior
-from factors.symmetry import symmetry_factor
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from factors.lazy import lazy_names
+
+if TYPE_CHECKING:  # imported when used
+    from factors.box import box_factor
+    from factors.cheirality import check_in_front, cheirality_factor, is_in_front
+    from factors.dimensions import dimensions_factor
+    from factors.errors import DegenerateProblemError, FactorCallbackError, FgreconError, InvalidInputError
+    from factors.ground import ground_height_factor, upright_factor
+    from factors.guard import guarded_factor
+    from factors.kernel import Projection, ProjectionKernel
+    from factors.keys import DecodedKey, L, M, O, P, X, decode_key, key_name
+    from factors.laplacian import laplacian_factor
+    from factors.noise import Loss, Noise, RobustLoss, as_noise, diagonal_noise, keypoint_noise, keypoint_whiteners
+    from factors.planarity import (
+        ground_parallel_factor,
+        penalty_ground_parallel_factor,
+        penalty_planarity_factor,
+        planarity_factor,
+    )
+    from factors.planes import fit_plane, make_plane
+    from factors.rectangularity import rectangularity_factor
+    from factors.reprojection import reprojection_factor, reprojection_factors, stacked_reprojection_factor
+    from factors.shape import LinearShape
+    from factors.shape_prior import coefficients_prior, offsets_prior
+    from factors.symmetry import symmetry_factor
 
 __all__ = [
     "DecodedKey",
@@ -101,3 +104,5 @@ __all__ = [
 ]
 
 __docformat__ = "google"  # for the API reference
+
+__getattr__, __dir__ = lazy_names(__name__)

@@ -1,4 +1,4 @@
-"""Typed errors of the factor layer; `fgrecon.errors` re-exports them all."""
+"""Typed errors of the factor layer; `fgrecon.core.errors` re-exports them all."""
 
 from __future__ import annotations
 

@@ -10,18 +10,29 @@ In three lines:
 in the package `factors`.
 """
 
-from fgrecon.camera import Camera, Ground
-from fgrecon.catalogue import load_category, load_prior, save_prior
-from fgrecon.category import Category
-from fgrecon.observation import Observation
-from fgrecon.options import BoxModel, Options
-from fgrecon.pipeline import reconstruct
-from fgrecon.pose.starts import Box3D
-from fgrecon.priors.shape_prior import ShapePrior, Surface
-from fgrecon.priors.size_prior import SIZE_PRIORS, SizePrior
-from fgrecon.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status
-from fgrecon.robust import RobustStrategy, StrategyName, strategy
-from fgrecon.track import JointStep, TrackReconstruction, reconstruct_track
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING
+
+from factors.lazy import lazy_names
+from fgrecon._moved import MovedFinder
+
+if TYPE_CHECKING:  # imported when used
+    from fgrecon.core.box3d import Box3D
+    from fgrecon.core.camera import Camera, Ground
+    from fgrecon.core.category import Category
+    from fgrecon.core.observation import Observation
+    from fgrecon.core.options import BoxModel, Options
+    from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status
+    from fgrecon.core.robust import RobustStrategy, StrategyName, strategy
+    from fgrecon.core.shape_prior import ShapePrior, Surface
+    from fgrecon.core.size_prior import SIZE_PRIORS, SizePrior
+    from fgrecon.io.catalogue import load_category, load_prior, save_prior
+    from fgrecon.io.images import read_image
+    from fgrecon.perception.from_image import FromImage, reconstruct_image
+    from fgrecon.solve.pipeline import reconstruct
+    from fgrecon.solve.track import JointStep, TrackReconstruction, reconstruct_track
 
 __all__ = [
     "SIZE_PRIORS",
@@ -30,6 +41,7 @@ __all__ = [
     "BoxModel",
     "Camera",
     "Category",
+    "FromImage",
     "GraphFactor",
     "Ground",
     "Iteration",
@@ -46,10 +58,16 @@ __all__ = [
     "TrackReconstruction",
     "load_category",
     "load_prior",
+    "read_image",
     "reconstruct",
+    "reconstruct_image",
     "reconstruct_track",
     "save_prior",
     "strategy",
 ]
 
 __docformat__ = "google"  # for the API reference
+
+sys.meta_path.insert(0, MovedFinder())
+
+__getattr__, __dir__ = lazy_names(__name__)

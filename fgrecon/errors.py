@@ -1,19 +1,5 @@
-"""Every error that fgrecon raises on purpose, in one place.
+"""The errors that fgrecon raises on purpose: all derive from `FgreconError`."""
 
-All derive from `FgreconError`. Errors about input derive from `InvalidInputError` (a `ValueError`) and name the field,
-the value and the fix; the command line turns them into exit code 2.
-"""
+from fgrecon.core.errors import DegenerateProblemError, FactorCallbackError, FgreconError, InvalidInputError
 
-from factors.errors import (
-    DegenerateProblemError,
-    FactorCallbackError,
-    FgreconError,
-    InvalidInputError,
-)
-
-__all__ = [
-    "DegenerateProblemError",
-    "FactorCallbackError",
-    "FgreconError",
-    "InvalidInputError",
-]
+__all__ = ["DegenerateProblemError", "FactorCallbackError", "FgreconError", "InvalidInputError"]

@@ -1,14 +1,14 @@
-"""Observations of a car of known shape in a known pose, made without any code of `fgrecon.simulate`."""
+"""Observations of a car of known shape in a known pose, made without any code of `fgrecon.simulation.vehicles`."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from fgrecon.camera import Camera
-from fgrecon.model import prepare
-from fgrecon.observation import Observation
-from fgrecon.options import Options
-from fgrecon.pose.problem import build_problem
+from fgrecon.core.camera import Camera
+from fgrecon.core.observation import Observation
+from fgrecon.core.options import Options
+from fgrecon.solve.proposals.problem import build_problem
+from fgrecon.solve.vehicle.model import prepare
 
 MATRIX = np.array([[721.5, 0.0, 609.6], [0.0, 718.9, 172.9], [0.0, 0.0, 1.0]])
 CAMERA = Camera(MATRIX)

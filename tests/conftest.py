@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy loads: the tests run on all cores already
 
 import pytest
+
+from fgrecon.core.camera import Ground
+from fgrecon.core.size_prior import SIZE_PRIORS
+from fgrecon.evaluation.methods import Scene
+from fgrecon.io.catalogue import load_prior
+from tests.made_up_track import make_track
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -25,3 +32,14 @@ def data() -> Path:
     if folder is None:
         pytest.skip("the real data is absent: set FGRECON_DATA or put it at ../shared/data")
     return folder
+
+
+@pytest.fixture(scope="session")
+def scene():
+    return Scene(load_prior("car14"), Ground.level(1.65), SIZE_PRIORS["kitti"])
+
+
+@pytest.fixture
+def content(scene):
+    """A fresh copy that a test may spoil."""
+    return json.loads(json.dumps(make_track(scene.prior, [0.3, 1.9, -2.5])))

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from fgrecon import replay
+from fgrecon.viz import replay
 
 from .conftest import REPOSITORY
 

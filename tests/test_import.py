@@ -10,7 +10,12 @@ HEAVY = ("torch", "rerun", "cv2", "matplotlib", "poselib")
 
 @pytest.mark.parametrize(
     ("module", "unwanted"),
-    [("fgrecon", (*HEAVY, "typer", "rich")), ("fgrecon.cli.main", (*HEAVY, "rich.table")), ("factors", ("fgrecon",))],
+    [
+        ("fgrecon", (*HEAVY, "typer", "rich", "gtsam", "scipy")),
+        ("fgrecon.cli.main", (*HEAVY, "rich.table")),
+        ("fgrecon.solve.pipeline", (*HEAVY, "typer", "rich", "scipy")),
+        ("factors", ("fgrecon", "gtsam")),
+    ],
 )
 def test_importing_loads_nothing_heavy(module, unwanted):
     code = f"import sys, {module}; print([name for name in {unwanted} if name in sys.modules])"

@@ -1,54 +1,142 @@
-"""Imports go downwards only: docs/architecture.md has the layers."""
+"""Imports go downwards only. This table is the house: docs/architecture.md says what is in each room."""
 
 import ast
 import sys
+from graphlib import TopologicalSorter
+from pathlib import Path
 
 import pytest
 
 from .conftest import REPOSITORY
 
-EDGE = ("fgrecon.cli", "fgrecon.viz", "fgrecon.evaluation", "fgrecon.replay", "fgrecon.export")
-CORE = ("pipeline", "model", "shape", "pose", "priors", "catalogue", "category", "camera", "observation", "options")
-CORE += ("reconstruction", "result", "track", "robust", "checks", "errors", "keypoints", "vehicles", "from_image")
-CORE += ("boxes", "render", "simulate")
+ROOMS = {
+    "factors": set(),
+    "core": {"factors"},
+    "io": {"core"},
+    "io/annotations": {"core", "io"},
+    "io/export": {"core", "io"},
+    "solve/vehicle": {"core"},
+    "solve/proposals": {"core", "solve/vehicle"},
+    "solve/graph": {"factors", "core", "solve/vehicle", "solve/proposals"},
+    "solve": {"factors", "core", "io", "solve/vehicle", "solve/proposals", "solve/graph"},
+    "perception/keypoints": {"core", "io"},
+    "perception/vehicles": {"core", "perception/keypoints"},
+    "perception": {"core", "io", "solve", "perception/keypoints", "perception/vehicles"},
+    "": {"factors", "core", "io", "solve", "perception"},  # the public face: fgrecon/__init__.py
+    "simulation": {"core", "solve/vehicle"},
+    "viz": {"core", "io", "solve", "perception/keypoints"},
+    "evaluation": {"core", "io", "solve", "solve/vehicle", "solve/proposals", "perception", "perception/keypoints"},
+    "training": set(),
+    "training/priors": {"core", "io", "solve/vehicle"},
+    "training/keypoints": {
+        *("factors", "core", "io", "io/annotations", "solve/vehicle", "simulation"),
+        *("perception/keypoints", "perception/vehicles", "training/priors"),
+    },
+    "paper": {
+        *("core", "io", "io/annotations", "solve", "solve/vehicle", "solve/proposals", "solve/graph", "simulation"),
+        *("perception", "perception/keypoints", "evaluation", "training/priors", "training/keypoints"),
+    },
+    "cli": {
+        *("core", "io", "io/export", "solve", "simulation", "perception", "perception/keypoints"),
+        *("perception/vehicles", "viz", "evaluation", "training/priors"),
+    },
+    "cli/training": {
+        *("core", "io", "io/annotations", "perception", "perception/keypoints", "training/priors"),
+        *("training/keypoints", "paper", "cli"),
+    },
+    "cli/paper": {"core", "io", "simulation", "viz", "evaluation", "training/priors", "paper", "cli"},
+}
+"""Each room, and the rooms that its files may import."""
+
+DRAWING = ("matplotlib", "rerun", "typer", "rich")
+"""Libraries that what computes, reads and writes knows nothing of."""
 
 
-def imports(*places):
-    """(file, imported module) of every import in these packages and modules, those inside functions included."""
-    for place in places:
-        path = REPOSITORY / place
-        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path.with_suffix(".py")]:
-            for node in ast.walk(ast.parse(file.read_text())):
-                if isinstance(node, ast.Import):
-                    yield from ((file.name, alias.name) for alias in node.names)
-                elif isinstance(node, ast.ImportFrom):
-                    assert node.level == 0, f"{file}: relative import"
-                    yield file.name, node.module
+def _files():
+    """Dotted name and path of every module of the two packages."""
+    for package in ("factors", "fgrecon"):
+        for path in sorted((REPOSITORY / package).rglob("*.py")):
+            parts = path.relative_to(REPOSITORY).with_suffix("").parts
+            if parts[-1] == "__main__":
+                continue  # the command line's door
+            yield ".".join(parts[:-1] if parts[-1] == "__init__" else parts), path
 
 
-def within(module, packages):
-    return any(module == package or module.startswith(f"{package}.") for package in packages)
+FILES = dict(_files())
+
+
+def _room(module):
+    folder = FILES[module].parent.relative_to(REPOSITORY).as_posix()
+    return folder if folder.startswith("factors") else folder.removeprefix("fgrecon").removeprefix("/")
+
+
+def _imports(path, *, all_levels=True):
+    """Modules that a file imports; with `all_levels` those inside functions and for type checkers included."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    for node in ast.walk(tree) if all_levels else tree.body:
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            for alias in node.names:
+                whole = f"{node.module}.{alias.name}"
+                yield whole if whole in FILES else node.module
+
+
+def test_every_folder_is_a_room_of_the_table():
+    assert {_room(module) for module in FILES} == set(ROOMS)
+
+
+def test_the_table_has_no_cycle():
+    TopologicalSorter(ROOMS).prepare()
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_room_imports_only_what_the_table_allows(room):
+    found = {}
+    for module, path in FILES.items():
+        if _room(module) == room:
+            for imported in _imports(path):
+                if imported in FILES and _room(imported) != room:
+                    found.setdefault(_room(imported), []).append(f"{module} imports {imported}")
+    assert {name: files for name, files in found.items() if name not in ROOMS[room]} == {}
+    assert ROOMS[room] - {"factors"} <= set(found) | {"factors"}, "the table allows what nobody imports"
+
+
+def test_no_file_imports_itself_through_others():
+    arrows = {
+        module: {imported for imported in _imports(path) if imported in FILES and imported != module}
+        for module, path in FILES.items()
+        if path.name != "__init__.py"
+    }
+    TopologicalSorter(arrows).prepare()
 
 
 def test_factors_depend_on_gtsam_and_numpy_alone():
-    allowed = ("factors", "gtsam", "numpy", *sys.stdlib_module_names)
-    assert [found for found in imports("factors") if not within(found[1], allowed)] == []
+    allowed = {"factors", "gtsam", "numpy", *sys.stdlib_module_names}
+    for module, path in FILES.items():
+        if _room(module) == "factors":
+            assert {name.partition(".")[0] for name in _imports(path)} <= allowed, path
 
 
-@pytest.mark.parametrize("name", CORE)
-def test_what_computes_knows_nothing_of_drawing_scoring_and_the_command_line(name):
-    found = list(imports(f"fgrecon/{name}"))
-    assert found
-    assert [item for item in found if within(item[1], (*EDGE, "typer", "rich", "matplotlib", "rerun"))] == []
+@pytest.mark.parametrize(
+    "room",
+    [
+        "core",
+        "io",
+        "io/annotations",
+        "io/export",
+        "simulation",
+        *(r for r in ROOMS if "solve" in r or "perception" in r),
+    ],
+)
+def test_what_computes_knows_nothing_of_drawing_and_the_command_line(room):
+    for module, path in FILES.items():
+        if _room(module) == room:
+            assert not {name.partition(".")[0] for name in _imports(path)} & set(DRAWING), path
 
 
-def test_stages_do_not_look_up():
-    above = {"pose": ("fgrecon.shape", "fgrecon.pipeline"), "shape": ("fgrecon.pipeline",)}
-    for name, forbidden in above.items():
-        assert [item for item in imports(f"fgrecon/{name}") if within(item[1], forbidden)] == []
-
-
-def test_only_the_command_line_parses_options():
-    others = [path.stem for path in (REPOSITORY / "fgrecon").iterdir() if path.name not in ("cli", "data")]
-    found = imports(*(f"fgrecon/{name}" for name in others if name not in ("py", "__pycache__")))
-    assert [item for item in found if within(item[1], ("typer", "fgrecon.cli"))] == []
+def test_no_file_is_longer_than_400_lines():
+    for folder in ("factors", "fgrecon", "tests", "examples", "benchmarks"):
+        for path in Path(REPOSITORY / folder).rglob("*.py"):
+            assert len(path.read_text(encoding="utf-8").splitlines()) <= 400, path

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from fgrecon.catalogue import load_category
 from fgrecon.cli import main
-from fgrecon.keypoint_file import parse_keypoints
+from fgrecon.io.catalogue import load_category
+from fgrecon.io.keypoint_file import parse_keypoints
 
 from .conftest import REPOSITORY
 

@@ -9,24 +9,24 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.camera import Camera, Ground
-from fgrecon.catalogue import load_prior
-from fgrecon.category import Category
 from fgrecon.cli.common import ground_plane, parse_numbers
-from fgrecon.errors import FgreconError, InvalidInputError
-from fgrecon.evaluation.tracks import parse_track
-from fgrecon.from_image import reconstruct_detection
-from fgrecon.json_fields import read_json
-from fgrecon.keypoint_file import Instance, parse_keypoints
-from fgrecon.keypoints.detect import CONFIDENCE_MIDPOINT, Detection
-from fgrecon.kitti import read_calibration
-from fgrecon.observation import Observation
-from fgrecon.options import BoxModel, Options
-from fgrecon.pipeline import reconstruct
-from fgrecon.priors.shape_prior import ShapePrior
-from fgrecon.priors.size_prior import SizePrior
-from fgrecon.priors.size_prior import size_prior as parse_size
-from fgrecon.reconstruction import Reconstruction, Status
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.category import Category
+from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.observation import Observation
+from fgrecon.core.options import BoxModel, Options
+from fgrecon.core.reconstruction import Reconstruction, Status
+from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.core.size_prior import SizePrior
+from fgrecon.core.size_prior import size_prior as parse_size
+from fgrecon.io.catalogue import load_prior
+from fgrecon.io.json_fields import read_json
+from fgrecon.io.keypoint_file import Instance, parse_keypoints
+from fgrecon.io.kitti_calibration import read_calibration
+from fgrecon.io.track_file import parse_track
+from fgrecon.perception.from_image import reconstruct_detection
+from fgrecon.perception.keypoints.detect import CONFIDENCE_MIDPOINT, Detection
+from fgrecon.solve.pipeline import reconstruct
 
 __all__ = ["CameraSource", "Outcome", "Settings", "Task", "check_any", "read_tasks", "run"]
 

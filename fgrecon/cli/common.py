@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fgrecon.robust import StrategyName
+from fgrecon.core.robust import StrategyName
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from numpy.typing import NDArray
     from rich.console import Console
 
-    from fgrecon.boxes import NamedBox
-    from fgrecon.camera import Ground
+    from fgrecon.core.camera import Ground
+    from fgrecon.io.boxes import NamedBox
 
 __all__ = [
     "BOX_MODEL_HELP",
@@ -31,6 +31,7 @@ __all__ = [
     "PriorOption",
     "SizePriorOption",
     "StrategyOption",
+    "WeightsOption",
     "check_output",
     "check_outputs",
     "chosen_boxes",
@@ -71,6 +72,7 @@ SizePriorOption = Annotated[
         show_default="as in the shape prior",
     ),
 ]
+WeightsOption = Annotated[Path | None, typer.Option(help="Network.", show_default="the one that fgrecon ships")]
 StrategyOption = Annotated[StrategyName, typer.Option(help="Robust strategy.")]
 JsonOption = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="Write the results as JSON; - for the output.")
@@ -87,8 +89,8 @@ def ground_plane(plane: str | None, height: float | None) -> tuple[Ground, str] 
     Raises:
         InvalidInputError: Both are given, or one is not a plane.
     """
-    from fgrecon.camera import Ground
-    from fgrecon.errors import InvalidInputError
+    from fgrecon.core.camera import Ground
+    from fgrecon.core.errors import InvalidInputError
 
     if plane is not None and height is not None:
         raise InvalidInputError("camera_height", height, "Give either --camera-height or --ground.")
@@ -114,7 +116,7 @@ def parse_numbers(field: str, text: str, wanted: str, counts: tuple[int, ...]) -
     Raises:
         InvalidInputError: Something is not a number, or there are too many or too few.
     """
-    from fgrecon.errors import InvalidInputError
+    from fgrecon.core.errors import InvalidInputError
 
     try:
         numbers = [float(part) for part in text.split(",")]
@@ -140,7 +142,7 @@ def chosen_boxes(
     Raises:
         InvalidInputError: Not exactly one of these is given, a box is none, or there is no car.
     """
-    from fgrecon.boxes import boxes_of
+    from fgrecon.perception.boxes import boxes_of
 
     wanted = "x1,y1,x2,y2: four numbers in pixels"
     given = [parse_numbers("box", text, wanted, (4,)) for text in box or ()]
@@ -153,7 +155,7 @@ def check_output(path: Path | None) -> None:
     Raises:
         InvalidInputError: It is a folder, or its folder does not exist.
     """
-    from fgrecon.errors import InvalidInputError
+    from fgrecon.core.errors import InvalidInputError
 
     if path is not None and (path.is_dir() or not path.resolve().parent.is_dir()):
         raise InvalidInputError("output", str(path), "Give a file in a folder that exists.")
@@ -175,7 +177,7 @@ def write_json(target: str | None, text: str) -> None:
     Raises:
         InvalidInputError: The file cannot be written.
     """
-    from fgrecon.files import write_text
+    from fgrecon.io.files import write_text
 
     if target == "-":
         sys.stdout.write(text)

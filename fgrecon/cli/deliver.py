@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
-    from fgrecon.camera import Ground
+    from fgrecon.core.camera import Ground
     from fgrecon.viz import Recording, Sight
 
 __all__ = [
@@ -47,7 +47,7 @@ def check_delivery(save: Path | None, connect: str | None) -> None:
         InvalidInputError: The file cannot be written or is not to be named `.rrd`, or no viewer listens.
     """
     from fgrecon.cli.common import check_output
-    from fgrecon.errors import InvalidInputError
+    from fgrecon.core.errors import InvalidInputError
     from fgrecon.viz.sinks import check_viewer
 
     check_output(save)

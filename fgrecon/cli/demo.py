@@ -27,12 +27,12 @@ def demo_command(
 
     Writes picture.png, recording.rrd for the rerun viewer and result.json, and what went in: image.png, keypoints.json.
     """
-    from fgrecon.catalogue import load_prior
     from fgrecon.cli import demo_report as report
-    from fgrecon.demo import demo_scene
-    from fgrecon.files import write_text
-    from fgrecon.images import write_png
-    from fgrecon.pipeline import reconstruct
+    from fgrecon.io.catalogue import load_prior
+    from fgrecon.io.files import write_text
+    from fgrecon.io.images import write_png
+    from fgrecon.simulation.demo import demo_scene
+    from fgrecon.solve.pipeline import reconstruct
     from fgrecon.viz import animate, picture, recording_of, save_picture
     from fgrecon.viz.animation import check_format
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from fgrecon.category import Category
-from fgrecon.demo import DemoScene
-from fgrecon.reconstruction import Reconstruction, rotation_y
+from fgrecon.core.category import Category
+from fgrecon.core.reconstruction import Reconstruction, rotation_y
+from fgrecon.simulation.demo import DemoScene
 from fgrecon.viz import Truth
 from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR
 

@@ -1,4 +1,4 @@
-"""`fgrecon evaluate`: methods side by side on data with known poses."""
+"""`fgrecon evaluate`: methods side by side on data with known poses. The paper's tables are in `fgrecon.cli.paper`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli import evaluate_icra2017, evaluate_kitti, evaluate_paper, evaluate_shape
+from fgrecon.cli import evaluate_kitti
 from fgrecon.cli.common import GroundOption, JsonOption, PriorOption, check_outputs, console, ground_plane, write_json
 from fgrecon.cli.deliver import ConnectOption, SaveOption, SpawnOption, check_delivery, deliver, wants_recording
 
@@ -18,8 +18,8 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
 
     from rich.table import Table
 
+    from fgrecon.core.size_prior import SizePrior
     from fgrecon.evaluation.run import MethodScores
-    from fgrecon.priors.size_prior import SizePrior
 
 __all__ = ["KITTI_CAMERA_HEIGHT", "app"]
 
@@ -31,10 +31,7 @@ _FAILURES_SHOWN = 5
 app = typer.Typer(help="Compare fgrecon with other methods on data with known poses.", no_args_is_help=True)
 
 
-app.command("shape")(evaluate_shape.shape_command)
-app.command("icra2017")(evaluate_icra2017.icra2017_command)
 app.command("kitti")(evaluate_kitti.kitti_command)
-app.command("paper")(evaluate_paper.paper_command)
 
 
 @app.callback()
@@ -81,15 +78,15 @@ def tracks_command(
     A recording shows the last of fgrecon's own methods, frame by frame, with the labels and the errors; for it the
     frames are solved once more after they were scored.
     """
-    from fgrecon.camera import Ground
-    from fgrecon.catalogue import load_prior
     from fgrecon.cli import evaluate_recording
+    from fgrecon.core.camera import Ground
+    from fgrecon.core.size_prior import size_prior as parse_size
     from fgrecon.evaluation import report
     from fgrecon.evaluation.methods import Scene, select
     from fgrecon.evaluation.run import score_tracks
-    from fgrecon.evaluation.tracks import read_track
-    from fgrecon.files import write_text
-    from fgrecon.priors.size_prior import size_prior as parse_size
+    from fgrecon.io.catalogue import load_prior
+    from fgrecon.io.files import write_text
+    from fgrecon.io.track_file import read_track
 
     check_outputs(json_out, markdown_out, frames_out)
     check_delivery(save, connect)

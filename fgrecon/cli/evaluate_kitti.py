@@ -17,7 +17,7 @@ from fgrecon.cli.deliver import (
     recordings_of,
     wants_recording,
 )
-from fgrecon.options import BoxModel
+from fgrecon.core.options import BoxModel
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from fgrecon.evaluation.kitti_images import Car
@@ -62,13 +62,13 @@ def kitti_command(
     """
     import json
 
-    from fgrecon.camera import Ground
-    from fgrecon.catalogue import load_prior
+    from fgrecon.core.camera import Ground
+    from fgrecon.core.options import Options
+    from fgrecon.core.size_prior import size_prior as parse_size
     from fgrecon.evaluation import kitti_images
-    from fgrecon.evaluation.kitti_files import read_image_set
-    from fgrecon.keypoints.detect import CONFIDENCE_MIDPOINT, Detector
-    from fgrecon.options import Options
-    from fgrecon.priors.size_prior import size_prior as parse_size
+    from fgrecon.io.catalogue import load_prior
+    from fgrecon.io.kitti_files import read_image_set
+    from fgrecon.perception.keypoints.detect import CONFIDENCE_MIDPOINT, Detector
 
     check_outputs(json_out, picture)
     check_delivery(save, connect)
@@ -118,8 +118,8 @@ def _print(cars: list[Car], *, error: bool) -> None:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
+    from fgrecon.core.metrics import THRESHOLDS
     from fgrecon.evaluation.kitti_images import summarise
-    from fgrecon.evaluation.metrics import THRESHOLDS
 
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     headings = [*(f"AOP {threshold}°" for threshold in THRESHOLDS), "mean °", "median °", "median m", "failed"]
@@ -134,8 +134,8 @@ def _print(cars: list[Car], *, error: bool) -> None:
 
 def _sights(cars: list[Car], images: dict[str, Path]) -> list[Sight]:
     """Every car with a result, with its photograph and the labelled box."""
-    from fgrecon.images import read_image
-    from fgrecon.simulate import yaw_pose
+    from fgrecon.io.images import read_image
+    from fgrecon.simulation.vehicles import yaw_pose
     from fgrecon.viz import Sight
     from fgrecon.viz.truth import Truth
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from fgrecon.cli.track_report import image_numbers, truth_of
-from fgrecon.errors import FgreconError, InvalidInputError
+from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.evaluation.methods import Method, Scene
-from fgrecon.evaluation.tracks import Track
-from fgrecon.reconstruction import Reconstruction, Status
-from fgrecon.track import TrackReconstruction
+from fgrecon.io.track_file import Track
+from fgrecon.solve.track import TrackReconstruction
 from fgrecon.viz import Recording, TrackSight, track_recording_of
 
 __all__ = ["recorded", "recordings"]

@@ -20,8 +20,8 @@ def export_command(
     lines, in the frame of KITTI's labels where the results know it.
     """
     from fgrecon.cli.common import check_output, console
-    from fgrecon.export import export, read_results
-    from fgrecon.export.files import check_format
+    from fgrecon.io.export import export, read_results
+    from fgrecon.io.export.files import check_format
 
     check_format(out)
     check_output(out)

@@ -7,6 +7,7 @@ Exit codes: 0 success, 1 the work was done but failed (no car could be reconstru
 from __future__ import annotations
 
 import sys
+from importlib import metadata
 from typing import Annotated
 
 import typer
@@ -17,9 +18,12 @@ from fgrecon.cli.export import export_command
 from fgrecon.cli.reconstruct import reconstruct_command
 from fgrecon.cli.replay import replay_command
 from fgrecon.cli.track import track_command
-from fgrecon.errors import FgreconError
+from fgrecon.core.errors import FgreconError
 
-__all__ = ["app", "main"]
+__all__ = ["PLUGINS", "app", "main"]
+
+PLUGINS = "fgrecon.commands"
+"""Entry points of this group are called with the command line's groups by name ('' is the root) and add commands."""
 
 app = typer.Typer(
     name="fgrecon",
@@ -35,16 +39,15 @@ app.command("reconstruct")(reconstruct_command)
 app.command("track")(track_command)
 app.command("replay")(replay_command)
 app.command("export")(export_command)
-app.add_typer(evaluate.app, name="evaluate")
-app.add_typer(prior.app, name="prior")
-app.add_typer(keypoints.app, name="keypoints")
-app.add_typer(vehicles.app, name="vehicles")
+_GROUPS = {"evaluate": evaluate.app, "prior": prior.app, "keypoints": keypoints.app, "vehicles": vehicles.app}
+for _name, _group in _GROUPS.items():
+    app.add_typer(_group, name=_name)
+for _plugin in metadata.entry_points(group=PLUGINS):
+    _plugin.load()({"": app, **_GROUPS})
 
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from importlib import metadata
-
         typer.echo(f"fgrecon {metadata.version('fgrecon')}")
         raise typer.Exit
 

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.camera import Camera
 from fgrecon.cli.batch import CameraSource, Task
 from fgrecon.cli.common import chosen_boxes
-from fgrecon.errors import InvalidInputError
-from fgrecon.keypoint_file import Instance
-from fgrecon.keypoints.detect import Detector, check_box
-from fgrecon.options import BoxModel
+from fgrecon.core.camera import Camera
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.options import BoxModel
+from fgrecon.io.keypoint_file import Instance
+from fgrecon.perception.keypoints.detect import Detector, check_box
 
 __all__ = ["DEFAULT_FIELD_OF_VIEW", "default_camera", "is_image", "read_image_tasks", "refuse_image_options"]
 

@@ -25,9 +25,9 @@ from fgrecon.cli.common import (
     write_json,
 )
 from fgrecon.cli.deliver import ConnectOption, SaveOption, SpawnOption, check_delivery, deliver, wants_recording
-from fgrecon.errors import InvalidInputError
-from fgrecon.options import BoxModel
-from fgrecon.robust import StrategyName
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.options import BoxModel
+from fgrecon.core.robust import StrategyName
 
 __all__ = ["reconstruct_command"]
 
@@ -81,9 +81,9 @@ def reconstruct_command(
     car was found in the image.
     """
     from fgrecon.cli import batch, picture_tasks, show
-    from fgrecon.images import read_image
-    from fgrecon.options import Options
-    from fgrecon.robust import strategy as tuned
+    from fgrecon.core.options import Options
+    from fgrecon.core.robust import strategy as tuned
+    from fgrecon.io.images import read_image
 
     _check_outputs(picture, animation, json_out)
     check_delivery(save, connect)

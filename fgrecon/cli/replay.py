@@ -15,7 +15,7 @@ import typer
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from rich.table import Table
 
-    from fgrecon.replay import Replay
+    from fgrecon.viz.replay import Replay
 
 __all__ = ["replay_command"]
 
@@ -36,7 +36,7 @@ def replay_command(
 
     The servers that it starts listen on this machine alone, unless --bind says otherwise.
     """
-    from fgrecon.replay import read
+    from fgrecon.viz.replay import read
 
     if summary or as_json:
         content = read(recording)

@@ -15,11 +15,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from fgrecon.camera import Camera, Ground
 from fgrecon.cli.batch import Outcome, Settings
 from fgrecon.cli.deliver import recordings_of
-from fgrecon.errors import InvalidInputError
-from fgrecon.priors.size_prior import SizePrior
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.size_prior import SizePrior
 from fgrecon.viz import Recording, Sight, animate, contact_sheet, picture, save_picture
 
 __all__ = [

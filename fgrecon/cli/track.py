@@ -22,8 +22,8 @@ from fgrecon.cli.common import (
     write_json,
 )
 from fgrecon.cli.deliver import ConnectOption, SaveOption, SpawnOption, check_delivery, deliver, wants_recording
-from fgrecon.options import BoxModel
-from fgrecon.robust import StrategyName
+from fgrecon.core.options import BoxModel
+from fgrecon.core.robust import StrategyName
 
 __all__ = ["track_command"]
 
@@ -54,9 +54,9 @@ def track_command(
     Exit code 0: every track was solved; 1: one failed; 2: bad usage or input.
     """
     from fgrecon.cli import batch, track_report
-    from fgrecon.options import Options
-    from fgrecon.reconstruction import Status
-    from fgrecon.robust import strategy as tuned
+    from fgrecon.core.options import Options
+    from fgrecon.core.reconstruction import Status
+    from fgrecon.core.robust import strategy as tuned
 
     check_delivery(save, connect)
     check_outputs(json_out, picture)

@@ -17,13 +17,13 @@ from rich.table import Table
 
 from fgrecon.cli.batch import CameraSource, Settings, Task, read_tasks, run
 from fgrecon.cli.show import plain_camera, plain_ground, plain_size
-from fgrecon.errors import InvalidInputError
-from fgrecon.evaluation.tracks import Track, parse_track
-from fgrecon.images import read_image
-from fgrecon.json_fields import read_json
-from fgrecon.reconstruction import Reconstruction
-from fgrecon.simulate import yaw_pose
-from fgrecon.track import TrackReconstruction, reconstruct_track
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.io.images import read_image
+from fgrecon.io.json_fields import read_json
+from fgrecon.io.track_file import Track, parse_track
+from fgrecon.simulation.vehicles import yaw_pose
+from fgrecon.solve.track import TrackReconstruction, reconstruct_track
 from fgrecon.viz import Recording, Sight, TrackSight, Truth, contact_sheet, save_picture, track_recording_of
 
 __all__ = ["FORMAT", "Solved", "document", "draw", "image_numbers", "solve", "table", "truth_of"]

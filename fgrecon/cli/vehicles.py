@@ -1,4 +1,4 @@
-"""`fgrecon vehicles`: find cars in images, and make the detector's file from its authors'."""
+"""`fgrecon vehicles`: find cars in images."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from fgrecon.cli.common import check_output, console
 
 __all__ = ["app"]
 
-app = typer.Typer(help="Find cars in images; make the detector's file.", no_args_is_help=True)
+app = typer.Typer(help="Find cars in images.", no_args_is_help=True)
 
 
 @app.callback()
 def _group() -> None:
-    """Find cars in images; make the detector's file."""
+    """Find cars in images."""
 
 
 @app.command("detect")
@@ -31,9 +31,9 @@ def detect_command(
 
     Exit code 1: no car in any image.
     """
-    from fgrecon.files import write_text
-    from fgrecon.images import read_image
-    from fgrecon.vehicles import VehicleDetector
+    from fgrecon.io.files import write_text
+    from fgrecon.io.images import read_image
+    from fgrecon.perception.vehicles import VehicleDetector
 
     check_output(out)
     detector = VehicleDetector()
@@ -49,16 +49,3 @@ def detect_command(
     if not lines:
         console(error=True).print("No car was found.")
         raise typer.Exit(1)
-
-
-@app.command("convert")
-def convert_command(
-    cfg: Annotated[Path, typer.Option(help="yolov4-tiny.cfg of Darknet.")],
-    weights: Annotated[Path, typer.Option(help="yolov4-tiny.weights of Darknet.")],
-    out: Annotated[Path, typer.Option(help="ONNX file to write.")],
-) -> None:
-    """Make the detector's file from Darknet's two. Needs the package `onnx`."""
-    from fgrecon.vehicles.darknet import convert
-
-    check_output(out)
-    console(error=False).print(f"Wrote {convert(cfg, weights, out)}.", markup=False)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fgrecon.checks import as_shape
-from fgrecon.errors import InvalidInputError
+from fgrecon.core.checks import as_shape
+from fgrecon.core.errors import InvalidInputError
 
 __all__ = ["Interval", "mean_interval", "resampled", "statistic_interval"]
 

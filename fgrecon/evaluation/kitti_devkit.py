@@ -15,11 +15,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.errors import InvalidInputError
-from fgrecon.evaluation.kitti_files import Objects
-from fgrecon.evaluation.kitti_overlap import Space, overlap
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.evaluation.kitti_overlap import Space, box_overlap, overlap
+from fgrecon.io.kitti_files import Objects
 
-__all__ = ["MINIMUM_OVERLAP", "REGIMES", "Curves", "Regime", "evaluate", "regime_members"]
+__all__ = [
+    "MINIMUM_OVERLAP",
+    "REGIMES",
+    "Curves",
+    "Regime",
+    "evaluate",
+    "match_detections",
+    "regime_members",
+]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -227,3 +235,22 @@ def _match(frame: _Frame, r: int, thresholds: Array) -> tuple[Array, Array, Arra
             similar += has_normal * frame.similarity[g, best]
     wrong = free & valid & ~frame.dont_care
     return right, wrong.sum(axis=1).astype(np.float64), similar
+
+
+def match_detections(labels: Objects, detections: Objects, least: float = MINIMUM_OVERLAP["Car"]) -> NDArray[np.int64]:
+    """For each label the detected car that overlaps it most, by more than KITTI's 0.7 or another; -1 where none does.
+
+    A detection is given to one label at most: pairs are made in the order of their overlap.
+    """
+    matched = np.full(len(labels), -1)
+    if not len(labels) or not len(detections):
+        return matched
+    shared = box_overlap(labels.box, detections.box)
+    shared[:, [kind != "Car" for kind in detections.kind]] = 0.0
+    for flat in np.argsort(-shared, axis=None, kind="stable"):
+        i, j = np.unravel_index(flat, shared.shape)
+        if shared[i, j] <= least:
+            break
+        if matched[i] < 0 and not (matched == j).any():
+            matched[i] = j
+    return matched

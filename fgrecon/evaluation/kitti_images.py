@@ -10,25 +10,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.camera import Camera, Ground
-from fgrecon.errors import InvalidInputError
-from fgrecon.evaluation.kitti_devkit import MINIMUM_OVERLAP, REGIMES, regime_members
-from fgrecon.evaluation.kitti_files import Objects, Problem, read_detections, read_labels
-from fgrecon.evaluation.metrics import (
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.metrics import (
     FAILURE_DEGREES,
     THRESHOLDS,
     instances_within,
     orientation_error,
     translation_error,
 )
-from fgrecon.evaluation.simulated import match_detections
-from fgrecon.from_image import FromImage, reconstruct_image
-from fgrecon.images import read_image
-from fgrecon.keypoints.detect import Detector
-from fgrecon.kitti import Calibration, read_calibration
-from fgrecon.options import Options
-from fgrecon.priors.shape_prior import ShapePrior
-from fgrecon.priors.size_prior import SizePrior
+from fgrecon.core.options import Options
+from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.core.size_prior import SizePrior
+from fgrecon.evaluation.kitti_devkit import MINIMUM_OVERLAP, REGIMES, match_detections, regime_members
+from fgrecon.io.images import read_image
+from fgrecon.io.kitti_calibration import Calibration, read_calibration
+from fgrecon.io.kitti_files import Objects, Problem, read_detections, read_labels
+from fgrecon.perception.from_image import FromImage, reconstruct_image
+from fgrecon.perception.keypoints.detect import Detector
 
 __all__ = ["Car", "ImageFrame", "RegimeScore", "Setup", "document", "read_frames", "score_frame", "summarise"]
 
@@ -252,7 +251,7 @@ def document(cars: Sequence[Car], told: dict[str, Any]) -> dict[str, Any]:
         return value if np.isfinite(value) else None
 
     return {
-        "format": "fgrecon.kitti-images/1",
+        "format": "fgrecon.io.kitti_calibration-images/1",
         "given": told,
         "regimes": [
             {

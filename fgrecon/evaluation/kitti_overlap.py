@@ -7,7 +7,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.evaluation.kitti_files import Objects
+from fgrecon.io.kitti_files import Objects
 
 __all__ = ["Space", "box_overlap", "convex_intersection_area", "overlap"]
 

@@ -3,7 +3,7 @@
 A method is bound once to what is known about the scene (shape prior, ground plane, fleet size) and then maps an
 observation and a camera to a pose. The part of a name after `+` says what the method was told: `+size` the mean size of
 the fleet, `+ground` the ground plane; a method without them is not shown these values. A robust strategy may follow
-after a colon (`fgrecon+ground+size:paper`): see `fgrecon.robust`; `none` keeps the first weights (Eq. 4).
+after a colon (`fgrecon+ground+size:paper`): see `fgrecon.core.robust`; `none` keeps the first weights (Eq. 4).
 
 The baselines fit the prior's mean shape, scaled per axis to the fleet's mean size where they are told it.
 """
@@ -19,14 +19,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.camera import Camera, Ground
-from fgrecon.errors import FgreconError, InvalidInputError
-from fgrecon.model import prepare
-from fgrecon.observation import Observation
-from fgrecon.priors.shape_prior import ShapePrior
-from fgrecon.priors.size_prior import SizePrior
-from fgrecon.reconstruction import Reconstruction
-from fgrecon.robust import RobustStrategy, StrategyName, strategy
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.observation import Observation
+from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.robust import RobustStrategy, StrategyName, strategy
+from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.core.size_prior import SizePrior
+from fgrecon.solve.vehicle.model import prepare
 
 __all__ = [
     "CONFIDENT",
@@ -190,7 +190,7 @@ def _poselib() -> PnP:
 
 
 def _aspnp() -> PnP:
-    from fgrecon.pose.aspnp import aspnp
+    from fgrecon.solve.proposals.aspnp import aspnp
 
     def solve(shape: Shape, observation: Observation, camera: Camera) -> NDArray[np.float64]:
         used = _enough(_use_all(observation))
@@ -234,8 +234,8 @@ def _baseline(name: str, summary: str, load: Callable[[], PnP], *, size: bool) -
 
 def _fgrecon(name: str, *, ground: bool, size: bool, robust: RobustStrategy | None = None) -> Method:
     def result_of(scene: Scene, observation: Observation, camera: Camera, *, keep_history: bool) -> Reconstruction:
-        from fgrecon.options import BoxModel, Options
-        from fgrecon.pipeline import reconstruct
+        from fgrecon.core.options import BoxModel, Options
+        from fgrecon.solve.pipeline import reconstruct
 
         # KITTI's 2D boxes are its 3D boxes projected, to within 1 % of their size.
         strategy = robust or RobustStrategy()
@@ -252,8 +252,8 @@ def _fgrecon(name: str, *, ground: bool, size: bool, robust: RobustStrategy | No
         )
 
     def bind(scene: Scene) -> Solver:
-        import fgrecon.pipeline  # noqa: F401 - slow: not while the time is measured
-        from fgrecon.reconstruction import Status
+        import fgrecon.solve.pipeline  # noqa: F401 - slow: not while the time is measured
+        from fgrecon.core.reconstruction import Status
 
         def solve(observation: Observation, camera: Camera) -> Estimate:
             result = result_of(scene, observation, camera, keep_history=False)

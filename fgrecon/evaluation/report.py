@@ -22,10 +22,10 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
+from fgrecon.core.metrics import THRESHOLDS, instances_within, orientation_precision
 from fgrecon.evaluation.methods import Scene
-from fgrecon.evaluation.metrics import THRESHOLDS, instances_within, orientation_precision
 from fgrecon.evaluation.run import MethodScores
-from fgrecon.evaluation.tracks import Track
+from fgrecon.io.track_file import Track
 
 __all__ = ["document", "frames_document", "machine", "markdown", "settings", "summary", "table", "to_json", "versions"]
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error, translation_error
+from fgrecon.core.reconstruction import rotation_y
 from fgrecon.evaluation.methods import Estimate, Method, Scene, Solver
-from fgrecon.evaluation.metrics import FAILURE_DEGREES, orientation_error, translation_error
-from fgrecon.evaluation.tracks import Frame, Track
-from fgrecon.reconstruction import rotation_y
+from fgrecon.io.track_file import Frame, Track
 
 __all__ = ["FrameScore", "MethodScores", "score_tracks"]
 

@@ -4,7 +4,7 @@ Nothing that computes imports this package, so a solve that is not drawn pays no
 neither rerun nor matplotlib: they are imported on use.
 
 - `record` writes a rerun recording: `fgrecon.viz.recording`, laid out by `fgrecon.viz.blueprint` under the names of
-  `fgrecon.viz.entities`; `fgrecon.replay` reads it back. `record_track` does the same for a whole track, and a
+  `fgrecon.viz.entities`; `fgrecon.viz.replay` reads it back. `record_track` does the same for a whole track, and a
   `Recording` can also be sent to a viewer.
 - `picture`, `contact_sheet` and `save_picture` draw without a viewer: `fgrecon.viz.picture`; `animate` writes the
   optimisation as GIF or MP4.
@@ -17,7 +17,8 @@ from fgrecon.viz.photograph import Photograph
 from fgrecon.viz.picture import Sight, as_rgb, contact_sheet, picture, save_picture
 from fgrecon.viz.recording import log_reconstruction, record, recording_of
 from fgrecon.viz.sinks import Recording
-from fgrecon.viz.track_recording import TrackSight, log_track, record_track, track_recording_of
+from fgrecon.viz.track_recording import log_track, record_track, track_recording_of
+from fgrecon.viz.track_sight import TrackSight
 from fgrecon.viz.truth import Truth
 
 __all__ = [

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.camera import Camera
-from fgrecon.errors import InvalidInputError
-from fgrecon.files import write_bytes
-from fgrecon.observation import Observation
-from fgrecon.reconstruction import Iteration, Reconstruction
+from fgrecon.core.camera import Camera
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.observation import Observation
+from fgrecon.core.reconstruction import Iteration, Reconstruction
+from fgrecon.io.files import write_bytes
 from fgrecon.viz import style
 from fgrecon.viz.describe import describe_errors, total_energy
 from fgrecon.viz.geometry import BOX_EDGES, as_image, box_corners, crop_around, image_points, transform

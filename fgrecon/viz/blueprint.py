@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.observation import Observation
-from fgrecon.reconstruction import Reconstruction
+from fgrecon.core.observation import Observation
+from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.viz import entities, style
 from fgrecon.viz.columns import made_columns
 from fgrecon.viz.factor_graph import Layout, lay_out

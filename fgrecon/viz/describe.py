@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.observation import Observation
-from fgrecon.reconstruction import Iteration, Reconstruction
-from fgrecon.track import TrackReconstruction
+from fgrecon.core.observation import Observation
+from fgrecon.core.reconstruction import Iteration, Reconstruction
+from fgrecon.solve.track import TrackReconstruction
 from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR, Truth
 
 __all__ = [

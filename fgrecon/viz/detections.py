@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.category import Category
+from fgrecon.core.category import Category
 from fgrecon.viz import style
 from fgrecon.viz.marks import unit
 
 if TYPE_CHECKING:
-    from fgrecon.keypoints.detect import Detection
+    from fgrecon.perception.keypoints.detect import Detection
 
 __all__ = ["detection_sheet"]
 

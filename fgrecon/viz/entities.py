@@ -39,8 +39,8 @@ The recording of a track (`fgrecon.viz.track_recording`) has the same for every 
 
 Timelines: `step` counts the steps across all stages (and, of a track, all frames), `stage` the stages, `irls` the
 weight updates across all stages, and `frame` is the number of the image. Drawn geometry is in single precision, as
-viewers want it; plots and `history` are in double, and `fgrecon.replay` reads them back to the last bit. Each row of
-`history` and `track` is one struct, the component `fields` of an archetype of our own.
+viewers want it; plots and `history` are in double, and `fgrecon.viz.replay` reads them back to the last bit. Each row
+of `history` and `track` is one struct, the component `fields` of an archetype of our own.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.reconstruction import GraphFactor
+from fgrecon.core.reconstruction import GraphFactor
 from fgrecon.viz import entities, style
 from fgrecon.viz.columns import Outbox, column, fixed_columns
 from fgrecon.viz.playback import Playback

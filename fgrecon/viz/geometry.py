@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fgrecon.camera import Camera, Ground
-from fgrecon.errors import InvalidInputError
-from fgrecon.observation import Observation
-from fgrecon.pose.geometry import cross
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import cross
+from fgrecon.core.observation import Observation
 
 __all__ = [
     "BOX_EDGES",

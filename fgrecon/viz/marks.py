@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fgrecon.camera import Camera
-from fgrecon.observation import Observation
+from fgrecon.core.camera import Camera
+from fgrecon.core.observation import Observation
 from fgrecon.viz import style
 from fgrecon.viz.geometry import BOX_EDGES, Box, box_corners, image_points, resolution
 from fgrecon.viz.style import Side

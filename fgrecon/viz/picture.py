@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.camera import Camera
-from fgrecon.errors import InvalidInputError
-from fgrecon.files import write_bytes
-from fgrecon.observation import Observation
-from fgrecon.reconstruction import Iteration, Reconstruction, Status
+from fgrecon.core.camera import Camera
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.observation import Observation
+from fgrecon.core.reconstruction import Iteration, Reconstruction, Status
+from fgrecon.io.files import write_bytes
 from fgrecon.viz import style
 from fgrecon.viz.describe import describe_errors, median_residual
 from fgrecon.viz.geometry import Box, as_image, crop_around, image_points

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.pose.geometry import cross
+from fgrecon.core.geometry import cross
 
 __all__ = ["face_outlines", "fan", "medial_outlines"]
 

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.camera import Camera
-from fgrecon.observation import Observation
-from fgrecon.reconstruction import Iteration, Reconstruction
+from fgrecon.core.camera import Camera
+from fgrecon.core.observation import Observation
+from fgrecon.core.reconstruction import Iteration, Reconstruction
 from fgrecon.viz import entities, style
 from fgrecon.viz.columns import Outbox, fixed, strip_column
 from fgrecon.viz.describe import weight_updates

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.reconstruction import Status
+from fgrecon.core.reconstruction import Status
 from fgrecon.viz import entities, style
 from fgrecon.viz.columns import Column, Outbox, column, exact_column, fixed_columns
 from fgrecon.viz.describe import describe_stop, describe_update, median_residual, summary_table
@@ -104,7 +104,7 @@ def measure_name(measure: str) -> str:
 
 
 def log_history(rows: Rows) -> None:
-    """Every field of every step, to the last bit: what `fgrecon.replay` makes the history of again."""
+    """Every field of every step, to the last bit: what `fgrecon.viz.replay` makes the history of again."""
     steps = rows.steps
     fields: dict[str, Any] = {
         "stage": [step.stage for step in steps],

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.errors import InvalidInputError
-from fgrecon.priors.shape_prior import ShapePrior
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.viz import style
 from fgrecon.viz.marks import draw_edges, unit
 

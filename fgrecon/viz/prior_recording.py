@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.priors.shape_prior import ShapePrior
+from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.viz import style
 from fgrecon.viz.prior_picture import MODE_RANGE
 from fgrecon.viz.sinks import APPLICATION, Recording

@@ -1,7 +1,7 @@
 """Recordings of a reconstruction for the rerun viewer, made from its history after solving.
 
 `record` writes a file, whole or not at all; `log_reconstruction` sends the same to any recording stream (a viewer that
-runs, a file that holds more). The names are those of `fgrecon.viz.entities`; `fgrecon.replay` reads a file back.
+runs, a file that holds more). The names are those of `fgrecon.viz.entities`; `fgrecon.viz.replay` reads a file back.
 `fgrecon.viz.track_recording` does the same for a track.
 """
 
@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.camera import Camera, Ground
-from fgrecon.observation import Observation
-from fgrecon.reconstruction import Reconstruction
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.observation import Observation
+from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.viz.columns import Outbox
 from fgrecon.viz.factor_graph import log_graph
 from fgrecon.viz.photograph import Photograph

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.camera import Ground
+from fgrecon.core.camera import Ground
 from fgrecon.viz import entities, style
 from fgrecon.viz.columns import Column, column, fixed_columns, strip_column
 from fgrecon.viz.geometry import (

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fgrecon.errors import InvalidInputError
-from fgrecon.files import replacing
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.files import replacing
 
 __all__ = [
     "APPLICATION",

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.reconstruction import Reconstruction
+from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.viz import style
 from fgrecon.viz.geometry import BOX_EDGES, box_corners, transform
 from fgrecon.viz.marks import draw_edges, unit

@@ -2,16 +2,17 @@
 
 Blue against vermilion (Okabe and Ito) stays apart under every common colour-vision deficiency and in grey print. The
 weight map runs through viridis, whose lightness rises with the weight, so it survives a grey printer too. Colours are
-8-bit RGB triples; this module needs numpy alone.
+8-bit RGB triples; those of the vehicle itself are in `fgrecon.core.sides`.
 """
 
 from __future__ import annotations
 
-from enum import StrEnum
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from fgrecon.core.sides import SIDE_COLOURS, SURFACE, Colour, Side, edge_sides, keypoint_sides
 
 __all__ = [
     "BACKGROUND",
@@ -41,20 +42,6 @@ __all__ = [
     "weight_radii",
 ]
 
-Colour = tuple[int, int, int]
-
-
-class Side(StrEnum):
-    """The vehicle's own side that a keypoint or an edge lies on."""
-
-    LEFT = "left"
-    RIGHT = "right"
-    ACROSS = "across"
-    """On the medial plane, or an edge from one side to the other."""
-
-
-SIDE_COLOURS: dict[Side, Colour] = {Side.LEFT: (0, 114, 178), Side.RIGHT: (213, 94, 0), Side.ACROSS: (140, 140, 140)}
-"""Blue is the vehicle's left, vermilion its right, grey what joins them."""
 TRUTH: Colour = (40, 185, 110)
 """What is known to be true: green."""
 UNCERTAINTY: Colour = (230, 60, 160)
@@ -63,8 +50,6 @@ PREVIOUS: Colour = (255, 255, 255)
 """The estimate before, drawn faintly in a recording."""
 VARIABLE: Colour = (255, 255, 255)
 """Variables of a factor graph in a recording."""
-SURFACE: Colour = (196, 204, 214)
-"""The reconstructed surface."""
 GROUND: Colour = (96, 96, 96)
 """The ground grid of a recording."""
 BACKGROUND: Colour = (244, 244, 242)
@@ -126,7 +111,6 @@ _WEIGHT_MAP = np.array(
     ],
     dtype=np.float64,
 )
-_MEDIAL = 1e-3
 
 
 def weight_colours(weights: ArrayLike) -> NDArray[np.uint8]:
@@ -170,31 +154,3 @@ def series_colours(sides: tuple[Side, ...]) -> tuple[Colour, ...]:
         red, green, blue = (int(channel) for channel in shade)
         colours.append((red, green, blue))
     return tuple(colours)
-
-
-def keypoint_sides(names: tuple[str, ...], wireframe: NDArray[np.float64]) -> tuple[Side, ...]:
-    """Side of each of K keypoints: from names that begin with `left` or `right`, else from z (left is positive).
-
-    Args:
-        names: K keypoint names.
-        wireframe: (K, 3) keypoints in the object frame, metres.
-    """
-
-    def side(name: str, z: float) -> Side:
-        for value in (Side.LEFT, Side.RIGHT):
-            if name.startswith(value.value):
-                return value
-        if not np.isfinite(z) or abs(z) < _MEDIAL:
-            return Side.ACROSS
-        return Side.LEFT if z > 0 else Side.RIGHT
-
-    return tuple(side(name, z) for name, z in zip(names, wireframe[:, 2], strict=True))
-
-
-def edge_sides(edges: NDArray[np.int64], sides: tuple[Side, ...]) -> dict[Side, NDArray[np.int64]]:
-    """The edges (E, 2) split by side, each (E_side, 2): both ends on one side, or across."""
-    split: dict[Side, list[NDArray[np.int64]]] = {side: [] for side in Side}
-    for edge in edges:
-        a, b = sides[edge[0]], sides[edge[1]]
-        split[a if a == b else Side.ACROSS].append(edge)
-    return {side: np.array(group, dtype=np.int64).reshape(-1, 2) for side, group in split.items()}

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from fgrecon.track import TrackReconstruction
+from fgrecon.solve.track import TrackReconstruction
 from fgrecon.viz import entities
 from fgrecon.viz.blueprint import (
     error_measures,
@@ -20,7 +20,7 @@ from fgrecon.viz.blueprint import (
     word_views,
 )
 from fgrecon.viz.factor_graph import lay_out
-from fgrecon.viz.track_recording import TrackSight, image_reach
+from fgrecon.viz.track_sight import TrackSight, image_reach
 
 __all__ = ["track_blueprint"]
 

@@ -2,7 +2,7 @@
 
 On the timeline `frame` it plays the result, frame by frame, with the path so far; on `step` the search for the pose in
 every frame, one after the other, and then the joint optimisation, with all frames at once in the 3D scene. The names
-are those of `fgrecon.viz.entities`; `fgrecon.replay` reads a file back.
+are those of `fgrecon.viz.entities`; `fgrecon.viz.replay` reads a file back.
 """
 
 from __future__ import annotations
@@ -16,15 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.camera import Camera, Ground
-from fgrecon.errors import InvalidInputError
-from fgrecon.observation import Observation
-from fgrecon.track import TrackReconstruction
+from fgrecon.solve.track import TrackReconstruction
 from fgrecon.viz import entities, style
 from fgrecon.viz.columns import Outbox, exact_column, fixed, strip_column
 from fgrecon.viz.describe import track_table
 from fgrecon.viz.factor_graph import lay_out, log_layout
-from fgrecon.viz.geometry import image_points
 from fgrecon.viz.photograph import Photograph
 from fgrecon.viz.playback import Playback, Rows
 from fgrecon.viz.plots import (
@@ -44,51 +40,12 @@ from fgrecon.viz.plots import (
 )
 from fgrecon.viz.scene import line_style, log_camera, log_frame, log_ground, log_result, log_steps, log_truth
 from fgrecon.viz.sinks import Recording
-from fgrecon.viz.truth import Truth
+from fgrecon.viz.track_sight import TrackSight
 
-__all__ = ["TrackSight", "image_reach", "log_track", "record_track", "track_recording_of"]
+__all__ = ["log_track", "record_track", "track_recording_of"]
 
 _FAINT = 110
 _STAGE = 2  # of the joint optimisation on the timeline `stage`: initialisation and pose come before
-
-
-@dataclass(frozen=True)
-class TrackSight:
-    """What a track was reconstructed from, one entry per image; images that were refused included.
-
-    Attributes:
-        observations: Its keypoints in each image; None where there are none.
-        cameras: The camera of each image.
-        numbers: Number of each image on the timeline `frame`, increasing; None counts them from 0.
-        images: (H, W, 3) RGB photographs; None for none.
-        truths: What is known to be true; None for nothing.
-        ground: The ground plane that was assumed, or None.
-    """
-
-    observations: Sequence[Observation | None]
-    cameras: Sequence[Camera]
-    numbers: Sequence[int] | None = None
-    images: Sequence[NDArray[np.uint8] | None] | None = None
-    truths: Sequence[Truth | None] | None = None
-    ground: Ground | None = None
-
-    def __post_init__(self) -> None:
-        """Check that there is one entry per image.
-
-        Raises:
-            InvalidInputError: A sequence has another length, or the numbers do not increase.
-        """
-        count = len(self.observations)
-        for field in ("cameras", "numbers", "images", "truths"):
-            given = getattr(self, field)
-            if given is not None and len(given) != count:
-                raise InvalidInputError(field, f"{len(given)} entries", f"Give one for each of {count} images.")
-        if self.numbers is not None and (np.diff(np.array(self.numbers)) <= 0).any():
-            raise InvalidInputError("numbers", list(self.numbers), "Give numbers that increase.")
-
-    def number(self, index: int) -> int:
-        """Number of an image on the timeline `frame`."""
-        return index if self.numbers is None else int(self.numbers[index])
 
 
 def record_track(path: str | Path, track: TrackReconstruction, sight: TrackSight) -> Path:
@@ -351,19 +308,3 @@ def _log_words(whole: _Track) -> None:
         if play.truth is not None
     ]
     log_summary(whole.stream, track_table(track, errors))
-
-
-def image_reach(track: TrackReconstruction, sight: TrackSight) -> NDArray[np.float64]:
-    """(2, 2) smallest and largest pixel of all boxes, keypoints and wireframes."""
-    points = [np.zeros((0, 2))]
-    for index, result in zip(track.numbers, track.frames, strict=True):
-        observation = sight.observations[index]
-        assert observation is not None
-        points.append(observation.keypoints[observation.measured])
-        if observation.box is not None:
-            points.append(observation.box.reshape(2, 2))
-        else:
-            points.append(image_points(sight.cameras[index], result.camera_T_object, result.wireframe))
-    found = np.concatenate(points)
-    found = found[np.isfinite(found).all(axis=1)]
-    return np.array([found.min(axis=0), found.max(axis=0)])

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.checks import as_finite, as_shape
-from fgrecon.errors import InvalidInputError
-from fgrecon.evaluation.metrics import orientation_error, translation_error
-from fgrecon.reconstruction import rotation_y
+from fgrecon.core.checks import as_finite, as_shape
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.metrics import orientation_error, translation_error
+from fgrecon.core.reconstruction import rotation_y
 
 __all__ = ["ORIENTATION_ERROR", "SHAPE_ERROR", "TRANSLATION_ERROR", "Truth"]
 

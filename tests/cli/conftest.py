@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from fgrecon.camera import Camera
-from fgrecon.catalogue import load_prior
-from fgrecon.simulate import yaw_pose
+from fgrecon.core.camera import Camera
+from fgrecon.io.catalogue import load_prior
+from fgrecon.simulation.vehicles import yaw_pose
 
 K = np.array([[700.0, 0.0, 600.0], [0.0, 700.0, 180.0], [0.0, 0.0, 1.0]])
 INTRINSICS = "--intrinsics=700,700,600,180"

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from fgrecon import replay
 from fgrecon.cli.deliver import deliver, recordings_of
-from fgrecon.errors import InvalidInputError
-from fgrecon.viz import Recording, Sight, entities, recording_of
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.viz import Recording, Sight, entities, recording_of, replay
 from tests.viz.made_up import Example, make_example
 
 

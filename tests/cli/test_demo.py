@@ -7,9 +7,9 @@ import pytest
 from typer.testing import CliRunner
 
 from fgrecon.cli import main
-from fgrecon.images import read_image
-from fgrecon.reconstruction import Reconstruction, Status
-from fgrecon.replay import read as replay
+from fgrecon.core.reconstruction import Reconstruction, Status
+from fgrecon.io.images import read_image
+from fgrecon.viz.replay import read as replay
 
 
 def run(*arguments):

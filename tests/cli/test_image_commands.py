@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from fgrecon import replay
 from fgrecon.cli import main
-from fgrecon.errors import InvalidInputError
-from fgrecon.images import write_png
-from fgrecon.keypoints.decode import Calibration
-from fgrecon.keypoints.weights import Stored, save_weights
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.images import write_png
+from fgrecon.perception.keypoints.decode import Calibration
+from fgrecon.perception.keypoints.weights import Stored, save_weights
+from fgrecon.viz import replay
 
 torch = pytest.importorskip("torch")
 
-from fgrecon.keypoints.knet import KNet, KNetSettings  # noqa: E402
+from fgrecon.perception.keypoints.knet import KNet, KNetSettings  # noqa: E402
 
 CALIB = "P2: 700 0 80 40 0 700 50 0.2 0 0 1 0.002\n"
 LABEL = "0.00 0 1.5 20.0 20.0 110.0 80.0 1.5 1.6 4.0 0.1 1.6 15 1.5"

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from fgrecon.cli import main
-from fgrecon.errors import FgreconError
+from fgrecon.core.errors import FgreconError
 
 
 def test_version_and_help():

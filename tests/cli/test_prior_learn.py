@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from fgrecon.catalogue import load_prior
 from fgrecon.cli.prior import app
-from fgrecon.errors import InvalidInputError
-from tests.priors.nrsfm_data import CHAIR, draw_world
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.catalogue import load_prior
+from tests.training.priors.nrsfm_data import CHAIR, draw_world
 
 RUN = CliRunner()
 

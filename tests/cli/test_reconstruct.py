@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from fgrecon import pipeline
-from fgrecon.camera import Camera
-from fgrecon.catalogue import load_category
 from fgrecon.cli import batch, main
-from fgrecon.errors import DegenerateProblemError, InvalidInputError
-from fgrecon.images import read_image, write_png
-from fgrecon.reconstruction import Reconstruction, Status
-from fgrecon.replay import read as replay
+from fgrecon.core.camera import Camera
+from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
+from fgrecon.core.reconstruction import Reconstruction, Status
+from fgrecon.io.catalogue import load_category
+from fgrecon.io.images import read_image, write_png
+from fgrecon.solve import pipeline
+from fgrecon.viz.replay import read as replay
 
 from .conftest import INTRINSICS, LOCATION, YAW, K, car
 

@@ -9,10 +9,9 @@ import urllib.request
 import pytest
 from typer.testing import CliRunner
 
-from fgrecon import replay
 from fgrecon.cli import main
 from fgrecon.cli import replay as command
-from fgrecon.viz import record
+from fgrecon.viz import record, replay
 from fgrecon.viz.sinks import LOOPBACK, check_viewer, free_port, viewer_command
 from tests.cli.conftest import INTRINSICS
 from tests.viz.made_up import STAGES, make_example

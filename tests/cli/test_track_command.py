@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from fgrecon import replay
 from fgrecon.cli import main
-from fgrecon.export import read_results
-from fgrecon.images import read_image, write_png
+from fgrecon.io.export import read_results
+from fgrecon.io.images import read_image, write_png
+from fgrecon.viz import replay
 from tests.cli.conftest import INTRINSICS, K, car
 
 
@@ -79,7 +79,7 @@ def test_labels_give_errors_beside_those_of_the_images_alone(write, drive):
         }
         for t, (instance, (yaw, location)) in enumerate(zip(content["instances"], poses, strict=True))
     ]
-    from fgrecon.catalogue import load_category
+    from fgrecon.io.catalogue import load_category
 
     names = list(load_category("car14").keypoints)
     projection = np.column_stack([K, np.zeros(3)]).tolist()

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from fgrecon.catalogue import load_prior
 from fgrecon.cli import main
-from fgrecon.demo import demo_scene
-from fgrecon.errors import InvalidInputError
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.reconstruction import rotation_y
 from fgrecon.evaluation.kitti_overlap import box_overlap
-from fgrecon.images import write_png
-from fgrecon.reconstruction import rotation_y
+from fgrecon.io.catalogue import load_prior
+from fgrecon.io.images import write_png
+from fgrecon.simulation.demo import demo_scene
 
 
 def run(*arguments):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fgrecon.errors import InvalidInputError
+from fgrecon.core.errors import InvalidInputError
 from fgrecon.evaluation.bootstrap import mean_interval, resampled, statistic_interval
 
 

@@ -7,9 +7,9 @@ import sys
 import pytest
 from typer.testing import CliRunner
 
-from fgrecon import replay
 from fgrecon.cli import main
-from fgrecon.errors import InvalidInputError
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.viz import replay
 
 FAST = ["--method", "sqpnp", "--method", "sqpnp_confident+size"]
 

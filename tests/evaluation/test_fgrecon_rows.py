@@ -5,12 +5,12 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 
-from fgrecon.camera import Camera
-from fgrecon.errors import FgreconError
+from fgrecon.core.camera import Camera
+from fgrecon.core.errors import FgreconError
+from fgrecon.core.reconstruction import Status
 from fgrecon.evaluation.methods import METHODS
-from fgrecon.reconstruction import Status
+from tests.made_up_track import K, pose_of
 
-from .conftest import K, pose_of
 from .test_methods import observe
 
 
@@ -23,9 +23,9 @@ def calls(monkeypatch):
         seen.arguments = {"keypoints": keypoints, "intrinsics": intrinsics, **arguments}
         return seen.result
 
-    module = ModuleType("fgrecon.pipeline")
+    module = ModuleType("fgrecon.solve.pipeline")
     module.reconstruct = reconstruct
-    monkeypatch.setitem(sys.modules, "fgrecon.pipeline", module)
+    monkeypatch.setitem(sys.modules, "fgrecon.solve.pipeline", module)
     return seen
 
 

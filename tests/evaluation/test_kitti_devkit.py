@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fgrecon.errors import InvalidInputError
+from fgrecon.core.errors import InvalidInputError
 from fgrecon.evaluation.kitti_devkit import MINIMUM_OVERLAP, REGIMES, evaluate, regime_members
-from fgrecon.evaluation.kitti_files import Objects, parse_objects, read_labels, read_results
 from fgrecon.evaluation.kitti_overlap import Space, box_overlap, convex_intersection_area, overlap
+from fgrecon.io.kitti_files import Objects, parse_objects, read_labels, read_results
 
 SPACES = {Space.IMAGE: "detection", Space.GROUND: "detection_ground", Space.VOLUME: "detection_3d"}
 

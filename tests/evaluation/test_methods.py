@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fgrecon.camera import Camera
-from fgrecon.errors import FgreconError, InvalidInputError
+from fgrecon.core.camera import Camera
+from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.observation import Observation
 from fgrecon.evaluation.methods import METHODS, select
-from fgrecon.observation import Observation
-
-from .conftest import K, pose_of
+from tests.made_up_track import K, pose_of
 
 BASELINES = ("epnp", "sqpnp", "sqpnp_confident", "poselib_ransac", "aspnp")
 

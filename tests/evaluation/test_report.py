@@ -9,7 +9,7 @@ from rich.console import Console
 
 from fgrecon.evaluation import report
 from fgrecon.evaluation.run import FrameScore, MethodScores
-from fgrecon.evaluation.tracks import parse_track
+from fgrecon.io.track_file import parse_track
 
 
 def score(name, degrees, metres):

@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from fgrecon.errors import FgreconError
+from fgrecon.core.errors import FgreconError
 from fgrecon.evaluation.methods import Estimate, Method, select
 from fgrecon.evaluation.run import score_tracks
-from fgrecon.evaluation.tracks import parse_track
-
-from .conftest import T2, pose_of
+from fgrecon.io.track_file import parse_track
+from tests.made_up_track import T2, pose_of
 
 
 def method(solve):

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
-from fgrecon.camera import Camera, Ground
-from fgrecon.catalogue import load_prior
-from fgrecon.observation import Observation
-from fgrecon.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.observation import Observation
+from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status
+from fgrecon.io.catalogue import load_prior
 from fgrecon.viz.truth import Truth
 
 STAGES = {"initialisation": (1, 1), "pose": (5, 1), "shape": (3, 4), "joint": (2, 3)}

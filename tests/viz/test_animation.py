@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from fgrecon.errors import InvalidInputError
+from fgrecon.core.errors import InvalidInputError
 from fgrecon.viz import animate
 from tests.viz.made_up import Example
 

@@ -12,8 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from fgrecon import replay
-from fgrecon.viz import record
+from fgrecon.viz import record, replay
 from tests.viz.made_up import make_example
 
 NUMBERS = st.floats(width=64, allow_nan=False)  # infinities, subnormal numbers and negative zero included

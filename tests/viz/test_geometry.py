@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from fgrecon.camera import Camera, Ground
-from fgrecon.errors import InvalidInputError
-from fgrecon.observation import Observation
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.observation import Observation
 from fgrecon.viz import Truth
 from fgrecon.viz.geometry import (
     BOX_EDGES,

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fgrecon.errors import InvalidInputError
-from fgrecon.reconstruction import Status
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.reconstruction import Status
 from fgrecon.viz import Sight, as_rgb, contact_sheet, picture, save_picture, style
 from fgrecon.viz.describe import describe_errors
 from fgrecon.viz.style import Side

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fgrecon.catalogue import load_prior
-from fgrecon.errors import InvalidInputError
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.catalogue import load_prior
 from fgrecon.viz.prior_picture import prior_picture
 from fgrecon.viz.prior_recording import record_prior
 

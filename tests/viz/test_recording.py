@@ -11,11 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fgrecon import replay
-from fgrecon.errors import InvalidInputError
-from fgrecon.observation import Observation
-from fgrecon.reconstruction import Iteration, Reconstruction, Status
-from fgrecon.viz import entities, log_reconstruction, record, style
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.observation import Observation
+from fgrecon.core.reconstruction import Iteration, Reconstruction, Status
+from fgrecon.viz import entities, log_reconstruction, record, replay, style
 from tests.viz.made_up import STAGES, Example
 
 
@@ -362,6 +361,8 @@ def test_reading_something_else_is_refused(tmp_path: Path) -> None:
 
 
 def test_importing_loads_no_viewer() -> None:
-    code = "import sys, fgrecon.viz, fgrecon.replay; print({'rerun', 'matplotlib', 'torch', 'cv2'} & set(sys.modules))"
+    code = (
+        "import sys, fgrecon.viz, fgrecon.viz.replay; print({'rerun', 'matplotlib', 'torch', 'cv2'} & set(sys.modules))"
+    )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "set()"

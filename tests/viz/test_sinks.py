@@ -11,7 +11,7 @@ def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path):
     program = """
 import resource, signal, sys
 import numpy as np, rerun as rr, rerun.blueprint as rrb
-from fgrecon.errors import InvalidInputError
+from fgrecon.core.errors import InvalidInputError
 from fgrecon.viz import sinks
 
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)

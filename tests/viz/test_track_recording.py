@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 import fgrecon
-from fgrecon import replay
-from fgrecon.errors import InvalidInputError
-from fgrecon.simulate import KITTI_CAMERA, Vehicle, simulate, yaw_pose
-from fgrecon.track import TrackReconstruction, reconstruct_track
-from fgrecon.viz import TrackSight, Truth, entities, record_track
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate, yaw_pose
+from fgrecon.solve.track import TrackReconstruction, reconstruct_track
+from fgrecon.viz import TrackSight, Truth, entities, record_track, replay
 from tests.viz.test_recording import chunks, same
 
 NUMBERS = (10, 11, 13, 14)

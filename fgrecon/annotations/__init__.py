@@ -1,6 +1,0 @@
-"""2D keypoint annotations of many instances, and readers for the formats that people have."""
-
-from fgrecon.annotations.annotations import Annotations, spread
-from fgrecon.annotations.reader import FORMATS, load_annotations
-
-__all__ = ["FORMATS", "Annotations", "load_annotations", "spread"]

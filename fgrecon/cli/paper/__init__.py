@@ -1,0 +1,21 @@
+"""Commands that reproduce the paper's tables. They register themselves: see `fgrecon.cli.main`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import typer
+
+from fgrecon.cli.paper.icra2017 import icra2017_command
+from fgrecon.cli.paper.paper import paper_command
+from fgrecon.cli.paper.shape import shape_command
+
+__all__ = ["register"]
+
+
+def register(groups: Mapping[str, typer.Typer]) -> None:
+    """Add the commands to the groups of `fgrecon`, by name."""
+    evaluate = groups["evaluate"]
+    evaluate.command("icra2017")(icra2017_command)
+    evaluate.command("paper")(paper_command)
+    evaluate.command("shape")(shape_command)

@@ -1,0 +1,132 @@
+"""`fgrecon evaluate icra2017`: the two worked images of the paper's authors."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fgrecon.cli.common import JsonOption, check_outputs, console, write_json
+from fgrecon.cli.deliver import (
+    ConnectOption,
+    SaveOption,
+    SpawnOption,
+    check_delivery,
+    deliver,
+    recordings_of,
+    wants_recording,
+)
+
+if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
+    from fgrecon.paper.icra2017 import Icra2017Result
+    from fgrecon.viz import Sight
+
+__all__ = ["icra2017_command"]
+
+FORMAT = "fgrecon.evaluation.icra2017/1"
+_RELEASE = {"01": (2.2, 0.96), "02": (7.0, 0.44)}
+"""Errors of the authors' C++ release, degrees and metres."""
+_RELEASE_MS = {"pose": 0.33, "shape": 11.7}
+
+
+def icra2017_command(
+    folder: Annotated[Path, typer.Argument(help="Folder of the release: meanShape.txt, basisVectors.txt, examples/.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for pictures, made where it does not exist: over the photographs and without them."),
+    ] = None,
+    save: SaveOption = None,
+    connect: ConnectOption = None,
+    spawn: SpawnOption = False,
+    json_out: JsonOption = None,
+    runs: Annotated[int, typer.Option(min=1, help="How often to time each image.")] = 5,
+) -> None:
+    """Reconstruct both cars with the release's 36-point prior and compare with KITTI's labels."""
+    from fgrecon.paper.icra2017 import evaluate_icra2017
+
+    check_outputs(json_out)
+    check_delivery(save, connect)
+    results = evaluate_icra2017(folder, runs=runs)
+    text = json.dumps(_document(results), indent=2, allow_nan=False) + "\n"
+    _print(results, error=json_out == "-")
+    write_json(json_out, text)
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        for path in _draw(results, out):
+            typer.echo(str(path), err=json_out == "-")
+    if wants_recording(save, connect, spawn=spawn):
+        from fgrecon.paper.icra2017 import GROUND
+
+        sights = [_sight(result, result.name, photograph=True) for result in results]
+        deliver(recordings_of(sights, GROUND), save, connect, spawn=spawn, several=True)
+
+
+def _document(results: list[Icra2017Result]) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "units": {
+            "orientation_deg": "degrees",
+            "centre_m": "metres between the centres of the boxes",
+            "ms": "best run",
+        },
+        "release": {name: {"orientation_deg": turn, "centre_m": shift} for name, (turn, shift) in _RELEASE.items()},
+        "release_ms": _RELEASE_MS,
+        "images": {
+            result.name: {
+                "orientation_deg": result.orientation_error,
+                "centre_m": result.centre_error,
+                "rotation_y": result.reconstruction.rotation_y,
+                "location": result.reconstruction.location.tolist(),
+                "box_size": result.reconstruction.box_size.tolist(),
+                "status": result.reconstruction.status.value,
+                "ms": result.milliseconds,
+            }
+            for result in results
+        },
+    }
+
+
+def _print(results: list[Icra2017Result], *, error: bool) -> None:
+    from rich.table import Table
+
+    table = Table(title="The authors' two images (36 points, 42 basis vectors)")
+    for heading in ("image", "error °", "centre m", "release: °", "m", "ms pose", "ms shape", "status"):
+        table.add_column(heading, justify="right" if heading not in ("image", "status") else "left")
+    for result in results:
+        turn, shift = _RELEASE[result.name]
+        errors = (result.orientation_error, result.centre_error, turn, shift)
+        times = (f"{result.milliseconds[stage]:.1f}" for stage in ("pose", "shape"))
+        status = result.reconstruction.status.value
+        table.add_row(result.name, *(f"{number:.2f}" for number in errors), *times, status)
+    console(error=error).print(table)
+
+
+def _sight(result: Icra2017Result, title: str, *, photograph: bool) -> Sight:
+    """The car with the labelled box, over its photograph or without."""
+    from fgrecon.io.images import read_image
+    from fgrecon.paper.icra2017 import true_pose
+    from fgrecon.viz import Sight
+    from fgrecon.viz.truth import Truth
+
+    example = result.example
+    image = read_image(example.image) if photograph else None
+    truth = Truth(true_pose(example), box_size=example.size)
+    return Sight(result.reconstruction, example.observation, example.camera, image, truth, title)
+
+
+def _draw(results: list[Icra2017Result], out: Path) -> list[Path]:
+    """Each image's picture over its photograph, and one of both without, which shows nothing of third parties."""
+    from fgrecon.viz import contact_sheet, picture, save_picture
+
+    paths = []
+    for result in results:
+        seen = _sight(result, result.name, photograph=True)
+        drawn = picture(seen.reconstruction, seen.observation, seen.camera, image=seen.image, truth=seen.truth)
+        paths.append(save_picture(out / f"{result.name}.png", drawn))
+    titles = [f"{r.name}: {r.orientation_error:.1f}°, {r.centre_error:.2f} m" for r in results]
+    bare = [_sight(result, title, photograph=False) for result, title in zip(results, titles, strict=True)]
+    paths.append(save_picture(out / "without_photographs.svg", contact_sheet(bare, columns=2)))
+    paths.append(save_picture(out / "without_photographs.png", contact_sheet(bare, columns=2)))
+    return paths

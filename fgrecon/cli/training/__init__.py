@@ -1,0 +1,25 @@
+"""Commands that measure and train networks and learn priors. They register themselves: see `fgrecon.cli.main`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import typer
+
+from fgrecon.cli.training.keypoints import evaluate_command, silhouettes_command, train_command
+from fgrecon.cli.training.prior_build import build_command
+from fgrecon.cli.training.prior_learn import learn_command
+from fgrecon.cli.training.vehicles import convert_command
+
+__all__ = ["register"]
+
+
+def register(groups: Mapping[str, typer.Typer]) -> None:
+    """Add the commands to the groups of `fgrecon`, by name."""
+    keypoints, prior = groups["keypoints"], groups["prior"]
+    keypoints.command("evaluate")(evaluate_command)
+    keypoints.command("silhouettes")(silhouettes_command)
+    keypoints.command("train")(train_command)
+    prior.command("build")(build_command)
+    prior.command("learn")(learn_command)
+    groups["vehicles"].command("convert")(convert_command)

@@ -1,0 +1,167 @@
+"""Pinhole camera with optional OpenCV lens distortion, and the ground plane seen from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fgrecon.core.checks import as_finite
+from fgrecon.core.errors import InvalidInputError
+
+__all__ = ["MIN_DEPTH", "Camera", "Ground"]
+
+MIN_DEPTH = 0.3
+"""Nothing may be nearer to the camera than this, metres."""
+
+_LARGEST = 1e9
+"""No focal length is longer, in pixels; beyond, squares of numbers soon overflow."""
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """Pinhole camera: pixel = K [x/z, y/z, 1], pixel centres at integer coordinates.
+
+    Attributes:
+        matrix: (3, 3) upper triangular intrinsics K with last row (0, 0, 1); a skew is allowed.
+        distortion: OpenCV distortion coefficients (4, 5, 8, 12 or 14 numbers), or None.
+        image_size: (width, height) in pixels where known, else None.
+    """
+
+    matrix: NDArray[np.float64]
+    distortion: NDArray[np.float64] | None = None
+    image_size: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        """Check the matrix and the coefficients.
+
+        Raises:
+            InvalidInputError: The matrix is singular or not upper triangular, or the number of coefficients is wrong.
+        """
+        matrix = as_finite("intrinsics", self.matrix, (3, 3), "Give the 3x3 camera matrix K.")
+        if matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
+            raise InvalidInputError("intrinsics", matrix.diagonal()[:2].tolist(), "Give positive focal lengths fx, fy.")
+        if np.abs(matrix).max() > _LARGEST or min(matrix[0, 0], matrix[1, 1]) < 1.0 / _LARGEST:
+            raise InvalidInputError(
+                "intrinsics", matrix.tolist(), f"Give pixels, from {1 / _LARGEST:g} to {_LARGEST:g}."
+            )
+        if np.any(matrix[[1, 2, 2], [0, 0, 1]] != 0) or matrix[2, 2] != 1:
+            raise InvalidInputError("intrinsics", matrix.tolist(), "Give [[fx, s, cx], [0, fy, cy], [0, 0, 1]].")
+        object.__setattr__(self, "matrix", matrix)
+        if self.distortion is not None:
+            coefficients = as_finite("distortion", self.distortion, (None,))
+            if len(coefficients) not in (4, 5, 8, 12, 14):
+                raise InvalidInputError(
+                    "distortion", f"{len(coefficients)} coefficients", "Give 4, 5, 8, 12 or 14 (OpenCV's order)."
+                )
+            object.__setattr__(self, "distortion", coefficients if coefficients.any() else None)
+
+    @classmethod
+    def of(cls, intrinsics: Camera | ArrayLike, distortion: ArrayLike | None = None) -> Camera:
+        """A camera from K (3, 3), from (fx, fy, cx, cy), or unchanged where it is one already.
+
+        A distortion given beside a camera takes the place of the camera's own.
+
+        Raises:
+            InvalidInputError: The intrinsics are neither.
+        """
+        coefficients = None if distortion is None else as_finite("distortion", distortion, (None,))
+        if isinstance(intrinsics, Camera):
+            return intrinsics if coefficients is None else replace(intrinsics, distortion=coefficients)
+        if np.shape(intrinsics) == (4,):
+            fx, fy, cx, cy = as_finite("intrinsics", intrinsics, (4,))
+            return cls(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), coefficients)
+        fix = "Give the 3x3 camera matrix K, or fx, fy, cx, cy."
+        return cls(as_finite("intrinsics", intrinsics, (3, 3), fix), coefficients)
+
+    def project(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Pixels (..., 2) of points (..., 3) in the camera frame, without distortion."""
+        homogeneous = np.asarray(points, dtype=np.float64) @ self.matrix.T
+        pixels: NDArray[np.float64] = homogeneous[..., :2] / homogeneous[..., 2:]
+        return pixels
+
+    def rays(self, pixels: ArrayLike) -> NDArray[np.float64]:
+        """Directions (..., 3) with z = 1 of undistorted pixels (..., 2)."""
+        pixels = np.asarray(pixels, dtype=np.float64)
+        homogeneous = np.concatenate([pixels, np.ones_like(pixels[..., :1])], axis=-1)
+        directions: NDArray[np.float64] = homogeneous @ np.linalg.inv(self.matrix).T
+        return directions
+
+    def undistort(self, pixels: ArrayLike) -> NDArray[np.float64]:
+        """Pixels (M, 2) as the ideal pinhole camera with the same K sees them; NaN rows stay NaN."""
+        pixels = np.array(pixels, dtype=np.float64)
+        if self.distortion is None or not len(pixels):
+            return pixels
+        import cv2  # on use: importing fgrecon must not import OpenCV
+
+        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
+        seen = np.isfinite(pixels).all(axis=1)
+        if seen.any():
+            ideal: Any = cv2.undistortPoints(
+                pixels[seen][:, None], self.matrix, self.distortion, P=self.matrix, criteria=criteria
+            )
+            pixels[seen] = ideal[:, 0]
+        return pixels
+
+    def distort(self, pixels: ArrayLike) -> NDArray[np.float64]:
+        """The reverse of `undistort`: where the real camera images ideal pixels (M, 2)."""
+        pixels = np.array(pixels, dtype=np.float64)
+        if self.distortion is None or not len(pixels):
+            return pixels
+        import cv2
+
+        zero = np.zeros(3)
+        projected: Any = cv2.projectPoints(self.rays(pixels), zero, zero, self.matrix, self.distortion)[0]
+        pixels[:] = projected[:, 0]
+        return pixels
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """The ground plane in the camera frame: points with normal . x = distance.
+
+    Attributes:
+        normal: (3,) unit vector pointing down, into the ground.
+        distance: Height of the camera above the ground, metres.
+        height_sigma: How far a vehicle's origin may lie off the plane near the camera (1 sigma, metres).
+        slope_sigma: Uncertainty of the plane's slope (1 sigma, radians): at depth z the origin may lie
+            hypot(height_sigma, slope_sigma z) off the plane. The defaults are those of KITTI's labelled cars about a
+            level plane 1.65 m below the camera.
+        tilt_sigma: How far its down axis may lean from the normal (1 sigma, radians).
+    """
+
+    normal: NDArray[np.float64]
+    distance: float
+    height_sigma: float = 0.1
+    slope_sigma: float = 0.0125
+    tilt_sigma: float = 0.03
+
+    def __post_init__(self) -> None:
+        """Check and normalise the plane.
+
+        Raises:
+            InvalidInputError: The normal has no length or points up, or a number is not positive.
+        """
+        normal = as_finite("ground.normal", self.normal, (3,))
+        length = float(np.linalg.norm(normal))
+        if length < 1e-9:
+            raise InvalidInputError("ground.normal", normal.tolist(), "Give a vector of length above zero.")
+        if normal[1] <= 0:
+            raise InvalidInputError("ground.normal", normal.tolist(), "Let the normal point down (positive y).")
+        object.__setattr__(self, "normal", normal / length)
+        for field in ("distance", "height_sigma", "slope_sigma", "tilt_sigma"):
+            value = getattr(self, field)
+            if not (np.isfinite(value) and value > 0):
+                raise InvalidInputError(f"ground.{field}", value, "Give a positive number.")
+
+    def height_sigma_at(self, depth: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Standard deviation in metres of an origin's height over the plane at depths (...,) in metres."""
+        sigma: NDArray[np.float64] = np.hypot(self.height_sigma, self.slope_sigma * depth)
+        return sigma
+
+    @classmethod
+    def level(cls, camera_height: float) -> Ground:
+        """The ground under a level camera at a height in metres (KITTI: 1.65)."""
+        return cls(np.array([0.0, 1.0, 0.0]), camera_height)

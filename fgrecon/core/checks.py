@@ -1,0 +1,43 @@
+"""Validation of array arguments: one place that turns bad input into `InvalidInputError`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fgrecon.core.errors import InvalidInputError
+
+__all__ = ["as_finite", "as_shape"]
+
+
+def as_shape(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: str = "") -> NDArray[np.float64]:
+    """Convert to a float64 array of the given shape (`None` matches any length); values are not checked.
+
+    Raises:
+        InvalidInputError: `value` is not numeric or has another shape.
+    """
+    wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidInputError(field, value, fix or f"Give numbers in an array of shape {wanted}.") from error
+    matches = array.ndim == len(shape) and all(w is None or n == w for n, w in zip(array.shape, shape, strict=True))
+    if not matches:
+        raise InvalidInputError(field, f"shape {array.shape}", fix or f"Give an array of shape {wanted}.")
+    return array
+
+
+def as_finite(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: str = "") -> NDArray[np.float64]:
+    """Like `as_shape`, and every element must be finite.
+
+    Raises:
+        InvalidInputError: Also where an element is NaN or infinite.
+    """
+    array = as_shape(field, value, shape, fix)
+    if not np.isfinite(array).all():
+        where: Any = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        place = f"[{', '.join(map(str, where))}]" if where else ""
+        raise InvalidInputError(field + place, float(array[where]), fix or "Give finite numbers only.")
+    return array

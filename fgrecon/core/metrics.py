@@ -1,0 +1,220 @@
+"""The measures of every table: pure functions on arrays, one instance per row.
+
+An instance for which a method fails, refuses or crashes carries NaN as its estimate. It then counts as 180 degrees of
+orientation error and as infinitely far away, and stays in every denominator: nothing is ever left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fgrecon.core.checks import as_finite, as_shape
+from fgrecon.core.errors import InvalidInputError
+
+__all__ = [
+    "FAILURE_DEGREES",
+    "THRESHOLDS",
+    "closest_shape",
+    "hausdorff_distance",
+    "instances_within",
+    "keypoint_error",
+    "keypoint_precision",
+    "orientation_error",
+    "orientation_precision",
+    "rotation_error",
+    "translation_error",
+    "wrap_angle",
+]
+
+FAILURE_DEGREES = 180.0
+"""Orientation error of an instance without an estimate."""
+
+THRESHOLDS = (5, 15, 30)
+"""Thresholds of the average orientation precision, degrees."""
+
+
+def wrap_angle(angle: ArrayLike) -> NDArray[np.float64]:
+    """Angles in radians brought to [-pi, pi)."""
+    wrapped: NDArray[np.float64] = np.mod(np.asarray(angle, dtype=np.float64) + np.pi, 2.0 * np.pi) - np.pi
+    return wrapped
+
+
+def orientation_error(estimated: ArrayLike, true: ArrayLike) -> NDArray[np.float64]:
+    """Difference of two yaws on the full circle (never modulo 180: front and back are different).
+
+    Args:
+        estimated: (M,) yaw of each instance, radians; NaN where the method failed.
+        true: (M,) its true yaw, radians.
+
+    Returns:
+        (M,) error in degrees, from 0 to 180; 180 where the method failed.
+
+    Raises:
+        InvalidInputError: The lengths differ or a true yaw is not finite.
+    """
+    truth = as_finite("true", true, (None,))
+    difference = np.degrees(np.abs(wrap_angle(as_shape("estimated", estimated, truth.shape) - truth)))
+    return np.where(np.isnan(difference), FAILURE_DEGREES, difference)
+
+
+def instances_within(errors: ArrayLike, threshold: float) -> int:
+    """Number of errors of at most `threshold` (same unit as the errors)."""
+    return int(np.count_nonzero(as_shape("errors", errors, (None,)) <= threshold))
+
+
+def orientation_precision(errors: ArrayLike, threshold: float) -> float:
+    """Average orientation precision (AOP): fraction of instances with an error of at most `threshold`.
+
+    Args:
+        errors: (M,) orientation errors, degrees.
+        threshold: Degrees.
+
+    Returns:
+        Fraction from 0 to 1 of all M instances.
+
+    Raises:
+        InvalidInputError: There is no instance.
+    """
+    count = len(as_shape("errors", errors, (None,)))
+    if not count:
+        raise InvalidInputError("errors", "no instance", "Give at least one.")
+    return instances_within(errors, threshold) / count
+
+
+def translation_error(estimated: ArrayLike, true: ArrayLike) -> NDArray[np.float64]:
+    """Euclidean distance between estimated and true object origin.
+
+    Args:
+        estimated: (M, 3) origins in metres, NaN where the method failed; same frame as the true ones.
+        true: (M, 3) true origins, metres.
+
+    Returns:
+        (M,) distance in metres; infinite where the method failed, so that a median counts it as worst.
+
+    Raises:
+        InvalidInputError: The shapes differ or a true origin is not finite.
+    """
+    truth = as_finite("true", true, (None, 3))
+    distance: NDArray[np.float64] = np.linalg.norm(as_shape("estimated", estimated, truth.shape) - truth, axis=1)
+    return np.where(np.isnan(distance), np.inf, distance)
+
+
+def rotation_error(estimated: ArrayLike, true: ArrayLike) -> NDArray[np.float64]:
+    """Geodesic distance between rotations: the angle of the rotation that takes one into the other.
+
+    Args:
+        estimated: (M, 3, 3) rotation matrices, NaN where the method failed.
+        true: (M, 3, 3) true rotation matrices.
+
+    Returns:
+        (M,) angle in degrees, from 0 to 180; 180 where the method failed.
+
+    Raises:
+        InvalidInputError: The shapes differ or a true rotation is not finite.
+    """
+    truth = as_finite("true", true, (None, 3, 3))
+    relative = np.swapaxes(truth, 1, 2) @ as_shape("estimated", estimated, truth.shape)
+    # atan2 of sine and cosine stays exact near 0 and near 180 degrees, where arccos of the trace loses half the digits
+    axis = relative[:, (2, 0, 1), (1, 2, 0)] - relative[:, (1, 2, 0), (2, 0, 1)]
+    sine, cosine = np.linalg.norm(axis, axis=1), np.trace(relative, axis1=1, axis2=2) - 1.0
+    angle = np.degrees(np.arctan2(sine, cosine))
+    return np.where(np.isnan(angle), FAILURE_DEGREES, angle)
+
+
+def keypoint_precision(
+    estimated: ArrayLike, true: ArrayLike, boxes: ArrayLike, alpha: float = 0.1
+) -> NDArray[np.float64]:
+    """Precision of each keypoint (APK): how often it lies within `alpha * max(h, w)` of the truth.
+
+    Args:
+        estimated: (M, K, 2) keypoints in pixels; NaN where the method failed or gave no such point (then it is wrong).
+        true: (M, K, 2) annotated keypoints in pixels; NaN where a point is not annotated (then it is not scored).
+        boxes: (M, 4) 2D boxes x1, y1, x2, y2 in pixels.
+        alpha: Tolerance relative to the longer side of the box.
+
+    Returns:
+        (K,) fraction of the annotated instances of each keypoint that are right; NaN where it is never annotated. The
+        mean over the keypoints (`np.nanmean`) is the APK of the paper's tables.
+
+    Raises:
+        InvalidInputError: The shapes do not fit together, or `alpha` is not positive.
+    """
+    if not alpha > 0:
+        raise InvalidInputError("alpha", alpha, "Give a positive number.")
+    truth = as_shape("true", true, (None, None, 2))
+    points = as_shape("estimated", estimated, truth.shape)
+    corners = as_finite("boxes", boxes, (len(truth), 4))
+    tolerance = alpha * (corners[:, 2:] - corners[:, :2]).max(axis=1, initial=0.0)
+    annotated = ~np.isnan(truth).any(axis=2)
+    right = annotated & (np.linalg.norm(points - truth, axis=2) <= tolerance[:, None])
+    scored = annotated.sum(axis=0)
+    return np.where(scored > 0, right.sum(axis=0) / np.maximum(scored, 1), np.nan)
+
+
+def keypoint_error(estimated: ArrayLike, true: ArrayLike) -> NDArray[np.float64]:
+    """Distance of each estimated 3D keypoint from its true position.
+
+    Args:
+        estimated: (..., K, 3) keypoints in metres; NaN where the method failed.
+        true: (..., K, 3) true keypoints in the same frame: the object frame to score the shape alone, the camera frame
+            to score pose and shape.
+
+    Returns:
+        (..., K) distances in metres, infinite where the method failed.
+
+    Raises:
+        InvalidInputError: The shapes differ or a true keypoint is not finite.
+    """
+    truth = np.asarray(true, dtype=np.float64)
+    truth = as_finite("true", truth, (*truth.shape[:-1], 3))
+    distance: NDArray[np.float64] = np.linalg.norm(as_shape("estimated", estimated, truth.shape) - truth, axis=-1)
+    return np.where(np.isnan(distance), np.inf, distance)
+
+
+def hausdorff_distance(first: ArrayLike, second: ArrayLike) -> float:
+    """Symmetric Hausdorff distance between two sets of points, such as the keypoints of two wireframes.
+
+    Args:
+        first: (P, 3) points, metres.
+        second: (Q, 3) points in the same frame, metres.
+
+    Returns:
+        The largest distance in metres from a point of either set to the nearest point of the other.
+
+    Raises:
+        InvalidInputError: A set is empty, of the wrong shape or not finite.
+    """
+    from scipy.spatial import cKDTree  # on use: importing the metrics alone stays fast
+
+    sets: Sequence[NDArray[np.float64]] = (
+        as_finite("first", first, (None, 3)),
+        as_finite("second", second, (None, 3)),
+    )
+    for field, points in zip(("first", "second"), sets, strict=True):
+        if not len(points):
+            raise InvalidInputError(field, "no points", "Give at least one point.")
+    a, b = sets
+    return float(max(cKDTree(b).query(a)[0].max(), cKDTree(a).query(b)[0].max()))
+
+
+def closest_shape(points: ArrayLike, candidates: Sequence[ArrayLike]) -> tuple[int, float]:
+    """Which of several shapes, such as a folder of CAD models, is closest to a wireframe.
+
+    Args:
+        points: (P, 3) points, metres, in the object frame.
+        candidates: At least one shape (Q, 3) in the same frame, each with a number of points of its own.
+
+    Returns:
+        Index of the closest candidate and its Hausdorff distance in metres; the first of several that are equal.
+
+    Raises:
+        InvalidInputError: There is no candidate, or a set is empty, of the wrong shape or not finite.
+    """
+    if not len(candidates):
+        raise InvalidInputError("candidates", "none", "Give at least one shape.")
+    distances = [hausdorff_distance(points, candidate) for candidate in candidates]
+    best = int(np.argmin(distances))
+    return best, distances[best]

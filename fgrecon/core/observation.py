@@ -1,0 +1,96 @@
+"""What is known about one vehicle in one image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.checks import as_finite, as_shape
+from fgrecon.core.errors import InvalidInputError
+
+__all__ = ["Observation"]
+
+_LARGEST = 1e7
+"""No image is larger, in pixels; beyond, squares of numbers soon overflow."""
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """Keypoints of one vehicle, as a detector or a person gave them.
+
+    Attributes:
+        keypoints: (K, 2) pixels (u, v); NaN rows are keypoints without any measurement.
+        confidence: (K,) in [0, 1]: how probable it is that the point is visible and right; 0 where not measured.
+        box: (4,) 2D box x1, y1, x2, y2 of the vehicle in pixels, or None.
+        covariance: (K, 2, 2) covariance of each keypoint in square pixels, or None.
+    """
+
+    keypoints: NDArray[np.float64]
+    confidence: NDArray[np.float64]
+    box: NDArray[np.float64] | None = None
+    covariance: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        """Check shapes and values; a missing keypoint gets confidence 0.
+
+        Raises:
+            InvalidInputError: Wrong shapes, infinite pixels or such as no image has, confidences outside [0, 1], a box
+                of no size, or a covariance that is not symmetric positive definite.
+        """
+        set_ = object.__setattr__
+        keypoints = as_shape("keypoints", self.keypoints, (None, 2))
+        missing: NDArray[np.bool_] = np.any(np.isnan(keypoints), axis=1)
+        if np.isinf(keypoints).any():
+            raise InvalidInputError("keypoints", "an infinite pixel", "Give finite pixels, or NaN where not measured.")
+        _check_size("keypoints", keypoints[~missing])
+        confidence = as_shape("confidence", self.confidence, (len(keypoints),))
+        given = confidence[~missing]
+        outside = given[~((given >= 0) & (given <= 1))]
+        if len(outside):
+            raise InvalidInputError("confidence", float(outside[0]), "Give numbers from 0 to 1.")
+        set_(self, "keypoints", np.where(missing[:, None], np.nan, keypoints))
+        set_(self, "confidence", np.where(missing, 0.0, confidence))
+        if self.box is not None:
+            box = as_finite("box", self.box, (4,), "Give x1, y1, x2, y2 in pixels.")
+            if not (box[2] - box[0] >= 1 and box[3] - box[1] >= 1):
+                raise InvalidInputError("box", box.tolist(), "Give x1 < x2 and y1 < y2, at least a pixel apart.")
+            _check_size("box", box)
+            set_(self, "box", box)
+        if self.covariance is not None:
+            covariance = as_shape("covariance", self.covariance, (len(keypoints), 2, 2))
+            _check_covariances(covariance[~missing])
+            set_(self, "covariance", np.where(missing[:, None, None], np.eye(2), covariance))
+
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """(K,) whether a keypoint has a measurement."""
+        finite: NDArray[np.bool_] = np.isfinite(self.keypoints[:, 0])
+        return finite
+
+    @property
+    def extent(self) -> float:
+        """max(h, w) of the box in pixels, or of the measured keypoints where no box is given."""
+        if self.box is not None:
+            return float(max(self.box[2] - self.box[0], self.box[3] - self.box[1]))
+        points = self.keypoints[self.measured]
+        return float(np.ptp(points, axis=0).max()) if len(points) else 0.0
+
+
+def _check_size(field: str, pixels: NDArray[np.float64]) -> None:
+    largest = float(np.abs(pixels).max(initial=0.0))
+    if largest > _LARGEST:
+        raise InvalidInputError(field, largest, f"Give pixels of an image, at most {_LARGEST:g}.")
+
+
+def _check_covariances(covariance: NDArray[np.float64]) -> None:
+    fix = "Give symmetric positive definite 2x2 matrices in square pixels."
+    if not np.isfinite(covariance).all():
+        raise InvalidInputError("covariance", "NaN or infinite", fix)
+    _check_size("covariance", np.sqrt(np.abs(covariance)))
+    if covariance.size and (
+        np.abs(covariance[:, 0, 1] - covariance[:, 1, 0]).max() > 1e-6 * np.abs(covariance).max()
+        or np.linalg.eigvalsh(covariance).min() <= 0
+    ):
+        raise InvalidInputError("covariance", "not symmetric positive definite", fix)

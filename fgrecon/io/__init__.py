@@ -1,0 +1,1 @@
+"""Every reader and writer: keypoint files, boxes, calibrations, labels, images, priors, results."""

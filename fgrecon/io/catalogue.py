@@ -1,0 +1,224 @@
+"""Categories and shape priors from files: the shipped ones by name, others by path.
+
+A category is a JSON file, a prior an npz file without pickled content. In a prior's file:
+
+| array | shape | content |
+|---|---|---|
+| `format` | () | `fgrecon.shape_prior/1` |
+| `category`, `provenance` | () | JSON text |
+| `name` | () | text |
+| `mean`, `basis`, `offset_sigma`, `explained` | (K, 3), (N, K, 3), (K,), (N,) | as in `ShapePrior` |
+| `surface_mean`, `surface_basis`, `surface_faces` | (V, 3), (N, V, 3), (F, 3) | as in `Surface`; all or none |
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from collections.abc import Mapping
+from functools import lru_cache
+from importlib import resources
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.category import Category
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.shape_prior import ShapePrior, Surface
+from fgrecon.io.files import write_bytes
+
+__all__ = ["PRIOR_FORMAT", "load_category", "load_prior", "save_prior", "shipped_categories", "shipped_priors"]
+
+PRIOR_FORMAT = "fgrecon.shape_prior/1"
+_SURFACE = ("surface_mean", "surface_basis", "surface_faces")
+_ARRAYS = ("mean", "basis", "offset_sigma", "explained")
+
+
+def shipped_categories() -> tuple[str, ...]:
+    """Names of the categories that come with fgrecon."""
+    return _shipped("categories", ".json")
+
+
+def shipped_priors() -> tuple[str, ...]:
+    """Names of the shape priors that come with fgrecon."""
+    return _shipped("priors", ".npz")
+
+
+def load_category(source: Category | str | Path) -> Category:
+    """A category by its name (`car14`) or from its JSON file; a category is returned as it is.
+
+    Raises:
+        InvalidInputError: Neither a known name nor a readable file, or a field is wrong; names file and field.
+    """
+    if isinstance(source, Category):
+        return source
+    if isinstance(source, str) and source in shipped_categories():
+        return _shipped_category(source)
+    content = _read(Path(source), "category", shipped_categories())
+    return _category_from_json(str(source), content)
+
+
+def load_prior(source: ShapePrior | str | Path) -> ShapePrior:
+    """A shape prior by its name (`car14`) or from an npz file; a prior is returned as it is.
+
+    The arrays of a loaded prior are read-only, since a shipped prior is read once and shared.
+
+    Raises:
+        InvalidInputError: Neither a known name nor a readable file, pickled content, or an array is missing or
+            wrong; names file and field.
+    """
+    if isinstance(source, ShapePrior):
+        return source
+    if not isinstance(source, str | Path):
+        raise InvalidInputError("prior", source, f"Give a prior, a path, or one of {', '.join(shipped_priors())}.")
+    if isinstance(source, str) and source in shipped_priors():
+        return _shipped_prior(source)
+    return _prior_from_npz(str(source), _read(Path(source), "prior", shipped_priors()))
+
+
+def save_prior(prior: ShapePrior, path: str | Path) -> Path:
+    """Write a prior to an npz file, whole or not at all; `load_prior` reads the same numbers back.
+
+    Arrays are stored as float32 where that loses nothing. The same prior gives the same bytes.
+
+    Returns:
+        The path written to.
+
+    Raises:
+        InvalidInputError: The file does not end in `.npz`, or cannot be written.
+    """
+    path = Path(path)
+    if path.suffix != ".npz":
+        raise InvalidInputError(str(path), path.suffix, "Give a file name that ends in .npz.")
+    arrays: dict[str, Any] = {
+        "format": np.array(PRIOR_FORMAT),
+        "category": np.array(json.dumps(prior.category.to_dict())),
+        "provenance": np.array(json.dumps(dict(prior.provenance))),
+        "name": np.array(prior.name),
+        **{field: _compact(getattr(prior, field)) for field in _ARRAYS},
+    }
+    if prior.surface is not None:
+        arrays["surface_mean"] = _compact(prior.surface.mean)
+        arrays["surface_basis"] = _compact(prior.surface.basis)
+        arrays["surface_faces"] = prior.surface.faces
+    buffer = io.BytesIO()
+    np.savez(buffer, allow_pickle=False, **arrays)
+    return write_bytes(path, buffer.getvalue())
+
+
+def _folder(kind: str) -> Traversable:
+    return resources.files("fgrecon").joinpath("data", kind)
+
+
+@lru_cache
+def _shipped(kind: str, suffix: str) -> tuple[str, ...]:
+    names = (file.name for file in _folder(kind).iterdir())
+    return tuple(sorted(name.removesuffix(suffix) for name in names if name.endswith(suffix)))
+
+
+@lru_cache
+def _shipped_category(name: str) -> Category:
+    file = _folder("categories").joinpath(f"{name}.json")
+    return _category_from_json(file.name, file.read_bytes())
+
+
+@lru_cache
+def _shipped_prior(name: str) -> ShapePrior:
+    file = _folder("priors").joinpath(f"{name}.npz")
+    return _prior_from_npz(file.name, file.read_bytes())
+
+
+def _read(path: Path, kind: str, names: tuple[str, ...]) -> bytes:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        fix = f"Give a file that exists, or one of the shipped names: {', '.join(names)}."
+        raise InvalidInputError(kind, str(path), fix) from None
+    except OSError as error:
+        raise InvalidInputError(kind, str(path), f"Give a readable file ({error.strerror or error}).") from error
+
+
+def _json(field: str, content: str | bytes) -> Mapping[str, Any]:
+    try:
+        data = json.loads(content)
+    except (ValueError, RecursionError) as error:
+        raise InvalidInputError(field, f"no JSON: {error}", "Give a file with one JSON object.") from error
+    if not isinstance(data, dict):
+        raise InvalidInputError(field, f"a JSON {type(data).__name__}", "Give a file with one JSON object.")
+    return data
+
+
+def _category_from_json(source: str, content: str | bytes) -> Category:
+    data = _json(source, content)
+    try:
+        return Category.from_dict(data)
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{source}: {error.field}", error.value, error.fix) from error
+
+
+@lru_cache(maxsize=16)  # one object for one content, so that what is prepared for it is found again
+def _prior_from_npz(source: str, content: bytes) -> ShapePrior:
+    fix = "Give an npz file that `fgrecon.io.catalogue.save_prior` or `fgrecon prior` wrote."
+    if not zipfile.is_zipfile(io.BytesIO(content)):
+        raise InvalidInputError(source, "not an npz file", fix)
+    arrays: dict[str, NDArray[Any]] = {}
+    field = "archive"
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
+            for field in archive.files:
+                arrays[field] = archive[field]
+    except (ValueError, zipfile.BadZipFile, OSError, EOFError) as error:
+        pickled = "pickle" in str(error)
+        value = "pickled content, which could run code" if pickled else f"unreadable: {error}"
+        raise InvalidInputError(f"{source}: {field}", value, fix) from error
+    return _prior_from_arrays(source, arrays, fix)
+
+
+def _prior_from_arrays(source: str, arrays: Mapping[str, NDArray[Any]], fix: str) -> ShapePrior:
+    def text(field: str) -> str:
+        if arrays[field].dtype.kind != "U" or arrays[field].ndim != 0:
+            raise InvalidInputError(f"{source}: {field}", f"{arrays[field].dtype} {arrays[field].shape}", fix)
+        return str(arrays[field])
+
+    surface_fields = _SURFACE if any(field in arrays for field in _SURFACE) else ()
+    for field in ("format", "category", "provenance", "name", *_ARRAYS, *surface_fields):
+        if field not in arrays:
+            raise InvalidInputError(f"{source}: {field}", "no such array", fix)
+    if text("format") != PRIOR_FORMAT:
+        raise InvalidInputError(f"{source}: format", text("format"), f"Give a file in the format {PRIOR_FORMAT}.")
+    try:
+        surface = Surface(*(arrays[field] for field in _SURFACE)) if surface_fields else None
+        prior = ShapePrior(
+            category=_category_from_json("category", text("category")),
+            mean=arrays["mean"],
+            basis=arrays["basis"],
+            offset_sigma=arrays["offset_sigma"],
+            explained=arrays["explained"],
+            surface=surface,
+            name=text("name"),
+            provenance={str(key): str(value) for key, value in _json("provenance", text("provenance")).items()},
+        )
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{source}: {error.field}", error.value, error.fix) from error
+    _freeze(prior)
+    return prior
+
+
+def _freeze(prior: ShapePrior) -> None:
+    """Make the arrays read-only: a shipped prior is shared by everyone who loads it."""
+    arrays = [getattr(prior, field) for field in _ARRAYS]
+    if prior.surface is not None:
+        arrays += [prior.surface.mean, prior.surface.basis, prior.surface.faces]
+    for array in arrays:
+        array.setflags(write=False)
+
+
+def _compact(array: NDArray[np.float64]) -> NDArray[Any]:
+    """The array as float32 where that loses nothing, else as it is."""
+    with np.errstate(over="ignore"):  # numbers beyond float32 are kept as they are
+        short = array.astype(np.float32)
+    return short if np.array_equal(short.astype(np.float64), array) else array

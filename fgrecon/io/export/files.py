@@ -1,0 +1,58 @@
+"""Chooses the kind of file by the ending of its name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.export.kitti import kitti_text
+from fgrecon.io.export.mesh import glb_bytes, ply_bytes
+from fgrecon.io.export.results import NamedResult
+from fgrecon.io.export.table import csv_text, parquet_bytes
+from fgrecon.io.files import write_bytes
+
+__all__ = ["FORMATS", "check_format", "export"]
+
+_WRITERS: dict[str, Callable[[Sequence[NamedResult]], bytes]] = {
+    "ply": ply_bytes,
+    "glb": glb_bytes,
+    "csv": lambda results: csv_text(results).encode(),
+    "parquet": parquet_bytes,
+    "txt": lambda results: kitti_text(results).encode(),
+}
+
+FORMATS = tuple(_WRITERS)
+"""File types that `export` writes, by the ending of the name."""
+
+
+def check_format(path: str | Path) -> str:
+    """The ending of the name, in lower case.
+
+    Raises:
+        InvalidInputError: Nothing is written with that ending.
+    """
+    kind = Path(path).suffix.lower().removeprefix(".")
+    if kind not in _WRITERS:
+        raise InvalidInputError(str(path), kind or "no ending", f"Let the name end in one of {', '.join(FORMATS)}.")
+    return kind
+
+
+def export(path: str | Path, results: Sequence[NamedResult]) -> Path:
+    """Write results to a file, whole or not at all; the ending of the name chooses the type (see `FORMATS`).
+
+    Args:
+        path: `.ply` or `.glb`: surfaces and wireframes in the camera frame; `.csv` or `.parquet`: one row per vehicle;
+            `.txt`: KITTI's result lines.
+        results: Vehicles; those without a pose are left out, except in tables.
+
+    Returns:
+        The path written to.
+
+    Raises:
+        InvalidInputError: Another ending, the file cannot be written, or there is nothing to write.
+    """
+    kind = check_format(path)
+    if not results:
+        raise InvalidInputError("results", "none", "Give at least one reconstructed vehicle.")
+    return write_bytes(path, _WRITERS[kind](results))

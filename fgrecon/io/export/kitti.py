@@ -1,0 +1,43 @@
+"""Results as lines of KITTI's object evaluation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.io.export.results import NamedResult
+from fgrecon.io.kitti_files import Objects, format_results
+
+__all__ = ["kitti_text"]
+
+_UNKNOWN = -1.0
+_VISIBLE = 0.5
+
+
+def kitti_text(results: Sequence[NamedResult]) -> str:
+    """One line per vehicle: box, size, location in the label frame where its offset is known, yaw and score.
+
+    The 2D box is the observed one, else that of the projected wireframe. The score is the mean weight of the keypoints
+    that the pose shows: it tells how much of what should be seen was found where it should be.
+    """
+    rows = [_row(item) for item in results if item.solved]
+    return format_results(Objects.of_rows(["Car"] * len(rows), np.array(rows).reshape(len(rows), -1)))
+
+
+def _row(item: NamedResult) -> list[float]:
+    """The numeric columns of a result line."""
+    result = item.result
+    x, y, z = result.location - (0.0 if item.label_offset is None else item.label_offset)
+    length, width, height = result.box_size
+    yaw = result.rotation_y
+    alpha = (yaw - np.arctan2(x, z) + np.pi) % (2 * np.pi) - np.pi
+    box = _box(result.wireframe_uv) if item.box is None else item.box
+    visible = result.visibility >= _VISIBLE
+    score = float(result.weights[visible].mean()) if visible.any() else 0.0
+    return [_UNKNOWN, _UNKNOWN, alpha, *box, height, width, length, x, y, z, yaw, score]
+
+
+def _box(pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])

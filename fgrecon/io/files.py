@@ -1,0 +1,75 @@
+"""Writing files whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from fgrecon.core.errors import InvalidInputError
+
+__all__ = ["replacing", "write_bytes", "write_text"]
+
+
+def write_text(path: str | Path, text: str) -> Path:
+    """Write a text file (UTF-8, line ends as given) whole or not at all; see `write_bytes`."""
+    return write_bytes(path, text.encode())
+
+
+def write_bytes(path: str | Path, content: bytes) -> Path:
+    """Write a file so that a reader sees the old content or the new, never a part of it.
+
+    The content goes to a temporary file in the same folder, to the disk, and then takes the place of `path` in one
+    step. When anything fails, `path` is as before and the temporary file is gone. Missing folders are not created:
+    a mistyped path should not succeed.
+
+    Returns:
+        The path written to.
+
+    Raises:
+        InvalidInputError: The folder does not exist or cannot be written to, or `path` is a folder.
+    """
+    with replacing(path) as part:
+        part.write_bytes(content)
+    return Path(path)
+
+
+@contextmanager
+def replacing(path: str | Path) -> Iterator[Path]:
+    """A temporary file beside `path` to write to, which takes its place as `write_bytes` tells.
+
+    Raises:
+        InvalidInputError: As from `write_bytes`.
+    """
+    try:
+        # Follow a link, so that the file behind it is replaced and not the link.
+        target = Path(path).resolve()
+        if target.is_dir():
+            raise IsADirectoryError(f"{target} is a folder")
+        descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
+        part = Path(name)
+        try:
+            with os.fdopen(descriptor, "rb") as file:
+                yield part
+                os.fsync(file.fileno())
+            part.chmod(_mode(target))
+            part.replace(target)
+        except BaseException:
+            part.unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InvalidInputError(
+            str(path), reason, "Give a file in a folder that exists and can be written to."
+        ) from error
+
+
+def _mode(target: Path) -> int:
+    """Permissions of the file that is replaced, else those that the process gives new files."""
+    if target.exists():
+        return target.stat().st_mode & 0o777
+    mask = os.umask(0)  # the mask can only be read by setting it
+    os.umask(mask)
+    return 0o666 & ~mask

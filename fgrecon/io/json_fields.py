@@ -1,0 +1,113 @@
+"""Reading JSON input field by field, with errors that name the file and the field."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.errors import InvalidInputError
+
+__all__ = ["Fields", "numbers", "read_json"]
+
+_ARTICLES = {int: "an integer", str: "a text", list: "a list", dict: "an object"}
+
+
+def read_json(path: Path) -> Any:
+    """The content of a JSON file.
+
+    Raises:
+        InvalidInputError: The file cannot be read or is not JSON; names it.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InvalidInputError("file", str(path), f"Give a file that can be read ({error.strerror}).") from error
+    except (ValueError, RecursionError) as error:
+        raise InvalidInputError(str(path), str(error), "Give a JSON file in UTF-8.") from error
+
+
+class Fields:
+    """Reads the fields of one JSON object and names the field in every error.
+
+    Attributes:
+        data: The object.
+        where: Put in front of every field that an error names, such as `cars.json: instance 3: `.
+    """
+
+    def __init__(self, data: Any, where: str) -> None:
+        """Take the object.
+
+        Raises:
+            InvalidInputError: It is not an object.
+        """
+        if not isinstance(data, Mapping):
+            raise InvalidInputError(where.rstrip(".: ") or "file", data, "Give a JSON object.")
+        self.data = data
+        self.where = where
+
+    def __contains__(self, field: str) -> bool:
+        """Whether there is such a field and it is not `null`."""
+        return self.data.get(field) is not None
+
+    def get(self, field: str, kind: type) -> Any:
+        """A field of a kind (int, str, list or dict).
+
+        Raises:
+            InvalidInputError: It is missing or of another kind.
+        """
+        if field not in self.data:
+            raise InvalidInputError(f"{self.where}{field}", "nothing", "Give this field.")
+        value = self.data[field]
+        if not isinstance(value, kind) or isinstance(value, bool):
+            raise InvalidInputError(f"{self.where}{field}", value, f"Give {_ARTICLES[kind]}.")
+        return value
+
+    def numbers(self, field: str, shape: tuple[int, ...], *, missing: bool = False) -> NDArray[np.float64]:
+        """An array of exactly this shape; `null` becomes NaN where `missing` allows it, alone or for a whole row.
+
+        Raises:
+            InvalidInputError: The field is missing, of another shape, or an element is not a finite number; names the
+                element.
+        """
+        if field not in self.data:
+            raise InvalidInputError(f"{self.where}{field}", "nothing", "Give this field.")
+        return numbers(self.data[field], shape, f"{self.where}{field}", missing=missing)
+
+
+def numbers(value: Any, shape: tuple[int, ...], field: str, *, missing: bool = False) -> NDArray[np.float64]:
+    """Nested lists as an array; see `Fields.numbers`."""
+    array = np.empty(shape)
+    _fill(array, (), value, field, missing)
+    return array
+
+
+def _fill(array: NDArray[np.float64], at: tuple[int, ...], value: Any, field: str, missing: bool) -> None:
+    """Checks leaf by leaf: numpy would take `"NaN"` and `true` for numbers and could not say which leaf is bad."""
+    depth = len(at)
+    if missing and value is None and depth:
+        array[at] = np.nan
+        return
+    if depth == array.ndim:
+        array[at] = _number(value, field)
+        return
+    length = array.shape[depth]
+    if not isinstance(value, list) or len(value) != length:
+        got = f"{len(value)} elements" if isinstance(value, list) else value
+        raise InvalidInputError(field, got, f"Give a list of {length}.")
+    for i, item in enumerate(value):
+        _fill(array, (*at, i), item, f"{field}[{i}]", missing)
+
+
+def _number(value: Any, field: str) -> float:
+    try:
+        if not isinstance(value, bool) and isinstance(value, int | float) and math.isfinite(value):
+            return float(value)
+    except OverflowError:  # an integer beyond the range of floats
+        pass
+    raise InvalidInputError(field, value, "Give a finite number.")

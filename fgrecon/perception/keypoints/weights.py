@@ -1,0 +1,133 @@
+"""The network's weights as a safetensors file: half precision, with sizes and calibration beside them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.files import write_bytes
+from fgrecon.perception.keypoints.decode import Calibration
+
+__all__ = ["FORMAT", "Stored", "load_weights", "mean_state", "save_weights", "shipped"]
+
+FORMAT = "fgrecon.keypoints/1"
+
+_NAME = "keypoints-car14.safetensors"
+_KNET, _REFINEMENT = "knet.", "refine."
+
+
+@dataclass(frozen=True)
+class Stored:
+    """A network as it is kept.
+
+    Attributes:
+        state: Tensors by name.
+        settings: Sizes of the network.
+        calibration: From its outputs to confidences.
+        provenance: Learnt from what (plain strings).
+        refinement: Tensors of the refinement networks, or None without them.
+        refine_settings: Their sizes, or None.
+        trust: How much their likelihoods count beside KNet's.
+    """
+
+    state: Mapping[str, Any]
+    settings: Mapping[str, int]
+    calibration: Calibration
+    provenance: Mapping[str, str]
+    refinement: Mapping[str, Any] | None = None
+    refine_settings: Mapping[str, int] | None = None
+    trust: float = 0.5
+
+
+def mean_state(first: Mapping[str, Any], second: Mapping[str, Any], share: float) -> dict[str, Any]:
+    """`second` with `share` of `first` in its weights; what only `second` has is taken over.
+
+    The mean of a network and of what further training made of it does better on other images than either
+    (Wortsman et al., Robust fine-tuning of zero-shot models, CVPR 2022).
+
+    Args:
+        first: Tensors by name.
+        second: The same, trained on from them.
+        share: From 0 to 1.
+    """
+    return {
+        name: share * first[name].to(value) + (1.0 - share) * value
+        if name in first and value.dtype.is_floating_point
+        else value
+        for name, value in second.items()
+    }
+
+
+def shipped() -> Path:
+    """The file that comes with the package.
+
+    Raises:
+        InvalidInputError: This installation has none.
+    """
+    path = Path(str(resources.files("fgrecon") / "data" / "weights" / _NAME))
+    if not path.is_file():
+        fix = "Train a network with `fgrecon keypoints train` and give its file, or give the keypoints yourself."
+        raise InvalidInputError("weights", "this installation has no keypoint network", fix)
+    return path
+
+
+def save_weights(path: Path, stored: Stored) -> Path:
+    """Write a network; numbers become half precision (the loss in accuracy is far below a pixel)."""
+    import torch
+    from safetensors.torch import save
+
+    tensors = {}
+    parts = {_KNET: stored.state, _REFINEMENT: stored.refinement or {}}
+    for name, value in ((part + name, value) for part, state in parts.items() for name, value in state.items()):
+        if value.dtype.is_floating_point:
+            value = value.clamp(-6e4, 6e4).to(torch.float16)
+        if not name.endswith("num_batches_tracked"):
+            tensors[name] = value.cpu().contiguous().clone()
+    about = {
+        "format": FORMAT,
+        "settings": json.dumps(dict(stored.settings)),
+        "calibration": json.dumps(stored.calibration.to_dict()),
+        "provenance": json.dumps(dict(stored.provenance)),
+        "refinement": json.dumps(stored.refine_settings and dict(stored.refine_settings)),
+        "trust": json.dumps(stored.trust),
+    }
+    return write_bytes(path, save(tensors, about))
+
+
+def load_weights(path: Path) -> Stored:
+    """Read a network.
+
+    Raises:
+        InvalidInputError: The file cannot be read or is no network of ours.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    fix = "Give a file that `fgrecon keypoints train` wrote."
+    try:
+        with safe_open(str(path), framework="pt") as file:
+            about = file.metadata() or {}
+            if about.get("format") != FORMAT:
+                raise InvalidInputError("weights", str(path), fix)
+            tensors = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118
+        state, refinement = (
+            {name.removeprefix(part): value for name, value in tensors.items() if name.startswith(part)}
+            for part in (_KNET, _REFINEMENT)
+        )
+        return Stored(
+            state,
+            json.loads(about["settings"]),
+            Calibration.from_dict(json.loads(about["calibration"])),
+            json.loads(about["provenance"]),
+            refinement or None,
+            json.loads(about["refinement"]),
+            float(about["trust"]),
+        )
+    except (SafetensorError, OSError, ValueError, KeyError) as error:
+        if isinstance(error, InvalidInputError):
+            raise
+        raise InvalidInputError("weights", f"{path}: {error}", fix) from error

@@ -1,0 +1,1 @@
+"""Vehicles, keypoints and images that the project makes itself, with known truth."""

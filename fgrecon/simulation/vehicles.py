@@ -1,0 +1,276 @@
+"""Simulated vehicles with known truth: poses, keypoints as a network would report them, scenes to draw.
+
+Whatever is shown from here is to be called simulated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fgrecon.core.camera import Camera
+from fgrecon.core.category import Category
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.observation import Observation
+from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.simulation.keypoint_noise import HOURGLASS, OUTLIER, NoiseModel, Twins
+from fgrecon.solve.vehicle.visibility import TOLERANCE, clearance
+
+__all__ = [
+    "KITTI_CAMERA",
+    "Truth",
+    "Vehicle",
+    "kitti_like_pose",
+    "label_poses",
+    "simulate",
+    "simulate_many",
+    "simulate_track",
+    "yaw_pose",
+]
+
+KITTI_CAMERA = Camera(
+    np.array([[721.5377, 0.0, 609.5593], [0.0, 721.5377, 172.854], [0.0, 0.0, 1.0]]), image_size=(1242, 375)
+)
+"""The colour camera of KITTI's training drives."""
+_KITTI_HEIGHT = 1.65
+_TRIES = 100
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """A shape to simulate.
+
+    Attributes:
+        category: Its category.
+        keypoints: (K, 3) keypoints, object frame, metres.
+        vertices: (V, 3) surface, object frame, metres.
+        faces: (F, 3) its triangles, counter-clockwise as seen from outside.
+        coefficients: (N,) lambda that made it, or None where no prior did.
+    """
+
+    category: Category
+    keypoints: NDArray[np.float64]
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    coefficients: NDArray[np.float64] | None = None
+
+    @classmethod
+    def of_prior(cls, prior: ShapePrior, coefficients: ArrayLike) -> Vehicle:
+        """The prior's shape at the coefficients (N,); the prior needs a surface."""
+        if prior.surface is None:
+            raise InvalidInputError("prior.surface", None, "Use a prior with a surface.")
+        values = np.asarray(coefficients, dtype=np.float64)
+        return cls(prior.category, prior.keypoints(values), prior.surface.vertices(values), prior.surface.faces, values)
+
+    @classmethod
+    def sample(cls, prior: ShapePrior, rng: np.random.Generator) -> Vehicle:
+        """A random shape of the prior, lambda ~ N(0, I)."""
+        return cls.of_prior(prior, rng.standard_normal(prior.dimension))
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What a simulated observation was made from.
+
+    Attributes:
+        camera_T_object: (4, 4) pose.
+        vehicle: The shape.
+        projections: (K, 2) true pixels of every keypoint.
+        visible: (K,) whether each keypoint can be seen.
+        outlier: (K,) whether each measurement is farther than `OUTLIER` of the box extent from the truth.
+        box: (4,) true 2D box of the surface, x1, y1, x2, y2 in pixels, cut at the image border.
+    """
+
+    camera_T_object: NDArray[np.float64]
+    vehicle: Vehicle
+    projections: NDArray[np.float64]
+    visible: NDArray[np.bool_]
+    outlier: NDArray[np.bool_]
+    box: NDArray[np.float64]
+
+
+def simulate(
+    vehicle: Vehicle,
+    camera: Camera,
+    camera_T_object: NDArray[np.float64],
+    rng: np.random.Generator,
+    noise: NoiseModel = HOURGLASS,
+    hidden: NDArray[np.bool_] | None = None,
+) -> tuple[Observation, Truth]:
+    """Observe a vehicle as a keypoint network would.
+
+    Args:
+        vehicle: The shape.
+        camera: The camera; its lens distortion is applied.
+        camera_T_object: (4, 4) true pose.
+        rng: Source of randomness.
+        noise: The network's mistakes.
+        hidden: (K,) keypoints that something else hides, beside those that the vehicle itself hides.
+
+    Returns:
+        The observation (keypoints, confidences, 2D box) and the truth behind it.
+
+    Raises:
+        InvalidInputError: The vehicle is not wholly in front of the camera, or outside the image.
+    """
+    rotation, translation = camera_T_object[:3, :3], camera_T_object[:3, 3]
+    points = vehicle.keypoints @ rotation.T + translation
+    surface = vehicle.vertices @ rotation.T + translation
+    if min(points[:, 2].min(), surface[:, 2].min()) <= 0.1:
+        raise InvalidInputError("camera_T_object", translation.tolist(), "Put the vehicle in front of the camera.")
+    projections = camera.distort(camera.project(points))
+    outline = camera.distort(camera.project(surface))
+    limit = np.array(camera.image_size or (np.inf, np.inf), dtype=np.float64) - 1.0
+    lowest = 0.0 if camera.image_size else -np.inf
+    box = np.concatenate([outline.min(axis=0), outline.max(axis=0)])
+    measured_box = box + noise.box_sigma * rng.standard_normal(4)
+    box, measured_box = (np.clip(b.reshape(2, 2), lowest, limit).ravel() for b in (box, measured_box))
+    if not (np.diff(measured_box.reshape(2, 2), axis=0) >= 2.0).all():
+        raise InvalidInputError("camera_T_object", translation.tolist(), "Put the vehicle inside the image.")
+
+    centre = -rotation.T @ translation
+    visible = clearance(vehicle.vertices, vehicle.faces, vehicle.keypoints, centre) <= TOLERANCE
+    visible &= ((projections >= lowest) & (projections <= limit)).all(axis=1)
+    if hidden is not None:
+        visible &= ~hidden
+    if rng.random() < noise.covered:
+        visible &= ~_covered(projections[:, 0], box, rng)
+    pixels, confidence = noise.measure(projections, visible, measured_box, Twins.of(vehicle.category), rng)
+    extent = float(max(box[2] - box[0], box[3] - box[1]))
+    outlier = np.linalg.norm(pixels - projections, axis=1) > OUTLIER * extent
+    truth = Truth(camera_T_object, vehicle, projections, visible, outlier, box)
+    return Observation(pixels, confidence, measured_box), truth
+
+
+def simulate_many(
+    vehicles: Sequence[Vehicle] | ShapePrior,
+    count: int,
+    rng: np.random.Generator,
+    noise: NoiseModel = HOURGLASS,
+    camera: Camera = KITTI_CAMERA,
+    poses: NDArray[np.float64] | None = None,
+) -> list[tuple[Observation, Truth]]:
+    """Observe vehicles one by one, independently of one another.
+
+    Args:
+        vehicles: Shapes to draw from, or a prior to sample.
+        count: How many.
+        rng: Source of randomness.
+        noise: The network's mistakes.
+        camera: The camera.
+        poses: (P, 4, 4) poses to draw from, such as `label_poses` gives; those that put a vehicle outside the image
+            are drawn again. None for `kitti_like_pose`.
+
+    Raises:
+        InvalidInputError: None of the poses drawn puts the vehicle into the image.
+    """
+    return [_observe_one(vehicles, rng, noise, camera, poses) for _ in range(count)]
+
+
+def simulate_track(
+    vehicle: Vehicle,
+    frames: int,
+    rng: np.random.Generator,
+    noise: NoiseModel = HOURGLASS,
+    camera: Camera = KITTI_CAMERA,
+) -> list[tuple[Observation, Truth]]:
+    """Observe one vehicle in consecutive frames, ten a second, until it leaves the image or is nearer than 5 m.
+
+    Seen from the camera, it moves along its heading at a constant speed of up to 10 m/s and turns a little. The noise
+    of one frame knows nothing of the others' (a real network's does: about half of its variance is common to a track).
+    """
+    pose = kitti_like_pose(rng, camera)
+    step = np.eye(4)
+    step[:3, :3] = _rotation(1, np.radians(rng.normal(0.0, 0.5)))
+    step[0, 3] = rng.uniform(-1.0, 1.0)
+    track: list[tuple[Observation, Truth]] = []
+    while len(track) < frames and pose[2, 3] > 5.0:
+        try:
+            track.append(simulate(vehicle, camera, pose, rng, noise))
+        except InvalidInputError:
+            break
+        pose = pose @ step
+    return track
+
+
+def label_poses(text: str, nearest: float = 8.0, farthest: float = 45.0) -> NDArray[np.float64]:
+    """Poses (P, 4, 4) of the cars in a label file of KITTI's tracking set, in the labels' camera frame.
+
+    Args:
+        text: Content of the file.
+        nearest: Cars nearer than this, in metres along the camera's axis, are left out,
+        farthest: and so are those farther than this, truncated ones, and those largely occluded.
+    """
+    rows = [line.split() for line in text.splitlines()]
+    cars = [r for r in rows if len(r) >= 17 and r[2] == "Car" and r[3] == "0" and r[4] in ("0", "1")]
+    poses = [yaw_pose(float(r[16]), np.array([float(x) for x in r[13:16]])) for r in cars]
+    return np.array([p for p in poses if nearest <= p[2, 3] <= farthest]).reshape(-1, 4, 4)
+
+
+def _observe_one(
+    vehicles: Sequence[Vehicle] | ShapePrior,
+    rng: np.random.Generator,
+    noise: NoiseModel,
+    camera: Camera,
+    poses: NDArray[np.float64] | None,
+) -> tuple[Observation, Truth]:
+    if isinstance(vehicles, ShapePrior):
+        vehicle = Vehicle.sample(vehicles, rng)
+    else:
+        vehicle = vehicles[int(rng.integers(len(vehicles)))]
+    for _ in range(_TRIES):
+        pose = kitti_like_pose(rng, camera) if poses is None else poses[rng.integers(len(poses))]
+        try:
+            return simulate(vehicle, camera, pose, rng, noise)
+        except InvalidInputError:
+            continue
+    raise InvalidInputError("poses", f"{_TRIES} drawn", "Give poses that put the vehicle into the image.")
+
+
+def _covered(u: NDArray[np.float64], box: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.bool_]:
+    share = rng.uniform(0.1, 0.6)
+    border = box[0] + (box[2] - box[0]) * (share if rng.random() < 0.5 else 1.0 - share)
+    return np.asarray(u < border if border < 0.5 * (box[0] + box[2]) else u > border)
+
+
+def kitti_like_pose(rng: np.random.Generator, camera: Camera = KITTI_CAMERA) -> NDArray[np.float64]:
+    """A pose (4, 4) as cars of KITTI's tracking labels have them.
+
+    Depth is uniform in 8-45 m; x / z is normal with deviation 0.33, kept inside the image; 78 % drive along the road
+    (yaw +-90 degrees with a Laplace spread of 3 degrees), the others stand at any yaw. The camera is 1.65 m above a
+    ground that tilts by 0.7 degrees in pitch and 0.5 in roll (from the spread of the labels' heights).
+    """
+    depth = rng.uniform(8.0, 45.0)
+    width = camera.image_size[0] if camera.image_size is not None else 2.0 * camera.matrix[0, 2]
+    edges = (np.array([0.0, width]) - camera.matrix[0, 2]) / camera.matrix[0, 0] * depth
+    lateral = float(np.clip(0.33 * depth * rng.standard_normal(), edges[0] + 2.0, edges[1] - 2.0))
+    yaw = float(rng.choice([-1, 1])) * np.pi / 2 + np.radians(rng.laplace(0.0, 3.0))
+    if rng.random() < 0.22:
+        yaw = rng.uniform(-np.pi, np.pi)
+    pitch, roll = np.radians([0.7, 0.5]) * rng.standard_normal(2)
+    level = yaw_pose(yaw, np.array([lateral, _KITTI_HEIGHT, depth]))
+    tilt = np.eye(4)
+    tilt[:3, :3] = _rotation(0, pitch) @ _rotation(2, roll)
+    pose: NDArray[np.float64] = tilt @ level
+    return pose
+
+
+def yaw_pose(yaw: float, location: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Pose (4, 4) of a level vehicle from KITTI's rotation_y in radians and its location (3,) in metres."""
+    forward = np.array([np.cos(yaw), 0.0, -np.sin(yaw)])
+    down = np.array([0.0, 1.0, 0.0])
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([forward, down, np.cross(forward, down)], axis=1)
+    pose[:3, 3] = location
+    return pose
+
+
+def _rotation(axis: int, angle: float) -> NDArray[np.float64]:
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    matrix = np.eye(3)
+    matrix[i, i] = matrix[j, j] = np.cos(angle)
+    matrix[i, j], matrix[j, i] = -np.sin(angle), np.sin(angle)
+    return matrix

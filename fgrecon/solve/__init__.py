@@ -1,0 +1,1 @@
+"""From keypoints to pose and shape: proposals, factor graph, result."""

@@ -1,0 +1,201 @@
+"""Pose from weighted 2D-3D correspondences, globally optimal (ASPnP).
+
+The rotation R from the object into the camera frame is represented by a quaternion q without unit norm, |q|^2 = 1 / z
+with z the depth of the points' weighted centroid. Then R / z is quadratic in q and needs no constraint, and z no
+unknown of its own. With X_i counted from the centroid, r1, r2, r3 the rows of R / z, and (t1, t2, 1) the centroid in
+the camera frame divided by z, the cost is
+
+    sum_i w_i [ (r1 X_i + t1 - u_i (1 + r3 X_i))^2 + (r2 X_i + t2 - v_i (1 + r3 X_i))^2 ],
+
+the squared reprojection error times (z_i / z)^2, the squared relative depth of the point. For an object that is small
+against its distance it is the reprojection error. It depends neither on the object frame nor on the unit of length.
+The algebraic cost without the division by z (SQPnP's) shrinks with the distance, which draws noisy solutions towards
+the camera. Solvers that fix one component of q at 1 and leave out the norm weight rotations by how they lie in the
+object frame, and miss those where that component is zero.
+
+t1 and t2 are linear and eliminated. What remains is an even quartic in q, all of whose minima
+`fgrecon.solve.proposals._polynomial` finds at once: there is no start to choose and no rotation is excluded.
+
+References:
+    Zheng, Sugimoto, Okutomi: ASPnP: an accurate and scalable solution to the perspective-n-point problem, IEICE
+    Transactions 2013. Zheng, Kuang, Sugimoto, Astrom, Okutomi: Revisiting the PnP problem: a fast, general and
+    optimal solution, ICCV 2013 (OPnP, whose cost this is, with weights).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fgrecon.core.checks import as_finite, as_shape
+from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
+from fgrecon.solve.proposals import _polynomial
+
+__all__ = ["PnPSolution", "aspnp", "aspnp_cost"]
+
+Array = NDArray[np.float64]
+
+_EXPLAINED = 1e-9  # smallest relative gain over an object at infinity that is no rounding error
+_THICKNESS = 1e-6  # spread across a line, relative to that along it, up to which points count as collinear
+
+
+@dataclass(frozen=True, eq=False)
+class PnPSolution:
+    """A local minimum of the cost.
+
+    Attributes:
+        camera_T_object: (4, 4) rigid transform from the object into the camera frame, in the unit of the points.
+        cost: The cost of the module's docstring, in squared normalised image units times the unit of the weights.
+        rms: sqrt(cost / sum of the weights), normalised image units; times the focal length it is pixels.
+        weight_in_front: Share of the weight, above 0.5 and up to 1, whose points lie in front of the camera.
+    """
+
+    camera_T_object: Array
+    cost: float
+    rms: float
+    weight_in_front: float
+
+
+def aspnp(
+    points: ArrayLike, image_points: ArrayLike, weights: ArrayLike | None = None, *, tolerance: float = 0.05
+) -> tuple[PnPSolution, ...]:
+    """All poses that explain the correspondences about as well as the best one does, best first.
+
+    A planar or a far object often has two such poses, which mirror each other in depth, and three points have up to
+    four. A solution puts the weighted centroid and the points of more than half of the weight in front of the
+    camera. Not all of them: one wrong correspondence must not forbid the pose that the others agree on.
+
+    Args:
+        points: (N, 3) points in the object frame.
+        image_points: (N, 2) where they are seen, as normalised image coordinates (x / z, y / z).
+        weights: (N,) non-negative weights of the squared errors, or None for ones. Rows of weight zero are ignored,
+            whatever they hold.
+        tolerance: How much larger a solution's rms may be than the best one's, relative to the weighted rms distance
+            of the image points from their centroid; `inf` for all local minima.
+
+    Returns:
+        At least one solution, by increasing cost.
+
+    Raises:
+        InvalidInputError: Wrong shapes, values that are not finite, a negative weight or tolerance.
+        DegenerateProblemError: Fewer than three points of positive weight, collinear points, all image points in one
+            place, or no minimum in front of the camera.
+    """
+    if not tolerance >= 0:
+        raise InvalidInputError("tolerance", tolerance, "Give a number that is not negative.")
+    points, image_points, weights = _checked(points, image_points, weights)
+    total = float(weights.sum())
+    w = weights / total
+    centroid = w @ points
+    X, scale = _scaled(points - centroid, w)
+    A, b = _residuals(X, image_points, w)
+    found = _polynomial.minima(_ROWS.T @ (A.T @ A) @ _ROWS, np.tensordot(-2 * b @ A, _FORMS, axes=1))
+
+    squared_length = (found.q * found.q).sum(axis=1)
+    r = _polynomial.products(found.q) @ _ROWS.T
+    rms = np.linalg.norm(r @ A.T - b, axis=1)
+    relative_depth = 1 + r[:, 6:] @ X.T
+    weight_in_front = 1 - (relative_depth <= 0) @ w  # exactly 1 where no point is behind
+    spread = float(np.linalg.norm(b))  # the rms of an object at infinity
+    kept = np.flatnonzero((weight_in_front > 0.5) & (rms < (1 - _EXPLAINED) * spread))
+    if not len(kept):
+        fix = "No pose in front of the camera explains the image points: mend the correspondences."
+        raise DegenerateProblemError("image_points", f"{len(points)} correspondences", fix)
+    kept = kept[np.argsort(rms[kept])]
+    limit = rms[kept[0]] + tolerance * spread
+    solutions = []
+    for i in kept[rms[kept] <= limit]:
+        pose = np.eye(4)
+        pose[:3, :3] = r[i].reshape(3, 3) / squared_length[i]
+        ray = np.append((w * relative_depth[i]) @ image_points, 1.0)
+        pose[:3, 3] = ray * (scale / squared_length[i]) - pose[:3, :3] @ centroid
+        solutions.append(PnPSolution(pose, total * float(rms[i]) ** 2, float(rms[i]), float(weight_in_front[i])))
+    return tuple(solutions)
+
+
+def aspnp_cost(
+    points: ArrayLike, image_points: ArrayLike, weights: ArrayLike | None, camera_T_object: ArrayLike
+) -> float:
+    """The cost that `aspnp` minimises, at any pose; infinite where the centroid is not in front of the camera.
+
+    Args:
+        points: (N, 3) points in the object frame.
+        image_points: (N, 2) normalised image coordinates.
+        weights: (N,) weights, or None for ones.
+        camera_T_object: (4, 4) rigid transform from the object into the camera frame.
+
+    Raises:
+        InvalidInputError: As for `aspnp`.
+        DegenerateProblemError: Fewer than three points of positive weight.
+    """
+    points, image_points, weights = _checked(points, image_points, weights)
+    pose = as_finite("camera_T_object", camera_T_object, (4, 4))
+    in_camera = points @ pose[:3, :3].T + pose[:3, 3]
+    depth = float(weights @ in_camera[:, 2] / weights.sum())
+    if depth <= 0:
+        return float("inf")
+    errors = (in_camera[:, :2] - image_points * in_camera[:, 2:]) / depth
+    return float(weights @ (errors * errors).sum(axis=1))
+
+
+def _checked(points: ArrayLike, image_points: ArrayLike, weights: ArrayLike | None) -> tuple[Array, Array, Array]:
+    """Arrays with at least three rows of positive weight; rows of weight zero are dropped."""
+    points = as_shape("points", points, (None, 3))
+    image_points = as_shape("image_points", image_points, (len(points), 2))
+    weights = np.ones(len(points)) if weights is None else as_finite("weights", weights, (len(points),))
+    if (weights < 0).any():
+        raise InvalidInputError("weights", float(weights.min()), "Give weights that are not negative.")
+    used = weights > 0
+    if np.count_nonzero(used) < 3:
+        found = f"{np.count_nonzero(used)} of {len(points)} above zero"
+        raise DegenerateProblemError("weights", found, "Give at least three points a positive weight.")
+    as_finite("points", np.where(used[:, None], points, 0.0), (None, 3))
+    as_finite("image_points", np.where(used[:, None], image_points, 0.0), (None, 2))
+    return points[used], image_points[used], weights[used]
+
+
+def _scaled(X: Array, w: Array) -> tuple[Array, float]:
+    """Centred points (N, 3) divided by their rms distance from the centroid, and that distance."""
+    spreads = np.linalg.eigvalsh((w[:, None] * X).T @ X)
+    if not spreads[1] > _THICKNESS**2 * spreads[2]:
+        fix = "Give points of positive weight that do not lie on one line."
+        raise DegenerateProblemError("points", f"{len(X)} points on a line", fix)
+    scale = float(np.sqrt(spreads.sum()))
+    return X / scale, scale
+
+
+def _residuals(X: Array, image_points: Array, w: Array) -> tuple[Array, Array]:
+    """A (2N, 9) and b (2N,) with |A r - b|^2 = the cost; r is R / z row by row, t eliminated, w of sum one."""
+    n, root = len(X), np.sqrt(w)
+    uX = image_points.T[:, :, None] * X
+    A = np.zeros((2, n, 9))
+    A[0, :, :3] = A[1, :, 3:6] = X
+    A[:, :, 6:] = (w @ uX)[:, None] - uX
+    b = image_points.T - (w @ image_points)[:, None]
+    if not np.abs(b).max() > 1e-12 * max(1.0, np.abs(image_points).max()):
+        raise DegenerateProblemError("image_points", "all in one place", "Give image points of the visible object.")
+    return (A * root[:, None]).reshape(2 * n, 9), (b * root).ravel()
+
+
+def _rotation_forms() -> tuple[Array, Array]:
+    """The nine entries of |q|^2 R as forms q' F q (9, 4, 4) and as rows (9, 10) that multiply m(q)."""
+    a, b, c, d = np.eye(4)
+
+    def form(x: Array, y: Array) -> Array:
+        return np.outer(x, y) + np.outer(y, x)
+
+    aa, bb, cc, dd = (form(x, x) / 2 for x in (a, b, c, d))
+    forms = np.array(
+        [
+            [aa + bb - cc - dd, form(b, c) - form(a, d), form(b, d) + form(a, c)],
+            [form(b, c) + form(a, d), aa - bb + cc - dd, form(c, d) - form(a, b)],
+            [form(b, d) - form(a, c), form(c, d) + form(a, b), aa - bb - cc + dd],
+        ]
+    ).reshape(9, 4, 4)
+    i, j = _polynomial.PAIRS.T
+    return forms, forms[:, i, j] * np.where(i == j, 1.0, 2.0)
+
+
+_FORMS, _ROWS = _rotation_forms()

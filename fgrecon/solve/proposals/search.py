@@ -1,0 +1,177 @@
+"""Many poses at once: a vectorised Levenberg-Marquardt that keeps the best hypotheses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.geometry import exponential
+from fgrecon.solve.proposals.terms import (
+    BoxTerm,
+    GroundTerm,
+    Hypotheses,
+    KeypointTerm,
+    Quadratic,
+    SizeTerm,
+    coefficient_term,
+)
+
+__all__ = ["PoseProblem", "SearchResult", "search"]
+
+Array = NDArray[np.float64]
+
+_LARGEST_TURN = 0.5  # radians a step may turn: beyond, the linearisation says nothing
+_SETTLED = 1e-4  # nats: once no step changes any energy by more, the search is over
+_ALIKE = np.deg2rad(8.0)  # hypotheses closer than that are one: half the distance of neighbouring starts
+_CALMER, _BOLDER = 0.3, 5.0  # factors on the damping after a good and after a bad step
+
+
+@dataclass(frozen=True)
+class PoseProblem:
+    """What the search minimises: the terms that apply, and how visible keypoints are from a pose.
+
+    Attributes:
+        keypoints: Reprojection term.
+        visibility: Probability (H, K) of each keypoint to be visible from poses (H, 4, 4).
+        box: Box term, or None.
+        size: Size term, or None.
+        ground: Ground term, or None.
+    """
+
+    keypoints: KeypointTerm
+    visibility: Callable[[Array], Array]
+    box: BoxTerm | None = None
+    size: SizeTerm | None = None
+    ground: GroundTerm | None = None
+
+    def evaluate(self, h: Hypotheses, progress: float = 1.0) -> tuple[Quadratic, Array]:
+        """Energy, gradient and Gauss-Newton matrix at the hypotheses, and the keypoints' weights (H, K)."""
+        total = Quadratic(len(h), 6 + h.coefficients.shape[1])
+        weights = self.keypoints.add(total, h, self.visibility(h.matrices()), progress)
+        if self.box is not None:
+            self.box.add(total, h)
+        if self.size is not None:
+            self.size.add(total, h)
+        if self.ground is not None:
+            self.ground.add(total, h)
+        coefficient_term(total, h)
+        return total, weights
+
+    def energies(self, h: Hypotheses) -> dict[str, Array]:
+        """Energy (H,) of each term at the hypotheses, nats."""
+        result: dict[str, Array] = {}
+        for name, term in self._terms().items():
+            total = Quadratic(len(h), 6 + h.coefficients.shape[1])
+            term(total, h)
+            result[name] = total.energy
+        return result
+
+    def _terms(self) -> dict[str, Callable[[Quadratic, Hypotheses], object]]:
+        terms: dict[str, Callable[[Quadratic, Hypotheses], object]] = {
+            "reprojection": lambda total, h: self.keypoints.add(total, h, self.visibility(h.matrices()), 1.0)
+        }
+        for name, term in (("box", self.box), ("dimensions", self.size), ("ground", self.ground)):
+            if term is not None:
+                terms[name] = term.add
+        terms["coefficients"] = coefficient_term
+        return terms
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """What the search ends with.
+
+    Attributes:
+        hypotheses: The H surviving hypotheses, best first.
+        energy: (H,) their energies, nats.
+        weights: (H, K) weights of their keypoints.
+        path: The best one's states from its start on, as T hypotheses.
+        path_weights: (T, K) weights along the path.
+    """
+
+    hypotheses: Hypotheses
+    energy: Array
+    weights: Array
+    path: Hypotheses
+    path_weights: Array
+
+
+def search(problem: PoseProblem, starts: Hypotheses, iterations: int, keep: Mapping[int, int]) -> SearchResult:
+    """Minimise from every start at once.
+
+    Args:
+        problem: What to minimise.
+        starts: Start hypotheses, in front of the camera.
+        iterations: Levenberg-Marquardt iterations.
+        keep: Before iteration i all but the keep[i] best distinct hypotheses are dropped.
+
+    Returns:
+        The survivors, best first.
+    """
+    h = starts
+    damping = np.full(len(h), 1e-2)
+    total, weights = problem.evaluate(h, 0.0)
+    survivor = np.arange(len(h))  # row of each hypothesis in the snapshot before
+    snapshots = [(h, weights, survivor)]
+    for iteration in range(iterations):
+        if iteration in keep and keep[iteration] < len(h):
+            survivor = _best_distinct(h, total.energy, keep[iteration])
+            h, damping, weights, total = h.take(survivor), damping[survivor], weights[survivor], total.take(survivor)
+        else:
+            survivor = np.arange(len(h))
+        trial = _retract(h, _damped_step(total, damping))
+        trial_total, trial_weights = problem.evaluate(trial, (iteration + 1) / iterations)
+        with np.errstate(invalid="ignore"):  # too near the camera before and after: inf - inf, no gain
+            gain = total.energy - trial_total.energy
+        better = gain > 0
+        damping = np.where(better, damping * _CALMER, damping * _BOLDER)
+        h = trial.where(better, h)
+        total.update(better, trial_total)
+        weights = np.where(better[:, None], trial_weights, weights)
+        snapshots.append((h, weights, survivor))
+        if iteration > max(keep, default=0) and not (np.abs(gain) > _SETTLED).any():
+            break
+    order = np.argsort(total.energy, kind="stable")
+    path, path_weights = _path(snapshots, int(order[0]))
+    return SearchResult(h.take(order), total.energy[order], weights[order], path, path_weights)
+
+
+def _best_distinct(h: Hypotheses, energy: Array, count: int) -> NDArray[np.intp]:
+    """Rows of the best hypotheses, at most `count`; one that is turned like a better one would end where that does."""
+    cosine = (np.tensordot(h.rotation, h.rotation, axes=((1, 2), (1, 2))) - 1.0) / 2.0
+    alike = cosine > np.cos(_ALIKE)
+    kept: list[int] = []
+    for row in np.argsort(energy, kind="stable").tolist():
+        if not alike[row, kept].any():
+            kept.append(row)
+            if len(kept) == count:
+                break
+    return np.array(kept)
+
+
+def _path(snapshots: list[tuple[Hypotheses, Array, NDArray[np.intp]]], row: int) -> tuple[Hypotheses, Array]:
+    """Follow one final hypothesis back to its start."""
+    states: list[tuple[Array, Array, Array, Array]] = []
+    for h, weights, survivor in reversed(snapshots):
+        states.append((h.rotation[row], h.translation[row], h.coefficients[row], weights[row]))
+        row = int(survivor[row])
+    rotation, translation, coefficients, weights = (np.array(part) for part in zip(*reversed(states), strict=True))
+    return Hypotheses(rotation, translation, coefficients), weights
+
+
+def _damped_step(total: Quadratic, damping: Array) -> Array:
+    index = np.arange(total.matrix.shape[1])
+    matrix = total.matrix.copy()
+    matrix[:, index, index] *= 1.0 + damping[:, None]
+    matrix[:, index, index] += 1e-9
+    step = -np.linalg.solve(matrix, total.gradient[..., None])[..., 0]
+    turn = np.sqrt(np.square(step[:, :3]).sum(axis=1))
+    scaled: Array = step * np.minimum(1.0, _LARGEST_TURN / np.maximum(turn, 1e-12))[:, None]
+    return scaled
+
+
+def _retract(h: Hypotheses, step: Array) -> Hypotheses:
+    return Hypotheses(h.rotation @ exponential(step[:, :3]), h.translation + step[:, 3:6], h.coefficients + step[:, 6:])

@@ -1,0 +1,103 @@
+"""Where the pose search starts: around the clock from a 2D box, from a guess, from a 3D box, from PnP."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fgrecon.core.box3d import Box3D
+from fgrecon.core.camera import MIN_DEPTH, Camera, Ground
+from fgrecon.core.errors import DegenerateProblemError
+from fgrecon.core.observation import Observation
+from fgrecon.solve.proposals.terms import Hypotheses
+from fgrecon.solve.vehicle.model import VehicleModel
+
+__all__ = ["around_the_clock", "from_box3d", "from_pose", "view_box"]
+
+Array = NDArray[np.float64]
+
+
+def view_box(observation: Observation) -> Array:
+    """(4,) the 2D box, or the box around the points that the detector believes in, a tenth wider on each side.
+
+    Raises:
+        DegenerateProblemError: Neither is there.
+    """
+    if observation.box is not None:
+        return observation.box
+    believed = observation.measured & (observation.confidence >= 0.5 * observation.confidence.max(initial=0.0))
+    points = observation.keypoints[believed if believed.sum() >= 3 else observation.measured]
+    if len(points) < 2 or np.ptp(points, axis=0).max() < 1.0:
+        raise DegenerateProblemError("keypoints", f"{len(points)} points", "Give more points, or a 2D box.")
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.1 * float((high - low).max())
+    return np.concatenate([low - margin, high + margin])
+
+
+def around_the_clock(
+    box: Array, camera: Camera, model: VehicleModel, ground: Ground | None, azimuths: ArrayLike, *, relative: bool
+) -> Hypotheses:
+    """The mean shape at several azimuths, each placed so that its outline fills the 2D box.
+
+    Args:
+        box: (4,) 2D box, pixels.
+        camera: Camera.
+        model: Prepared prior.
+        ground: Its normal is the vehicle's down axis; without it the camera is taken to be level.
+        azimuths: (H,) radians.
+        relative: Whether the azimuths are relative to the viewing ray (alpha) or absolute (rotation_y).
+    """
+    ray = camera.rays((box[:2] + box[2:]) / 2.0)
+    angles = np.asarray(azimuths, dtype=np.float64)
+    if relative:
+        angles = angles + np.arctan2(ray[0], ray[2])
+    rotation = _turns(angles)
+    if ground is not None:
+        rotation = _align(ground.normal) @ rotation
+    points = model.outline.mean @ rotation.transpose(0, 2, 1)
+    # What shows is the extent across the viewing ray, which off the optical axis is not along the camera's x and y.
+    across = points[..., :2] - ray[:2] * points[..., 2:]
+    low, high = across.min(axis=1), across.max(axis=1)
+    width, height = (high - low)[:, 0], (high - low)[:, 1]
+    # The mean of what width and height say about the depth: a shape unlike the mean errs less so.
+    depth = np.sqrt(camera.matrix[0, 0] * width / (box[2] - box[0]) * camera.matrix[1, 1] * height / (box[3] - box[1]))
+    depth = np.maximum(depth, 2.0 * MIN_DEPTH - points[..., 2].min(axis=1))
+    translation = ray * depth[:, None]
+    translation[:, :2] -= (low + high) / 2.0
+    return Hypotheses(rotation, translation, np.zeros((len(angles), model.prior.dimension)))
+
+
+def from_box3d(box: Box3D, model: VehicleModel, ground: Ground | None) -> Hypotheses:
+    """One start at a 3D box, with the coefficients whose box comes closest to its size."""
+    rotation = _turns(np.array([box.rotation_y]))
+    if ground is not None:
+        rotation = _align(ground.normal) @ rotation
+    coefficients = np.zeros(model.prior.dimension)
+    if box.size is not None and len(coefficients):
+        basis = model.dimension_basis
+        # Most probable coefficients of this size to within 5 cm: the posterior mean under N(0, I).
+        gain = basis.T @ np.linalg.inv(basis @ basis.T + 0.05**2 * np.eye(3))
+        coefficients = gain @ (box.size - model.dimension_mean)
+    return Hypotheses(rotation, box.location[None], coefficients[None])
+
+
+def from_pose(camera_T_object: ArrayLike, dimension: int) -> Hypotheses:
+    """Starts at known poses (H, 4, 4) with the mean shape."""
+    poses = np.asarray(camera_T_object, dtype=np.float64).reshape(-1, 4, 4)
+    return Hypotheses(poses[:, :3, :3].copy(), poses[:, :3, 3].copy(), np.zeros((len(poses), dimension)))
+
+
+def _turns(angles: Array) -> Array:
+    """(H, 3, 3) rotations about the camera's y axis."""
+    cosine, sine = np.cos(angles), np.sin(angles)
+    zero, one = np.zeros_like(angles), np.ones_like(angles)
+    return np.stack([cosine, zero, sine, zero, one, zero, -sine, zero, cosine], axis=-1).reshape(-1, 3, 3)
+
+
+def _align(normal: Array) -> Array:
+    """(3, 3) smallest rotation that turns the camera's y axis onto the normal."""
+    axis = np.cross([0.0, 1.0, 0.0], normal)
+    cosine = normal[1]
+    skew = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
+    result: Array = np.eye(3) + skew + skew @ skew / (1.0 + cosine)
+    return result

@@ -1,0 +1,349 @@
+"""One vehicle over several images: a pose for each, and one shape for all.
+
+    frame 0: reprojection_i, box, cheirality --- X(0,0) --- ground, upright
+                        |
+    frame 1: reprojection_i, box, cheirality --- X(0,1) --- ground, upright
+                        |           ...
+    frame t: reprojection_i, box, cheirality --- X(0,t) --- ground, upright
+                        |
+                       L(0) (lambda) ---- prior N(0, I), planarity, dimensions, Laplacian, ...
+
+Every image is searched for its pose alone (`fgrecon.solve.proposals`); then one graph over all poses and the shared
+shape is solved under weights that are updated as for a single image. The terms of the shape appear once, so that many
+images outweigh the prior where they agree. Nothing is assumed about motion: images may be any views of one vehicle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from factors import check_in_front
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
+from fgrecon.core.observation import Observation
+from fgrecon.core.options import Options
+from fgrecon.core.reconstruction import GraphFactor, Iteration, Reconstruction, Status
+from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.core.size_prior import SizePrior
+from fgrecon.core.size_prior import size_prior as named_size_prior
+from fgrecon.io.catalogue import load_prior
+from fgrecon.solve.graph.adjust import EARLY_TOLERANCE, FINAL_TOLERANCE, SETTLED, ShapeEstimate
+from fgrecon.solve.graph.covariance import factorise, read_covariances
+from fgrecon.solve.graph.graph import Scene, Terms, VehicleGraph
+from fgrecon.solve.graph.solver import minimise
+from fgrecon.solve.graph.state import State, graph_weights, iteration, reweigh, robust_energies
+from fgrecon.solve.graph.structure import graph_factors
+from fgrecon.solve.pipeline import ground_plane, observe
+from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
+from fgrecon.solve.proposals.problem import build_problem
+from fgrecon.solve.proposals.search import PoseProblem
+from fgrecon.solve.result import build_result
+from fgrecon.solve.vehicle.model import prepare
+
+__all__ = ["JointStep", "TrackReconstruction", "reconstruct_track"]
+
+Array = NDArray[np.float64]
+
+_OF_A_FRAME = ("reprojection", "box", "cheirality", "ground")
+"""Terms that every frame has of its own; the others are the shape's."""
+
+
+@dataclass(frozen=True)
+class JointStep:
+    """State of the whole track after one step of the joint optimisation.
+
+    Attributes:
+        irls: Index of the weight update, from 0.
+        step: Index of the solver's iteration within that update, from 0.
+        poses: (T, 4, 4) pose of every frame, maps object coordinates into the camera frame.
+        coefficients: (N,) shape coefficients lambda.
+        energies: Energy by term over all frames, nats.
+    """
+
+    irls: int
+    step: int
+    poses: Array
+    coefficients: Array
+    energies: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class TrackReconstruction:
+    """Poses of one vehicle over several images, and its one shape.
+
+    Attributes:
+        status: How it ended: `degenerate` or `failed` where that is so, else `ambiguous` where a frame is.
+        message: Why, in a sentence.
+        numbers: T indices of the observations that were solved, in order.
+        frames: T results, all with the same shape; energies and history hold the terms of the frame alone.
+        refused: Why the other observations were refused, by index.
+        energies: Energy by term over all frames, nats.
+        history: Every step of the joint optimisation, in order; the last steps of the frames' histories, stage `joint`,
+            are the same steps.
+        graph: The factors of the joint graph, those of the keypoints of one frame as one; empty without history.
+        milliseconds: Wall time by stage.
+    """
+
+    status: Status
+    message: str
+    numbers: tuple[int, ...]
+    frames: tuple[Reconstruction, ...]
+    refused: Mapping[int, str]
+    energies: Mapping[str, float]
+    history: tuple[JointStep, ...]
+    graph: tuple[GraphFactor, ...]
+    milliseconds: Mapping[str, float]
+
+    @property
+    def coefficients(self) -> Array:
+        """(N,) shape coefficients lambda."""
+        return self.frames[0].coefficients
+
+    @property
+    def box_size(self) -> Array:
+        """(3,) length, width and height, metres."""
+        return self.frames[0].box_size
+
+
+@dataclass
+class _Frame:
+    """One image on its way through the joint optimisation."""
+
+    number: int
+    scene: Scene
+    problem: PoseProblem
+    start: PoseEstimate
+    graph: VehicleGraph
+    state: State
+    terms: Terms
+    history: list[Iteration]
+
+
+def reconstruct_track(
+    observations: Sequence[Observation | None],
+    cameras: Camera | Sequence[Camera],
+    *,
+    prior: ShapePrior | str | Path = "car14",
+    ground: Ground | float | None = None,
+    size_prior: SizePrior | str | None = None,
+    options: Options | None = None,
+) -> TrackReconstruction:
+    """Recover the poses and the one shape of a vehicle that several images show.
+
+    Args:
+        observations: Its keypoints in each image; None where there are none.
+        cameras: The camera, or one for each image.
+        prior: Shape prior, or its name, or the path of its file.
+        ground: Ground plane in every camera's frame; a number is the height in metres of a level camera.
+        size_prior: Fleet (`kitti`, `apollo79`), or a size prior; one so tight that it is a single vehicle's tells its
+            shape as well (`fgrecon.solve.vehicle.conditioning`). None takes sizes from the shape prior.
+        options: Settings; `joint` must be set.
+
+    Returns:
+        The result; images without a pose are in `refused`.
+
+    Raises:
+        InvalidInputError: An argument cannot be used; names it, its value and the fix.
+        DegenerateProblemError: No image determines a pose.
+    """
+    options = Options() if options is None else options
+    if not options.joint:
+        raise InvalidInputError("options.joint", value=False, fix="Let pose and shape move together: joint=True.")
+    shape_prior = load_prior(prior)
+    plane = ground_plane(ground)
+    fleet = None if size_prior is None else named_size_prior(size_prior)
+    model = prepare(shape_prior, fleet, options.basis_vectors)
+    each = [cameras] * len(observations) if isinstance(cameras, Camera) else list(cameras)
+    if len(each) != len(observations):
+        raise InvalidInputError("cameras", f"{len(each)} for {len(observations)} images", "Give one for each image.")
+
+    started = perf_counter()
+    frames: list[_Frame] = []
+    refused: dict[int, str] = {}
+    for number, (given, camera) in enumerate(zip(observations, each, strict=True)):
+        if given is None:
+            refused[number] = "no keypoints"
+            continue
+        seen = observe(given.keypoints, given.confidence, given.box, given.covariance, camera, shape_prior, options)
+        try:
+            start = adjust_pose(seen, camera, model, plane, None, options)
+            problem = build_problem(seen, camera, model, plane, options)
+        except DegenerateProblemError as error:
+            refused[number] = str(error)
+            continue
+        scene = Scene(seen, camera, model, plane, problem.box, options)
+        frames.append(_frame(number, scene, problem, start, first=not frames))
+    if not frames:
+        raise DegenerateProblemError("observations", "no pose in any image", "Give more, or better spread, keypoints.")
+    posed = perf_counter()
+    history: list[JointStep] = []
+    values, failure = _solve(frames, options, history)
+    milliseconds = {"pose": (posed - started) * 1e3, "joint": (perf_counter() - posed) * 1e3}
+    return _result(frames, refused, values, history, failure, milliseconds)
+
+
+def _frame(number: int, scene: Scene, problem: PoseProblem, start: PoseEstimate, *, first: bool) -> _Frame:
+    pose = gtsam.Pose3(start.camera_T_object)
+    graph = VehicleGraph(scene, pose, pose_free=True, frame=number, shape_terms=first)
+    offsets = np.zeros((len(start.weights), 3))
+    state = State(pose, start.coefficients, offsets, start.weights, start.visibility, np.ones(4))
+    return _Frame(number, scene, problem, start, graph, state, {}, list(start.history))
+
+
+def _start(frames: list[_Frame]) -> gtsam.Values:
+    """All poses, and the mean of the shapes that the images were found with."""
+    coefficients = np.mean([frame.start.coefficients for frame in frames], axis=0)
+    first = frames[0]
+    values = first.graph.values(first.state.pose, coefficients, first.state.offsets)
+    for frame in frames[1:]:
+        assert frame.graph.pose_key is not None
+        values.insert(frame.graph.pose_key, frame.state.pose)
+    return values
+
+
+def _solve(frames: list[_Frame], options: Options, history: list[JointStep]) -> tuple[gtsam.Values, str | None]:
+    """IRLS updates over the joint graph; states, terms and histories of the frames follow.
+
+    Returns:
+        The values, and why the optimisation gave up, or None.
+    """
+    values = _start(frames)
+    for frame in frames:
+        _follow(frame, values)
+    updates = max(options.strategy.updates, 1)
+    try:
+        for frame in frames:
+            check_in_front(frame.graph.kernel, values)
+        for update in range(updates):
+            change = max([_reweigh(frame, values, update / max(updates - 1, 1)) for frame in frames])
+            last = update == updates - 1 or (update > 0 and change < SETTLED and not options.strategy.anneals)
+            solution = minimise(
+                _graph(frames),
+                values,
+                relative_tolerance=FINAL_TOLERANCE if last else EARLY_TOLERANCE,
+                record=options.keep_history,
+            )
+            for step, iterate in enumerate(solution.path):
+                history.append(_record(frames, update, step, iterate))
+            values = solution.values
+            for frame in frames:
+                _follow(frame, values)
+            if last:
+                break
+    except DegenerateProblemError as error:
+        return values, str(error)
+    return values, None if solution.converged else f"no minimum in {solution.iterations} iterations"
+
+
+def _follow(frame: _Frame, values: gtsam.Values) -> None:
+    frame.state.pose, frame.state.coefficients, frame.state.offsets = frame.graph.read(values)
+
+
+def _reweigh(frame: _Frame, values: gtsam.Values, progress: float) -> float:
+    """Update a frame's weights and factors; the largest change of a weight."""
+    state, before = frame.state, frame.state.weights
+    reweigh(state, frame.problem, frame.graph, values, progress)
+    weights = graph_weights(frame.problem, state.weights, state.visibility)
+    frame.terms = frame.graph.terms(weights, state.box_weights)
+    return float(np.abs(state.weights - before).max())
+
+
+def _graph(frames: list[_Frame]) -> gtsam.NonlinearFactorGraph:
+    graph = gtsam.NonlinearFactorGraph()
+    for frame in frames:
+        for term in frame.terms.values():
+            for factor in term:
+                graph.add(factor)
+    return graph
+
+
+def _record(frames: list[_Frame], update: int, step: int, values: gtsam.Values) -> JointStep:
+    """Add a step to the history of every frame; the step of the whole."""
+    total: dict[str, float] = {}
+    poses = []
+    for frame in frames:
+        state = frame.state
+        at = iteration("joint", update, step, frame.graph, values, state.weights, frame.terms, frame.problem)
+        _add(total, at.energies)
+        frame.history.append(_own(at))
+        poses.append(at.camera_T_object)
+    return JointStep(update, step, np.array(poses), at.coefficients, total)
+
+
+def _own(step: Iteration) -> Iteration:
+    """A step with the energies of its frame alone."""
+    own = {name: energy for name, energy in step.energies.items() if name in _OF_A_FRAME}
+    return Iteration(**{**vars(step), "energies": own})
+
+
+def _add(total: dict[str, float], energies: Mapping[str, float]) -> None:
+    for name, energy in energies.items():
+        total[name] = total.get(name, 0.0) + energy
+
+
+def _result(
+    frames: list[_Frame],
+    refused: Mapping[int, str],
+    values: gtsam.Values,
+    history: list[JointStep],
+    failure: str | None,
+    milliseconds: dict[str, float],
+) -> TrackReconstruction:
+    marginals = None if failure is not None else factorise(_graph(frames), values)
+    total: dict[str, float] = {}
+    results = []
+    for frame in frames:
+        state = frame.state
+        energies = robust_energies(frame.graph, values, frame.terms, frame.problem) if frame.terms else {}
+        _add(total, energies)
+        estimate = ShapeEstimate(
+            pose=state.pose,
+            coefficients=state.coefficients,
+            offsets=state.offsets,
+            weights=state.weights,
+            visibility=state.visibility,
+            box_weights=state.box_weights,
+            energies={name: energy for name, energy in energies.items() if name in _OF_A_FRAME},
+            history=tuple(frame.history[len(frame.start.history) :]),
+            failure=failure,
+        )
+        uncertainty = None if marginals is None else read_covariances(frame.graph, marginals)
+        results.append(build_result(frame.scene, frame.start, estimate, uncertainty, (), {}))
+    status, message = _status(results, refused)
+    graph = _structure(frames) if frames[0].scene.options.keep_history and failure is None else ()
+    numbers = tuple(frame.number for frame in frames)
+    return TrackReconstruction(
+        status, message, numbers, tuple(results), refused, total, tuple(history), graph, milliseconds
+    )
+
+
+def _status(results: list[Reconstruction], refused: Mapping[int, str]) -> tuple[Status, str]:
+    """The worst of the frames, and how many images there are."""
+    count = f"{len(results)} images share one shape"
+    left_out = f", {len(refused)} were refused" if refused else ""
+    for status in (Status.FAILED, Status.DEGENERATE, Status.AMBIGUOUS):
+        members = [result for result in results if result.status is status]
+        if members:
+            where = f"{len(members)} of {len(results)} are {status.value}"
+            return status, f"{count}{left_out}; {where}: {members[0].message}"
+    return Status.CONVERGED, f"{count}{left_out}; the joint optimisation found a minimum."
+
+
+def _structure(frames: list[_Frame]) -> tuple[GraphFactor, ...]:
+    """The joint graph, with one factor for the keypoints of each frame."""
+    factors: list[GraphFactor] = []
+    for frame in frames:
+        weights = graph_weights(frame.problem, frame.state.weights, frame.state.visibility)
+        members = graph_factors(frame.graph, frame.terms, weights)
+        seen = [factor for factor in members if factor.term == "reprojection"]
+        if seen:
+            factors.append(GraphFactor("reprojection", f"{len(seen)} keypoints", seen[0].variables))
+        factors += [factor for factor in members if factor.term != "reprojection"]
+    return tuple(factors)

@@ -1,0 +1,1 @@
+"""A shape prior made ready for solving."""

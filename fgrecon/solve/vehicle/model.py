@@ -1,0 +1,105 @@
+"""A shape prior made ready for solving: brought to a size, with visibility table and the points its box encloses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.options import BoxModel
+from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.core.size_prior import SizePrior
+from fgrecon.solve.vehicle.conditioning import given_size, is_one_vehicle
+from fgrecon.solve.vehicle.visibility import VisibilityTable
+
+__all__ = ["LinearPoints", "VehicleModel", "prepare"]
+
+Array = NDArray[np.float64]
+
+_OUTLINE_DIRECTIONS = 200
+
+
+@dataclass(frozen=True)
+class LinearPoints:
+    """P points that move linearly with lambda: mean (P, 3) and basis (N, P, 3), object frame, metres."""
+
+    mean: Array
+    basis: Array
+
+    def at(self, coefficients: Array) -> Array:
+        """(P, 3) points at the coefficients (N,)."""
+        return self.mean + np.tensordot(coefficients, self.basis, axes=1)
+
+
+@dataclass(frozen=True, eq=False)
+class VehicleModel:
+    """What solving needs of a category and its prior, computed once.
+
+    Attributes:
+        prior: The prior; where a size was given scaled to the fleet, or conditioned on the size of the one vehicle
+            (`fgrecon.solve.vehicle.conditioning.is_one_vehicle` decides).
+        size: The fleet's size prior; None where none was given, and where the prior holds it already.
+        visibility: How visible each keypoint of the mean shape is from everywhere.
+        outline: Surface points that can lie on the outline, for tight 2D boxes; the box's corners without a surface.
+        corners: The eight corners of the vehicle's 3D box.
+        dimension_mean: (3,) length, width and height of the mean shape's box.
+        dimension_basis: (3, N) their change per unit of each coefficient.
+    """
+
+    prior: ShapePrior
+    size: SizePrior | None
+    visibility: VisibilityTable
+    outline: LinearPoints
+    corners: LinearPoints
+    dimension_mean: Array
+    dimension_basis: Array
+
+    def box_points(self, box_model: BoxModel) -> LinearPoints:
+        """The points that a 2D box encloses."""
+        return self.corners if box_model is BoxModel.CUBOID else self.outline
+
+
+@lru_cache(maxsize=16)
+def prepare(prior: ShapePrior, size: SizePrior | None = None, basis_vectors: int | None = None) -> VehicleModel:
+    """The model of a prior and a size; remembered, since the visibility table takes a moment.
+
+    Raises:
+        InvalidInputError: The prior has fewer basis vectors than asked for.
+    """
+    if basis_vectors is not None:
+        if basis_vectors > prior.dimension:
+            fix = f"Prior {prior.name} has {prior.dimension} basis vectors: give at most so many."
+            raise InvalidInputError("options.basis_vectors", basis_vectors, fix)
+        prior = prior.truncated(basis_vectors)
+    if size is not None and is_one_vehicle(prior, size):
+        prior, size = given_size(prior, size), None
+    elif size is not None:
+        prior = prior.for_fleet(size)
+    operator = prior.category.dimension_operator
+    mean = np.tensordot(operator, prior.mean, axes=2)
+    basis = np.tensordot(operator, prior.basis, axes=((1, 2), (1, 2)))
+    corners = LinearPoints(_box_corners(mean), np.array([_box_corners(column) for column in basis.T]).reshape(-1, 8, 3))
+    outline = corners if prior.surface is None else _outline(prior)
+    return VehicleModel(prior, size, VisibilityTable.build(prior), outline, corners, mean, basis)
+
+
+def _box_corners(size: Array) -> Array:
+    """(8, 3) corners of a box of length, width and height standing on the origin; linear in the size."""
+    length, width, height = size
+    return np.array(
+        [[x * length / 2, -y * height, z * width / 2] for x in (-1, 1) for y in (0, 1) for z in (-1, 1)], dtype=float
+    )
+
+
+def _outline(prior: ShapePrior) -> LinearPoints:
+    """The surface vertices that are farthest in some direction: those that a tight box can touch."""
+    assert prior.surface is not None
+    index = np.arange(_OUTLINE_DIRECTIONS) + 0.5  # Fibonacci sphere: even and deterministic
+    height, angle = 1.0 - 2.0 * index / _OUTLINE_DIRECTIONS, np.pi * (1.0 + 5.0**0.5) * index
+    radius = np.sqrt(1.0 - height**2)
+    directions = np.stack([radius * np.cos(angle), height, radius * np.sin(angle)])
+    chosen = np.unique((prior.surface.mean @ directions).argmax(axis=0))
+    return LinearPoints(prior.surface.mean[chosen], prior.surface.basis[:, chosen])

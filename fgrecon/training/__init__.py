@@ -1,0 +1,1 @@
+"""Learning shape priors and networks."""

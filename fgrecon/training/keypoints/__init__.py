@@ -1,0 +1,1 @@
+"""Labels, samples and rounds that train the keypoint networks."""

@@ -1,0 +1,184 @@
+"""How good the networks are: against keypoints marked by hand, and end to end on cars of known direction."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.camera import Camera
+from fgrecon.core.errors import FgreconError
+from fgrecon.io.images import read_image
+from fgrecon.perception.keypoints.detect import REACH, Detection, Detector
+from fgrecon.training.keypoints.calibrate import Reliability, reliability
+from fgrecon.training.keypoints.marks import Mark
+from fgrecon.training.keypoints.posed_cars import PosedCar
+
+__all__ = [
+    "GROUPS",
+    "Localisation",
+    "PosedScore",
+    "Scored",
+    "adjusted",
+    "azimuth_errors",
+    "localisation",
+    "marks_reliability",
+    "score_marks",
+]
+
+Array = NDArray[np.float64]
+
+GROUPS: dict[str, tuple[str, ...]] = {
+    "photographs": ("photographs",),
+    "easy": ("easy",),
+    "moderate": ("easy", "moderate"),
+    "hard": ("easy", "moderate", "hard"),
+}
+"""Groups of marks; KITTI's regimes are cumulative."""
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A marked car, what was found, and how far off that is.
+
+    Attributes:
+        mark: The car.
+        detection: What the network found.
+        error: (K,) distances as fractions of the box's longer side, for visible and hidden keypoints alike.
+    """
+
+    mark: Mark
+    detection: Detection
+    error: Array
+
+
+@dataclass(frozen=True)
+class Localisation:
+    """How well visible keypoints are found in a group of cars.
+
+    Attributes:
+        cars: Number of cars.
+        points: Number of visible points.
+        within_tenth: Share of them within 0.1 of the box's longer side (PCK, the paper's APK threshold).
+        within_twentieth: Within 0.05.
+        median: Median distance, same unit.
+        keypoints: (K, 2) both shares by keypoint, NaN where none is visible.
+    """
+
+    cars: int
+    points: int
+    within_tenth: float
+    within_twentieth: float
+    median: float
+    keypoints: Array
+
+
+def score_marks(detector: Detector, marks: Sequence[Mark]) -> list[Scored]:
+    """Run the network on every marked car."""
+    scored = []
+    images: dict[Any, NDArray[np.uint8]] = {}
+    for mark in marks:
+        if mark.image not in images:
+            images = {mark.image: read_image(mark.image)}  # the cars of an image come one after the other
+        (detection,) = detector(images[mark.image], [mark.box])
+        away = np.linalg.norm(detection.observation.keypoints - mark.keypoints, axis=1) / mark.extent
+        scored.append(Scored(mark, detection, away))
+    return scored
+
+
+def localisation(scored: Sequence[Scored], groups: Sequence[str] | None = None, *, least: float = 0.0) -> Localisation:
+    """Shares of visible keypoints that are found.
+
+    Args:
+        scored: Marked cars.
+        groups: Names of `Mark.group` to count; None for all.
+        least: Longer side in pixels from which cars are counted.
+    """
+    used = [s for s in scored if (groups is None or s.mark.group in groups) and s.mark.extent >= least]
+    if not used:
+        return Localisation(0, 0, np.nan, np.nan, np.nan, np.zeros((0, 2)))
+    error, visible = np.array([s.error for s in used]), np.array([s.mark.visible for s in used])
+    near, nearer = (error <= REACH) & visible, (error <= REACH / 2) & visible
+    count = visible.sum(axis=0)
+    with np.errstate(invalid="ignore"):
+        shares = np.stack([near.sum(axis=0) / count, nearer.sum(axis=0) / count], axis=1)
+    total = max(int(visible.sum()), 1)
+    median = float(np.median(error[visible])) if visible.any() else float("nan")
+    return Localisation(len(used), int(visible.sum()), near.sum() / total, nearer.sum() / total, median, shares)
+
+
+def marks_reliability(scored: Sequence[Scored], bins: int = 8) -> Reliability:
+    """Confidences against marks: right is visible and within 0.1 of the box's longer side."""
+    confidence = [s.detection.observation.confidence for s in scored]
+    right = [s.mark.visible & (s.error <= REACH) for s in scored]
+    return reliability(np.concatenate(confidence), np.concatenate(right), bins)
+
+
+def adjusted(scored: Sequence[Scored], projections: Sequence[Array | None]) -> list[Scored]:
+    """The same cars with other keypoints in the place of the network's, as in the paper's Table II.
+
+    Args:
+        scored: Cars as the network found them.
+        projections: (K, 2) pixels of each car's adjusted wireframe; None, where there is none, is infinitely far.
+    """
+    after = []
+    for item, pixels in zip(scored, projections, strict=True):
+        away = np.full(len(item.error), np.inf)
+        if pixels is not None:
+            away = np.linalg.norm(pixels - item.mark.keypoints, axis=1) / item.mark.extent
+        after.append(replace(item, error=away))
+    return after
+
+
+@dataclass(frozen=True)
+class PosedScore:
+    """Directions of photographs of known pose.
+
+    Attributes:
+        errors: (M,) degrees on the full circle; 180 where the car was refused.
+    """
+
+    errors: Array
+
+    @property
+    def median(self) -> float:
+        """Median error, degrees."""
+        return float(np.median(self.errors))
+
+    def within(self, degrees: float) -> float:
+        """Share of photographs with an error of at most so many degrees."""
+        return float((self.errors <= degrees).mean())
+
+
+def azimuth_errors(
+    detector: Detector,
+    cars: Sequence[PosedCar],
+    solve: Callable[[Detection, Camera], Any],
+    advance: Callable[[], None] = lambda: None,
+) -> PosedScore:
+    """Reconstruct photographs, intrinsics given, and compare the direction from the car to the camera.
+
+    Args:
+        detector: The network.
+        cars: Photographs with measured poses.
+        solve: Makes a result with `camera_T_object` from a detection and a camera.
+        advance: Called after each photograph.
+    """
+    errors = np.full(len(cars), 180.0)
+    for row, car in enumerate(cars):
+        image = read_image(car.image)
+        camera = replace(Camera(car.matrix), image_size=None)  # the photograph's edges are the car's
+        (detection,) = detector(image, [car.box])
+        try:
+            pose = solve(detection, camera).camera_T_object
+        except FgreconError:
+            continue
+        finally:
+            advance()
+        x, _, z = -pose[:3, :3].T @ pose[:3, 3]
+        turn = np.degrees(np.arctan2(z, x) - car.azimuth)
+        errors[row] = abs((turn + 180.0) % 360.0 - 180.0)
+    return PosedScore(errors)

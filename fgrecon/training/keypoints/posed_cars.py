@@ -1,0 +1,135 @@
+"""Photographs of cars with measured poses, grouped by shape: what the keypoint networks learn from.
+
+The folder holds `annotations.json` and `images/`. Every photograph shows one car and is cropped to it; its pose is
+relative to a 3D model of the car whose box is centred at the origin and has a diagonal of one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.json_fields import Fields, read_json
+
+__all__ = ["PosedCar", "groups", "read_posed_cars", "read_validation_ids"]
+
+
+@dataclass(frozen=True)
+class PosedCar:
+    """One photograph.
+
+    Attributes:
+        image: Its file.
+        size: (width, height) in pixels; the car fills it.
+        cad_id: Name of the 3D model that the pose was measured with; the same one does for several models of cars.
+        matrix: (3, 3) intrinsics.
+        rotation: (3, 3) of camera_T_object; object frame x forward, y down, z left.
+        translation: (3,) of camera_T_object, in diagonals of the car's box.
+        name: Of the car's model, with the kind of its body, such as `Audi TTS Coupe 2012`; empty if unknown.
+    """
+
+    image: Path
+    size: tuple[int, int]
+    cad_id: str
+    matrix: NDArray[np.float64]
+    rotation: NDArray[np.float64]
+    translation: NDArray[np.float64]
+    name: str = ""
+
+    @property
+    def shape(self) -> str:
+        """Name of its shape: photographs with the same name show nearly the same shape."""
+        return f"{self.cad_id} {self.name}".rstrip()
+
+    @property
+    def box(self) -> NDArray[np.float64]:
+        """(4,) outline of the car x1, y1, x2, y2: the edges of the photograph, in pixels."""
+        return np.array([-0.5, -0.5, self.size[0] - 0.5, self.size[1] - 0.5])
+
+    @property
+    def azimuth(self) -> float:
+        """Direction from the car to the camera about the car's vertical axis, radians; 0 ahead, pi / 2 to its left."""
+        x, _, z = -self.rotation.T @ self.translation
+        return float(np.arctan2(z, x))
+
+    def silhouette(self, folder: Path) -> Path:
+        """The file of its silhouette in a folder of them."""
+        return folder / f"{self.image.stem}.png"
+
+    def resized(self, scale: float, size: tuple[int, int], corner: ArrayLike = (-0.5, -0.5)) -> PosedCar:
+        """The photograph resized by a factor, to so many pixels (width, height), from an upper left corner (2,) on."""
+        u, v = -np.asarray(corner, dtype=np.float64) * scale - 0.5  # pixel centres are at integers
+        to_image = np.array([[scale, 0.0, u], [0.0, scale, v], [0.0, 0.0, 1.0]])
+        return replace(self, matrix=to_image @ self.matrix, size=size)
+
+    def zoomed(self, factor: float) -> PosedCar:
+        """The car from `factor` times the distance, in the same direction and as large in the image (a dolly zoom)."""
+        matrix = self.matrix.copy()
+        matrix[:2, :2] *= factor
+        matrix[:2, 2] -= (factor - 1.0) * (self.project(np.zeros(3)) - self.matrix[:2, 2])
+        return replace(self, matrix=matrix, translation=self.translation * factor)
+
+    def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Pixels (..., 2) of points (..., 3) in the object frame."""
+        camera = points @ self.rotation.T + self.translation
+        pixels: NDArray[np.float64] = (camera @ self.matrix.T)[..., :2] / camera[..., 2:]
+        return pixels
+
+
+def read_posed_cars(folder: Path) -> list[PosedCar]:
+    """Read the annotations of a folder; the images are not opened.
+
+    Raises:
+        InvalidInputError: The annotations are missing or malformed; names the field.
+    """
+    path = folder / "annotations.json"
+    entries = read_json(path)
+    if not isinstance(entries, list):
+        raise InvalidInputError(str(path), type(entries).__name__, "Give a list of photographs.")
+    cars = []
+    for number, entry in enumerate(entries):
+        fields = Fields(entry, f"{path}: [{number}].")
+        cars.append(
+            PosedCar(
+                image=folder / "images" / fields.get("image", str),
+                size=(fields.get("width", int), fields.get("height", int)),
+                cad_id=fields.get("cad_id", str),
+                matrix=fields.numbers("K", (3, 3)),
+                rotation=_nearest_rotation(fields.numbers("R", (3, 3))),
+                translation=fields.numbers("t", (3,)),
+                name=fields.get("model_name", str) if "model_name" in fields else "",
+            )
+        )
+    return cars
+
+
+def read_validation_ids(path: Path) -> frozenset[str]:
+    """Names of the shapes that are kept apart for validation.
+
+    Raises:
+        InvalidInputError: The file is not a list of names.
+    """
+    names = read_json(path)
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise InvalidInputError(str(path), type(names).__name__, "Give a list of names.")
+    return frozenset(names)
+
+
+def groups(cars: Sequence[PosedCar]) -> dict[str, list[int]]:
+    """Indices of the photographs of each shape, by name in alphabetical order."""
+    found: dict[str, list[int]] = {}
+    for index, car in enumerate(cars):
+        found.setdefault(car.shape, []).append(index)
+    return dict(sorted(found.items()))
+
+
+def _nearest_rotation(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The file's six digits leave rotations slightly off."""
+    u, _, vt = np.linalg.svd(matrix)
+    rotation: NDArray[np.float64] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    return rotation

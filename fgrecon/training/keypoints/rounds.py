@@ -1,0 +1,171 @@
+"""The whole training in rounds: labels from boxes, training, labels corrected by the network, training on.
+
+Everything lives in one folder, so that an interrupted run goes on where it was: `photographs/` (prepared images),
+`labels-first.npz` (of boxes and silhouettes), `labels-0.npz`, `labels-1.npz`, ... (one per round) and `knet.pt` (the
+checkpoint).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.files import write_text
+from fgrecon.io.json_fields import read_json
+from fgrecon.perception.keypoints.decode import Calibration
+from fgrecon.perception.keypoints.detect import Detector
+from fgrecon.perception.keypoints.weights import Stored, load_weights, save_weights
+from fgrecon.training.keypoints.checkpoint import load_checkpoint
+from fgrecon.training.keypoints.dataset import Photographs, azimuth_weights
+from fgrecon.training.keypoints.labelling import Labelling, Source, corrected, first_labelling, open_photographs
+from fgrecon.training.keypoints.train import Progress, Training, train_knet
+from fgrecon.training.keypoints.validate import HeldOut
+from fgrecon.training.keypoints.watch import Watch, unwatched
+
+__all__ = ["train_in_rounds"]
+
+Array = NDArray[np.float64]
+
+
+def train_in_rounds(
+    source: Source,
+    folder: Path,
+    how: Training,
+    relabel_at: Sequence[int],
+    *,
+    imagenet: dict[str, Any] | None = None,
+    start: Path | None = None,
+    silhouettes: Path | None = None,
+    device: str = "cpu",
+    report: Callable[[Progress], None] | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+    watch: Watch = unwatched,
+) -> tuple[Any, Labelling, Photographs]:
+    """Train KNet, correcting the labels at given steps.
+
+    Args:
+        source: What to learn from.
+        folder: Where everything is kept; goes on from what is there.
+        how: Settings of the training.
+        relabel_at: Steps after which the labels are corrected, in rising order.
+        imagenet: Weights to start the encoder from.
+        start: A trained network to go on from instead, which corrects the first labels as well.
+        silhouettes: Folder of silhouettes for the first labels, as `first_labelling` reads them.
+        device: Torch's name of the device.
+        report: Called with the progress.
+        tell: Called with a line about what begins.
+        watch: Shows the progress of what else takes long.
+
+    Returns:
+        The averaged network, and the last labels with their photographs.
+
+    Raises:
+        InvalidInputError: There is no step, no photograph to learn from, or the folder's training began otherwise.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    checkpoint, partner = folder / "knet.pt", source.prior.category.mirror
+    how = replace(how, street=how.street.moving(source.prior.category))
+    stops = [*(step for step in relabel_at if step < how.steps), how.steps]
+    _begin_alike(folder / "began.json", imagenet is not None, start, silhouettes, source.marks)
+    first = _first(source, folder / "labels-first.npz", silhouettes, tell, watch)
+    begun = None if start is None else load_weights(start)
+    network: Any = None
+    labelling: Labelling | None = None
+    photographs: Photographs | None = None
+    for number, last in enumerate(stops):
+        path = folder / f"labels-{number}.npz"
+        if path.exists():
+            labelling = Labelling.load(path, source.cars)
+        elif number == 0 and start is None:
+            labelling = first
+            labelling.save(path)
+        else:
+            tell(f"Labels corrected by the network, round {number}")
+            if number == 0:
+                detector = Detector(start, device=device)
+            else:
+                detector = _as_detector(load_checkpoint(checkpoint), begun, folder, device)
+            prepared = open_photographs(source, first, folder / "photographs", silhouettes, watch)
+            labelling = corrected(source, first, detector, prepared, silhouettes, watch)
+            labelling.save(path)
+        photographs = open_photographs(source, labelling, folder / "photographs", silhouettes, watch)
+        if checkpoint.exists() and load_checkpoint(checkpoint)["step"] >= last and number < len(stops) - 1:
+            continue
+        tell(f"Training to step {last}")
+        chosen = labelling.samples(photographs, source.learn)
+        if not len(chosen):
+            fix = "Start from another network, or from none."
+            raise InvalidInputError("labels", f"{path}: no photograph agrees with its shape", fix)
+        held = labelling.samples(photographs, source.validate)
+        network = train_knet(
+            photographs,
+            chosen,
+            azimuth_weights(photographs.azimuth, chosen),
+            partner,
+            checkpoint,
+            how,
+            imagenet=imagenet,
+            start=None if begun is None else dict(begun.state),
+            device=device,
+            report=report,
+            until=last,
+            held=None if not len(held) else HeldOut.draw(photographs, held, how.street, partner, how.seed),
+        )
+    if labelling is None or photographs is None:
+        raise InvalidInputError("steps", how.steps, "Give at least one step.")
+    return network, labelling, photographs
+
+
+def _begin_alike(path: Path, imagenet: bool, start: Path | None, silhouettes: Path | None, marks: Array | None) -> None:
+    """Keep what a training began with; one that goes on has to name the same, since its networks come from that.
+
+    Raises:
+        InvalidInputError: It names something else.
+    """
+    named = {
+        "imagenet": imagenet,
+        "start": None if start is None else start.name,
+        "silhouettes": None if silhouettes is None else silhouettes.name,
+        "marks": None if marks is None else hashlib.sha256(marks.tobytes()).hexdigest()[:16],
+    }
+    if not path.exists():
+        write_text(path, json.dumps(named))
+    elif (before := read_json(path)) != named:
+        fix = f"Give what it began with, {json.dumps(before)}, or an empty folder."
+        raise InvalidInputError("work", f"{path.parent}: {json.dumps(named)}", fix)
+
+
+def _first(
+    source: Source, path: Path, silhouettes: Path | None, tell: Callable[[str], None], watch: Watch
+) -> Labelling:
+    """The first labels: those in the file, or made anew."""
+    if path.exists():
+        return Labelling.load(path, source.cars)
+    tell("Labels from the boxes" if silhouettes is None else "Labels from boxes and silhouettes")
+    labelling = first_labelling(source, silhouettes, watch)
+    labelling.save(path)
+    if silhouettes is not None:
+        tell(f"{int(labelling.outlined.sum())} silhouettes agree with their cars")
+    return labelling
+
+
+def _as_detector(content: dict[str, Any], begun: Stored | None, folder: Path, device: str) -> Detector:
+    """The checkpoint's averaged network at work.
+
+    Refinement networks and calibration are those that the training began with: patches around an estimate look the same
+    whichever KNet made it. Without, there is no refinement, and confidences are as an untrained calibration has them.
+    """
+    path = folder / "round.safetensors"
+    if begun is None:
+        save_weights(path, Stored(content["average"], content["settings"], Calibration(), {}))
+    else:
+        save_weights(path, replace(begun, state=content["average"], settings=content["settings"]))
+    return Detector(path, device=device)

@@ -1,0 +1,244 @@
+"""Reads a recording back as arrays, without a viewer: a recording is data, not only a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.reconstruction import Iteration
+from fgrecon.solve.track import JointStep
+from fgrecon.viz import entities
+from fgrecon.viz.columns import FIELDS
+
+__all__ = ["LogLine", "Replay", "Series", "StageSummary", "read"]
+
+_SCALARS, _NAMES = "Scalars:scalars", "SeriesLines:names"
+_WORDS_AND_STEPS = (entities.HISTORY, entities.TRACK, entities.LOG)
+_TEXT, _LEVEL = "TextLog:text", "TextLog:level"
+
+
+@dataclass(frozen=True)
+class Series:
+    """One plotted entity.
+
+    Attributes:
+        names: M names of its series, as in the legend.
+        timeline: What `times` counts: `step`, or for numbers by frame of a track `frame`.
+        times: (n,) increasing.
+        values: (n, M) numbers; NaN where a series has none.
+    """
+
+    names: tuple[str, ...]
+    timeline: str
+    times: NDArray[np.int64]
+    values: NDArray[np.float64]
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        """(n,) values of the series of a name.
+
+        Raises:
+            KeyError: There is none.
+        """
+        if name not in self.names:
+            raise KeyError(name)
+        return self.values[:, self.names.index(name)]
+
+
+@dataclass(frozen=True)
+class LogLine:
+    """One line of the text log, with its global step (None where there was no step) and level (`INFO`, ...)."""
+
+    step: int | None
+    level: str
+    text: str
+
+
+@dataclass(frozen=True)
+class StageSummary:
+    """One stage, of a track over all frames.
+
+    Attributes:
+        stage: Its name.
+        weight_updates: How many weight updates it took, of a track in all frames together.
+        steps: How many steps, likewise.
+        first_energy: Total energy at its first step, nats.
+        last_energy: Total energy at its last step.
+        terms: Energy by term at its last step.
+    """
+
+    stage: str
+    weight_updates: int
+    steps: int
+    first_energy: float
+    last_energy: float
+    terms: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What a recording holds apart from what it draws.
+
+    Attributes:
+        frames: Every step of the optimisation by number of the frame, equal to the recorded one to the last bit; a
+            single vehicle's only frame has number 0.
+        joint: Of a track every step of its joint optimisation, to the last bit too; else empty.
+        scalars: Plotted series by entity, such as `energy`, `weights`, `error/translation_m`.
+        log: The text log in order; its last line says how it ended and why.
+    """
+
+    frames: Mapping[int, tuple[Iteration, ...]]
+    joint: tuple[JointStep, ...]
+    scalars: Mapping[str, Series]
+    log: tuple[LogLine, ...]
+
+    @property
+    def history(self) -> tuple[Iteration, ...]:
+        """Every step, frame after frame."""
+        return tuple(step for steps in self.frames.values() for step in steps)
+
+    def summary(self) -> tuple[StageSummary, ...]:
+        """The stages in order of their first step. A track's joint stage is told once, with the terms of the shape."""
+        stages = dict.fromkeys(step.stage for step in self.history)
+        told = [_of_frames(stage, self.frames) for stage in stages if not (self.joint and stage == "joint")]
+        return (*told, _of_joint(self.joint)) if self.joint else tuple(told)
+
+
+def _of_frames(stage: str, frames: Mapping[int, tuple[Iteration, ...]]) -> StageSummary:
+    """A stage over all frames: counts and energies are added up."""
+    members = [steps for steps in (_members(stage, steps) for steps in frames.values()) if steps]
+    terms: dict[str, float] = {}
+    for steps in members:
+        for name, energy in steps[-1].energies.items():
+            terms[name] = terms.get(name, 0.0) + energy
+    return StageSummary(
+        stage=stage,
+        weight_updates=sum(len({step.irls for step in steps}) for steps in members),
+        steps=sum(len(steps) for steps in members),
+        first_energy=sum(_total(steps[0].energies) for steps in members),
+        last_energy=sum(_total(steps[-1].energies) for steps in members),
+        terms=terms,
+    )
+
+
+def _members(stage: str, steps: tuple[Iteration, ...]) -> list[Iteration]:
+    return [step for step in steps if step.stage == stage]
+
+
+def _of_joint(steps: tuple[JointStep, ...]) -> StageSummary:
+    first, last = _total(steps[0].energies), _total(steps[-1].energies)
+    return StageSummary("joint", len({step.irls for step in steps}), len(steps), first, last, dict(steps[-1].energies))
+
+
+def _total(energies: Mapping[str, float]) -> float:
+    return float(sum(energies.values()))
+
+
+def read(path: str | Path) -> Replay:
+    """Read a recording that `fgrecon.viz.record` or `fgrecon.viz.record_track` wrote.
+
+    Raises:
+        InvalidInputError: There is no such file, or it is no recording of fgrecon.
+    """
+    from rerun.chunk import RrdReader  # on use: importing fgrecon must not import rerun
+
+    fix = "Give a .rrd file that this version of fgrecon wrote."
+    if not Path(path).is_file():
+        raise InvalidInputError("recording", str(path), fix)
+    history: list[tuple[int, int, Iteration]] = []
+    joint: list[tuple[int, JointStep]] = []
+    rows: dict[str, list[tuple[int, list[float]]]] = {}
+    names: dict[str, tuple[str, ...]] = {}
+    log: list[LogLine] = []
+    try:
+        for chunk in RrdReader(path).stream():
+            entity = str(chunk.entity_path).strip("/")
+            batch = chunk.to_record_batch()
+            if entity not in _WORDS_AND_STEPS and not {_SCALARS, _NAMES} & set(batch.schema.names):
+                continue  # drawn: photographs alone would take minutes as lists of numbers
+            columns = batch.to_pydict()
+            steps, at_frames = columns.get(entities.STEP), columns.get(entities.FRAME)
+            if entity == entities.HISTORY and steps is not None and at_frames is not None:
+                rows_of_history = columns[f"{entities.HISTORY_ARCHETYPE}:{FIELDS}"]
+                history += [
+                    (f, s, _iteration(row)) for f, s, (row,) in zip(at_frames, steps, rows_of_history, strict=True)
+                ]
+            elif entity == entities.TRACK and steps is not None:
+                rows_of_joint = columns[f"{entities.JOINT_ARCHETYPE}:{FIELDS}"]
+                joint += [(step, _joint_step(row)) for step, (row,) in zip(steps, rows_of_joint, strict=True)]
+            elif _SCALARS in columns:
+                times = at_frames if _by_frame(entity) else steps
+                rows.setdefault(entity, []).extend(zip(times or [], columns[_SCALARS], strict=True))
+            elif _NAMES in columns:
+                names[entity] = tuple(columns[_NAMES][0])
+            elif entity == entities.LOG and _TEXT in columns:
+                log += _lines(columns, steps)
+    except (RuntimeError, ValueError, KeyError, OSError) as error:
+        raise InvalidInputError("recording", f"{path}: {error}", fix) from error
+    if not log:
+        raise InvalidInputError("recording", f"{path} holds no log of fgrecon", fix)
+    log.sort(key=lambda line: -1 if line.step is None else line.step)
+    return Replay(
+        frames=_by_number(history),
+        joint=tuple(step for _, step in sorted(joint, key=lambda item: item[0])),
+        scalars={entity: _series(entity, rows[entity], names.get(entity, ())) for entity in sorted(rows)},
+        log=tuple(log),
+    )
+
+
+def _by_frame(entity: str) -> bool:
+    return entity.startswith(f"{entities.FRAMES}/")
+
+
+def _by_number(history: list[tuple[int, int, Iteration]]) -> dict[int, tuple[Iteration, ...]]:
+    """The steps of each frame, in order."""
+    found: dict[int, list[Iteration]] = {}
+    for frame, _, step in sorted(history, key=lambda item: item[:2]):
+        found.setdefault(frame, []).append(step)
+    return {frame: tuple(steps) for frame, steps in found.items()}
+
+
+def _series(entity: str, rows: list[tuple[int, list[float]]], names: tuple[str, ...]) -> Series:
+    rows.sort(key=lambda row: row[0])
+    times = np.array([time for time, _ in rows], dtype=np.int64)
+    values = np.array([numbers for _, numbers in rows], dtype=np.float64)
+    return Series(names, entities.FRAME if _by_frame(entity) else entities.STEP, times, values)
+
+
+def _lines(columns: Mapping[str, Any], steps: list[int] | None) -> list[LogLine]:
+    texts, levels = columns[_TEXT], columns[_LEVEL]
+    at = [None] * len(texts) if steps is None else steps
+    return [LogLine(step, level[0], text[0]) for step, text, level in zip(at, texts, levels, strict=True)]
+
+
+def _iteration(fields: Mapping[str, Any]) -> Iteration:
+    return Iteration(
+        stage=fields["stage"],
+        irls=fields["irls"],
+        step=fields["step"],
+        camera_T_object=_array(fields["camera_T_object"], 4, 4),
+        coefficients=_array(fields["coefficients"], -1),
+        keypoints=_array(fields["keypoints"], -1, 3),
+        projections=_array(fields["projections"], -1, 2),
+        weights=_array(fields["weights"], -1),
+        energies=dict(zip(fields["terms"], fields["energies"], strict=True)),
+    )
+
+
+def _joint_step(fields: Mapping[str, Any]) -> JointStep:
+    return JointStep(
+        irls=fields["irls"],
+        step=fields["step"],
+        poses=_array(fields["poses"], -1, 4, 4),
+        coefficients=_array(fields["coefficients"], -1),
+        energies=dict(zip(fields["terms"], fields["energies"], strict=True)),
+    )
+
+
+def _array(numbers: Sequence[float], *shape: int) -> NDArray[np.float64]:
+    return np.array(numbers, dtype=np.float64).reshape(shape)

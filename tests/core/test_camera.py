@@ -1,0 +1,156 @@
+"""The camera against OpenCV and plain formulas; the ground plane."""
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.errors import InvalidInputError
+
+MATRIX = np.array([[721.5, 3.7, 609.6], [0.0, 718.9, 172.9], [0.0, 0.0, 1.0]])  # with a skew
+LENSES = {
+    4: [-0.31, 0.11, 0.0012, -0.0007],
+    5: [-0.31, 0.11, 0.0012, -0.0007, -0.02],
+    8: [0.2, -0.1, 0.001, 0.002, 0.01, 0.25, -0.08, 0.005],
+    12: [-0.2, 0.05, 0.001, 0.001, 0.0, 0.01, 0.0, 0.0, 0.001, 0.0002, -0.001, 0.0001],
+    14: [-0.2, 0.05, 0.001, 0.001, 0.0, 0.01, 0.0, 0.0, 0.001, 0.0002, -0.001, 0.0001, 0.01, -0.008],
+}
+points = arrays(np.float64, (7, 3), elements=st.floats(-20, 20)).map(lambda p: p * [1, 0.3, 1] + [0, 0, 25])
+shared = settings(deadline=None, derandomize=True, max_examples=50)
+
+
+def grid():
+    """Pixels over most of KITTI's image."""
+    u, v = np.meshgrid(np.linspace(50, 1190, 12), np.linspace(20, 350, 6))
+    return np.stack([u.ravel(), v.ravel()], axis=1)
+
+
+@given(points)
+@shared
+def test_rays_undo_the_projection(points):
+    camera = Camera(MATRIX)
+    rays = camera.rays(camera.project(points))
+    np.testing.assert_array_equal(rays[:, 2], 1.0)
+    np.testing.assert_allclose(rays * points[:, 2:], points, atol=1e-11)
+
+
+def test_projection_by_hand_with_a_skew():
+    u, v = Camera(MATRIX).project([2.0, -1.0, 10.0])
+    assert u == pytest.approx(721.5 * 0.2 + 3.7 * -0.1 + 609.6)
+    assert v == pytest.approx(718.9 * -0.1 + 172.9)
+    assert Camera(MATRIX).project(np.ones((2, 4, 3))).shape == (2, 4, 2)
+
+
+@pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
+def test_distortion_is_opencvs(lens):
+    """OpenCV has no skew: compare without."""
+    matrix = MATRIX * [[1, 0, 1], [1, 1, 1], [1, 1, 1]]
+    camera = Camera(matrix, np.array(lens))
+    in_camera = camera.rays(grid()) * 12.5
+    theirs = cv2.projectPoints(in_camera, np.zeros(3), np.zeros(3), matrix, np.array(lens))[0][:, 0]
+    np.testing.assert_allclose(camera.distort(camera.project(in_camera)), theirs, atol=1e-9)
+    assert np.abs(theirs - grid()).max() > 5  # the lens does something
+
+
+@pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
+@pytest.mark.parametrize("skew", [0.0, 3.7])
+def test_undistortion_undoes_distortion(lens, skew):
+    matrix = MATRIX.copy()
+    matrix[0, 1] = skew
+    camera = Camera(matrix, np.array(lens))
+    np.testing.assert_allclose(camera.undistort(camera.distort(grid())), grid(), atol=1e-6)
+
+
+def test_missing_pixels_stay_missing_and_the_input_is_not_changed():
+    camera, pixels = Camera(MATRIX, np.array(LENSES[5])), grid()[:3]
+    pixels[1] = np.nan
+    before = pixels.copy()
+    ideal = camera.undistort(pixels)
+    np.testing.assert_array_equal(np.isnan(ideal), np.isnan(pixels))
+    np.testing.assert_array_equal(pixels, before)
+    assert camera.undistort(np.zeros((0, 2))).shape == (0, 2)
+    assert np.isnan(camera.undistort(np.full((2, 2), np.nan))).all()
+
+
+def test_without_distortion_pixels_are_ideal():
+    camera = Camera(MATRIX, np.zeros(5))
+    assert camera.distortion is None
+    np.testing.assert_array_equal(camera.undistort(grid()), grid())
+    np.testing.assert_array_equal(camera.distort(grid()), grid())
+
+
+def test_every_way_to_give_a_camera():
+    four = Camera.of([700, 710, 600, 180])
+    np.testing.assert_array_equal(four.matrix, [[700, 0, 600], [0, 710, 180], [0, 0, 1]])
+    np.testing.assert_array_equal(Camera.of(four.matrix.tolist()).matrix, four.matrix)
+    assert Camera.of(four) is four
+    np.testing.assert_array_equal(Camera.of(four.matrix, LENSES[4]).distortion, LENSES[4])
+    lens = Camera.of(four, LENSES[5])  # a lens given beside a camera counts
+    np.testing.assert_array_equal(lens.distortion, LENSES[5])
+    np.testing.assert_array_equal(lens.matrix, four.matrix)
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [
+        np.zeros((3, 3)),
+        np.diag([700.0, -700.0, 1.0]),
+        np.diag([700.0, 700.0, 2.0]),
+        np.diag([1e12, 700.0, 1.0]),
+        np.diag([1e-12, 700.0, 1.0]),
+        MATRIX.T,
+        np.where(MATRIX == 3.7, np.nan, MATRIX),
+        np.eye(4),
+        [1.0, 2.0, 3.0],
+        [700.0, 0.0, 600.0, 180.0],
+        [700.0, np.inf, 600.0, 180.0],
+        "K",
+    ],
+    ids=lambda m: str(np.shape(m)),
+)
+def test_unusable_intrinsics_are_named(matrix):
+    with pytest.raises(InvalidInputError) as caught:
+        Camera.of(matrix)
+    assert caught.value.field.split("[")[0] == "intrinsics"
+
+
+@pytest.mark.parametrize("lens", [[0.1], [0.1] * 6, [[0.1] * 5], [0.1, np.nan, 0, 0], "lens"], ids=str)
+def test_unusable_distortion_is_named(lens):
+    with pytest.raises(InvalidInputError) as caught:
+        Camera.of(MATRIX, lens)
+    assert caught.value.field.split("[")[0] == "distortion"
+
+
+def test_ground_is_normalised():
+    ground = Ground(np.array([0.0, 2.0, -0.2]), 1.65)
+    assert np.linalg.norm(ground.normal) == pytest.approx(1.0)
+    np.testing.assert_allclose(ground.normal * np.hypot(2.0, 0.2), [0.0, 2.0, -0.2])
+    np.testing.assert_array_equal(Ground.level(1.5).normal, [0, 1, 0])
+    assert Ground.level(1.5).distance == 1.5
+
+
+def test_height_sigma_grows_with_the_depth():
+    ground = Ground.level(1.65)
+    np.testing.assert_allclose(ground.height_sigma_at(np.array([0.0, 40.0])), [0.1, np.hypot(0.1, 0.5)])
+
+
+@pytest.mark.parametrize(
+    ("field", "arguments"),
+    [
+        ("ground.normal", (np.zeros(3), 1.6)),
+        ("ground.normal", (np.array([0.0, -1.0, 0.0]), 1.6)),
+        ("ground.normal", (np.ones(2), 1.6)),
+        ("ground.distance", (np.array([0.0, 1.0, 0.0]), 0.0)),
+        ("ground.distance", (np.array([0.0, 1.0, 0.0]), np.nan)),
+        ("ground.height_sigma", (np.array([0.0, 1.0, 0.0]), 1.6, 0.0)),
+        ("ground.slope_sigma", (np.array([0.0, 1.0, 0.0]), 1.6, 0.1, -1.0)),
+        ("ground.tilt_sigma", (np.array([0.0, 1.0, 0.0]), 1.6, 0.1, 0.01, np.inf)),
+    ],
+)
+def test_unusable_ground_is_named(field, arguments):
+    with pytest.raises(InvalidInputError) as caught:
+        Ground(*arguments)
+    assert caught.value.field == field

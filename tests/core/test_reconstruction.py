@@ -1,0 +1,130 @@
+"""A result survives JSON bit for bit, whatever odd numbers it holds."""
+
+import json
+import struct
+
+import gtsam
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status, rotation_y
+from tests.cars import yaw_pose
+
+
+def made_up(rng, coefficients=5, history=2):
+    """A result of 4 keypoints with numbers of all kinds."""
+
+    def iteration(step):
+        return Iteration(
+            "joint",
+            1,
+            step,
+            yaw_pose(rng.uniform(-3, 3)),
+            rng.normal(size=coefficients),
+            rng.normal(size=(4, 3)),
+            rng.normal(size=(4, 2)) * 1e3,
+            rng.random(4),
+            {"reprojection": rng.random(), "box": float("inf")},
+        )
+
+    return Reconstruction(
+        status=Status.AMBIGUOUS,
+        message="Why not — ümlauts, too.",
+        category="quad",
+        prior="made up",
+        keypoint_names=("a", "b", "c", "d"),
+        camera_T_object=yaw_pose(0.4),
+        coefficients=rng.normal(size=coefficients),
+        offsets=np.zeros((4, 3)),
+        wireframe=rng.normal(size=(4, 3)),
+        wireframe_uv=rng.normal(size=(4, 2)) * 1e-300,
+        edges=np.array([[0, 1], [1, 2]]),
+        box_size=rng.random(3),
+        weights=np.array([0.0, 1.0, 1e-12, 1 / 3]),
+        sigmas=np.array([np.inf, 1.0, 2.0, 3.0]),
+        visibility=rng.random(4),
+        pose_covariance=rng.normal(size=(6, 6)),
+        coefficients_covariance=rng.normal(size=(coefficients, coefficients)),
+        keypoint_covariance=None,
+        energies={"reprojection": 0.1 + 0.2},
+        alternatives=(Alternative(yaw_pose(1.0), rng.normal(size=coefficients), float("nan")),),
+        history=tuple(iteration(i) for i in range(history)),
+        milliseconds={"pose": 1.5},
+        surface_vertices=rng.normal(size=(3, 3)),
+        surface_faces=np.array([[0, 1, 2]]),
+        faces={"roof": (0, 1, 3, 2)},
+        symmetric_pairs=np.array([[0, 1]]),
+        graph=(GraphFactor("reprojection", "a", ("X(v=0,t=0)", "L(v=0)")), GraphFactor("box", "", ("X(v=0,t=0)",))),
+    )
+
+
+def assert_same(a, b):
+    """Same types, shapes and bits (NaN and the sign of zero included)."""
+    assert type(a) is type(b)
+    if isinstance(a, np.ndarray):
+        assert a.dtype == b.dtype
+        assert a.shape == b.shape
+        assert a.tobytes() == b.tobytes()
+    elif isinstance(a, float):
+        assert struct.pack("d", a) == struct.pack("d", b)
+    elif isinstance(a, tuple):
+        assert len(a) == len(b)
+        for left, right in zip(a, b, strict=True):
+            assert_same(left, right)
+    elif isinstance(a, dict):
+        assert list(a) == list(b)
+        for key in a:
+            assert_same(a[key], b[key])
+    elif isinstance(a, Alternative | GraphFactor | Iteration | Reconstruction):
+        assert_same(dict(vars(a)), dict(vars(b)))
+    else:
+        assert a == b
+
+
+def through_json(result):
+    return Reconstruction.from_dict(json.loads(json.dumps(result.to_dict(), allow_nan=False)))
+
+
+@pytest.mark.parametrize(("coefficients", "history"), [(5, 2), (1, 1), (0, 1), (42, 0)])
+def test_round_trip(coefficients, history):
+    result = made_up(np.random.default_rng(coefficients), coefficients, history)
+    assert_same(result, through_json(result))
+
+
+@given(arrays(np.float64, (4, 2), elements=st.floats(allow_nan=False)))
+@settings(deadline=None, derandomize=True, max_examples=50)
+def test_every_float_survives(pixels):
+    result = made_up(np.random.default_rng(0), 2, 0)
+    object.__setattr__(result, "wireframe_uv", pixels)
+    assert through_json(result).wireframe_uv.tobytes() == pixels.tobytes()
+
+
+def test_numpy_scalars_become_plain_numbers():
+    result = made_up(np.random.default_rng(0))
+    object.__setattr__(result, "energies", {"box": np.float64(0.5), "count": np.int64(3)})
+    assert json.dumps(result.to_dict()["energies"]) == '{"box": 0.5, "count": 3}'
+
+
+def test_what_is_not_a_result_is_refused():
+    good = made_up(np.random.default_rng(0)).to_dict()
+    with pytest.raises(InvalidInputError) as caught:
+        Reconstruction.from_dict({**good, "format": "something else"})
+    assert caught.value.field == "format"
+    with pytest.raises(InvalidInputError, match="no field weights"):
+        Reconstruction.from_dict({key: value for key, value in good.items() if key != "weights"})
+    with pytest.raises(InvalidInputError, match="format"):
+        Reconstruction.from_dict({})
+
+
+@pytest.mark.parametrize("yaw", np.radians([-179, -90, -1, 0, 45, 90, 135, 180]))
+def test_pose_and_yaw(yaw):
+    result = made_up(np.random.default_rng(0))
+    object.__setattr__(result, "camera_T_object", yaw_pose(yaw))
+    assert result.rotation_y == pytest.approx(yaw)
+    assert rotation_y(yaw_pose(yaw)[:3, :3]) == pytest.approx(yaw)
+    np.testing.assert_array_equal(result.location, yaw_pose(yaw)[:3, 3])
+    assert result.pose.equals(gtsam.Pose3(gtsam.Rot3.Ry(yaw), result.location), 1e-12)

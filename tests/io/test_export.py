@@ -1,0 +1,161 @@
+"""Files for other programs read back with those programs' readers, and hold the result."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.reconstruction import Status
+from fgrecon.io.export import FORMATS, NamedResult, export, read_results
+from fgrecon.io.kitti_files import parse_objects
+from tests.viz.made_up import make_example
+
+
+@pytest.fixture(scope="module")
+def cars():
+    """Two cars, one of them with all that a track knows."""
+    first, second = make_example(0), make_example(1)
+    offset = np.array([0.06, -0.01, 0.0])
+    return [
+        NamedResult("near", first.reconstruction, first.observation.box, offset),
+        NamedResult("far", second.reconstruction),
+    ]
+
+
+@pytest.fixture(scope="module")
+def refused(cars):
+    """A result without a pose."""
+    result = replace(cars[0].result, status=Status.FAILED, camera_T_object=np.full((4, 4), np.nan))
+    return NamedResult("refused", result)
+
+
+def in_camera(result, points):
+    return points @ result.camera_T_object[:3, :3].T + result.camera_T_object[:3, 3]
+
+
+def test_ply_has_every_surface_in_the_camera_frame(cars, refused, tmp_path):
+    import trimesh
+
+    mesh = trimesh.load(export(tmp_path / "cars.ply", [*cars, refused]), process=False)
+    for car in cars:
+        expected = in_camera(car.result, car.result.surface_vertices)
+        start = np.flatnonzero(np.abs(mesh.vertices - expected[0]).max(axis=1) < 1e-5)[0]
+        np.testing.assert_allclose(mesh.vertices[start : start + len(expected)], expected, atol=1e-5)
+        for point in in_camera(car.result, car.result.wireframe):  # a ball lies around every keypoint
+            near = np.linalg.norm(mesh.vertices - point, axis=1)
+            assert (np.abs(near - 0.03) < 1e-3).sum() >= 12
+    colours = {tuple(colour[:3]) for colour in mesh.visual.vertex_colors}
+    assert {(0, 114, 178), (213, 94, 0)} <= colours
+
+
+def test_glb_has_named_nodes_that_stand_upright(cars, tmp_path):
+    import trimesh
+
+    scene = trimesh.load(export(tmp_path / "cars.glb", cars))
+    assert {f"{car.name}/{part}" for car in cars for part in ("surface", "wireframe")} <= set(scene.geometry)
+    result = cars[0].result
+    turned = scene.graph.get("near/surface")[0]
+    drawn = trimesh.transform_points(scene.geometry["near/surface"].vertices, turned)
+    expected = in_camera(result, result.surface_vertices) * (1, -1, -1)
+    np.testing.assert_allclose(sorted(drawn[:, 1]), sorted(expected[:, 1]), atol=1e-5)
+
+
+def test_csv_numbers_read_back_to_the_last_bit(cars, refused, tmp_path):
+    text = export(tmp_path / "cars.csv", [*cars, refused]).read_text()
+    rows = list(csv.DictReader(io.StringIO(text)))
+    assert [row["id"] for row in rows] == ["near", "far", "refused"]
+    for row, car in zip(rows, cars, strict=False):
+        result = car.result
+        assert float(row["rotation_y"]) == result.rotation_y
+        assert [float(row[axis]) for axis in "xyz"] == result.location.tolist()
+        assert float(row["lambda_2"]) == result.coefficients[1]
+        assert float(row["left_front_roof_v"]) == result.wireframe_uv[10, 1]
+        assert float(row["right_back_wheel_weight"]) == result.weights[3]
+        assert float(row["sigma_translation"]) == pytest.approx(np.sqrt(1e-3))
+    assert np.isnan(float(rows[2]["x"]))
+    assert rows[2]["status"] == "failed"
+
+
+def test_csv_of_different_priors_is_refused(cars, tmp_path):
+    other = NamedResult("other", replace(cars[1].result, coefficients=np.zeros(3)))
+    with pytest.raises(InvalidInputError, match="different priors"):
+        export(tmp_path / "mixed.csv", [cars[0], other])
+    assert not list(tmp_path.iterdir())
+
+
+def test_parquet_has_arrays_as_lists(cars, tmp_path):
+    import pyarrow.parquet as pq
+
+    undetermined = NamedResult("undetermined", replace(cars[1].result, pose_covariance=None))
+    rows = pq.read_table(export(tmp_path / "cars.parquet", [*cars, undetermined])).to_pylist()
+    for row, car in zip(rows, cars, strict=False):
+        assert row["camera_T_object"] == car.result.camera_T_object.ravel().tolist()
+        assert np.array_equal(np.reshape(row["wireframe"], (-1, 3)), car.result.wireframe)
+        assert row["keypoints"] == list(car.result.keypoint_names)
+    assert rows[2]["sigma_rotation"] is None
+
+
+def test_kitti_lines_are_in_the_label_frame(cars, refused, tmp_path):
+    text = export(tmp_path / "000000.txt", [*cars, refused]).read_text()
+    objects, problems = parse_objects(text, "000000.txt", scored=True)
+    assert problems == []
+    assert objects.kind == ("Car", "Car")
+    near, far = (car.result for car in cars)
+    np.testing.assert_allclose(objects.location[0], near.location - cars[0].label_offset, atol=1e-4)
+    np.testing.assert_allclose(objects.location[1], far.location, atol=1e-4)
+    np.testing.assert_allclose(objects.box[0], cars[0].box, atol=1e-2)
+    np.testing.assert_allclose(objects.box[1][:2], far.wireframe_uv.min(axis=0), atol=1e-2)
+    np.testing.assert_allclose(objects.size, [near.box_size, far.box_size], atol=1e-4)
+    np.testing.assert_allclose(objects.rotation_y, [near.rotation_y, far.rotation_y], atol=1e-4)
+    x, _, z = objects.location.T
+    np.testing.assert_allclose(np.cos(objects.alpha), np.cos(objects.rotation_y - np.arctan2(x, z)), atol=1e-3)
+    assert ((objects.score > 0) & (objects.score <= 1)).all()
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_nothing_to_write_is_refused(kind, refused, tmp_path):
+    with pytest.raises(InvalidInputError, match="results"):
+        export(tmp_path / f"none.{kind}", [])
+    if kind in ("ply", "glb"):
+        with pytest.raises(InvalidInputError, match="pose"):
+            export(tmp_path / f"none.{kind}", [refused])
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["cars", "cars.obj"])
+def test_other_endings_are_refused(cars, tmp_path, name):
+    with pytest.raises(InvalidInputError, match="ply, glb, csv, parquet, txt"):
+        export(tmp_path / name, cars)
+
+
+def test_results_are_read_from_every_file_that_fgrecon_writes(cars, tmp_path):
+    result = cars[0].result.to_dict()
+    located = (cars[0].result.location - (0.06, 0.0, 0.0)).tolist()
+    entry = {"id": "a", "box": [1, 2, 30, 40], "location_in_label_frame": located, "result": result}
+    contents = {
+        "one.json": result,
+        "demo.json": {"format": "fgrecon.demo/1", "result": result},
+        "many.json": {"format": "fgrecon.reconstructions/1", "instances": [entry, {"id": "b", "result": None}]},
+    }
+    for name, content in contents.items():
+        (tmp_path / name).write_text(json.dumps(content))
+        (found,) = read_results(tmp_path / name)
+        assert np.array_equal(found.result.camera_T_object, cars[0].result.camera_T_object)
+    assert found.box.tolist() == [1, 2, 30, 40]
+    np.testing.assert_allclose(found.label_offset, (0.06, 0.0, 0.0), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["[]", '{"format": "other"}', '{"format": "fgrecon.demo/1"}', '{"format": "fgrecon.reconstructions/1"}', "{"],
+)
+def test_other_files_are_refused(tmp_path, content):
+    (tmp_path / "x.json").write_text(content)
+    with pytest.raises(InvalidInputError, match=r"x\.json"):
+        read_results(tmp_path / "x.json")

@@ -1,0 +1,86 @@
+"""Boxes from the command line and from files."""
+
+import json
+
+import numpy as np
+import pytest
+
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.options import BoxModel
+from fgrecon.io.boxes import read_boxes
+from fgrecon.perception import boxes as module
+from fgrecon.perception.boxes import boxes_of, detected_boxes
+from fgrecon.perception.vehicles import Vehicles
+
+LABEL = "0.00 0 1.5 10.0 20.0 30.0 40.0 1.5 1.6 4.0 1 2 20 1.5"
+
+
+def test_given_boxes_are_outlines(tmp_path):
+    (box,) = boxes_of(tmp_path / "a.png", [[1, 2, 30, 40]], None)
+    assert (box.name, box.model) == ("0", BoxModel.SURFACE)
+    np.testing.assert_array_equal(box.corners, [1, 2, 30, 40])
+
+
+def test_either_boxes_or_a_file(tmp_path):
+    for given, file in (([], None), ([[1, 2, 3, 4]], tmp_path / "b.txt")):
+        with pytest.raises(InvalidInputError, match="box"):
+            boxes_of(tmp_path / "a.png", given, file)
+
+
+def test_detected_cars_are_outlines_and_large_enough_for_keypoints(monkeypatch):
+    boxes = np.array([[10.0, 10, 90, 60], [5, 5, 12, 10], [0, 0, 8, 6]])
+    monkeypatch.setattr(module, "VehicleDetector", lambda: lambda image: Vehicles(boxes, np.ones(3)))
+    found = detected_boxes(np.zeros((100, 100, 3), np.uint8))
+    assert [(box.name, box.model) for box in found] == [("0", BoxModel.SURFACE), ("1", BoxModel.SURFACE)]
+    np.testing.assert_array_equal([box.corners for box in found], boxes[[0, 2]])
+
+
+def test_labels_keep_their_line_as_name(tmp_path):
+    file = tmp_path / "000010.txt"
+    file.write_text(f"Van {LABEL}\nCar {LABEL}\n\nDontCare {LABEL}\nCar {LABEL} 0.9\n")
+    found = read_boxes(file, "000010")
+    assert [(box.name, box.model) for box in found] == [("1", BoxModel.CUBOID), ("4", BoxModel.CUBOID)]
+    np.testing.assert_array_equal(found[0].corners, [10, 20, 30, 40])
+
+
+def test_detections_of_the_image_alone(tmp_path):
+    file = tmp_path / "d.txt"
+    lines = ["x/000003.png 2 0.9 1 2 3 4", "x/000003.png 1 0.9 1 2 3 4", "x/000003.png 2 0.1 1 2 3 4"]
+    file.write_text("\n".join([*lines, "x/000004.png 2 0.9 5 6 7 8"]))
+    assert [box.corners.tolist() for box in read_boxes(file, "000003")] == [[1, 2, 3, 4]]
+    with pytest.raises(InvalidInputError, match="car in image 000009"):
+        boxes_of(tmp_path / "000009.png", [], file)
+
+
+def test_coco_results_and_annotations(tmp_path):
+    file = tmp_path / "c.json"
+    entry = {"image_id": 3, "category_id": 3, "bbox": [10, 20, 30, 40]}
+    file.write_text(json.dumps([entry, {**entry, "category_id": 1}, {**entry, "score": 0.1}, {**entry, "image_id": 4}]))
+    (box,) = read_boxes(file, "000003")
+    assert box.corners.tolist() == [10, 20, 40, 60]
+    assert box.model is BoxModel.SURFACE
+    whole = {
+        "images": [{"id": 3, "file_name": "a/street.jpg"}, {"id": 4, "file_name": "b.jpg"}],
+        "categories": [{"id": 7, "name": "car"}, {"id": 3, "name": "bench"}],
+        "annotations": [entry, {**entry, "category_id": 7}],
+    }
+    file.write_text(json.dumps(whole))
+    assert [box.name for box in read_boxes(file, "street")] == ["1"]
+
+
+@pytest.mark.parametrize(
+    "line", ["Car 1 2", f"Car {LABEL.replace('10.0', 'ten')}", f"Car {LABEL.replace('10.0', 'nan')}"]
+)
+def test_bad_lines_are_named(tmp_path, line):
+    file = tmp_path / "l.txt"
+    file.write_text(f"Car {LABEL}\n{line}\n")
+    with pytest.raises(InvalidInputError, match=r"l.txt:2"):
+        read_boxes(file, "l")
+
+
+def test_files_that_are_none(tmp_path):
+    with pytest.raises(InvalidInputError, match="boxes"):
+        read_boxes(tmp_path / "absent.txt", "a")
+    (tmp_path / "c.json").write_text('"text"')
+    with pytest.raises(InvalidInputError, match="COCO"):
+        read_boxes(tmp_path / "c.json", "a")

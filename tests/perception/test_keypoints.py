@@ -1,0 +1,81 @@
+"""The detector's inputs and outputs, with a network that has learnt nothing."""
+
+import numpy as np
+import pytest
+
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.perception.keypoints.decode import Calibration
+from fgrecon.perception.keypoints.detect import Detector, as_rgb8
+from fgrecon.perception.keypoints.weights import Stored, save_weights
+
+torch = pytest.importorskip("torch")
+
+from fgrecon.perception.keypoints.knet import KNet, KNetSettings  # noqa: E402
+
+SMALL = KNetSettings(crop=32, width=8)
+
+
+@pytest.fixture(scope="module")
+def detector(tmp_path_factory):
+    torch.manual_seed(0)
+    path = tmp_path_factory.mktemp("weights") / "w.safetensors"
+    save_weights(path, Stored(KNet(SMALL).state_dict(), SMALL.to_dict(), Calibration(), {}))
+    return Detector(path)
+
+
+@pytest.fixture
+def image():
+    return np.random.default_rng(0).integers(0, 255, (100, 160, 3), dtype=np.uint8)
+
+
+def test_points_lie_in_the_crop_and_everything_is_a_probability(detector, image):
+    boxes = [[10, 20, 90, 70], [100, 10, 180, 90.0]]
+    found = detector(image, boxes, maps=True)
+    assert len(found) == 2
+    for detection, box in zip(found, boxes, strict=True):
+        seen = detection.observation
+        np.testing.assert_allclose(seen.box, box)
+        inside = detection.crop.to_crop(seen.keypoints)
+        assert ((inside > -1) & (inside < 32)).all()
+        assert ((seen.confidence >= 0) & (seen.confidence <= 1)).all()
+        assert np.linalg.eigvalsh(seen.covariance).min() > 0
+        assert detection.azimuth.sum() == pytest.approx(1.0)
+        np.testing.assert_allclose(detection.likelihood.sum(axis=(1, 2)), 1.0, atol=1e-5)
+
+
+def test_a_batch_says_what_single_boxes_say(detector, image):
+    boxes = np.array([[10, 20, 90, 70], [30, 10, 110, 90], [0, 0, 159, 99.0]])
+    together = detector(image, boxes, batch=2)
+    for box, detection in zip(boxes, together, strict=True):
+        (alone,) = detector(image, [box])
+        np.testing.assert_allclose(alone.observation.keypoints, detection.observation.keypoints, atol=1e-3)
+        np.testing.assert_allclose(alone.observation.confidence, detection.observation.confidence, atol=1e-4)
+    assert detector(image, np.zeros((0, 4))) == []
+
+
+def test_kinds_of_images(detector, image):
+    grey = image[..., 0]
+    np.testing.assert_array_equal(as_rgb8(grey), np.repeat(grey[..., None], 3, axis=2))
+    np.testing.assert_array_equal(as_rgb8(image.astype(np.uint16) * 257), image)
+    np.testing.assert_array_equal(as_rgb8(np.dstack([image, grey])), image)
+    for bad in (image.astype(float), image[None], image[:0], np.dstack([grey, grey])):
+        with pytest.raises(InvalidInputError, match="image"):
+            detector(bad, [[10, 20, 90, 70]])
+
+
+@pytest.mark.parametrize(
+    "box", [[10, 10, 14, 14], [50, 50, 40, 60], [500, 10, 600, 90], [150, 10, 400, 90], [10, 10, np.nan, 20]]
+)
+def test_boxes_without_keypoints_are_refused_by_number(detector, image, box):
+    with pytest.raises(InvalidInputError, match=r"boxes\[1"):
+        detector(image, [[10, 20, 90, 70], box])
+
+
+def test_boxes_have_four_numbers(detector, image):
+    with pytest.raises(InvalidInputError, match="boxes"):
+        detector(image, [[1, 2, 3]])
+
+
+def test_no_network_is_a_clear_error(tmp_path):
+    with pytest.raises(InvalidInputError, match="weights"):
+        Detector(tmp_path / "absent.safetensors")

@@ -1,0 +1,141 @@
+"""The refinement networks' geometry: patches, fusion with KNet's likelihood, training that runs and resumes."""
+
+import numpy as np
+import pytest
+
+from fgrecon.io.catalogue import load_category
+from fgrecon.perception.keypoints.decode import Calibration, decode
+from fgrecon.perception.keypoints.detect import Detector
+from fgrecon.perception.keypoints.weights import Stored, load_weights, save_weights
+
+torch = pytest.importorskip("torch")
+
+from fgrecon.perception.keypoints.knet import KNet, KNetSettings  # noqa: E402
+from fgrecon.perception.keypoints.refine import (  # noqa: E402
+    PATCH,
+    RefineNet,
+    RefineSettings,
+    cut_patches,
+    fuse,
+    patch_offsets,
+    run_networks,
+    window_of,
+)
+from fgrecon.training.keypoints.augment import Street  # noqa: E402
+from fgrecon.training.keypoints.train_refine import RefineTraining, train_refinement  # noqa: E402
+from tests.training.keypoints.test_augment import made_up_view  # noqa: E402
+
+MIRROR = load_category("car14").mirror
+SMALL = RefineSettings(crop=64, width=2)
+
+
+class OneView:
+    """Photographs of which each is the same."""
+
+    def __init__(self):
+        self.view = made_up_view(np.random.default_rng(0))
+
+    def draw(self, chosen, weights, street, partner, seed):
+        return street.sample(self.view, lambda _: self.view, partner, np.random.default_rng(list(seed)))
+
+
+class PartlyKnown(OneView):
+    """Photographs in which only the first keypoint's place is known."""
+
+    def draw(self, chosen, weights, street, partner, seed):
+        sample = super().draw(chosen, weights, street, partner, seed)
+        sample.keypoints[1:] = np.nan
+        return sample
+
+
+def test_keypoints_of_unknown_place_teach_nothing(tmp_path):
+    torch.manual_seed(0)
+    how = RefineTraining(steps=3, batch=2, network=SMALL, street=Street(size=64), average=0.0)
+    begun = RefineNet(SMALL).state_dict()
+    trained = train_refinement(PartlyKnown(), np.arange(1), np.ones(1), MIRROR, tmp_path / "a.pt", how, start=begun)
+    weight, before = trained.head.weight.detach().reshape(14, -1), begun["head.weight"].reshape(14, -1)
+    assert torch.isfinite(weight).all()
+    moved = (weight / before - 1.0).abs().amax(dim=1)
+    assert moved[0] > 1e-2
+    assert moved[1:].max() < 1e-3  # the decay of weights alone
+
+
+def test_patches_are_cut_where_asked_and_repeat_the_edge():
+    crops = np.arange(2 * 40 * 40 * 3, dtype=np.int64).reshape(2, 40, 40, 3) % 251
+    crops = crops.astype(np.uint8)
+    corners = np.array([[[[4, 6], [-10, 0]]], [[[8, 8], [20, 20]]]])
+    patches = cut_patches(crops, corners)
+    assert patches.shape == (2, 1, 2, 3, PATCH, PATCH)
+    np.testing.assert_array_equal(patches[0, 0, 0], np.moveaxis(crops[0, 6:38, 4:36], -1, 0))
+    np.testing.assert_array_equal(patches[0, 0, 1, :, 0, :10], np.repeat(crops[0, 0, 0][:, None], 10, axis=1))
+
+
+def test_what_patches_agree_on_is_found_between_pixels():
+    rng = np.random.default_rng(0)
+    truth = rng.uniform(50, 80, (2, 14, 2))
+    centres = np.rint(truth + rng.normal(0, 3, truth.shape)).astype(np.int64)
+    corners = centres[:, None] + patch_offsets(4, 14) - PATCH // 2
+    span = np.arange(PATCH)
+    x, y = corners[..., 0, None] + span, corners[..., 1, None] + span
+    u, v = truth[:, None, :, 0, None], truth[:, None, :, 1, None]
+    logs = -(((y - v) ** 2)[..., :, None] + ((x - u) ** 2)[..., None, :]) / (2 * 1.5**2)
+    flat = np.zeros((2, 14, 48, 48))
+    joint, origin = fuse(logs, corners, centres, flat, 1.0)
+    np.testing.assert_allclose(joint.sum(axis=(2, 3)), 1.0)
+    np.testing.assert_allclose(decode(joint, 1.0, 10.0).points + origin, truth, atol=0.1)
+
+
+def test_the_window_of_knets_map_lies_where_it_should():
+    maps = np.full((1, 1, 48, 48), 1e-9)
+    maps[0, 0, 20, 30] = 1.0  # at 60.5, 40.5 of a crop of 96 pixels: at 111.4, 74.75 of one of 176
+    centres = np.array([[[110, 75]]])
+    window = window_of(maps, centres, 176)
+    row, column = np.unravel_index(window[0, 0].argmax(), (48, 48))
+    np.testing.assert_allclose([column + 110 - 24, row + 75 - 24], [111.4, 74.7], atol=1.0)
+
+
+def test_each_keypoint_has_a_network_of_its_own():
+    torch.manual_seed(0)
+    network = RefineNet(SMALL).eval()
+    patches = np.random.default_rng(0).integers(0, 255, (1, 1, 14, 3, PATCH, PATCH)).astype(np.uint8)
+    before = run_networks(network, patches)
+    np.testing.assert_allclose(np.exp(before).sum(axis=(-1, -2)), 1.0, atol=1e-5)
+    patches[0, 0, 3] = 0
+    changed = np.abs(run_networks(network, patches) - before).max(axis=(-1, -2))[0, 0] > 1e-6
+    assert changed.nonzero()[0].tolist() == [3]
+
+
+def test_training_resumes(tmp_path):
+    how = RefineTraining(steps=2, batch=2, network=SMALL, save_every=1, street=Street(size=64))
+    arguments = (OneView(), np.arange(1), np.ones(1), MIRROR)
+    reports = []
+    whole = train_refinement(*arguments, tmp_path / "a.pt", how, report=reports.append)
+    train_refinement(*arguments, tmp_path / "b.pt", RefineTraining(**{**how.__dict__, "steps": 1, "decay": 0.0}))
+    assert [report.step for report in reports] == [1, 2]
+    resumed = train_refinement(*arguments, tmp_path / "b.pt", how)
+    for name, value in whole.state_dict().items():
+        assert value.shape == resumed.state_dict()[name].shape
+
+
+def test_a_cascade_from_a_file_moves_points_only_within_the_patches(tmp_path):
+    torch.manual_seed(0)
+    sizes = KNetSettings(crop=32, width=8)
+    stored = Stored(
+        KNet(sizes).state_dict(),
+        sizes.to_dict(),
+        Calibration(),
+        {},
+        RefineNet(SMALL).state_dict(),
+        SMALL.to_dict(),
+        1.0,
+    )
+    path = save_weights(tmp_path / "w.safetensors", stored)
+    assert load_weights(path).refine_settings == SMALL.to_dict()
+    image = np.random.default_rng(0).integers(0, 255, (90, 140, 3)).astype(np.uint8)
+    boxes = [[10, 10, 110, 80], [20, 5, 90, 85.0]]
+    alone, cascade = (Detector(path, refine=refine)(image, boxes) for refine in (False, True))
+    for a, b in zip(alone, cascade, strict=True):
+        moved = np.linalg.norm(a.observation.keypoints - b.observation.keypoints, axis=1) * b.crop.scale * 2
+        assert 0 < moved.max() < 34
+        np.testing.assert_allclose(a.observation.confidence, b.observation.confidence)
+        assert np.linalg.eigvalsh(b.observation.covariance).min() > 0

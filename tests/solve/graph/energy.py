@@ -1,0 +1,211 @@
+"""The shape stage's whole energy, written out once more in plain numpy for other solvers to minimise.
+
+Nothing of `factors` or `fgrecon.solve.graph` is used. Planes are parametrised otherwise: a normal is (a, 1, b) or, of
+the medial plane, (a, b, 1), brought to length one; with the paper's penalty it is a free vector.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+
+class Energy:
+    """Residuals of one vehicle at fixed weights as a function of one vector.
+
+    The vector holds the pose's change (rotation vector about the object's axes and translation along them) where the
+    pose is free, then lambda, then the offsets where they are free, then the planes.
+    """
+
+    def __init__(self, scene, covariances, weights, box_weights, camera_T_object, *, joint):
+        self.scene, self.joint, self.pose = scene, joint, camera_T_object
+        self.prior, self.options = scene.model.prior, scene.options
+        self.category = self.prior.category
+        self.weights, self.box_weights = weights, box_weights
+        self.whiteners = [_inverse_root(covariance) for covariance in covariances]
+        free = self.options.free_offsets
+        self.symmetric = self.prior.is_symmetric and not free
+        self.faces = [
+            face
+            for face in self.category.faces
+            if face.ground_parallel or not (self.symmetric and self._mirrored(face))
+        ]
+        if "planarity" in self.options.disabled_terms or not (free or self.prior.dimension):
+            self.faces = []
+        self.medial = not self.symmetric and "symmetry" not in self.options.disabled_terms
+        self.penalty = self.options.plane_penalty
+        self.sizes = [6 * joint, self.prior.dimension, 3 * self.category.size * free]
+        self.sizes += [3 if self.penalty is None else 4] * len(self.faces) + [3] * self.medial
+        # The ground's uncertainty belongs to the depth at which the stage starts.
+        self.depth = camera_T_object[2, 3]
+
+    def _mirrored(self, face):
+        return {int(self.category.mirror[k]) for k in face.keypoints} == set(face.keypoints)
+
+    def split(self, x):
+        return np.split(x, np.cumsum(self.sizes)[:-1])
+
+    def pose_at(self, x):
+        change = self.split(x)[0]
+        if not self.joint:
+            return self.pose
+        pose = self.pose.copy()
+        pose[:3, :3] = self.pose[:3, :3] @ Rotation.from_rotvec(change[:3]).as_matrix()
+        pose[:3, 3] += self.pose[:3, :3] @ change[3:]
+        return pose
+
+    def points_at(self, x):
+        _, coefficients, offsets, *_ = self.split(x)
+        points = self.prior.mean + sum(c * b for c, b in zip(coefficients, self.prior.basis, strict=True))
+        return points + offsets.reshape(-1, 3) if len(offsets) else points
+
+    def start(self, coefficients, offsets):
+        """The vector at the pose, with planes through the mean heights of their faces."""
+        x = [np.zeros(self.sizes[0]), coefficients, offsets.ravel() if self.options.free_offsets else np.zeros(0)]
+        points = self.prior.keypoints(coefficients, offsets)
+        for face in self.faces:
+            height = -points[list(face.keypoints), 1].mean()
+            x.append(np.array([0, 0, height]) if self.penalty is None else np.array([0, 1, 0, height]))
+        if self.medial:
+            x.append(np.zeros(3))
+        return np.concatenate(x)
+
+    def terms(self, x):
+        """Whitened residuals by name."""
+        options, scene = self.options, self.scene
+        _, coefficients, offsets, *planes = self.split(x)
+        pose, points = self.pose_at(x), self.points_at(x)
+        terms = {"reprojection": self._reprojection(pose, points), "coefficients": coefficients}
+        if len(offsets):
+            terms["offsets"] = offsets / np.repeat(np.maximum(self.prior.offset_sigma, 1e-4), 3)
+        planarity = []
+        for face, plane in zip(self.faces, planes, strict=False):
+            if self.penalty is None:
+                n, d = np.array([plane[0], 1.0, plane[1]]) / np.sqrt(1 + plane[0] ** 2 + plane[1] ** 2), plane[2]
+            else:
+                n, d = plane[:3], plane[3]
+                planarity.append(np.sqrt(self.penalty) * (1 - n @ n) / options.planarity_sigma)
+            planarity += [(n @ points[k] + d) / options.planarity_sigma for k in face.keypoints]
+            if face.ground_parallel:
+                planarity += [n[0] / options.parallel_sigma, n[2] / options.parallel_sigma]
+        terms["planarity"] = np.array(planarity)
+        terms["rectangularity"] = np.concatenate([self._rectangle(points, face) for face in self.category.faces])
+        if self.medial:
+            terms["symmetry"] = self._symmetry(points, planes[-1])
+        if scene.model.size is not None:
+            size = scene.model.size
+            measured = np.array([self._dimension(points, dimension) for dimension in self.category.dimensions])
+            terms["dimensions"] = (measured - size.mean) / size.sigma
+        usual = 0.0 if options.literal_laplacian else self._delta(self.prior.mean)
+        terms["laplacian"] = (self._delta(points) - usual).ravel() / options.laplacian_sigma
+        if self.joint and scene.ground is not None:
+            ground = scene.ground
+            sigma = np.hypot(ground.height_sigma, ground.slope_sigma * self.depth)
+            height = (ground.normal @ pose[:3, 3] - ground.distance) / sigma
+            terms["ground"] = np.append((pose[:3, 1] - ground.normal) / ground.tilt_sigma, height)
+        if scene.box is not None:
+            terms["box"] = self._box(pose, coefficients)
+        return {name: term for name, term in terms.items() if name not in options.disabled_terms}
+
+    def residual(self, x):
+        return np.concatenate(list(self.terms(x).values()))
+
+    def cost(self, x):
+        return 0.5 * float(np.sum(self.residual(x) ** 2))
+
+    def jacobian(self, x, step=1e-6):
+        """Central differences."""
+        columns = [(self.residual(x + step * e) - self.residual(x - step * e)) / (2 * step) for e in np.eye(len(x))]
+        return np.array(columns).T
+
+    def _project(self, pose, points):
+        q = (points @ pose[:3, :3].T + pose[:3, 3]) @ self.scene.camera.matrix.T
+        return q[:, :2] / q[:, 2:]
+
+    def _reprojection(self, pose, points):
+        pixels, rows = self._project(pose, points), []
+        for k in np.flatnonzero(self.scene.observation.measured):
+            d = pixels[k] - self.scene.observation.keypoints[k]
+            rows.append(np.sqrt(self.weights[k]) * self.whiteners[k] @ d)
+        return np.concatenate(rows)
+
+    def _dimension(self, points, dimension):
+        ends = points[list(dimension.plus)].mean(axis=0) - points[list(dimension.minus)].mean(axis=0)
+        return abs(ends[{"length": 0, "width": 2, "height": 1}[dimension.name]]) / dimension.ratio
+
+    def _rectangle(self, points, face):
+        if not face.rectangular:
+            return np.zeros(0)
+        a, b, c, d = points[list(face.keypoints)]
+        diagonals = np.linalg.norm(a - c) - np.linalg.norm(b - d)
+        return np.append(a - b + c - d, diagonals) / self.options.rectangularity_sigma
+
+    def _symmetry(self, points, plane):
+        n = np.array([plane[0], plane[1], 1.0]) / np.sqrt(1 + plane[0] ** 2 + plane[1] ** 2)
+        left, right = np.array(self.category.symmetric_pairs).T
+        mirrored = points[right] - 2 * np.outer(points[right] @ n + plane[2], n)
+        middle = points[self.category.mirror == np.arange(self.category.size)] @ n + plane[2]
+        return np.concatenate([(mirrored - points[left]).ravel(), middle]) / self.options.symmetry_sigma
+
+    def _delta(self, points):
+        rows = []
+        for i, near in enumerate(self.category.neighbours):
+            if near:
+                others = points[list(near)]
+                weight = np.exp(-np.sum((points[i] - others) ** 2, axis=1))
+                literal = self.options.literal_laplacian
+                rows.append(points[i] - weight @ others / (1.0 if literal else weight.sum()))
+        return np.array(rows)
+
+    def _box(self, pose, coefficients):
+        box, rows = self.scene.box, []
+        points = box.mean + sum(c * b for c, b in zip(coefficients, box.basis, strict=True))
+        pixels = self._project(pose, points)
+        for edge in range(4):
+            sign = -1.0 if edge < 2 else 1.0
+            outward = sign * pixels[:, edge % 2]
+            share = np.exp((outward - outward.max()) / box.softness)
+            extent = sign * (share @ outward) / share.sum()
+            rows.append(np.sqrt(self.box_weights[edge] * box.used[edge]) * (extent - box.edges[edge]) / box.sigma)
+        return np.array(rows)
+
+
+def minimise_by_scipy(energy, x):
+    """Optimum by scipy's trust region."""
+    return least_squares(energy.residual, x, jac=energy.jacobian, x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-13).x
+
+
+def minimise_by_ceres(energy, x):
+    """Optimum by Ceres; needs pyceres."""
+    import pyceres
+
+    class Cost(pyceres.CostFunction):
+        def __init__(self):
+            super().__init__()
+            self.set_num_residuals(len(energy.residual(x)))
+            self.set_parameter_block_sizes([len(x)])
+
+        def Evaluate(self, parameters, residuals, jacobians):
+            residuals[:] = energy.residual(parameters[0])
+            if jacobians is not None:
+                jacobians[0][:] = energy.jacobian(parameters[0]).ravel()
+            return True
+
+    found = np.array(x, dtype=np.float64)
+    problem = pyceres.Problem()
+    cost = Cost()
+    problem.add_residual_block(cost, None, [found])
+    options = pyceres.SolverOptions()
+    options.max_num_iterations = 200
+    options.function_tolerance = options.gradient_tolerance = options.parameter_tolerance = 1e-16
+    options.minimizer_progress_to_stdout = False
+    options.logging_type = pyceres.LoggingType.SILENT
+    pyceres.solve(options, problem, pyceres.SolverSummary())
+    return found
+
+
+def _inverse_root(covariance):
+    """Symmetric inverse square root, by eigenvectors."""
+    values, vectors = np.linalg.eigh(covariance)
+    return vectors @ np.diag(values**-0.5) @ vectors.T

@@ -1,0 +1,86 @@
+"""A noisy observation of a random car, ready for the shape stage."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+
+from factors import M, P
+from fgrecon.core.camera import Ground
+from fgrecon.core.observation import Observation
+from fgrecon.core.options import Options
+from fgrecon.core.size_prior import SIZE_PRIORS
+from fgrecon.io.catalogue import load_prior
+from fgrecon.solve.graph.graph import Scene
+from fgrecon.solve.proposals.adjust import adjust_pose
+from fgrecon.solve.proposals.problem import keypoint_covariances
+from fgrecon.solve.proposals.terms import Hypotheses
+from tests.cars import CAMERA, observe, pose_problem, yaw_pose
+from tests.solve.graph.energy import Energy
+
+GROUND = Ground(np.array([0.01, 1.0, -0.02]), 1.6)
+
+
+def unsymmetric(prior, seed=0):
+    """The prior with every keypoint a little off its place, as a prior learnt without symmetry would have it."""
+    rng = np.random.default_rng(seed)
+    mean = prior.mean + 0.03 * rng.normal(size=prior.mean.shape)
+    basis = prior.basis + 0.01 * rng.normal(size=prior.basis.shape)
+    return replace(prior, mean=mean, basis=basis, offset_sigma=np.full(len(mean), 0.04), surface=None)
+
+
+def scene_of(seed=0, *, ground=True, size=True, covariance=False, prior=None, yaw=None, **settings):
+    """A scene, the pose stage's problem, and its result."""
+    rng = np.random.default_rng(seed)
+    options = Options(**settings)
+    car = load_prior("car14")
+    prior = car if prior is None else prior
+    pose = yaw_pose(rng.uniform(-3, 3) if yaw is None else yaw, (rng.uniform(-3, 3), 1.65, rng.uniform(8, 20)))
+    observation = observe(car, pose, rng.normal(size=5), noise=2.5, seed=seed)
+    if covariance:
+        own = np.array([[6.0, 1.5], [1.5, 4.0]]) * rng.uniform(0.5, 2.0, (14, 1, 1))
+        observation = Observation(observation.keypoints, observation.confidence, observation.box, own)
+    plane = GROUND if ground else None
+    fleet = SIZE_PRIORS["kitti"] if size else None
+    problem, model = pose_problem(prior, observation, ground=plane, size=fleet, options=options)
+    estimate = adjust_pose(observation, CAMERA, model, plane, None, options)
+    return Scene(observation, CAMERA, model, plane, problem.box, options), problem, estimate
+
+
+def weights_of(problem, estimate):
+    """Weights of keypoints and box edges at the pose stage's result, and the keypoints' covariances."""
+    pose = estimate.camera_T_object
+    here = Hypotheses(pose[None, :3, :3], pose[None, :3, 3], estimate.coefficients[None])
+    box = np.ones(4) if problem.box is None else problem.box.weights(problem.box.residuals(here))[0]
+    return estimate.weights, box
+
+
+def energy_of(scene, weights, box_weights, camera_T_object, *, joint):
+    """The independent energy of a scene."""
+    covariances = keypoint_covariances(scene.observation, scene.options)
+    return Energy(scene, covariances, weights, box_weights, camera_T_object, joint=joint)
+
+
+def vector(energy, vehicle, values):
+    """The graph's values in the parameters of the independent energy."""
+    pose, coefficients, offsets = vehicle.read(values)
+    parts = []
+    if energy.joint:
+        change = gtsam.Pose3(energy.pose).between(pose)
+        parts = [gtsam.Rot3.Logmap(change.rotation()), change.translation()]
+    parts.append(coefficients)
+    if energy.options.free_offsets:
+        parts.append(offsets.ravel())
+    for index, face in enumerate(energy.category.faces):
+        if face in energy.faces:
+            if energy.penalty is not None:
+                parts.append(values.atVector(P(0, index)))
+            else:
+                a, b, c, d = values.atOrientedPlane3(P(0, index)).planeCoefficients()
+                parts.append(np.array([a, c, d * abs(b)]) / b)
+    if energy.medial:
+        a, b, c, d = values.atOrientedPlane3(M(0)).planeCoefficients()
+        parts.append(np.array([a, b, d * abs(c)]) / c)
+    return np.concatenate(parts)

@@ -1,0 +1,45 @@
+"""The structure of the graph as it is drawn: every factor once, with the variables that it really has."""
+
+import gtsam
+import numpy as np
+import pytest
+
+from factors import key_name
+from fgrecon.solve.graph.graph import VehicleGraph
+from fgrecon.solve.graph.structure import graph_factors
+from tests.solve.graph.support import scene_of
+
+
+def described(seed=0, **settings):
+    scene, _, start = scene_of(seed, **settings)
+    vehicle = VehicleGraph(scene, gtsam.Pose3(start.camera_T_object), pose_free=True)
+    weights = np.where(np.arange(len(start.weights)) == 2, 0.0, 1.0)
+    terms = vehicle.terms(weights, np.ones(4))
+    return scene, terms, graph_factors(vehicle, terms, weights)
+
+
+@pytest.mark.parametrize("settings", [{}, {"free_offsets": True}])
+def test_every_factor_is_there_with_its_variables(settings):
+    _, terms, found = described(**settings)
+    for name, members in terms.items():
+        told = [factor for factor in found if factor.term == name]
+        if name != "reprojection":
+            expected = [tuple(map(key_name, factor.keys())) for factor in members]
+            assert [factor.variables for factor in told] == expected
+    assert {factor.term for factor in found} == set(terms)
+
+
+def test_keypoints_without_measurement_or_weight_have_none():
+    scene, _, found = described()
+    names = scene.model.prior.category.keypoints
+    told = [factor.label for factor in found if factor.term == "reprojection"]
+    expected = [name for i, name in enumerate(names) if scene.observation.measured[i] and i != 2]
+    assert told == expected
+    assert {factor.variables for factor in found if factor.term == "reprojection"} == {("X(v=0,t=0)", "L(v=0)")}
+
+
+def test_labels_tell_factors_of_one_term_apart():
+    *_, found = described(free_offsets=True)
+    keys = [(factor.term, factor.label) for factor in found if factor.term != "rectangularity"]
+    assert len(set(keys)) == len(keys)
+    assert ("planarity", "wheels level") in keys

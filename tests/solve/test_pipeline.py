@@ -1,0 +1,274 @@
+"""End to end: real frames, exact repetition, equivalent inputs and every field of the result."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fgrecon.core.box3d import Box3D
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.options import Options
+from fgrecon.core.reconstruction import Reconstruction, Status
+from fgrecon.core.size_prior import SIZE_PRIORS
+from fgrecon.io.catalogue import load_prior, save_prior
+from fgrecon.io.track_file import read_track
+from fgrecon.solve.pipeline import reconstruct
+from tests.cars import CAMERA, MATRIX, observe, rotation_angle, yaw_pose
+from tests.core.test_reconstruction import assert_same
+
+TRACKS = "kitti_tracking_keypoints14/*.json"
+
+
+@pytest.fixture(scope="module")
+def prior():
+    return load_prior("car14")
+
+
+@pytest.fixture(scope="module")
+def seen(prior):
+    """A car with 2 px of noise and its true pose."""
+    truth = yaw_pose(0.7)
+    return observe(prior, truth, [0.4, -0.8, 0.2, 0.5, -0.3], noise=2.0), truth
+
+
+def solve(observation, intrinsics=CAMERA, **more):
+    arguments = {"confidence": observation.confidence, "box": observation.box, **more}
+    return reconstruct(observation.keypoints, intrinsics, **arguments)
+
+
+def untimed(result):
+    """The result without its clock."""
+    return replace(result, milliseconds={})
+
+
+@pytest.mark.data
+def test_the_real_frames(data, prior):
+    """76 frames with network keypoints, ground and fleet known: the numbers that the project promises."""
+    turns, moves, statuses = [], [], []
+    options = Options(box_model="cuboid", keep_history=False)  # KITTI's boxes enclose the projected 3D box
+    for path in sorted(data.glob(TRACKS)):
+        track = read_track(path, prior.category)
+        for frame in track.frames:
+            result = solve(frame.observation, track.camera, ground=1.65, size_prior="kitti", options=options)
+            turn = result.rotation_y - frame.truth.rotation_y
+            turns.append(np.degrees(abs((turn + np.pi) % (2 * np.pi) - np.pi)))
+            moves.append(np.linalg.norm(result.location - track.label_offset - frame.truth.location))
+            statuses.append(result.status)
+    turns = np.array(turns)
+    assert len(turns) == 76
+    assert (turns <= 5).sum() >= 75
+    assert (turns <= 15).sum() == (turns <= 30).sum() == 76
+    assert turns.mean() < 1.5
+    assert np.median(moves) <= 0.5
+    assert Status.FAILED not in statuses
+    assert Status.DEGENERATE not in statuses
+
+
+@pytest.mark.parametrize("more", [{}, {"ground": 1.65, "size_prior": "apollo79"}])
+@pytest.mark.parametrize("degrees", range(-150, 181, 55))
+def test_exact_cars(prior, degrees, more):
+    """The mean car without noise, with and without what is known about the scene."""
+    truth = yaw_pose(np.radians(degrees))
+    result = solve(observe(prior, truth), **more)
+    assert result.status is Status.CONVERGED
+    assert np.degrees(rotation_angle(result.camera_T_object, truth)) < 3
+    assert np.linalg.norm(result.location - truth[:3, 3]) < 0.03 * truth[2, 3]
+
+
+def test_the_parts_of_a_result_fit_together(prior, seen):
+    observation, _ = seen
+    result = solve(observation, ground=1.65, options=Options(free_offsets=True))
+    pose = result.camera_T_object
+    np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(result.wireframe, prior.keypoints(result.coefficients, result.offsets))
+    in_camera = result.wireframe @ pose[:3, :3].T + pose[:3, 3]
+    np.testing.assert_allclose(result.wireframe_uv, CAMERA.project(in_camera))
+    np.testing.assert_allclose(result.surface_vertices, prior.surface.vertices(result.coefficients))
+    np.testing.assert_allclose(result.box_size, prior.box_size(result.coefficients, result.offsets))
+    sigma0 = np.hypot(Options().sigma_relative * observation.extent, Options().sigma_pixels)
+    np.testing.assert_allclose(result.sigmas * np.sqrt(result.weights), sigma0)
+    stages = list(dict.fromkeys(iteration.stage for iteration in result.history))
+    assert stages == ["initialisation", "pose", "shape", "joint"]
+    np.testing.assert_array_equal(result.history[-1].camera_T_object, pose)
+    for covariance in (result.pose_covariance, result.coefficients_covariance, *result.keypoint_covariance):
+        assert np.linalg.eigvalsh(covariance).min() > 0
+    assert result.category == "car14"
+    assert set(result.milliseconds) >= {"pose", "shape"}
+
+
+def test_the_size_of_one_car_tells_its_shape(prior):
+    """A long, tall car from few points: with its size told it comes out in shape, size and place."""
+    coefficients = np.array([1.5, -0.8, 0.6, 0.4, 0.0])
+    pose, size = yaw_pose(0.6), prior.box_size(coefficients)
+    observation = observe(prior, pose, coefficients, noise=1.0)
+    told = solve(observation, prior=prior, size_prior=",".join(f"{length:.3f}" for length in size))
+    untold = solve(observation, prior=prior)
+    assert told.prior.startswith("car14 given ")
+    assert "dimensions" not in told.energies
+    assert told.box_size == pytest.approx(size, rel=0.03)
+    shape = prior.keypoints(coefficients)
+    away = [np.linalg.norm(result.wireframe - shape, axis=1).mean() for result in (told, untold)]
+    assert away[0] < 0.04
+    assert away[0] < away[1]
+    assert np.linalg.norm(told.camera_T_object[:3, 3] - pose[:3, 3]) < 0.3
+
+
+def test_json_keeps_every_bit(seen):
+    result = solve(seen[0], ground=1.65, size_prior="kitti")
+    assert_same(result, Reconstruction.from_dict(json.loads(json.dumps(result.to_dict(), allow_nan=False))))
+
+
+@pytest.mark.parametrize("strategy", ["mixture", "paper", "gnc"])
+def test_the_same_input_gives_the_same_bits(seen, strategy):
+    options = Options(strategy=strategy, free_offsets=True)
+    first, second = (untimed(solve(seen[0], options=options)) for _ in range(2))
+    assert_same(first, second)
+
+
+def assert_alike(a, b, tolerance=1e-6):
+    np.testing.assert_allclose(a.camera_T_object, b.camera_T_object, atol=tolerance)
+    np.testing.assert_allclose(a.coefficients, b.coefficients, atol=10 * tolerance)
+    np.testing.assert_allclose(a.weights, b.weights, atol=10 * tolerance)
+
+
+def test_a_lens_changes_nothing_but_the_pixels(seen):
+    """Through a distorting lens, told of it, the same car comes out; its wireframe is drawn through the lens."""
+    observation, _ = seen
+    lens = [-0.3, 0.1, 0.001, -0.0005, -0.02]
+    camera = Camera(MATRIX, np.array(lens))
+    points = camera.distort(observation.keypoints)
+    box = camera.distort(observation.box.reshape(2, 2)).ravel()
+    assert np.abs(points - observation.keypoints).max() > 1
+    ideal = solve(observation)
+    bent = reconstruct(points, MATRIX, confidence=observation.confidence, box=box, distortion=lens)
+    assert_alike(ideal, bent, 1e-5)
+    np.testing.assert_allclose(bent.wireframe_uv, camera.distort(ideal.wireframe_uv), atol=1e-3)
+    assert_alike(bent, reconstruct(points, camera, confidence=observation.confidence, box=box), 1e-12)
+    assert_alike(bent, reconstruct(points, CAMERA, confidence=observation.confidence, box=box, distortion=lens), 1e-12)
+
+
+def test_ways_to_say_the_same(prior, seen, tmp_path):
+    observation, _ = seen
+    fx, _, cx, _, fy, cy = MATRIX[:2].ravel()
+    whole = untimed(solve(observation, ground=1.65, size_prior="kitti", prior="car14"))
+    four = solve(observation, (fx, fy, cx, cy), ground=np.float32(1.65), size_prior=SIZE_PRIORS["kitti"], prior=prior)
+    assert_alike(whole, four, 1e-4)  # 1.65 in single precision
+    lists = reconstruct(
+        observation.keypoints.tolist(),
+        MATRIX.tolist(),
+        confidence=observation.confidence.tolist(),
+        box=tuple(observation.box),
+        ground=Ground.level(1.65),
+        size_prior="kitti",
+        prior=save_prior(prior, tmp_path / "mine.npz"),
+    )
+    assert_same(whole, untimed(lists))
+
+
+def test_an_image_of_twice_the_size(seen):
+    """Twice the resolution, in camera, pixels and noise: the same car, bit for bit nearly."""
+    observation, _ = seen
+    double = np.diag([2.0, 2.0, 1.0]) @ MATRIX
+    options = Options(sigma_pixels=2 * Options().sigma_pixels, box_sigma_pixels=2 * Options().box_sigma_pixels)
+    big = reconstruct(
+        2 * observation.keypoints, double, confidence=observation.confidence, box=2 * observation.box, options=options
+    )
+    assert_alike(solve(observation), big)
+
+
+def test_a_car_of_another_scale(prior):
+    """Nothing tells the size: a toy car of a tenth the size comes out at a tenth the distance."""
+    metric = {"laplacian", "planarity", "rectangularity"}  # these have sigmas in metres
+    observation = observe(prior, yaw_pose(0.5), noise=2.0)
+    for scale in (0.8, 1.3):
+        toy = prior.scaled(scale)
+        a, b = (solve(observation, prior=p, options=Options(disabled_terms=metric)) for p in (prior, toy))
+        np.testing.assert_allclose(b.location / scale, a.location, rtol=0.02, atol=0.02)
+        assert np.degrees(rotation_angle(a.camera_T_object, b.camera_T_object)) < 1
+        np.testing.assert_allclose(a.wireframe_uv, b.wireframe_uv, atol=1.5)
+
+
+def test_missing_keypoints_are_filled_in(seen):
+    observation, truth = seen
+    pixels = observation.keypoints.copy()
+    gone = [1, 6, 9, 12]
+    pixels[gone] = np.nan
+    result = reconstruct(pixels, CAMERA, confidence=observation.confidence, box=observation.box, ground=1.65)
+    assert (result.weights[gone] == 0).all()
+    assert np.isinf(result.sigmas[gone]).all()
+    assert np.isfinite(result.wireframe_uv).all()
+    off = np.linalg.norm(result.wireframe_uv[gone] - observation.keypoints[gone], axis=1)
+    assert off.max() < 0.1 * observation.extent
+    assert np.degrees(rotation_angle(result.camera_T_object, truth)) < 5
+
+
+def test_without_confidences_and_box(seen):
+    observation, truth = seen
+    result = reconstruct(observation.keypoints, CAMERA)
+    assert np.degrees(rotation_angle(result.camera_T_object, truth)) < 6
+
+
+def test_a_prior_without_surface(prior, seen):
+    observation, truth = seen
+    bare = replace(prior, surface=None)
+    result = solve(observation, prior=bare, ground=1.65)
+    assert result.surface_vertices is None
+    assert result.surface_faces is None
+    assert np.degrees(rotation_angle(result.camera_T_object, truth)) < 5
+    assert_same(untimed(result), Reconstruction.from_dict(json.loads(json.dumps(untimed(result).to_dict()))))
+
+
+@pytest.mark.parametrize("count", [0, 1])
+@pytest.mark.parametrize("more", [{}, {"joint": False}, {"free_offsets": True}])
+def test_few_basis_vectors(seen, count, more):
+    result = solve(seen[0], options=Options(basis_vectors=count, **more))
+    assert result.status is Status.CONVERGED
+    assert result.coefficients.shape == (count,)
+    assert result.coefficients_covariance.shape == (count, count)
+    assert np.degrees(rotation_angle(result.camera_T_object, seen[1])) < 6
+    assert_same(result, Reconstruction.from_dict(json.loads(json.dumps(result.to_dict()))))
+
+
+@pytest.mark.parametrize("initial", [0.9, np.float32(0.5), Box3D(np.array([1.5, 1.65, 12.5]), 0.6)])
+def test_starts_from_elsewhere(seen, initial):
+    result = solve(seen[0], initial=initial)
+    assert np.degrees(rotation_angle(result.camera_T_object, seen[1])) < 5
+
+
+def test_a_level_camera_is_a_height(seen):
+    a, b = (solve(seen[0], ground=ground) for ground in (1.65, Ground(np.array([0.0, 1.0, 0.0]), 1.65)))
+    assert_same(untimed(a), untimed(b))
+    assert abs(a.location[1] - 1.65) < abs(solve(seen[0]).location[1] - 1.65) + 0.05
+
+
+def test_a_detectors_covariance_counts(seen):
+    """A point that its detector is unsure of along u moves the result less."""
+    observation, _ = seen
+    sure = int(np.argmax(observation.confidence))
+    shifted = observation.keypoints.copy()
+    shifted[sure, 0] += 8.0
+    plain = np.array([4.0 * np.eye(2)] * 14)
+    vague = plain.copy()
+    vague[sure, 0, 0] = 900.0
+    moves = []
+    for covariance in (plain, vague):
+        before = solve(observation, covariance=covariance).wireframe_uv
+        after = solve(replace(observation, keypoints=shifted), covariance=covariance).wireframe_uv
+        moves.append(np.abs(after - before).max())
+    assert moves[1] < 0.5 * moves[0]
+
+
+def test_statuses(prior):
+    """Five points of one side of a car seen from behind leave front and back open; a whole car is clear."""
+    observation = observe(prior, yaw_pose(np.radians(90)))
+    pixels = observation.keypoints.copy()
+    pixels[np.setdiff1d(np.arange(14), [0, 2, 4, 10, 12])] = np.nan
+    two = reconstruct(pixels, CAMERA, confidence=np.full(14, 0.9), ground=1.65)
+    assert two.status is Status.AMBIGUOUS
+    assert two.alternatives[0].excess <= Options().ambiguity_margin
+    assert "nats worse" in two.message
+    assert solve(observation).status is Status.CONVERGED
+    loose = reconstruct(observation.keypoints, CAMERA, options=Options(sigma_pixels=500.0, box_model="off"))
+    assert loose.status is Status.DEGENERATE
+    assert "degrees only" in loose.message

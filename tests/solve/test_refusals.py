@@ -1,0 +1,170 @@
+"""End to end: bad input is refused by name, and garbage neither kills nor fools it."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from fgrecon.core.errors import DegenerateProblemError, FgreconError, InvalidInputError
+from fgrecon.core.options import Options
+from fgrecon.core.reconstruction import Status
+from fgrecon.core.robust import StrategyName
+from fgrecon.io.catalogue import load_prior
+from fgrecon.solve.pipeline import reconstruct
+from tests.cars import CAMERA, MATRIX, observe, yaw_pose
+
+
+@pytest.fixture(scope="module")
+def prior():
+    return load_prior("car14")
+
+
+@pytest.fixture(scope="module")
+def seen(prior):
+    """A car with 2 px of noise and its true pose."""
+    truth = yaw_pose(0.7)
+    return observe(prior, truth, [0.4, -0.8, 0.2, 0.5, -0.3], noise=2.0), truth
+
+
+def solve(observation, intrinsics=CAMERA, **more):
+    arguments = {"confidence": observation.confidence, "box": observation.box, **more}
+    return reconstruct(observation.keypoints, intrinsics, **arguments)
+
+
+def line():
+    return np.column_stack([np.linspace(0, 100, 14), np.linspace(30, 80, 14)])
+
+
+def few(count):
+    pixels = np.random.default_rng(0).uniform(100, 400, (14, 2))
+    pixels[count:] = np.nan
+    return pixels
+
+
+BAD = {
+    "two points": ({"keypoints": few(2)}, "keypoints", DegenerateProblemError),
+    "no point": ({"keypoints": few(0)}, "keypoints", DegenerateProblemError),
+    "another number of points": ({"keypoints": np.ones((13, 2))}, "keypoints", InvalidInputError),
+    "three coordinates": ({"keypoints": np.ones((14, 3))}, "keypoints", InvalidInputError),
+    "infinite pixel": ({"keypoints": np.full((14, 2), np.inf)}, "keypoints", InvalidInputError),
+    "huge pixel": ({"keypoints": few(14) * 1e200}, "keypoints", InvalidInputError),
+    "words": ({"keypoints": "keypoints"}, "keypoints", InvalidInputError),
+    "collinear": ({"keypoints": line()}, "keypoints", DegenerateProblemError),
+    "one place": ({"keypoints": np.full((14, 2), 9.0)}, "keypoints", DegenerateProblemError),
+    "no weight": ({"confidence": np.zeros(14)}, "confidence", DegenerateProblemError),
+    "confidence above one": ({"confidence": np.full(14, 1.5)}, "confidence", InvalidInputError),
+    "confidence NaN": ({"confidence": np.full(14, np.nan)}, "confidence", InvalidInputError),
+    "confidences too few": ({"confidence": np.ones(3)}, "confidence", InvalidInputError),
+    "box of no size": ({"box": [10.0, 10.0, 10.0, 50.0]}, "box", InvalidInputError),
+    "box turned": ({"box": [50.0, 10.0, 10.0, 50.0]}, "box", InvalidInputError),
+    "box NaN": ({"box": [np.nan, 10.0, 10.0, 50.0]}, "box[0]", InvalidInputError),
+    "box of three": ({"box": [1.0, 2.0, 3.0]}, "box", InvalidInputError),
+    "singular camera": ({"intrinsics": np.zeros((3, 3))}, "intrinsics", InvalidInputError),
+    "NaN camera": ({"intrinsics": np.full((3, 3), np.nan)}, "intrinsics[0, 0]", InvalidInputError),
+    "camera of five": ({"intrinsics": np.ones(5)}, "intrinsics", InvalidInputError),
+    "lens of three": ({"distortion": [0.1, 0.2, 0.3]}, "distortion", InvalidInputError),
+    "one covariance": ({"covariance": np.eye(2)}, "covariance", InvalidInputError),
+    "singular covariance": ({"covariance": np.zeros((14, 2, 2))}, "covariance", InvalidInputError),
+    "unknown prior": ({"prior": "lorry99"}, "prior", InvalidInputError),
+    "unknown fleet": ({"size_prior": "lorries"}, "size_prior", InvalidInputError),
+    "fleet of no size": ({"size_prior": "0,1,1"}, "size_prior.mean", InvalidInputError),
+    "camera below ground": ({"ground": -1.0}, "ground.distance", InvalidInputError),
+    "ground NaN": ({"ground": np.nan}, "ground", InvalidInputError),
+    "ground in words": ({"ground": "flat"}, "ground", InvalidInputError),
+    "guess NaN": ({"initial": np.nan}, "initial", InvalidInputError),
+    "guess in words": ({"initial": "left"}, "initial", InvalidInputError),
+    "too many vectors": ({"options": Options(basis_vectors=6)}, "options.basis_vectors", InvalidInputError),
+}
+
+
+@pytest.mark.parametrize(("change", "field", "kind"), BAD.values(), ids=BAD)
+def test_bad_input_is_named(seen, change, field, kind):
+    observation, _ = seen
+    arguments = {
+        "keypoints": observation.keypoints,
+        "intrinsics": MATRIX,
+        "confidence": observation.confidence,
+        "box": observation.box,
+        **change,
+    }
+    with pytest.raises(kind) as caught:
+        reconstruct(**arguments)
+    assert caught.value.field == field
+    assert caught.value.fix.endswith(".")
+
+
+scales = st.sampled_from([1e-3, 1.0, 30.0, 1e3, 1e6])
+pixels = arrays(np.float64, (14, 2), elements=st.floats(-1, 1) | st.just(np.nan))
+confidences = st.none() | arrays(np.float64, 14, elements=st.floats(0, 1))
+boxes = st.none() | arrays(np.float64, 4, elements=st.floats(-2e3, 2e3)).map(
+    lambda b: b[[0, 1, 0, 1]] + np.abs(b) * [0, 0, 1, 1]
+)
+cameras = st.tuples(st.floats(1e-2, 1e6), st.floats(1e-2, 1e6), st.floats(-1e5, 1e5), st.floats(-1e5, 1e5))
+lenses = st.none() | arrays(np.float64, 5, elements=st.floats(-2, 2))
+
+
+@given(
+    pixels=pixels,
+    scale=scales,
+    shift=st.floats(-1e4, 1e4),
+    confidence=confidences,
+    box=boxes,
+    camera=cameras,
+    lens=lenses,
+    ground=st.none() | st.floats(1e-2, 1e3),
+    size=st.sampled_from([None, "kitti"]),
+    strategy=st.sampled_from(list(StrategyName)),
+    offsets=st.booleans(),
+    vectors=st.integers(0, 5),
+)
+@settings(deadline=None, derandomize=True, max_examples=80, suppress_health_check=[HealthCheck.too_slow])
+def test_garbage_neither_kills_nor_fools(
+    pixels, scale, shift, confidence, box, camera, lens, ground, size, strategy, offsets, vectors
+):
+    """Whatever finite numbers come in: a result without NaN, or an error with a type. Warnings count as errors."""
+    options = Options(strategy=strategy, free_offsets=offsets, basis_vectors=vectors)
+    try:
+        result = reconstruct(
+            pixels * scale + shift,
+            camera,
+            confidence=confidence,
+            box=box,
+            distortion=lens,
+            ground=ground,
+            size_prior=size,
+            options=options,
+        )
+    except FgreconError:
+        return
+    for array in (result.camera_T_object, result.coefficients, result.wireframe, result.weights, result.visibility):
+        assert np.isfinite(array).all()
+    assert ((result.weights >= 0) & (result.weights <= 1)).all()
+    pose = result.camera_T_object
+    np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-6)
+    assert result.status in Status
+
+
+_CHILD = """
+import numpy as np
+from factors import ProjectionKernel
+from fgrecon.core.errors import FactorCallbackError
+from fgrecon.solve.pipeline import reconstruct
+honest = ProjectionKernel._differentiate
+ProjectionKernel._differentiate = lambda self, points: honest(self, points)[:, :, :-1].copy()
+try:
+    reconstruct(np.random.default_rng(0).uniform(100, 400, (14, 2)), (700, 700, 600, 180))
+except FactorCallbackError as error:
+    print("caught:", error)
+"""
+
+
+def test_a_broken_factor_does_not_take_the_process_down():
+    """GTSAM dies of a Jacobian of the wrong shape: the guard raises before it sees one. In a process of its own."""
+    child = subprocess.run([sys.executable, "-c", _CHILD], capture_output=True, text=True, timeout=120, check=False)
+    assert child.returncode == 0, child.stderr
+    assert child.stdout.startswith("caught:")
+    assert "Jacobian must be" in child.stdout

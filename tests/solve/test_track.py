@@ -1,0 +1,184 @@
+"""A vehicle in several images: one shape, exact on exact data, better than images one by one on noisy ones."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import fgrecon
+from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
+from fgrecon.core.observation import Observation
+from fgrecon.core.reconstruction import Status
+from fgrecon.io.track_file import read_track
+from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate, yaw_pose
+from fgrecon.solve.track import reconstruct_track
+
+COEFFICIENTS = np.array([0.9, -0.6, 0.4, 0.2, -0.5])
+
+
+@pytest.fixture(scope="module")
+def car():
+    return Vehicle.of_prior(fgrecon.load_prior("car14"), COEFFICIENTS)
+
+
+def drive(car, rng, count=6):
+    """Poses of a car that turns while it comes closer, and what a network reports of it."""
+    poses = [yaw_pose(-2.3 + 0.25 * t, np.array([-4.0 + 1.2 * t, 1.65, 16.0 - 1.0 * t])) for t in range(count)]
+    return poses, [simulate(car, KITTI_CAMERA, pose, rng)[0] for pose in poses]
+
+
+def exact(car, pose):
+    """What a perfect detector would report: every keypoint, sure of each."""
+    points = car.keypoints @ pose[:3, :3].T + pose[:3, 3]
+    return Observation(KITTI_CAMERA.project(points), np.ones(len(points)))
+
+
+@pytest.fixture(scope="module")
+def solved(car):
+    poses, seen = drive(car, np.random.default_rng(5))
+    seen.insert(2, None)
+    return poses, seen, reconstruct_track(seen, KITTI_CAMERA, ground=1.65)
+
+
+def test_all_frames_share_one_shape_and_refused_images_are_named(solved):
+    poses, _, track = solved
+    assert track.numbers == (0, 1, 3, 4, 5, 6)
+    assert track.refused == {2: "no keypoints"}
+    assert len(track.frames) == len(poses)
+    for frame in track.frames:
+        np.testing.assert_array_equal(frame.coefficients, track.coefficients)
+        np.testing.assert_array_equal(frame.box_size, track.box_size)
+    assert "1 were refused" in track.message
+
+
+def test_every_pose_is_near_the_truth(solved):
+    poses, _, track = solved
+    for pose, frame in zip(poses, track.frames, strict=True):
+        turn = np.arccos(np.clip((np.trace(pose[:3, :3].T @ frame.camera_T_object[:3, :3]) - 1) / 2, -1, 1))
+        assert np.degrees(turn) < 6.0
+        assert np.linalg.norm(frame.location - pose[:3, 3]) < 1.0
+
+
+def test_many_images_tell_the_shape_better_than_the_average_one(solved, car):
+    _, seen, track = solved
+    alone = [
+        fgrecon.reconstruct(s.keypoints, KITTI_CAMERA, confidence=s.confidence, box=s.box, ground=1.65)
+        for s in seen
+        if s is not None
+    ]
+    errors = [np.linalg.norm(result.wireframe - car.keypoints, axis=1).mean() for result in alone]
+    together = np.linalg.norm(track.frames[0].wireframe - car.keypoints, axis=1).mean()
+    assert together < np.mean(errors)
+    assert all(
+        np.trace(frame.coefficients_covariance) < np.trace(result.coefficients_covariance)
+        for frame, result in zip(track.frames, alone, strict=True)
+    )
+
+
+def test_the_history_of_the_whole_is_that_of_the_frames(solved):
+    *_, track = solved
+    for index, frame in enumerate(track.frames):
+        joint = [step for step in frame.history if step.stage == "joint"]
+        assert [(step.irls, step.step) for step in joint] == [(step.irls, step.step) for step in track.history]
+        for mine, whole in zip(joint, track.history, strict=True):
+            np.testing.assert_array_equal(mine.camera_T_object, whole.poses[index])
+            np.testing.assert_array_equal(mine.coefficients, whole.coefficients)
+        np.testing.assert_array_equal(joint[-1].camera_T_object, frame.camera_T_object)
+    last = [[step for step in frame.history if step.stage == "joint"][-1] for frame in track.frames]
+    for term in ("reprojection", "box", "ground", "cheirality"):
+        assert sum(step.energies[term] for step in last) == pytest.approx(track.history[-1].energies[term])
+    assert "coefficients" in track.energies
+    assert "coefficients" not in last[0].energies
+    totals = [sum(step.energies.values()) for step in track.history]
+    assert totals[-1] <= totals[0]
+
+
+def test_the_graph_has_one_shape_and_a_pose_per_image(solved):
+    *_, track = solved
+    variables = {name for factor in track.graph for name in factor.variables}
+    assert {name for name in variables if name.startswith("X")} == {f"X(v=0,t={n})" for n in track.numbers}
+    assert {name for name in variables if name.startswith("L")} == {"L(v=0)"}
+    terms = [factor.term for factor in track.graph]
+    assert terms.count("coefficients") == 1
+    assert terms.count("reprojection") == len(track.frames)
+
+
+def test_exact_keypoints_with_a_weak_prior_give_the_exact_car(car):
+    poses = [yaw_pose(-2.0 + 0.4 * t, np.array([-2.0 + t, 1.65, 12.0])) for t in range(4)]
+    options = fgrecon.Options(strategy="huber", sigma_relative=0.002, sigma_pixels=0.01, box_model="off")
+    track = reconstruct_track([exact(car, pose) for pose in poses], KITTI_CAMERA, options=options)
+    assert track.status is Status.CONVERGED
+    np.testing.assert_allclose(track.coefficients, COEFFICIENTS, atol=0.02)
+    for pose, frame in zip(poses, track.frames, strict=True):
+        np.testing.assert_allclose(frame.camera_T_object, pose, atol=0.02)
+
+
+def test_one_image_gives_what_it_gives_alone(car):
+    _, seen = drive(car, np.random.default_rng(1), count=1)
+    track = reconstruct_track(seen, [KITTI_CAMERA])
+    alone = fgrecon.reconstruct(seen[0].keypoints, KITTI_CAMERA, confidence=seen[0].confidence, box=seen[0].box)
+    assert np.linalg.norm(track.frames[0].location - alone.location) < 0.02
+    np.testing.assert_allclose(track.coefficients, alone.coefficients, atol=0.02)
+    assert sum(track.energies.values()) == pytest.approx(sum(alone.energies.values()), abs=1e-3)
+
+
+def test_without_history_nothing_is_kept(car):
+    _, seen = drive(car, np.random.default_rng(2), count=2)
+    track = reconstruct_track(seen, KITTI_CAMERA, options=fgrecon.Options(keep_history=False))
+    assert track.history == ()
+    assert track.graph == ()
+    assert all(frame.history == () for frame in track.frames)
+    assert sum(track.energies.values()) > 0
+
+
+def test_what_cannot_be_solved_is_refused(car):
+    _, seen = drive(car, np.random.default_rng(3), count=2)
+    with pytest.raises(DegenerateProblemError, match="no pose in any image"):
+        reconstruct_track([None, None], KITTI_CAMERA)
+    with pytest.raises(InvalidInputError, match="cameras"):
+        reconstruct_track(seen, [KITTI_CAMERA])
+    with pytest.raises(InvalidInputError, match="joint"):
+        reconstruct_track(seen, KITTI_CAMERA, options=fgrecon.Options(joint=False))
+
+
+def test_a_solve_that_gives_up_says_so_and_keeps_the_state_before(car, monkeypatch):
+    _, seen = drive(car, np.random.default_rng(4), count=2)
+
+    def give_up(*_arguments, **_settings):
+        raise DegenerateProblemError("keypoints", "a singular system", "Give more.")
+
+    monkeypatch.setattr("fgrecon.solve.track.minimise", give_up)
+    track = reconstruct_track(seen, KITTI_CAMERA)
+    assert track.status is Status.FAILED
+    assert "singular" in track.message
+    assert track.history == ()
+    for frame in track.frames:
+        assert np.isfinite(frame.camera_T_object).all()
+        np.testing.assert_array_equal(frame.coefficients, track.coefficients)
+        assert {step.stage for step in frame.history} == {"initialisation", "pose"}
+
+
+@pytest.mark.data
+def test_a_real_track_has_a_better_size_than_its_images_alone(data):
+    file = data / "kitti_tracking_keypoints14" / "seq0005_track12_from182.json"
+    track = read_track(file, fgrecon.load_category("car14"))
+    seen = [frame.observation for frame in track.frames]
+    options = fgrecon.Options(box_model="cuboid", keep_history=False)
+    solved = reconstruct_track(seen, track.camera, size_prior="kitti", ground=1.65, options=options)
+    label = json.loads(file.read_text())["frames"][0]["gt"]
+    size = np.array([label["length"], label["width"], label["height"]])
+    alone = [
+        fgrecon.reconstruct(
+            s.keypoints,
+            track.camera,
+            confidence=s.confidence,
+            box=s.box,
+            size_prior="kitti",
+            ground=1.65,
+            options=options,
+        ).box_size
+        for s in seen
+    ]
+    assert np.abs(solved.box_size - size).mean() < 0.8 * np.mean([np.abs(one - size).mean() for one in alone])

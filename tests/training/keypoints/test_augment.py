@@ -1,0 +1,110 @@
+"""Training samples: the labels stay on what they label."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fgrecon.io.catalogue import load_category
+from fgrecon.training.keypoints.augment import Street, View
+
+MIRROR = load_category("car14").mirror
+PLAIN = Street(cut_out=0, covered=0, block=0, truncated=0, extent=(200.0, 220.0))
+
+
+def made_up_view(rng, size=(120, 80)):
+    """A black photograph with a bright dot of its own grey value at every keypoint."""
+    width, height = size
+    row, column = np.mgrid[:height, :width]
+    grid = np.stack(np.meshgrid(np.linspace(15, width - 16, 7), [25.0, height - 26.0]), axis=-1).reshape(-1, 2)
+    keypoints = grid[rng.permutation(14)] + rng.uniform(-3, 3, (14, 2))
+    image = np.zeros((height, width, 3))
+    for u, v in keypoints:
+        image += 255 * np.exp(-((column - u) ** 2 + (row - v) ** 2) / 8.0)[..., None]
+    mask = np.full((height, width), 255, dtype=np.uint8)
+    return View(np.clip(image, 0, 255).astype(np.uint8), mask, keypoints, np.ones(14), 0.7)
+
+
+class Bright(Street):
+    """Without any loss of quality, so that dots can be found again."""
+
+    def _degrade(self, canvas, rng):
+        return canvas
+
+
+def test_keypoints_stay_on_their_dots():
+    view = made_up_view(np.random.default_rng(0))
+    street = Bright(**{name: getattr(PLAIN, name) for name in PLAIN.__dataclass_fields__})
+    row, column = np.mgrid[:96, :96]
+    distances = []
+    for seed in range(12):
+        sample = street.sample(view, lambda _: view, MIRROR, np.random.default_rng(seed))
+        for (u, v), seen in zip(sample.keypoints, sample.visible, strict=True):
+            if not seen or not (5 < u < 90 and 5 < v < 90):
+                continue
+            near = sample.crop[..., 0] * (np.hypot(column - u, row - v) < 4.0)
+            weight = near.astype(float).sum()
+            found = np.array([(near * column).sum(), (near * row).sum()]) / weight
+            distances.append(np.hypot(*(found - (u, v))))
+    assert len(distances) > 80
+    assert np.median(distances) < 0.5
+
+
+def test_mirroring_swaps_left_and_right_and_turns_the_azimuth():
+    view = made_up_view(np.random.default_rng(1))
+    twice = view.mirrored(MIRROR).mirrored(MIRROR)
+    once = view.mirrored(MIRROR)
+    np.testing.assert_allclose(once.keypoints[0], [119, 0] + view.keypoints[1] * [-1, 1])
+    assert once.azimuth == -view.azimuth
+    np.testing.assert_allclose(twice.keypoints, view.keypoints)
+    np.testing.assert_array_equal(twice.image, view.image)
+
+
+def test_the_same_seed_gives_the_same_sample():
+    view = made_up_view(np.random.default_rng(2))
+    street = Street()
+    first, again = (street.sample(view, lambda _: view, MIRROR, np.random.default_rng(5)) for _ in range(2))
+    other = street.sample(view, lambda _: view, MIRROR, np.random.default_rng(6))
+    np.testing.assert_array_equal(first.crop, again.crop)
+    assert (first.crop != other.crop).any()
+    assert first.crop.shape == (96, 96, 3)
+
+
+@pytest.mark.parametrize("what", ["covered", "block"])
+def test_what_is_covered_is_not_visible(what):
+    view = made_up_view(np.random.default_rng(3))
+    street = replace(PLAIN, **{what: 1.0})
+    seen = [street.sample(view, lambda _: view, MIRROR, np.random.default_rng(s)).visible.mean() for s in range(20)]
+    plain = [PLAIN.sample(view, lambda _: view, MIRROR, np.random.default_rng(s)).visible.mean() for s in range(20)]
+    assert np.mean(seen) < np.mean(plain) - 0.05
+
+
+def test_beyond_the_border_nothing_is_visible_and_the_crop_follows_the_box():
+    view = made_up_view(np.random.default_rng(4))
+    street = replace(PLAIN, truncated=1.0, roll=0.0)
+    share = [street.sample(view, lambda _: view, MIRROR, np.random.default_rng(s)).visible.mean() for s in range(20)]
+    assert 0.3 < np.mean(share) < 0.95
+
+
+def test_keypoints_of_unknown_place_stay_unknown():
+    view = made_up_view(np.random.default_rng(4))
+    unknown = view.keypoints.copy()
+    unknown[5] = np.nan
+    sample = Street().sample(replace(view, keypoints=unknown), lambda _: view, MIRROR, np.random.default_rng(3))
+    lost = np.isnan(sample.keypoints).all(axis=1)
+    assert lost.sum() == 1
+    assert set(lost.nonzero()[0]) <= {5, int(MIRROR[5])}
+    assert sample.visible[lost] == 0.0
+
+
+def test_a_backlit_car_is_darker_and_what_is_around_it_brighter():
+    rng = np.random.default_rng(0)
+    image, mask = np.full((80, 120, 3), 100, dtype=np.uint8), np.zeros((80, 120), dtype=np.uint8)
+    mask[20:60, 30:90] = 255
+    view = View(image, mask, np.full((14, 2), 40.0), np.ones(14), 0.7)
+    plain = {name: getattr(PLAIN, name) for name in PLAIN.__dataclass_fields__}
+    still = {"jitter": 0.0, "roll": 0.0, "stretch": 0.0, "bend": 0.0, "moved": 0.0}
+    street = Bright(**{**plain, **still, "backlit": 1.0})
+    crop = street.sample(view, lambda _: view, MIRROR, rng).crop
+    assert 20 <= crop[48, 48].max() < 85
+    assert crop[48, 12].min() > 115
