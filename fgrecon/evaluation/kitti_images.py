@@ -251,7 +251,7 @@ def document(cars: Sequence[Car], told: dict[str, Any]) -> dict[str, Any]:
         return value if np.isfinite(value) else None
 
     return {
-        "format": "fgrecon.io.kitti_calibration-images/1",
+        "format": "fgrecon.kitti-images/1",
         "given": told,
         "regimes": [
             {
