@@ -28,7 +28,7 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, kitti_like_pose, simulate
 from fgrecon.solve.proposals.aspnp import aspnp_cost
 from fgrecon.solve.proposals.irls import Algorithm1Result, algorithm1
-from fgrecon.solve.proposals.problem import build_problem
+from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.vehicle.model import prepare
 
 Array = NDArray[np.float64]
@@ -56,14 +56,14 @@ def compare(count: int, seed: int) -> None:
             observation, _ = simulate(Vehicle.sample(prior, rng), KITTI_CAMERA, pose, rng)
         except FgreconError:
             continue  # outside the image
-        problem = build_problem(observation, KITTI_CAMERA, model, None, options)
+        problem = Problem.of(observation, KITTI_CAMERA, model, None, options)
         used = observation.measured
         rays = KITTI_CAMERA.rays(observation.keypoints[used])[:, :2]
         results: list[Algorithm1Result | None] = []
         for i, every in enumerate((False, True)):
             start = time.process_time()
             try:
-                results.append(algorithm1(problem, observation, KITTI_CAMERA, every_solve_global=every))
+                results.append(algorithm1(problem, every_solve_global=every))
             except FgreconError:
                 results.append(None)
                 refused[i] += 1

@@ -45,12 +45,11 @@ from fgrecon.paper.icra2017_release import import_icra2017, load_icra2017_exampl
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, kitti_like_pose, simulate
 from fgrecon.solve.graph.adjust import ShapeEstimate, adjust_shape
 from fgrecon.solve.graph.covariance import covariances
-from fgrecon.solve.graph.graph import Scene, VehicleGraph, build
+from fgrecon.solve.graph.graph import VehicleGraph, build
 from fgrecon.solve.graph.solver import minimise
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
-from fgrecon.solve.proposals.problem import build_problem, keypoint_covariances
-from fgrecon.solve.proposals.search import PoseProblem
+from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
 from fgrecon.solve.vehicle.model import VehicleModel, prepare
 from tests.conftest import data_root
 from tests.solve.graph.energy import Energy, minimise_by_ceres
@@ -68,9 +67,8 @@ class Car:
     model: VehicleModel
     options: Options
     guess: float | None
-    problem: PoseProblem
+    problem: Problem
     pose: PoseEstimate
-    scene: Scene
     shape: ShapeEstimate
 
     @classmethod
@@ -83,23 +81,24 @@ class Car:
         guess: float | None = None,
     ) -> Car:
         """Solve it once, which also warms every cache."""
-        problem = build_problem(observation, camera, model, GROUND, options)
-        pose = adjust_pose(observation, camera, model, GROUND, guess, options)
-        scene = Scene(observation, camera, model, GROUND, problem.box, options)
-        return cls(observation, camera, model, options, guess, problem, pose, scene, adjust_shape(scene, problem, pose))
+        problem = Problem.of(observation, camera, model, GROUND, options)
+        pose = adjust_pose(problem, guess)
+        return cls(observation, camera, model, options, guess, problem, pose, adjust_shape(problem, pose))
 
     def adjust_pose(self) -> object:
         """The pose stage."""
-        return adjust_pose(self.observation, self.camera, self.model, GROUND, self.guess, self.options)
+        problem = Problem.of(self.observation, self.camera, self.model, GROUND, self.options)
+        return adjust_pose(problem, self.guess)
 
-    def adjust_shape(self, **changed: bool) -> object:
-        """The shape stage, with some options changed."""
-        scene = replace(self.scene, options=replace(self.options, **changed)) if changed else self.scene
-        return adjust_shape(scene, self.problem, self.pose)
+    def adjust_shape(self, *, joint: bool = True, keep_history: bool = False) -> object:
+        """The shape stage."""
+        shape = replace(self.options.shape, joint=joint)
+        options = replace(self.options, shape=shape, keep_history=keep_history)
+        return adjust_shape(replace(self.problem, options=options), self.pose)
 
     def covariance(self) -> object:
         """Covariances at the result."""
-        vehicle = VehicleGraph(self.scene, self.shape.pose, pose_free=True)
+        vehicle = VehicleGraph(self.problem, self.shape.pose, pose_free=True)
         values = vehicle.values(self.shape.pose, self.shape.coefficients, self.shape.offsets)
         return covariances(vehicle, build(vehicle.terms(self.shape.weights, self.shape.box_weights)), values)
 
@@ -107,10 +106,8 @@ class Car:
         """Everything."""
         observation = self.observation
         return reconstruct(
-            observation.keypoints,
+            observation,
             self.camera,
-            confidence=observation.confidence,
-            box=observation.box,
             ground=GROUND,
             prior=PRIORS[self.model.prior.category.name],
             size_prior=SIZE,
@@ -121,15 +118,15 @@ class Car:
     def one_solve(self) -> object:
         """One joint minimisation with the final weights, from the pose stage's result."""
         pose = gtsam.Pose3(self.pose.camera_T_object)
-        vehicle = VehicleGraph(self.scene, pose, pose_free=True)
+        vehicle = VehicleGraph(self.problem, pose, pose_free=True)
         values = vehicle.values(pose, self.pose.coefficients, np.zeros((len(self.observation.keypoints), 3)))
         return minimise(build(vehicle.terms(self.shape.weights, self.shape.box_weights)), values)
 
     def energy(self) -> tuple[Energy, Array]:
         """The same energy in plain numpy, and its start."""
-        covariance = keypoint_covariances(self.observation, self.options)
+        covariance = keypoint_covariances(self.observation, self.options.keypoints)
         weights, box_weights = self.shape.weights, self.shape.box_weights
-        energy = Energy(self.scene, covariance, weights, box_weights, self.pose.camera_T_object, joint=True)
+        energy = Energy(self.problem, covariance, weights, box_weights, self.pose.camera_T_object, joint=True)
         return energy, energy.start(self.pose.coefficients, np.zeros((len(weights), 3)))
 
     def scipy_solve(self) -> object:
@@ -223,7 +220,7 @@ def main() -> int:
         f"gtsam {gtsam.__version__ if hasattr(gtsam, '__version__') else '4.3'}"
     )
     origin, found = observations(arguments.cars)
-    options = Options(box_model=BoxModel.CUBOID, keep_history=False)
+    options = Options(box=BoxModel.CUBOID, keep_history=False)
     model = prepare(PRIORS["car14"], SIZE)
     cars = [Car.of(observation, camera, model, options) for observation, camera in found]
     peers = {
@@ -260,7 +257,7 @@ def icra2017(folder: Path) -> list[Car]:
     """The two cars of the release, with its first guess of the azimuth."""
     PRIORS["car36"] = import_icra2017(folder)
     model = prepare(PRIORS["car36"], SIZE)
-    options = Options(box_model=BoxModel.CUBOID, keep_history=False)
+    options = Options(box=BoxModel.CUBOID, keep_history=False)
     examples = [load_icra2017_example(folder, name) for name in ("01", "02")]
     return [Car.of(e.observation, e.camera, model, options, e.azimuth) for e in examples]
 

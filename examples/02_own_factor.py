@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 import fgrecon
 from factors import X, guarded_factor
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate, yaw_pose
-from fgrecon.solve.graph.graph import Scene, VehicleGraph, build
+from fgrecon.solve.graph.graph import VehicleGraph, build
 from fgrecon.solve.graph.solver import minimise
+from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.vehicle.model import prepare
 
 
@@ -39,8 +40,8 @@ def main() -> None:
     camera_only = fgrecon.reconstruct(seen.keypoints, KITTI_CAMERA, confidence=seen.confidence, box=seen.box)
 
     # The same graph at the same weights, with one factor more.
-    scene = Scene(seen, KITTI_CAMERA, prepare(prior), ground=None, box=None, options=fgrecon.Options())
-    vehicle = VehicleGraph(scene, camera_only.pose, pose_free=True)
+    problem = Problem.of(seen, KITTI_CAMERA, prepare(prior), ground=None, options=fgrecon.Options(box="off"))
+    vehicle = VehicleGraph(problem, camera_only.pose, pose_free=True)
     graph = build(vehicle.terms(camera_only.weights, box_weights=np.ones(4)))
     graph.add(distance_factor(float(np.linalg.norm(true_pose[:3, 3])), sigma=0.1))
     start = vehicle.values(camera_only.pose, camera_only.coefficients, camera_only.offsets)

@@ -42,7 +42,8 @@ if TYPE_CHECKING:  # imported when used
     from factors.kernel import Projection, ProjectionKernel
     from factors.keys import DecodedKey, L, M, O, P, X, decode_key, key_name
     from factors.laplacian import laplacian_factor
-    from factors.noise import Loss, Noise, RobustLoss, as_noise, diagonal_noise, keypoint_noise, keypoint_whiteners
+    from factors.losses import Loss, RobustLoss
+    from factors.noise import Noise, as_noise, diagonal_noise, keypoint_noise, keypoint_whiteners
     from factors.planarity import (
         ground_parallel_factor,
         penalty_ground_parallel_factor,

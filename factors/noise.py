@@ -11,126 +11,20 @@ means no factor at all.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import Enum
-from typing import Any
-
 import gtsam
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from factors.checks import finite_array
 from factors.errors import InvalidInputError
+from factors.losses import RobustLoss
 
-__all__ = ["Loss", "Noise", "RobustLoss", "as_noise", "diagonal_noise", "keypoint_noise", "keypoint_whiteners"]
+__all__ = ["Noise", "as_noise", "diagonal_noise", "keypoint_noise", "keypoint_whiteners"]
 
 Noise = gtsam.noiseModel.Base | float
 """A noise model, or one sigma for every row of the residual, in the residual's unit."""
 
 _SMALLEST_WEIGHT = 1e-12
-
-
-class Loss(Enum):
-    """Robust losses rho(s) of a whitened residual norm s, and the tuning constant that gives 95 % efficiency."""
-
-    HUBER = ("huber", 1.345)
-    CAUCHY = ("cauchy", 2.3849)
-    GEMAN_MCCLURE = ("geman_mcclure", 1.0)
-    TUKEY = ("tukey", 4.6851)
-
-    @property
-    def label(self) -> str:
-        """Name as users write it."""
-        return self.value[0]
-
-    @property
-    def default_constant(self) -> float:
-        """Usual tuning constant, in standard deviations (Geman-McClure has no agreed one: 1)."""
-        return self.value[1]
-
-    @classmethod
-    def of(cls, name: Loss | str) -> Loss:
-        """A loss by its name.
-
-        Raises:
-            InvalidInputError: There is no such loss.
-        """
-        for loss in cls:
-            if name in (loss, loss.label):
-                return loss
-        raise InvalidInputError("loss", name, f"Use one of {', '.join(loss.label for loss in cls)}.")
-
-
-@dataclass(frozen=True)
-class RobustLoss:
-    """A robust loss with its tuning constant in standard deviations of the residual."""
-
-    loss: Loss
-    constant: float
-
-    def __post_init__(self) -> None:
-        """Check the constant.
-
-        Raises:
-            InvalidInputError: The constant is not positive and finite.
-        """
-        if not (np.isfinite(self.constant) and self.constant > 0):
-            raise InvalidInputError("constant", self.constant, "Give a positive tuning constant.")
-
-    @classmethod
-    def of(cls, name: Loss | str, constant: float | None = None) -> RobustLoss:
-        """A loss by its name, with its usual constant unless another is given.
-
-        Raises:
-            InvalidInputError: There is no such loss, or the constant is not positive.
-        """
-        loss = Loss.of(name)
-        return cls(loss, loss.default_constant if constant is None else float(constant))
-
-    def wrap(self, noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Robust:
-        """The noise model with this loss around it."""
-        return gtsam.noiseModel.Robust.Create(self.estimator(), noise)
-
-    def weights(self, distances: ArrayLike) -> NDArray[np.float64]:
-        """Weights rho'(s) / s of whitened residual norms s: what the solver multiplies squared residuals by."""
-        s2, k2 = self._squares(distances)
-        match self.loss:
-            case Loss.HUBER:
-                return np.minimum(1.0, self.constant / np.sqrt(np.maximum(s2, 1e-300)))
-            case Loss.CAUCHY:
-                return k2 / (k2 + s2)
-            case Loss.GEMAN_MCCLURE:
-                return np.square(k2 / (k2 + s2))
-            case Loss.TUKEY:
-                return np.square(np.maximum(1.0 - s2 / k2, 0.0))
-
-    def losses(self, distances: ArrayLike) -> NDArray[np.float64]:
-        """Losses rho(s) of whitened residual norms s; s^2 / 2 near zero."""
-        s2, k2 = self._squares(distances)
-        match self.loss:
-            case Loss.HUBER:
-                return np.where(s2 <= k2, 0.5 * s2, self.constant * np.sqrt(s2) - 0.5 * k2)
-            case Loss.CAUCHY:
-                return 0.5 * k2 * np.log1p(s2 / k2)
-            case Loss.GEMAN_MCCLURE:
-                return 0.5 * k2 * s2 / (k2 + s2)
-            case Loss.TUKEY:
-                u: NDArray[np.float64] = np.minimum(s2 / k2, 1.0)
-                return k2 / 6.0 * u * (3.0 - 3.0 * u + u * u)  # 1 - (1 - u)^3 without its cancellation near zero
-
-    def _squares(self, distances: ArrayLike) -> tuple[NDArray[np.float64], float]:
-        squares: NDArray[np.float64] = np.square(np.asarray(distances, dtype=np.float64))
-        return squares, self.constant**2
-
-    def estimator(self) -> Any:
-        """GTSAM's estimator of this loss."""
-        kinds: dict[Loss, Any] = {
-            Loss.HUBER: gtsam.noiseModel.mEstimator.Huber,
-            Loss.CAUCHY: gtsam.noiseModel.mEstimator.Cauchy,
-            Loss.GEMAN_MCCLURE: gtsam.noiseModel.mEstimator.GemanMcClure,
-            Loss.TUKEY: gtsam.noiseModel.mEstimator.Tukey,
-        }
-        return kinds[self.loss].Create(self.constant)
 
 
 def keypoint_noise(

@@ -22,7 +22,8 @@ from factors.checks import finite_array
 from factors.errors import DegenerateProblemError, InvalidInputError
 from factors.guard import Evaluation, guarded_factor
 from factors.kernel import ProjectionKernel
-from factors.noise import Noise, RobustLoss, keypoint_whiteners
+from factors.losses import RobustLoss
+from factors.noise import Noise, keypoint_whiteners
 
 __all__ = ["reprojection_factor", "reprojection_factors", "stacked_reprojection_factor"]
 

@@ -7,7 +7,7 @@ import numpy as np
 from fgrecon.core.camera import Camera
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
-from fgrecon.solve.proposals.problem import build_problem
+from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.vehicle.model import prepare
 
 MATRIX = np.array([[721.5, 0.0, 609.6], [0.0, 718.9, 172.9], [0.0, 0.0, 1.0]])
@@ -48,10 +48,16 @@ def observe(prior, pose, coefficients=None, *, noise=0.0, seed=0, visible_only=F
 
 
 def pose_problem(prior, observation, *, ground=None, size=None, options=None):
-    """The pose search's problem and the prepared model."""
+    """The problem and the prepared model."""
     options = Options() if options is None else options
-    model = prepare(prior, size, options.basis_vectors)
-    return build_problem(observation, CAMERA, model, ground, options), model
+    model = prepare(prior, size, options.shape.basis_vectors)
+    return Problem.of(observation, CAMERA, model, ground, options), model
+
+
+def pose_energy(prior, observation, **settings):
+    """The energy that the search minimises, and the prepared model."""
+    problem, model = pose_problem(prior, observation, **settings)
+    return problem.energy, model
 
 
 def rotation_angle(a, b):

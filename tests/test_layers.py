@@ -17,7 +17,7 @@ ROOMS = {
     "io/export": {"core", "io"},
     "solve/vehicle": {"core"},
     "solve/proposals": {"core", "solve/vehicle"},
-    "solve/graph": {"factors", "core", "solve/vehicle", "solve/proposals"},
+    "solve/graph": {"factors", "core", "solve/proposals"},
     "solve": {"factors", "core", "io", "solve/vehicle", "solve/proposals", "solve/graph"},
     "perception/keypoints": {"core", "io"},
     "perception/vehicles": {"core", "perception/keypoints"},

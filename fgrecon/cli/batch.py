@@ -25,7 +25,7 @@ from fgrecon.io.keypoint_file import Instance, parse_keypoints
 from fgrecon.io.kitti_calibration import read_calibration
 from fgrecon.io.track_file import parse_track
 from fgrecon.perception.from_image import reconstruct_detection
-from fgrecon.perception.keypoints.detect import CONFIDENCE_MIDPOINT, Detection
+from fgrecon.perception.keypoints.detect import Detection
 from fgrecon.solve.pipeline import reconstruct
 
 __all__ = ["CameraSource", "Outcome", "Settings", "Task", "check_any", "read_tasks", "run"]
@@ -199,26 +199,24 @@ def _track_instances(data: object, path: Path, category: Category) -> tuple[list
         if seen is None:
             instances.append(Instance(frame.name, nothing, camera=track.camera))
         else:
-            instances.append(Instance(frame.name, seen.keypoints, seen.confidence, seen.box, camera=track.camera))
+            instances.append(Instance(frame.name, seen.keypoints, seen.confidence, box=seen.box, camera=track.camera))
     return instances, track.label_offset
 
 
 def run(task: Task, settings: Settings) -> Outcome:
     """Reconstruct one vehicle; an error that fgrecon raises on purpose becomes its outcome."""
     instance = task.instance
-    options = settings.options if task.box_model is None else replace(settings.options, box_model=task.box_model)
+    options = settings.options
+    if task.box_model is not None:
+        options = replace(options, box=replace(options.box, model=task.box_model))
     try:
         if task.detection is not None:
-            probable = replace(options, confidence_midpoint=CONFIDENCE_MIDPOINT)
             known = {"prior": settings.prior, "ground": settings.ground, "size_prior": settings.size_prior}
-            found = reconstruct_detection(task.detection, task.camera, options=probable, **known)
+            found = reconstruct_detection(task.detection, task.camera, options=options, **known)
             return Outcome(task, found, None)
         result = reconstruct(
-            instance.keypoints,
+            instance.observation,
             task.camera,
-            confidence=instance.confidence,
-            box=instance.box,
-            covariance=instance.covariance,
             prior=settings.prior,
             ground=settings.ground,
             size_prior=settings.size_prior,

@@ -68,7 +68,7 @@ def kitti_command(
     from fgrecon.evaluation import kitti_images
     from fgrecon.io.catalogue import load_prior
     from fgrecon.io.kitti_files import read_image_set
-    from fgrecon.perception.keypoints.detect import CONFIDENCE_MIDPOINT, Detector
+    from fgrecon.perception.keypoints.detect import Detector
 
     check_outputs(json_out, picture)
     check_delivery(save, connect)
@@ -80,7 +80,7 @@ def kitti_command(
         prior=load_prior(prior),
         ground=plane,
         size_prior=None if size_prior == "none" else parse_size(size_prior),
-        options=Options(box_model=box_model, confidence_midpoint=CONFIDENCE_MIDPOINT),
+        options=Options(box=box_model),
         overlap=overlap,
     )
     cars = [car for frame in frames for car in kitti_images.score_frame(frame, setup)]

@@ -74,6 +74,7 @@ def _instance(name: str, detection: Detection) -> dict[str, Any]:
         "id": name,
         "keypoints": seen.keypoints.tolist(),
         "confidence": seen.confidence.tolist(),
+        "confidence_midpoint": seen.confidence_midpoint,
         "covariance": None if seen.covariance is None else seen.covariance.tolist(),
         "box": None if seen.box is None else seen.box.tolist(),
         "visible": detection.visible.tolist(),

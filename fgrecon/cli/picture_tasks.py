@@ -80,7 +80,9 @@ def read_image_tasks(
     tasks = []
     for item, detection in zip(named, found, strict=True):
         seen = detection.observation
-        instance = Instance(item.name, seen.keypoints, seen.confidence, seen.box, seen.covariance)
+        instance = Instance(
+            item.name, seen.keypoints, seen.confidence, seen.confidence_midpoint, seen.box, seen.covariance
+        )
         tasks.append(Task(instance, complete, offset, detection, item.model if box_model is None else box_model))
     return tasks, warning
 

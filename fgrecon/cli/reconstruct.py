@@ -81,14 +81,15 @@ def reconstruct_command(
     car was found in the image.
     """
     from fgrecon.cli import batch, picture_tasks, show
-    from fgrecon.core.options import Options
-    from fgrecon.core.robust import strategy as tuned
+    from fgrecon.core.options import Options, ShapeOptions
     from fgrecon.io.images import read_image
 
     _check_outputs(picture, animation, json_out)
     check_delivery(save, connect)
     options = Options(
-        strategy=tuned(strategy), joint=joint, free_offsets=free_offsets, box_model=box_model or BoxModel.SURFACE
+        strategy=strategy,
+        box=box_model or BoxModel.SURFACE,
+        shape=ShapeOptions(joint=joint, free_offsets=free_offsets),
     )
     settings = batch.Settings.of(prior, ground, camera_height, size_prior, options)
     pictured = picture_tasks.is_image(keypoints)

@@ -85,9 +85,9 @@ def document(path: Path, outcomes: Sequence[Outcome], settings: Settings) -> str
             "ground": plain_ground(settings.ground),
             "size_prior": plain_size(settings.size_prior),
             "strategy": options.strategy.name.value,
-            "box_model": options.box_model.value,
-            "joint": options.joint,
-            "free_offsets": options.free_offsets,
+            "box_model": options.box.model.value,
+            "joint": options.shape.joint,
+            "free_offsets": options.shape.free_offsets,
         },
         "instances": [_entry(outcome) for outcome in outcomes],
     }

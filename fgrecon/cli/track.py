@@ -56,11 +56,10 @@ def track_command(
     from fgrecon.cli import batch, track_report
     from fgrecon.core.options import Options
     from fgrecon.core.reconstruction import Status
-    from fgrecon.core.robust import strategy as tuned
 
     check_delivery(save, connect)
     check_outputs(json_out, picture)
-    options = Options(strategy=tuned(strategy), box_model=box_model)
+    options = Options(strategy=strategy, box=box_model)
     settings = batch.Settings.of(prior, ground, camera_height, size_prior, options)
     source = batch.CameraSource(calib, intrinsics, None, None)
     solved = [track_report.solve(file, source, settings, images) for file in files]

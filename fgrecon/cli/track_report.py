@@ -191,7 +191,7 @@ def document(tracks: Sequence[Solved], settings: Settings) -> str:
             "ground": plain_ground(settings.ground),
             "size_prior": plain_size(settings.size_prior),
             "strategy": options.strategy.name.value,
-            "box_model": options.box_model.value,
+            "box_model": options.box.model.value,
         },
         "tracks": [_entry(track) for track in tracks],
         "instances": [entry for track in tracks for entry in _instances(track)],

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
 from enum import StrEnum
-from typing import ClassVar
-
-import numpy as np
+from typing import Any, ClassVar
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.robust import RobustStrategy
+from fgrecon.core.robust import RobustStrategy, StrategyName
 from fgrecon.core.robust import strategy as named_strategy
+from fgrecon.core.settings import check_settings, choice, count, flag, number, one_of
 
-__all__ = ["BoxModel", "Options"]
+__all__ = ["BoxModel", "BoxOptions", "KeypointOptions", "Options", "SearchOptions", "ShapeOptions"]
 
 
 class BoxModel(StrEnum):
@@ -27,23 +28,65 @@ class BoxModel(StrEnum):
 
 
 @dataclass(frozen=True)
-class Options:
-    """Settings of `fgrecon.reconstruct`.
+class KeypointOptions:
+    """How exactly keypoints are where they are measured.
 
     Attributes:
-        strategy: Robust strategy, or its name (see `fgrecon.core.robust`).
-        joint: Let pose and shape move together after the shape stage; else the pose stage's pose stays.
-        free_offsets: Let each keypoint leave the subspace by a small offset with its own Gaussian prior.
-        basis_vectors: Use the first so many basis vectors; None uses all.
         sigma_relative: Standard deviation of a keypoint per axis, as a fraction of the box's longer side: detector
             noise plus the difference between annotators' and models' idea of a keypoint (KITTI: 2 to 4 %).
         sigma_pixels: The same in pixels, added in quadrature: what even a large image leaves.
-        confidence_midpoint: Confidence at which a point is as likely right as wrong; the probability of being right is
-            c^2 / (c^2 + midpoint^2). Likelihood peaks of keypoint networks are underconfident; 0.1 to 0.3 do alike.
-        box_model: What the 2D box encloses.
-        box_sigma_relative: Standard deviation of a box edge as a fraction of the longer side.
-        box_sigma_pixels: The same in pixels, added in quadrature.
-        azimuths: Start azimuths of the pose search, evenly spaced.
+    """
+
+    sigma_relative: float = number(0.035, least=0.0)
+    sigma_pixels: float = number(1.0, least=1e-3)
+
+    def __post_init__(self) -> None:
+        """Check the settings (`InvalidInputError`)."""
+        check_settings(self, "options.keypoints")
+
+
+@dataclass(frozen=True)
+class BoxOptions:
+    """What the 2D box says.
+
+    Attributes:
+        model: What it encloses.
+        sigma_relative: Standard deviation of an edge as a fraction of the longer side.
+        sigma_pixels: The same in pixels, added in quadrature.
+    """
+
+    model: BoxModel = choice(BoxModel.SURFACE)
+    sigma_relative: float = number(0.02, least=0.0)
+    sigma_pixels: float = number(1.5, least=1e-3)
+
+    def __post_init__(self) -> None:
+        """Check the settings (`InvalidInputError`)."""
+        check_settings(self, "options.box")
+
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """The search for poses.
+
+    Attributes:
+        azimuths: Start azimuths, evenly spaced.
+    """
+
+    azimuths: int = count(24, least=1, most=360)
+
+    def __post_init__(self) -> None:
+        """Check the settings (`InvalidInputError`)."""
+        check_settings(self, "options.search")
+
+
+@dataclass(frozen=True)
+class ShapeOptions:
+    """The factor graph of pose and shape.
+
+    Attributes:
+        joint: Let pose and shape move together after the shape stage; else the pose stage's pose stays.
+        free_offsets: Let each keypoint leave the subspace by a small offset with its own Gaussian prior.
+        basis_vectors: Use the first so many basis vectors; None uses all.
         planarity_sigma: Distance of a keypoint from its face's plane, 1 sigma, metres.
         symmetry_sigma: Distance of a keypoint from its twin's mirror image, 1 sigma, metres.
         rectangularity_sigma: Deviation of a face from a rectangle, 1 sigma, metres.
@@ -53,33 +96,69 @@ class Options:
             mean shape's (`factors.laplacian` says what that does).
         plane_penalty: Weight mu of the penalty mu (1 - n'n)^2 on a plane's normal, square metres; None has unit normals
             by construction.
-        disabled_terms: Names of energy terms to leave out (ablation): `planarity`, `symmetry`, `rectangularity`,
-            `dimensions`, `laplacian`, `box`, `ground`. The size of a single vehicle is in the prior, not a term.
-        ambiguity_margin: Energy (nats) within which another pose makes the result ambiguous.
-        keep_history: Record every iteration.
     """
 
-    strategy: RobustStrategy = field(default_factory=RobustStrategy)
-    joint: bool = True
-    free_offsets: bool = False
-    basis_vectors: int | None = None
-    sigma_relative: float = 0.035
-    sigma_pixels: float = 1.0
-    confidence_midpoint: float = 0.2
-    box_model: BoxModel = BoxModel.SURFACE
-    box_sigma_relative: float = 0.02
-    box_sigma_pixels: float = 1.5
-    azimuths: int = 24
-    planarity_sigma: float = 0.03
-    symmetry_sigma: float = 0.03
-    rectangularity_sigma: float = 0.05
-    parallel_sigma: float = 0.03
-    laplacian_sigma: float = 0.5
-    literal_laplacian: bool = False
-    plane_penalty: float | None = None
-    disabled_terms: frozenset[str] = frozenset()
-    ambiguity_margin: float = 3.0
-    keep_history: bool = True
+    joint: bool = flag(default=True)
+    free_offsets: bool = flag(default=False)
+    basis_vectors: int | None = count(None, least=0)
+    planarity_sigma: float = number(0.03, least=1e-6)
+    symmetry_sigma: float = number(0.03, least=1e-6)
+    rectangularity_sigma: float = number(0.05, least=1e-6)
+    parallel_sigma: float = number(0.03, least=1e-6)
+    laplacian_sigma: float = number(0.5, least=1e-6)
+    literal_laplacian: bool = flag(default=False)
+    plane_penalty: float | None = number(None, least=1e-12)
+
+    def __post_init__(self) -> None:
+        """Check the settings (`InvalidInputError`)."""
+        check_settings(self, "options.shape")
+
+
+_KINDS: dict[str, Any] = {
+    "keypoints": KeypointOptions,
+    "box": BoxOptions,
+    "search": SearchOptions,
+    "shape": ShapeOptions,
+}
+
+_MOVED = {
+    "sigma_relative": ("keypoints", "sigma_relative"),
+    "sigma_pixels": ("keypoints", "sigma_pixels"),
+    "box_model": ("box", "model"),
+    "box_sigma_relative": ("box", "sigma_relative"),
+    "box_sigma_pixels": ("box", "sigma_pixels"),
+    "azimuths": ("search", "azimuths"),
+    **{entry.name: ("shape", entry.name) for entry in fields(ShapeOptions)},
+}
+"""Where the settings are that stood in one row in the first release: group and name."""
+
+
+@dataclass(frozen=True, init=False)
+class Options:
+    """Settings of `fgrecon.reconstruct`, grouped by what they are about.
+
+    Attributes:
+        strategy: Robust strategy (see `fgrecon.core.robust`).
+        keypoints: Noise of the keypoints.
+        box: What the 2D box says.
+        search: The search for poses.
+        shape: The factor graph of pose and shape.
+        disabled_terms: Names of energy terms to leave out (ablation), of `Options.TERMS`. The size of a single vehicle
+            is in the prior, not a term.
+        ambiguity_margin: Energy (nats) within which another pose makes the result ambiguous.
+        keep_history: Record every iteration.
+        confidence_midpoint: Deprecated: what a confidence means belongs to the `Observation`, which this overrules.
+    """
+
+    strategy: RobustStrategy
+    keypoints: KeypointOptions
+    box: BoxOptions
+    search: SearchOptions
+    shape: ShapeOptions
+    disabled_terms: frozenset[str]
+    ambiguity_margin: float = number(3.0, least=0.0)
+    keep_history: bool = flag(default=True)
+    confidence_midpoint: float | None = number(None, least=1e-6)
 
     TERMS: ClassVar[tuple[str, ...]] = (
         "planarity",
@@ -91,39 +170,85 @@ class Options:
         "ground",
     )
 
-    def __post_init__(self) -> None:
-        """Check the numbers.
+    def __init__(
+        self,
+        *,
+        strategy: RobustStrategy | StrategyName | str = StrategyName.MIXTURE,
+        keypoints: KeypointOptions | None = None,
+        box: BoxOptions | BoxModel | str | None = None,
+        search: SearchOptions | None = None,
+        shape: ShapeOptions | None = None,
+        disabled_terms: Iterable[str] = (),
+        ambiguity_margin: float = 3.0,
+        keep_history: bool = True,
+        confidence_midpoint: float | None = None,
+        **moved: Any,
+    ) -> None:
+        """Check the settings; None is a group's defaults.
+
+        Args:
+            strategy: Robust strategy, or its name.
+            keypoints: Noise of the keypoints.
+            box: What the 2D box says, or just what it encloses.
+            search: The search for poses.
+            shape: The factor graph of pose and shape.
+            disabled_terms: Energy terms to leave out.
+            ambiguity_margin: In nats.
+            keep_history: Record every iteration.
+            confidence_midpoint: Of the first release: overrules what observations say.
+            moved: Other names of the first release, which had no groups: taken with a `DeprecationWarning`.
 
         Raises:
-            InvalidInputError: A setting is out of range.
+            InvalidInputError: A setting is unknown, has the wrong type, or is out of range.
         """
-        for name, lowest in (
-            ("sigma_relative", 0.0),
-            ("box_sigma_relative", 0.0),
-            ("ambiguity_margin", 0.0),
-            ("sigma_pixels", 1e-3),
-            ("box_sigma_pixels", 1e-3),
-            ("confidence_midpoint", 1e-6),
-            ("planarity_sigma", 1e-6),
-            ("symmetry_sigma", 1e-6),
-            ("rectangularity_sigma", 1e-6),
-            ("parallel_sigma", 1e-6),
-            ("laplacian_sigma", 1e-6),
-        ):
-            value = getattr(self, name)
-            if not lowest <= value < np.inf:
-                raise InvalidInputError(f"options.{name}", value, f"Give a finite number of at least {lowest}.")
-        if self.basis_vectors is not None and self.basis_vectors < 0:
-            raise InvalidInputError("options.basis_vectors", self.basis_vectors, "Give a number from 0, or None.")
-        if self.plane_penalty is not None and not 0.0 < self.plane_penalty < np.inf:
-            raise InvalidInputError("options.plane_penalty", self.plane_penalty, "Give a positive number, or None.")
-        if not 1 <= self.azimuths <= 360:
-            raise InvalidInputError("options.azimuths", self.azimuths, "Give a number from 1 to 360.")
-        unknown = set(self.disabled_terms) - set(self.TERMS)
-        if unknown:
-            raise InvalidInputError("options.disabled_terms", sorted(unknown)[0], f"Use {', '.join(self.TERMS)}.")
-        if self.box_model not in list(BoxModel):
-            raise InvalidInputError("options.box_model", self.box_model, f"Use one of {', '.join(BoxModel)}.")
-        object.__setattr__(self, "strategy", named_strategy(self.strategy))
-        object.__setattr__(self, "box_model", BoxModel(self.box_model))
-        object.__setattr__(self, "disabled_terms", frozenset(self.disabled_terms))
+        given = {"keypoints": keypoints, "box": box, "search": search, "shape": shape}
+        groups = {name: _group(name, value) for name, value in given.items()}
+        if confidence_midpoint is not None:
+            message = "A confidence's meaning is now said with it: Observation(..., confidence_midpoint=...)"
+            warnings.warn(message, DeprecationWarning, stacklevel=2)
+        for name, value in moved.items():
+            group, setting = _new_place(name, value)
+            groups[group] = replace(groups[group], **{setting: value})
+        settings = {
+            "strategy": named_strategy(strategy),
+            **groups,
+            "disabled_terms": _terms(disabled_terms),
+            "ambiguity_margin": ambiguity_margin,
+            "keep_history": keep_history,
+            "confidence_midpoint": confidence_midpoint,
+        }
+        for name, value in settings.items():
+            object.__setattr__(self, name, value)
+        check_settings(self, "options")
+
+
+def _group(name: str, value: Any) -> Any:
+    kind = _KINDS[name]
+    if value is None:
+        return kind()
+    if kind is BoxOptions and isinstance(value, str):
+        return BoxOptions(model=one_of(BoxModel, "options.box", value))
+    if not isinstance(value, kind):
+        raise InvalidInputError(f"options.{name}", value, f"Give `{kind.__name__}`, or None for its defaults.")
+    return value
+
+
+def _new_place(name: str, value: Any) -> tuple[str, str]:
+    """Group and name of a setting of the first release."""
+    if name not in _MOVED:
+        raise InvalidInputError(f"options.{name}", value, "There is no such setting: see `fgrecon.Options`.")
+    group, setting = _MOVED[name]
+    form = f"{group}={_KINDS[group].__name__}({setting}=...)"
+    warnings.warn(f"Options({name}=...) is now Options({form})", DeprecationWarning, stacklevel=3)
+    return group, setting
+
+
+def _terms(value: Iterable[str]) -> frozenset[str]:
+    fix = f"Give names of terms: {', '.join(Options.TERMS)}."
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        raise InvalidInputError("options.disabled_terms", value, fix)
+    names = list(value)
+    for name in names:
+        if name not in Options.TERMS:
+            raise InvalidInputError("options.disabled_terms", name, fix)
+    return frozenset(names)

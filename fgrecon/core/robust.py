@@ -29,7 +29,8 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.errors import InvalidInputError
+from factors.losses import Loss, RobustLoss
+from fgrecon.core.settings import check_settings, choice, count, number, one_of
 
 __all__ = ["Evidence", "RobustStrategy", "StrategyName", "strategy"]
 
@@ -49,16 +50,13 @@ class StrategyName(StrEnum):
     GNC = "gnc"
 
 
-_TUNING = {  # multiples of sigma; 95 % efficiency under Gaussian noise where that is defined
-    StrategyName.HUBER: 1.345,
-    StrategyName.CAUCHY: 2.385,
-    StrategyName.GEMAN_MCCLURE: 2.0,
-    StrategyName.TUKEY: 4.685,
-    StrategyName.GNC: 2.0,
+_LOSSES = {
+    StrategyName.HUBER: Loss.HUBER,
+    StrategyName.CAUCHY: Loss.CAUCHY,
+    StrategyName.GEMAN_MCCLURE: Loss.GEMAN_MCCLURE,
+    StrategyName.TUKEY: Loss.TUKEY,
 }
-
-
-_IN_GRAPH = (StrategyName.HUBER, StrategyName.CAUCHY, StrategyName.GEMAN_MCCLURE, StrategyName.TUKEY)
+"""The m-estimators. Elsewhere a loss is only needed for energies to compare, which are Geman and McClure's."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +81,7 @@ class RobustStrategy:
     Attributes:
         name: Which strategy.
         updates: Number of weight updates (the paper: 5).
-        tuning: Scale of the m-estimator in multiples of sigma.
+        tuning: Scale of the m-estimator in multiples of sigma; None is the loss's usual one (`factors.Loss`).
         mu0: Share of w_cnn against w_vis in the first weight (Eq. 4).
         mu1: Share of the previous weight (Eq. 5).
         mu2: Share of the residual's term against w_vis (Eq. 5).
@@ -93,33 +91,29 @@ class RobustStrategy:
         gnc_start: GNC: control parameter at the first update.
     """
 
-    name: StrategyName = StrategyName.MIXTURE
-    updates: int = 5
-    tuning: float = 2.0
-    mu0: float = 0.5
-    mu1: float = 0.5
-    mu2: float = 0.7
-    gross: float = 0.1
-    missed: float = 0.2
-    false_alarm: float = 0.05
-    gnc_start: float = 64.0
+    name: StrategyName = choice(StrategyName.MIXTURE)
+    updates: int = count(5, least=0, most=1000)
+    tuning: float | None = number(None, least=1e-6)
+    mu0: float = number(0.5, least=0.0, most=1.0)
+    mu1: float = number(0.5, least=0.0, most=1.0)
+    mu2: float = number(0.7, least=0.0, most=1.0)
+    gross: float = number(0.1, least=0.0, most=1.0)
+    missed: float = number(0.2, least=0.0, most=1.0)
+    false_alarm: float = number(0.05, least=0.0, most=1.0)
+    gnc_start: float = number(64.0, least=1.0)
 
     def __post_init__(self) -> None:
         """Check the parameters.
 
         Raises:
-            InvalidInputError: A parameter is out of range.
+            InvalidInputError: A parameter has the wrong type or is out of range.
         """
-        if not 0 <= self.updates <= 1000:
-            raise InvalidInputError("strategy.updates", self.updates, "Give a number from 0 to 1000.")
-        for field in ("mu0", "mu1", "mu2", "gross", "missed", "false_alarm"):
-            value = getattr(self, field)
-            if not 0.0 <= value <= 1.0:
-                raise InvalidInputError(f"strategy.{field}", value, "Give a number from 0 to 1.")
-        for field, lowest in (("tuning", 1e-6), ("gnc_start", 1.0)):
-            value = getattr(self, field)
-            if not lowest <= value < np.inf:
-                raise InvalidInputError(f"strategy.{field}", value, f"Give a finite number of at least {lowest}.")
+        check_settings(self, "strategy")
+
+    @property
+    def robust_loss(self) -> RobustLoss:
+        """The m-estimator with its tuning constant."""
+        return RobustLoss.of(_LOSSES.get(self.name, Loss.GEMAN_MCCLURE), self.tuning)
 
     @property
     def is_paper(self) -> bool:
@@ -134,7 +128,7 @@ class RobustStrategy:
     @property
     def loss(self) -> str | None:
         """Name of the m-estimator that the factor graph puts around each keypoint, or None where weights say it all."""
-        return self.name.value if self.name in _IN_GRAPH else None
+        return self.name.value if self.name in _LOSSES else None
 
     def initial_weights(self, evidence: Evidence, visibility: Array) -> Array:
         """(..., K) weights before any residual is known (Eq. 4)."""
@@ -181,10 +175,9 @@ class RobustStrategy:
             mixture_energy: Array = -np.log(total).sum(axis=-1)
             return np.where(evidence.measured, inlier, 0.0) / total, mixture_energy
         initial = self.initial_weights(evidence, visibility)
-        energy: Array = (initial * _m_estimator_loss(self.name, squared_distance, self.tuning)).sum(axis=-1)
+        energy: Array = (initial * self.robust_loss.losses_of_squares(squared_distance)).sum(axis=-1)
         if not self.is_paper:
-            estimator = _m_estimator_weight(self.name, squared_distance, self.tuning, self._control(progress))
-            return initial * estimator, energy
+            return initial * self._estimator(progress).weights_of_squares(squared_distance), energy
         error = np.where(evidence.measured, np.sqrt(squared_distance), 0.0)
         if self.name is StrategyName.PAPER_LITERAL:
             term = error / np.maximum(error.max(axis=-1, keepdims=True), 1e-12)
@@ -195,8 +188,12 @@ class RobustStrategy:
         weights = self.mu1 * (initial if previous is None else previous) + (1.0 - self.mu1) * update
         return np.where(evidence.measured, weights, 0.0), energy
 
-    def _control(self, progress: float) -> float:
-        return float(self.gnc_start ** (1.0 - progress)) if self.name is StrategyName.GNC else 1.0
+    def _estimator(self, progress: float) -> RobustLoss:
+        """The m-estimator at an update: graduated non-convexity widens it at first."""
+        loss = self.robust_loss
+        if self.name is not StrategyName.GNC:
+            return loss
+        return RobustLoss(loss.loss, loss.constant * float(self.gnc_start ** (0.5 * (1.0 - progress))))
 
     def _mixture(self, squared_distance: Array, evidence: Evidence, visibility: Array) -> tuple[Array, Array]:
         """Densities of being a right point, and of being anything else, relative to a right point's peak."""
@@ -209,38 +206,9 @@ class RobustStrategy:
 
 
 def strategy(value: RobustStrategy | StrategyName | str) -> RobustStrategy:
-    """A strategy by its name, with the usual tuning constant, or unchanged where it is one already.
+    """A strategy by its name, or unchanged where it is one already.
 
     Raises:
         InvalidInputError: There is no strategy of that name.
     """
-    if isinstance(value, RobustStrategy):
-        return value
-    try:
-        name = StrategyName(value)
-    except ValueError:
-        names = ", ".join(name.value for name in StrategyName)
-        raise InvalidInputError("strategy", value, f"Use one of {names}.") from None
-    return RobustStrategy(name=name, tuning=_TUNING.get(name, 2.0))
-
-
-def _m_estimator_weight(name: StrategyName, d2: Array, k: float, control: float) -> Array:
-    if name is StrategyName.HUBER:
-        return k / np.maximum(np.sqrt(d2), k)
-    if name is StrategyName.CAUCHY:
-        return 1.0 / (1.0 + d2 / k**2)
-    if name is StrategyName.TUKEY:
-        return np.square(np.maximum(1.0 - d2 / k**2, 0.0))
-    scale = control * k**2
-    return np.square(scale / (scale + d2))
-
-
-def _m_estimator_loss(name: StrategyName, d2: Array, k: float) -> Array:
-    if name is StrategyName.HUBER:
-        d = np.sqrt(d2)
-        return np.where(d <= k, 0.5 * d2, k * (d - 0.5 * k))
-    if name is StrategyName.CAUCHY:
-        return 0.5 * k**2 * np.log1p(d2 / k**2)
-    if name is StrategyName.TUKEY:
-        return k**2 / 6.0 * (1.0 - np.maximum(1.0 - d2 / k**2, 0.0) ** 3)
-    return 0.5 * d2 * k**2 / (k**2 + d2)
+    return value if isinstance(value, RobustStrategy) else RobustStrategy(one_of(StrategyName, "strategy", value))

@@ -240,15 +240,12 @@ def _fgrecon(name: str, *, ground: bool, size: bool, robust: RobustStrategy | No
         # KITTI's 2D boxes are its 3D boxes projected, to within 1 % of their size.
         strategy = robust or RobustStrategy()
         return reconstruct(
-            observation.keypoints,
+            observation,
             camera,
-            confidence=observation.confidence,
-            box=observation.box,
-            covariance=observation.covariance,
             prior=scene.prior,
             ground=scene.ground if ground else None,
             size_prior=scene.size if size else None,
-            options=Options(strategy=strategy, box_model=BoxModel.CUBOID, keep_history=keep_history),
+            options=Options(strategy=strategy, box=BoxModel.CUBOID, keep_history=keep_history),
         )
 
     def bind(scene: Scene) -> Solver:

@@ -7,6 +7,7 @@ The file holds one instance, a list of instances, or an object with `instances` 
       "keypoints": {"left_front_wheel": [u, v], ...},      by name, absent where not found
                 or [[u, v], null, ...],                    or in the category's order, null where not found
       "confidence": [0.9, ...],                            optional, 0 to 1; or the third number of every keypoint
+      "confidence_midpoint": 0.5,                          optional: where a point is as likely right as wrong
       "covariance": [[[uu, uv], [uv, vv]], ...],           optional, square pixels
       "box": [x1, y1, x2, y2],                             optional, pixels
       "initial": rotation_y in radians, or                 optional
@@ -34,6 +35,7 @@ from fgrecon.core.box3d import Box3D
 from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.observation import Observation
 from fgrecon.io.json_fields import Fields, numbers, read_json
 
 __all__ = ["Instance", "KeypointFile", "parse_keypoints", "read_keypoints"]
@@ -41,7 +43,15 @@ __all__ = ["Instance", "KeypointFile", "parse_keypoints", "read_keypoints"]
 Array = NDArray[np.float64]
 
 _CAMERA_FIELDS = {"K", "intrinsics", "distortion", "image_size"}
-_INSTANCE_FIELDS = {"id", "keypoints", "confidence", "covariance", "box", "initial"} | _CAMERA_FIELDS
+_INSTANCE_FIELDS = {
+    "id",
+    "keypoints",
+    "confidence",
+    "confidence_midpoint",
+    "covariance",
+    "box",
+    "initial",
+} | _CAMERA_FIELDS
 _FILE_FIELDS = {"instances"} | _CAMERA_FIELDS
 
 
@@ -53,6 +63,7 @@ class Instance:
         name: Its id.
         keypoints: (K, 2) pixels in the category's order, NaN where not found.
         confidence: (K,), or None.
+        confidence_midpoint: Confidence at which a point is as likely right as wrong, or None.
         box: (4,) x1, y1, x2, y2 in pixels, or None.
         covariance: (K, 2, 2) in square pixels, or None.
         initial: 3D box, or guess of rotation_y in radians, or None.
@@ -62,10 +73,22 @@ class Instance:
     name: str
     keypoints: Array
     confidence: Array | None = None
+    confidence_midpoint: float | None = None
     box: Array | None = None
     covariance: Array | None = None
     initial: Box3D | float | None = None
     camera: Camera | None = None
+
+    @property
+    def observation(self) -> Observation:
+        """What `fgrecon.reconstruct` takes; without confidences each point is as likely right as wrong.
+
+        Raises:
+            InvalidInputError: A number cannot be used.
+        """
+        midpoint = Observation.confidence_midpoint if self.confidence_midpoint is None else self.confidence_midpoint
+        confidence = np.full(len(self.keypoints), midpoint) if self.confidence is None else self.confidence
+        return Observation(self.keypoints, confidence, self.box, self.covariance, midpoint)
 
 
 @dataclass(frozen=True)
@@ -133,10 +156,12 @@ def _instance(fields: Fields, name: str, category: Category, camera: Camera | No
             raise InvalidInputError(f"{fields.where}id", identity, "Give a text or an integer.")
         name = str(identity)
     keypoints, confidence = _keypoints(fields, category)
+    midpoint = fields.numbers("confidence_midpoint", ()) if "confidence_midpoint" in fields else None
     return Instance(
         name=name,
         keypoints=keypoints,
         confidence=confidence,
+        confidence_midpoint=None if midpoint is None else float(midpoint),
         box=fields.numbers("box", (4,)) if "box" in fields else None,
         covariance=_per_keypoint(fields, "covariance", category, (2, 2)) if "covariance" in fields else None,
         initial=_initial(fields) if "initial" in fields else None,

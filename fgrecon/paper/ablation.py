@@ -93,7 +93,7 @@ def variants(options: Options) -> dict[str, Options]:
     return {
         "all terms": options,
         **{name: replace(options, disabled_terms=options.disabled_terms | terms) for name, terms in off.items()},
-        "literal Laplacian": replace(options, literal_laplacian=True),
+        "literal Laplacian": replace(options, shape=replace(options.shape, literal_laplacian=True)),
     }
 
 

@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Ground
 from fgrecon.core.metrics import orientation_error
-from fgrecon.core.options import BoxModel, Options
+from fgrecon.core.options import BoxModel, BoxOptions, KeypointOptions, Options
 from fgrecon.core.reconstruction import Reconstruction
-from fgrecon.core.robust import strategy
+from fgrecon.core.robust import StrategyName
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SIZE_PRIORS, SizePrior
 from fgrecon.paper.icra2017_release import Icra2017Example, import_icra2017, load_icra2017_example
@@ -82,12 +82,10 @@ class Icra2017Result:
 def settings() -> Options:
     """The settings that the module describes."""
     return Options(
-        strategy=strategy("huber"),
-        sigma_relative=0.0,
-        box_model=BoxModel.CUBOID,
-        box_sigma_relative=0.0,
-        box_sigma_pixels=2.0,
-        disabled_terms=frozenset(["laplacian"]),
+        strategy=StrategyName.HUBER,
+        keypoints=KeypointOptions(sigma_relative=0.0),
+        box=BoxOptions(BoxModel.CUBOID, sigma_relative=0.0, sigma_pixels=2.0),
+        disabled_terms=["laplacian"],
     )
 
 

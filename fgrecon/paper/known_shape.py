@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.metrics import FAILURE_DEGREES, keypoint_error, rotation_error
-from fgrecon.core.options import BoxModel, Options
+from fgrecon.core.options import BoxModel, KeypointOptions, Options
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.catalogue import load_category
@@ -41,7 +41,7 @@ BASIS = 14
 4.0 and fourteen 2.2 and 3.8; what comes after these is finer than the marks."""
 
 KNOWN_SHAPE_OPTIONS = Options(
-    sigma_relative=0.015, box_model=BoxModel.OFF, disabled_terms=frozenset({"laplacian"}), keep_history=True
+    keypoints=KeypointOptions(sigma_relative=0.015), box=BoxModel.OFF, disabled_terms=["laplacian"], keep_history=True
 )
 """Marks are sharper than a network's points (1.9 % of the box about the labelled model, of which a part is the labels'
 own error). The boxes are 2 to 3 % too large, and on some cars far off. The Laplacian term pulls every car towards the

@@ -13,7 +13,7 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.metrics import hausdorff_distance, orientation_error
 from fgrecon.core.observation import Observation
-from fgrecon.core.options import BoxModel, Options
+from fgrecon.core.options import BoxModel, BoxOptions, Options
 from fgrecon.core.reconstruction import Reconstruction, rotation_y
 from fgrecon.core.size_prior import size_prior
 from fgrecon.evaluation.bootstrap import mean_interval
@@ -24,7 +24,7 @@ from fgrecon.paper.numbers import PRINTED_APK, PRINTED_HAUSDORFF
 from fgrecon.paper.stages import State, initial_state, noisy_azimuth, stages_of
 from fgrecon.paper.tables import APK_ALPHA, LABELS, Cell, Table
 from fgrecon.perception.from_image import reconstruct_detection
-from fgrecon.perception.keypoints.detect import CONFIDENCE_MIDPOINT, Detector
+from fgrecon.perception.keypoints.detect import Detector
 from fgrecon.solve.vehicle.model import prepare
 from fgrecon.training.keypoints.evaluate import GROUPS, Scored, adjusted, score_marks
 from fgrecon.training.keypoints.marks import read_street_marks
@@ -51,8 +51,8 @@ def adjust_marked(scored: Sequence[Scored], data: Path, *, keep_history: bool = 
         keep_history: Whether to record every iteration.
     """
     prior, fleet, plane = load_prior("car14"), size_prior("kitti"), Ground.level(_CAMERA_HEIGHT)
-    outline = Options(confidence_midpoint=CONFIDENCE_MIDPOINT, keep_history=keep_history)
-    street = {"options": replace(outline, box_model=BoxModel.CUBOID), "ground": plane, "size_prior": fleet}
+    outline = Options(keep_history=keep_history)
+    street = {"options": replace(outline, box=BoxOptions(BoxModel.CUBOID)), "ground": plane, "size_prior": fleet}
     posed = {}
     if any(item.mark.group in GROUPS["photographs"] for item in scored):
         posed = {car.image.name: car.matrix for car in read_posed_cars(data / "posed_cars")}

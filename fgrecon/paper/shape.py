@@ -24,10 +24,8 @@ from fgrecon.io.catalogue import load_category
 from fgrecon.simulation.keypoint_noise import HOURGLASS, NoiseModel
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Truth, Vehicle, kitti_like_pose, simulate
 from fgrecon.solve.graph.adjust import ShapeEstimate, adjust_shape
-from fgrecon.solve.graph.graph import Scene
 from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
-from fgrecon.solve.proposals.problem import build_problem
-from fgrecon.solve.proposals.search import PoseProblem
+from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.vehicle.model import VehicleModel, prepare
 from fgrecon.training.priors.apollo79 import DUPLICATE, Apollo79
 
@@ -139,8 +137,9 @@ def score_shape(
     Returns:
         A score for each of `STAGES`. A view whose pose or shape stage fails counts with its state before.
     """
-    options = replace(options or Options(), keep_history=False, joint=False)
-    model = prepare(prior, size, options.basis_vectors)
+    options = options or Options()
+    options = replace(options, keep_history=False, shape=replace(options.shape, joint=False))
+    model = prepare(prior, size, options.shape.basis_vectors)
     parts: dict[str, list[tuple[Array, Array, Array, float]]] = {stage: [] for stage in STAGES}
     for view in views:
         for stage, (pose, keypoints) in _states(view, model, ground, options).items():
@@ -168,19 +167,19 @@ def _states(view: View, model: VehicleModel, ground: Ground | None, options: Opt
     """Pose (4, 4) and keypoints (K, 3) of every stage."""
     prior, observation = model.prior, view.observation
     mean, true_pose = prior.mean, view.truth.camera_T_object
-    problem = build_problem(observation, KITTI_CAMERA, model, ground, options)
-    scene = Scene(observation, KITTI_CAMERA, model, ground, problem.box, options)
+    problem = Problem.of(observation, KITTI_CAMERA, model, ground, options)
 
     def keypoints(shape: ShapeEstimate) -> Array:
         return prior.keypoints(shape.coefficients, shape.offsets)
 
-    at_truth = adjust_shape(scene, problem, _known_pose(problem, true_pose))
+    at_truth = adjust_shape(problem, _known_pose(problem, true_pose))
     try:
-        start = adjust_pose(observation, KITTI_CAMERA, model, ground, None, options)
+        start = adjust_pose(problem)
     except FgreconError:
         start = _known_pose(problem, np.eye(4))
-    fixed = adjust_shape(scene, problem, start)
-    joint = adjust_shape(replace(scene, options=replace(options, joint=True)), problem, start)
+    fixed = adjust_shape(problem, start)
+    moving = replace(options, shape=replace(options.shape, joint=True))
+    joint = adjust_shape(replace(problem, options=moving), start)
     return {
         "mean, true pose": (true_pose, mean),
         "shape, true pose": (true_pose, keypoints(at_truth)),
@@ -191,11 +190,12 @@ def _states(view: View, model: VehicleModel, ground: Ground | None, options: Opt
     }
 
 
-def _known_pose(problem: PoseProblem, camera_T_object: Array) -> PoseEstimate:
+def _known_pose(problem: Problem, camera_T_object: Array) -> PoseEstimate:
     """The mean shape at a pose, as if the pose stage had found it."""
-    visibility = problem.visibility(camera_T_object[None])[0]
-    weights = problem.keypoints.strategy.initial_weights(problem.keypoints.evidence, visibility)
-    zero = np.zeros(len(problem.keypoints.basis))
+    keypoints = problem.energy.keypoints
+    visibility = problem.energy.visibility(camera_T_object[None])[0]
+    weights = keypoints.strategy.initial_weights(keypoints.evidence, visibility)
+    zero = np.zeros(len(keypoints.basis))
     return PoseEstimate(camera_T_object, zero, weights, visibility, 0.0, (), ())
 
 

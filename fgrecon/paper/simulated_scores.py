@@ -19,7 +19,7 @@ from fgrecon.core.metrics import (
 )
 from fgrecon.core.options import BoxModel, Options
 from fgrecon.core.reconstruction import rotation_y
-from fgrecon.core.robust import strategy
+from fgrecon.core.robust import StrategyName
 from fgrecon.evaluation.methods import Scene, select
 from fgrecon.io.files import write_bytes
 from fgrecon.paper.simulated import Instance
@@ -130,8 +130,8 @@ def row_solvers(rows: Sequence[str], scene: Scene, seed: int) -> tuple[RowSolver
         seed: Seed of the initialisation's azimuths.
     """
     model = prepare(scene.prior, scene.size)
-    kitti = Options(box_model=BoxModel.CUBOID)
-    paper = Options(box_model=BoxModel.CUBOID, strategy=strategy("paper"))
+    kitti = Options(box=BoxModel.CUBOID)
+    paper = Options(box=BoxModel.CUBOID, strategy=StrategyName.PAPER)
 
     def initialisation(instance: Instance) -> dict[str, State]:
         rng = np.random.default_rng([seed, int(instance.frame), instance.index, _AZIMUTH_STREAM])

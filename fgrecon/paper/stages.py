@@ -15,7 +15,8 @@ from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.evaluation.methods import Scene
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.proposals.adjust import adjust_pose
-from fgrecon.solve.proposals.starts import around_the_clock
+from fgrecon.solve.proposals.problem import Problem
+from fgrecon.solve.proposals.starts import at_azimuths
 from fgrecon.solve.vehicle.model import VehicleModel
 
 __all__ = [
@@ -81,10 +82,8 @@ def stages(
     if not options.keep_history:
         raise ValueError("The stages are read from the history: keep it.")
     result = reconstruct(
-        observation.keypoints,
+        observation,
         camera,
-        confidence=observation.confidence,
-        box=observation.box,
         prior=scene.prior,
         ground=ground,
         size_prior=scene.size,
@@ -113,13 +112,13 @@ def stages_of(result: Reconstruction, category: Category) -> dict[str, State]:
 
 def algorithm1_state(observation: Observation, camera: Camera, model: VehicleModel, options: Options) -> State:
     """ASPnP + IRLS with the mean shape: the paper's pose adjustment alone (`options` name one of its strategies)."""
-    pose = adjust_pose(observation, camera, model, None, None, options)
+    pose = adjust_pose(Problem.of(observation, camera, model, None, options))
     return State(pose.camera_T_object, model.prior.mean, model.dimension_mean)
 
 
 def initial_state(box: Array, camera: Camera, model: VehicleModel, ground: Ground, rotation_y: float) -> State:
     """The mean shape on the ground's slope at an azimuth, placed so that it fills the 2D box (4,)."""
-    start = around_the_clock(box, camera, model, ground, [rotation_y], relative=False)
+    start = at_azimuths(box, camera, model, ground, [rotation_y], relative=False)
     return State(start.matrices()[0], model.prior.mean, model.dimension_mean)
 
 

@@ -8,7 +8,7 @@ where another one wins, the car is solved again from there.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,7 +21,7 @@ from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction, rotation_y
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
-from fgrecon.perception.keypoints.detect import CONFIDENCE_MIDPOINT, Detection, Detector
+from fgrecon.perception.keypoints.detect import Detection, Detector
 from fgrecon.solve.pipeline import reconstruct
 
 __all__ = ["FromImage", "direction_penalty", "reconstruct_detection", "reconstruct_image"]
@@ -67,30 +67,21 @@ def reconstruct_detection(
     Args:
         detection: What the network found.
         camera: The camera that took the image.
-        options: Settings; the default takes confidences as probabilities.
+        options: Settings.
         arguments: Further ones of `fgrecon.reconstruct`: prior, ground, size_prior.
 
     Raises:
         InvalidInputError: An argument cannot be used.
         DegenerateProblemError: The keypoints do not determine a pose.
     """
-    settings = Options(confidence_midpoint=CONFIDENCE_MIDPOINT) if options is None else options
-    seen = detection.observation
-    given: Mapping[str, Any] = {
-        "confidence": seen.confidence,
-        "box": seen.box,
-        "covariance": seen.covariance,
-        "options": settings,
-        **arguments,
-    }
-    first = reconstruct(seen.keypoints, camera, **given)
+    first = reconstruct(detection.observation, camera, options=options, **arguments)
     here = direction_penalty(detection, first.camera_T_object)
     other = [(a.excess + direction_penalty(detection, a.camera_T_object), a) for a in first.alternatives]
     better = min((pair for pair in other if pair[0] < here), key=lambda pair: pair[0], default=None)
     if better is None:
         return first
     turn = rotation_y(better[1].camera_T_object)
-    second = reconstruct(seen.keypoints, camera, **{**given, "initial": turn})
+    second = reconstruct(detection.observation, camera, options=options, **{**arguments, "initial": turn})
     return second if direction_penalty(detection, second.camera_T_object) < here else first
 
 

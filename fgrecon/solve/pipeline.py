@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 
@@ -10,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.category import Category
 from fgrecon.core.checks import as_finite, as_shape
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
@@ -21,12 +24,11 @@ from fgrecon.core.size_prior import size_prior as named_size_prior
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph.adjust import ShapeEstimate, adjust_shape
 from fgrecon.solve.graph.covariance import Covariances, covariances
-from fgrecon.solve.graph.graph import Scene, VehicleGraph, build
+from fgrecon.solve.graph.graph import VehicleGraph, build
 from fgrecon.solve.graph.state import graph_weights
 from fgrecon.solve.graph.structure import graph_factors
 from fgrecon.solve.proposals.adjust import adjust_pose
-from fgrecon.solve.proposals.problem import build_problem
-from fgrecon.solve.proposals.search import PoseProblem
+from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import build_result
 from fgrecon.solve.vehicle.model import prepare
 
@@ -36,7 +38,7 @@ Array = NDArray[np.float64]
 
 
 def reconstruct(
-    keypoints: ArrayLike,
+    keypoints: ArrayLike | Mapping[str, ArrayLike] | Observation,
     intrinsics: Camera | ArrayLike,
     *,
     confidence: ArrayLike | None = None,
@@ -52,7 +54,8 @@ def reconstruct(
     """Recover the pose and the shape of one vehicle from its keypoints in one image.
 
     Args:
-        keypoints: (K, 2) pixels (u, v) in the prior's keypoint order; NaN where a keypoint was not found.
+        keypoints: (K, 2) pixels (u, v) in the prior's keypoint order; NaN where a keypoint was not found. Or (u, v) or
+            (u, v, confidence) by the keypoint's name. Or an `Observation`, which holds the next three as well.
         intrinsics: Camera matrix (3, 3), or (fx, fy, cx, cy), or a `Camera`.
         confidence: (K,) in [0, 1]; None where the detector gives none.
         box: (4,) 2D box x1, y1, x2, y2 in pixels, or None.
@@ -80,30 +83,29 @@ def reconstruct(
     plane = ground_plane(ground)
     start = _initial(initial)
     fleet = None if size_prior is None else named_size_prior(size_prior)
-    observation = observe(keypoints, confidence, box, covariance, camera, shape_prior, options)
-    model = prepare(shape_prior, fleet, options.basis_vectors)
+    observation = observe(
+        keypoints, camera, shape_prior, options, confidence=confidence, box=box, covariance=covariance
+    )
+    model = prepare(shape_prior, fleet, options.shape.basis_vectors)
 
     started = perf_counter()
-    pose = adjust_pose(observation, camera, model, plane, start, options)
+    problem = Problem.of(observation, camera, model, plane, options)
+    pose = adjust_pose(problem, start)
     posed = perf_counter()
-    problem = build_problem(observation, camera, model, plane, options)
-    scene = Scene(observation, camera, model, plane, problem.box, options)
-    shape = adjust_shape(scene, problem, pose)
+    shape = adjust_shape(problem, pose)
     shaped = perf_counter()
-    uncertainty, graph = _final_graph(scene, problem, shape)
+    uncertainty, graph = _final_graph(problem, shape)
     milliseconds = {"pose": (posed - started) * 1e3, "shape": (shaped - posed) * 1e3}
-    return build_result(scene, pose, shape, uncertainty, graph, milliseconds)
+    return build_result(problem, pose, shape, uncertainty, graph, milliseconds)
 
 
-def _final_graph(
-    scene: Scene, problem: PoseProblem, shape: ShapeEstimate
-) -> tuple[Covariances | None, tuple[GraphFactor, ...]]:
+def _final_graph(problem: Problem, shape: ShapeEstimate) -> tuple[Covariances | None, tuple[GraphFactor, ...]]:
     """Covariances and structure of the joint graph at the result, whichever stage came last."""
-    vehicle = VehicleGraph(scene, shape.pose, pose_free=True)
+    vehicle = VehicleGraph(problem, shape.pose, pose_free=True)
     values = vehicle.values(shape.pose, shape.coefficients, shape.offsets)
-    weights = graph_weights(problem, shape.weights, shape.visibility)
+    weights = graph_weights(problem.energy, shape.weights, shape.visibility)
     terms = vehicle.terms(weights, shape.box_weights)
-    graph = graph_factors(vehicle, terms, weights) if scene.options.keep_history else ()
+    graph = graph_factors(vehicle, terms, weights) if problem.options.keep_history else ()
     return covariances(vehicle, build(terms), values), graph
 
 
@@ -125,37 +127,71 @@ def _initial(initial: Box3D | float | None) -> Box3D | float | None:
 
 
 def observe(
-    keypoints: ArrayLike,
-    confidence: ArrayLike | None,
-    box: ArrayLike | None,
-    covariance: ArrayLike | None,
+    keypoints: ArrayLike | Mapping[str, ArrayLike] | Observation,
     camera: Camera,
     prior: ShapePrior,
     options: Options,
+    *,
+    confidence: ArrayLike | None = None,
+    box: ArrayLike | None = None,
+    covariance: ArrayLike | None = None,
 ) -> Observation:
     """The observation that is solved from: checked against the prior's category, and freed of lens distortion.
 
     Raises:
-        InvalidInputError: An array has the wrong shape or values.
+        InvalidInputError: An array has the wrong shape or values, or something is given twice.
     """
-    size = prior.category.size
-    fix = f"Give {size} pixels (u, v) in the order of category {prior.category.name}; NaN where not found."
-    pixels = as_shape("keypoints", keypoints, (size, 2), fix)
-    # Without confidences each point is as likely right as wrong, which the visibility and the residuals then settle.
-    trust = (
-        np.full(size, options.confidence_midpoint)
-        if confidence is None
-        else as_shape("confidence", confidence, (size,))
-    )
-    observation = Observation(
-        pixels,
-        trust,
-        None if box is None else np.asarray(box),
-        None if covariance is None else as_shape("covariance", covariance, (size, 2, 2)),
-    )
+    category = prior.category
+    given = {"confidence": confidence, "box": box, "covariance": covariance}
+    if isinstance(keypoints, Observation):
+        for field, value in given.items():
+            if value is not None:
+                raise InvalidInputError(field, "given twice", "The observation has it: give it there.")
+        seen = keypoints
+        as_shape("keypoints", seen.keypoints, (category.size, 2), _fix(category))
+    else:
+        if isinstance(keypoints, Mapping):
+            keypoints, confidence = _by_name(keypoints, category, confidence)
+        pixels = as_shape("keypoints", keypoints, (category.size, 2), _fix(category))
+        seen = Observation(
+            pixels,
+            np.zeros(category.size) if confidence is None else as_shape("confidence", confidence, (category.size,)),
+            None if box is None else np.asarray(box),
+            None if covariance is None else as_shape("covariance", covariance, (category.size, 2, 2)),
+        )
+    if options.confidence_midpoint is not None:
+        seen = replace(seen, confidence_midpoint=options.confidence_midpoint)
+    if confidence is None and not isinstance(keypoints, Observation):
+        # Each point is as likely right as wrong, which the visibility and the residuals then settle.
+        seen = replace(seen, confidence=np.full(category.size, seen.confidence_midpoint))
     if camera.distortion is None:
-        return observation
-    ideal_box = None
-    if observation.box is not None:
-        ideal_box = camera.undistort(observation.box.reshape(2, 2)).ravel()
-    return Observation(camera.undistort(pixels), observation.confidence, ideal_box, observation.covariance)
+        return seen
+    ideal_box = None if seen.box is None else camera.undistort(seen.box.reshape(2, 2)).ravel()
+    return replace(seen, keypoints=camera.undistort(seen.keypoints), box=ideal_box)
+
+
+def _fix(category: Category) -> str:
+    return f"Give {category.size} pixels (u, v) in the order of category {category.name}; NaN where not found."
+
+
+def _by_name(
+    keypoints: Mapping[str, ArrayLike], category: Category, confidence: ArrayLike | None
+) -> tuple[Array, ArrayLike | None]:
+    """Pixels (K, 2) in the category's order, NaN where none is given, and confidences from the third numbers."""
+    rows = np.full((category.size, 3), np.nan)
+    widths = set()
+    for name, value in keypoints.items():
+        if name not in category.keypoints:
+            fix = f"Use the keypoints of {category.name}: {', '.join(category.keypoints)}."
+            raise InvalidInputError("keypoints", name, fix)
+        row = as_shape(f"keypoints.{name}", value, (None,), "Give (u, v) or (u, v, confidence).")
+        widths.add(len(row))
+        if widths not in ({2}, {3}):
+            fix = "Give (u, v) for every keypoint, or (u, v, confidence) for every one."
+            raise InvalidInputError(f"keypoints.{name}", f"{len(row)} numbers", fix)
+        rows[category.index(name), : len(row)] = row
+    if widths != {3}:
+        return rows[:, :2], confidence
+    if confidence is not None:
+        raise InvalidInputError("confidence", "given twice", "Give it here or as the third number of every keypoint.")
+    return rows[:, :2], np.where(np.isnan(rows[:, 0]), 0.0, rows[:, 2])

@@ -8,9 +8,8 @@ from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import GraphFactor, Reconstruction, Status, rotation_y
 from fgrecon.solve.graph.adjust import ShapeEstimate
 from fgrecon.solve.graph.covariance import Covariances
-from fgrecon.solve.graph.graph import Scene
 from fgrecon.solve.proposals.adjust import PoseEstimate
-from fgrecon.solve.proposals.problem import keypoint_covariances
+from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
 from fgrecon.solve.vehicle.visibility import clearance, occluder, probability
 
 __all__ = ["build_result"]
@@ -19,7 +18,7 @@ _LOOSE = np.deg2rad(30.0)  # a rotation known no better than this is not determi
 
 
 def build_result(
-    scene: Scene,
+    problem: Problem,
     pose: PoseEstimate,
     shape: ShapeEstimate,
     uncertainty: Covariances | None,
@@ -29,22 +28,22 @@ def build_result(
     """Everything about the result that is told to the user.
 
     Args:
-        scene: What was given.
+        problem: What was solved.
         pose: Result of the pose stage.
         shape: Result of the shape stage.
         uncertainty: Covariances at the result, or None where the graph does not determine them.
         graph: The factors at the result, or none where they are not wanted.
         milliseconds: Wall time by stage.
     """
-    prior = scene.model.prior
+    prior = problem.model.prior
     camera_T_object = shape.pose.matrix()
     wireframe = prior.keypoints(shape.coefficients, shape.offsets)
     in_camera = wireframe @ camera_T_object[:3, :3].T + camera_T_object[:3, 3]
     surface = occluder(prior)
     vertices = surface.vertices(shape.coefficients)
     centre = -camera_T_object[:3, :3].T @ camera_T_object[:3, 3]
-    status, message = _status(pose, uncertainty, scene.options, shape)
-    sigma = np.sqrt(np.sqrt(np.linalg.det(keypoint_covariances(scene.observation, scene.options))))
+    status, message = _status(pose, uncertainty, problem.options, shape)
+    sigma = np.sqrt(np.sqrt(np.linalg.det(keypoint_covariances(problem.observation, problem.options.keypoints))))
     with np.errstate(divide="ignore"):
         sigmas = sigma / np.sqrt(shape.weights)
     return Reconstruction(
@@ -57,7 +56,7 @@ def build_result(
         coefficients=shape.coefficients,
         offsets=shape.offsets,
         wireframe=wireframe,
-        wireframe_uv=scene.camera.distort(scene.camera.project(in_camera)),
+        wireframe_uv=problem.camera.distort(problem.camera.project(in_camera)),
         edges=np.array(prior.category.edges, dtype=np.int64).reshape(-1, 2),
         box_size=prior.box_size(shape.coefficients, shape.offsets),
         weights=shape.weights,

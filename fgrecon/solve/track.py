@@ -36,14 +36,13 @@ from fgrecon.core.size_prior import size_prior as named_size_prior
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph.adjust import EARLY_TOLERANCE, FINAL_TOLERANCE, SETTLED, ShapeEstimate
 from fgrecon.solve.graph.covariance import factorise, read_covariances
-from fgrecon.solve.graph.graph import Scene, Terms, VehicleGraph
+from fgrecon.solve.graph.graph import Terms, VehicleGraph
 from fgrecon.solve.graph.solver import minimise
 from fgrecon.solve.graph.state import State, graph_weights, iteration, reweigh, robust_energies
 from fgrecon.solve.graph.structure import graph_factors
 from fgrecon.solve.pipeline import ground_plane, observe
 from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
-from fgrecon.solve.proposals.problem import build_problem
-from fgrecon.solve.proposals.search import PoseProblem
+from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import build_result
 from fgrecon.solve.vehicle.model import prepare
 
@@ -117,8 +116,7 @@ class _Frame:
     """One image on its way through the joint optimisation."""
 
     number: int
-    scene: Scene
-    problem: PoseProblem
+    problem: Problem
     start: PoseEstimate
     graph: VehicleGraph
     state: State
@@ -154,12 +152,12 @@ def reconstruct_track(
         DegenerateProblemError: No image determines a pose.
     """
     options = Options() if options is None else options
-    if not options.joint:
-        raise InvalidInputError("options.joint", value=False, fix="Let pose and shape move together: joint=True.")
+    if not options.shape.joint:
+        raise InvalidInputError("options.shape.joint", value=False, fix="Let pose and shape move: joint=True.")
     shape_prior = load_prior(prior)
     plane = ground_plane(ground)
     fleet = None if size_prior is None else named_size_prior(size_prior)
-    model = prepare(shape_prior, fleet, options.basis_vectors)
+    model = prepare(shape_prior, fleet, options.shape.basis_vectors)
     each = [cameras] * len(observations) if isinstance(cameras, Camera) else list(cameras)
     if len(each) != len(observations):
         raise InvalidInputError("cameras", f"{len(each)} for {len(observations)} images", "Give one for each image.")
@@ -171,15 +169,14 @@ def reconstruct_track(
         if given is None:
             refused[number] = "no keypoints"
             continue
-        seen = observe(given.keypoints, given.confidence, given.box, given.covariance, camera, shape_prior, options)
+        seen = observe(given, camera, shape_prior, options)
         try:
-            start = adjust_pose(seen, camera, model, plane, None, options)
-            problem = build_problem(seen, camera, model, plane, options)
+            problem = Problem.of(seen, camera, model, plane, options)
+            start = adjust_pose(problem)
         except DegenerateProblemError as error:
             refused[number] = str(error)
             continue
-        scene = Scene(seen, camera, model, plane, problem.box, options)
-        frames.append(_frame(number, scene, problem, start, first=not frames))
+        frames.append(_frame(number, problem, start, first=not frames))
     if not frames:
         raise DegenerateProblemError("observations", "no pose in any image", "Give more, or better spread, keypoints.")
     posed = perf_counter()
@@ -189,12 +186,12 @@ def reconstruct_track(
     return _result(frames, refused, values, history, failure, milliseconds)
 
 
-def _frame(number: int, scene: Scene, problem: PoseProblem, start: PoseEstimate, *, first: bool) -> _Frame:
+def _frame(number: int, problem: Problem, start: PoseEstimate, *, first: bool) -> _Frame:
     pose = gtsam.Pose3(start.camera_T_object)
-    graph = VehicleGraph(scene, pose, pose_free=True, frame=number, shape_terms=first)
+    graph = VehicleGraph(problem, pose, pose_free=True, frame=number, shape_terms=first)
     offsets = np.zeros((len(start.weights), 3))
     state = State(pose, start.coefficients, offsets, start.weights, start.visibility, np.ones(4))
-    return _Frame(number, scene, problem, start, graph, state, {}, list(start.history))
+    return _Frame(number, problem, start, graph, state, {}, list(start.history))
 
 
 def _start(frames: list[_Frame]) -> gtsam.Values:
@@ -249,8 +246,8 @@ def _follow(frame: _Frame, values: gtsam.Values) -> None:
 def _reweigh(frame: _Frame, values: gtsam.Values, progress: float) -> float:
     """Update a frame's weights and factors; the largest change of a weight."""
     state, before = frame.state, frame.state.weights
-    reweigh(state, frame.problem, frame.graph, values, progress)
-    weights = graph_weights(frame.problem, state.weights, state.visibility)
+    reweigh(state, frame.problem.energy, frame.graph, values, progress)
+    weights = graph_weights(frame.problem.energy, state.weights, state.visibility)
     frame.terms = frame.graph.terms(weights, state.box_weights)
     return float(np.abs(state.weights - before).max())
 
@@ -270,7 +267,7 @@ def _record(frames: list[_Frame], update: int, step: int, values: gtsam.Values) 
     poses = []
     for frame in frames:
         state = frame.state
-        at = iteration("joint", update, step, frame.graph, values, state.weights, frame.terms, frame.problem)
+        at = iteration("joint", update, step, frame.graph, values, state.weights, frame.terms, frame.problem.energy)
         _add(total, at.energies)
         frame.history.append(_own(at))
         poses.append(at.camera_T_object)
@@ -301,7 +298,7 @@ def _result(
     results = []
     for frame in frames:
         state = frame.state
-        energies = robust_energies(frame.graph, values, frame.terms, frame.problem) if frame.terms else {}
+        energies = robust_energies(frame.graph, values, frame.terms, frame.problem.energy) if frame.terms else {}
         _add(total, energies)
         estimate = ShapeEstimate(
             pose=state.pose,
@@ -315,9 +312,9 @@ def _result(
             failure=failure,
         )
         uncertainty = None if marginals is None else read_covariances(frame.graph, marginals)
-        results.append(build_result(frame.scene, frame.start, estimate, uncertainty, (), {}))
+        results.append(build_result(frame.problem, frame.start, estimate, uncertainty, (), {}))
     status, message = _status(results, refused)
-    graph = _structure(frames) if frames[0].scene.options.keep_history and failure is None else ()
+    graph = _structure(frames) if frames[0].problem.options.keep_history and failure is None else ()
     numbers = tuple(frame.number for frame in frames)
     return TrackReconstruction(
         status, message, numbers, tuple(results), refused, total, tuple(history), graph, milliseconds
@@ -340,7 +337,7 @@ def _structure(frames: list[_Frame]) -> tuple[GraphFactor, ...]:
     """The joint graph, with one factor for the keypoints of each frame."""
     factors: list[GraphFactor] = []
     for frame in frames:
-        weights = graph_weights(frame.problem, frame.state.weights, frame.state.visibility)
+        weights = graph_weights(frame.problem.energy, frame.state.weights, frame.state.visibility)
         members = graph_factors(frame.graph, frame.terms, weights)
         seen = [factor for factor in members if factor.term == "reprojection"]
         if seen:

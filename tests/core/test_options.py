@@ -6,58 +6,95 @@ import numpy as np
 import pytest
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.options import BoxModel, Options
-from fgrecon.core.robust import RobustStrategy, StrategyName
+from fgrecon.core.options import BoxModel, BoxOptions, KeypointOptions, Options, SearchOptions, ShapeOptions
+from fgrecon.core.robust import RobustStrategy, StrategyName, strategy
 
-POSITIVE = [f.name for f in dataclasses.fields(Options) if f.name.endswith(("sigma", "_pixels", "_midpoint"))]
-NOT_NEGATIVE = ["sigma_relative", "box_sigma_relative", "ambiguity_margin"]
+GROUPS = {"keypoints": KeypointOptions, "box": BoxOptions, "search": SearchOptions, "shape": ShapeOptions}
+NUMBERS = [
+    (kind, group, field.name)
+    for group, kind in GROUPS.items()
+    for field in dataclasses.fields(kind)
+    if field.type.startswith("float")
+]
+POSITIVE = [entry for entry in NUMBERS if not entry[2].endswith("relative")]
 
 
 def test_defaults_are_valid_and_names_are_understood():
     assert Options().strategy.name is StrategyName.MIXTURE
-    named = Options(strategy="tukey", box_model="cuboid", disabled_terms=["box", "ground"])
-    assert named.strategy == RobustStrategy(StrategyName.TUKEY, tuning=4.685)
-    assert named.box_model is BoxModel.CUBOID
+    named = Options(strategy="tukey", box="cuboid", disabled_terms=["box", "ground"])
+    assert named.strategy == RobustStrategy(StrategyName.TUKEY) == strategy("tukey")
+    assert named.box == BoxOptions(BoxModel.CUBOID)
     assert named.disabled_terms == frozenset({"box", "ground"})
+    assert dataclasses.replace(named, keep_history=False).box.model is BoxModel.CUBOID
 
 
-@pytest.mark.parametrize("name", [*POSITIVE, *NOT_NEGATIVE])
-@pytest.mark.parametrize("value", [-1.0, np.nan, np.inf])
-def test_numbers_out_of_range(name, value):
+@pytest.mark.parametrize(("kind", "group", "name"), NUMBERS)
+@pytest.mark.parametrize("value", [-1.0, np.nan, np.inf, "1", True])
+def test_numbers_out_of_range_or_of_another_type(kind, group, name, value):
     with pytest.raises(InvalidInputError) as caught:
-        Options(**{name: value})
-    assert caught.value.field == f"options.{name}"
+        kind(**{name: value})
+    assert caught.value.field == f"options.{group}.{name}"
 
 
-@pytest.mark.parametrize("name", POSITIVE)
-def test_standard_deviations_of_zero_are_refused(name):
-    with pytest.raises(InvalidInputError, match=f"options.{name}"):
-        Options(**{name: 0.0})
+@pytest.mark.parametrize(("kind", "group", "name"), POSITIVE)
+def test_standard_deviations_of_zero_are_refused(kind, group, name):
+    with pytest.raises(InvalidInputError, match=f"options.{group}.{name}"):
+        kind(**{name: 0.0})
 
 
-@pytest.mark.parametrize("name", NOT_NEGATIVE)
-def test_zero_is_allowed_where_it_means_something(name):
-    assert getattr(Options(**{name: 0.0}), name) == 0.0
+@pytest.mark.parametrize("kind", [KeypointOptions, BoxOptions])
+def test_zero_is_allowed_where_it_means_something(kind):
+    assert kind(sigma_relative=0).sigma_relative == 0.0
 
 
 @pytest.mark.parametrize(
-    ("field", "value"),
+    ("make", "field"),
     [
-        ("azimuths", 0),
-        ("azimuths", 361),
-        ("basis_vectors", -1),
-        ("box_model", "sphere"),
-        ("plane_penalty", 0.0),
-        ("plane_penalty", np.nan),
-        ("disabled_terms", {"planarity", "gravity"}),
+        (lambda: SearchOptions(azimuths=0), "search.azimuths"),
+        (lambda: SearchOptions(azimuths=361), "search.azimuths"),
+        (lambda: SearchOptions(azimuths=24.0), "search.azimuths"),
+        (lambda: ShapeOptions(basis_vectors=-1), "shape.basis_vectors"),
+        (lambda: ShapeOptions(basis_vectors=1.5), "shape.basis_vectors"),
+        (lambda: ShapeOptions(joint=1), "shape.joint"),
+        (lambda: BoxOptions(model="sphere"), "box.model"),
+        (lambda: Options(box="sphere"), "box"),
+        (lambda: Options(box=3), "box"),
+        (lambda: Options(shape=BoxOptions()), "shape"),
+        (lambda: Options(disabled_terms={"planarity", "gravity"}), "disabled_terms"),
+        (lambda: Options(disabled_terms="box"), "disabled_terms"),
+        (lambda: Options(disabled_terms=3), "disabled_terms"),
+        (lambda: Options(ambiguity_margin=-1.0), "ambiguity_margin"),
+        (lambda: Options(keep_history="yes"), "keep_history"),
+        (lambda: Options(gravity=9.81), "gravity"),
     ],
 )
-def test_choices(field, value):
+def test_choices(make, field):
     with pytest.raises(InvalidInputError) as caught:
-        Options(**{field: value})
+        make()
     assert caught.value.field == f"options.{field}"
 
 
 def test_an_unknown_strategy():
-    with pytest.raises(InvalidInputError, match="strategy: got l1"):
-        Options(strategy="l1")
+    for value in ("l1", 3, None):
+        with pytest.raises(InvalidInputError, match="strategy: got"):
+            Options(strategy=value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ({"sigma_relative": 0.05}, {"keypoints": KeypointOptions(sigma_relative=0.05)}),
+        ({"box_model": "off", "box_sigma_pixels": 2.0}, {"box": BoxOptions(BoxModel.OFF, sigma_pixels=2.0)}),
+        ({"azimuths": 12}, {"search": SearchOptions(12)}),
+        ({"joint": False, "laplacian_sigma": 1.0}, {"shape": ShapeOptions(joint=False, laplacian_sigma=1.0)}),
+    ],
+)
+def test_the_first_releases_names_still_work(old, new):
+    with pytest.warns(DeprecationWarning, match="is now Options"):
+        options = Options(**old)
+    assert options == Options(**new)
+
+
+def test_the_first_releases_meaning_of_a_confidence_still_works():
+    with pytest.warns(DeprecationWarning, match="said with it"):
+        assert Options(confidence_midpoint=0.5).confidence_midpoint == 0.5

@@ -35,7 +35,7 @@ def test_weight_is_the_derivative_of_the_energy(name, d2, right, visible):
     """w = 2 dE / d(d^2): a weighted least-squares step goes down the energy's gradient."""
     robust = strategy(name)
     # Tukey's and Huber's second derivative jumps at their constant: a difference across it is not a derivative.
-    d2 = np.where(np.abs(np.sqrt(d2) - robust.tuning) < 1e-3, d2 + 0.1, d2)
+    d2 = np.where(np.abs(np.sqrt(d2) - robust.robust_loss.constant) < 1e-3, d2 + 0.1, d2)
     seen, step = evidence(right), 1e-5
     weights, _ = robust.evaluate(d2, seen, visible)
     for i in range(len(d2)):
@@ -50,11 +50,11 @@ def test_m_estimators_are_those_of_the_factor_graph(name):
     seen, visible = evidence(np.full(101, 0.7)), np.full(101, 0.4)
     initial = robust.initial_weights(seen, visible)
     np.testing.assert_allclose(initial, 0.5 * 0.7 + 0.5 * 0.4)
-    loss = factors.RobustLoss.of(robust.loss, robust.tuning)
+    theirs = factors.RobustLoss.of(robust.loss).estimator()
     weights, _ = robust.evaluate(d2, seen, visible)
-    np.testing.assert_allclose(weights, initial * loss.weights(np.sqrt(d2)), rtol=1e-12)
+    np.testing.assert_allclose(weights, initial * [theirs.weight(d) for d in np.sqrt(d2)], rtol=1e-12)
     energies = robust.evaluate(d2[:, None], evidence([0.7]), np.array([0.4]))[1]
-    np.testing.assert_allclose(energies, initial * loss.losses(np.sqrt(d2)), rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(energies, initial * [theirs.loss(d) for d in np.sqrt(d2)], rtol=1e-9, atol=1e-15)
 
 
 def test_mixture_by_bayes():
@@ -167,9 +167,12 @@ def test_a_batch_is_its_rows(name):
 
 
 def test_names_and_tuning():
-    assert strategy("huber").tuning == 1.345
-    assert strategy(StrategyName.TUKEY).tuning == 4.685
-    own = RobustStrategy(tuning=3.0)
+    for name in M_ESTIMATORS:
+        robust = RobustStrategy(name)
+        assert robust == strategy(name) == RobustStrategy(str(name)) == strategy(str(name))
+        assert robust.robust_loss == factors.RobustLoss.of(robust.loss)
+    own = RobustStrategy(StrategyName.HUBER, tuning=3.0)
+    assert own.robust_loss == factors.RobustLoss.of("huber", 3.0)
     assert strategy(own) is own
     assert [name for name in StrategyName if strategy(name).is_paper] == list(PAPERS)
     assert [name for name in StrategyName if strategy(name).loss is not None] == list(M_ESTIMATORS)
@@ -180,6 +183,9 @@ def test_names_and_tuning():
     [
         ("updates", -1),
         ("updates", 1001),
+        ("updates", 2.5),
+        ("name", "nonsense"),
+        ("tuning", "wide"),
         ("mu0", 1.1),
         ("mu1", -0.1),
         ("mu2", np.nan),

@@ -45,9 +45,7 @@ def test_a_row_is_told_what_its_name_says(scene, calls, name, ground, size):
     assert calls.arguments["size_prior"] is (scene.size if size else None)
     assert calls.arguments["prior"] is scene.prior
     assert calls.arguments["intrinsics"] is camera
-    assert calls.arguments["keypoints"] is observation.keypoints
-    assert calls.arguments["confidence"] is observation.confidence
-    assert calls.arguments["box"] is observation.box
+    assert calls.arguments["keypoints"] is observation
 
 
 def test_a_failed_reconstruction_is_a_failure(scene, calls):

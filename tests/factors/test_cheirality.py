@@ -8,7 +8,8 @@ from factors.cheirality import check_in_front, cheirality_factor, is_in_front
 from factors.errors import DegenerateProblemError
 from factors.kernel import ProjectionKernel
 from factors.keys import L, X
-from factors.noise import Loss, RobustLoss, keypoint_noise
+from factors.losses import Loss, RobustLoss
+from factors.noise import keypoint_noise
 from factors.reprojection import reprojection_factors
 from factors.shape import LinearShape
 from factors.shape_prior import coefficients_prior

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from factors.errors import InvalidInputError
-from factors.noise import Loss, RobustLoss, as_noise, keypoint_noise, keypoint_whiteners
+from factors.losses import Loss, RobustLoss
+from factors.noise import as_noise, keypoint_noise, keypoint_whiteners
 
 
 def test_weight_scales_the_energy():
@@ -40,7 +41,7 @@ def test_robust_weights(loss):
     expected = {
         Loss.HUBER: 1.345 / 3,
         Loss.CAUCHY: 1 / (1 + 9 / 2.3849**2),
-        Loss.GEMAN_MCCLURE: 1 / (1 + 9) ** 2,
+        Loss.GEMAN_MCCLURE: 1 / (1 + 9 / 4) ** 2,
         Loss.TUKEY: (1 - 9 / 4.6851**2) ** 2,
     }
     assert robust.weights(3.0) == pytest.approx(expected[loss])

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from factors.errors import InvalidInputError
 from factors.kernel import ProjectionKernel
 from factors.keys import L, O, X
-from factors.noise import Loss, RobustLoss, keypoint_noise
+from factors.losses import Loss, RobustLoss
+from factors.noise import keypoint_noise
 from factors.reprojection import (
     reprojection_factor,
     reprojection_factors,

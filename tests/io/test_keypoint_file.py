@@ -56,6 +56,7 @@ def test_box_covariance_and_start():
     instance = only({"keypoints": POINTS, "box": [1, 2, 30, 40], "covariance": covariance, "initial": box3d})
     assert instance.box.tolist() == [1, 2, 30, 40]
     assert instance.covariance.tolist() == covariance
+    assert instance.observation.confidence.tolist() == [0.2] * 14  # as likely right as wrong
     assert isinstance(instance.initial, Box3D)
     assert instance.initial.size.tolist() == [4, 1.7, 1.5]
     assert only({"keypoints": POINTS, "initial": 1.25}).initial == 1.25
@@ -97,6 +98,7 @@ def test_fields_without_a_meaning_are_listed():
         ({"keypoints": [[*p, 0.5] for p in POINTS], "confidence": [0.5] * 14}, "confidence"),
         ({"keypoints": POINTS, "confidence": [0.5] * 15}, "confidence"),
         ({"keypoints": POINTS, "confidence": 0.5}, "confidence"),
+        ({"keypoints": POINTS, "confidence_midpoint": "even"}, "confidence_midpoint"),
         ({"keypoints": POINTS, "covariance": [[1, 0, 0, 1]] * 14}, "covariance[0]"),
         ({"keypoints": POINTS, "box": [1, 2, 3]}, "box"),
         ({"keypoints": POINTS, "box": [1, 2, 3, None]}, "box[3]"),
@@ -185,3 +187,8 @@ def test_whatever_a_file_holds_is_read_or_refused(spoilt, form):
     except InvalidInputError:
         return
     assert found.instances[0].keypoints.shape == (14, 2)
+
+
+def test_what_a_confidence_means():
+    sure = only({"keypoints": POINTS, "confidence": [0.5] * 14, "confidence_midpoint": 0.5}).observation
+    np.testing.assert_allclose(sure.right, 0.5)

@@ -11,7 +11,7 @@ from fgrecon.cli.main import app
 from fgrecon.core.camera import Ground
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.options import Options
+from fgrecon.core.options import Options, ShapeOptions
 from fgrecon.core.robust import StrategyName
 from fgrecon.evaluation.methods import select
 from fgrecon.paper.ablation import BIAS, STRATEGIES, score_strategies, unsymmetrised_prior, variants
@@ -20,7 +20,7 @@ from fgrecon.training.priors.apollo79 import DUPLICATE, apollo79_prior, load_apo
 
 pytestmark = pytest.mark.data
 GROUND = Ground.level(1.65)
-LOOSE = Options(laplacian_sigma=0.6)
+LOOSE = Options(shape=ShapeOptions(laplacian_sigma=0.6))
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +106,7 @@ class TestAblation:
         settings = variants(Options())
         assert len(settings) == len(Options.TERMS) + 2
         assert all(settings[f"without {term}"].disabled_terms == {term} for term in Options.TERMS)
-        assert settings["literal Laplacian"].literal_laplacian
+        assert settings["literal Laplacian"].shape.literal_laplacian
 
     def test_symmetry_and_planarity_do_nothing_where_the_prior_has_them(self, models, names, prior):
         """No face here need be parallel to the ground, so that nothing but planarity is switched off."""
@@ -119,7 +119,7 @@ class TestAblation:
     def test_symmetry_and_planarity_help_where_the_prior_lacks_them(self, models, names):
         prior = unsymmetrised_prior(models, names)
         views = simulate_views(models, names, 2)
-        free = replace(LOOSE, free_offsets=True)
+        free = replace(LOOSE, shape=replace(LOOSE.shape, free_offsets=True))
         with_, without = (
             score_shape(views, prior, replace(free, disabled_terms=frozenset(off)), ground=GROUND)
             for off in ((), ("symmetry", "planarity"))

@@ -138,7 +138,7 @@ def test_stages_of_an_exact_observation_end_at_the_truth(scene, fleet):
     noise = HOURGLASS
     frame = frame_of(label(scene.prior, 1.5, 12.0, 0.4, size=tuple(scene.size.mean)))
     instance = simulate_frame(frame, Fleet(fleet.vehicles, fleet.sizes, noise))[0]
-    found = stages(instance.observation, instance.camera, scene, scene.ground, Options(box_model=BoxModel.CUBOID))
+    found = stages(instance.observation, instance.camera, scene, scene.ground, Options(box=BoxModel.CUBOID))
     assert list(found) == ["pose", "shape", "joint"]
     # In the shape stage the pose is a constant.
     np.testing.assert_allclose(found["shape"].camera_T_object, found["pose"].camera_T_object, atol=1e-12)

@@ -18,7 +18,7 @@ from fgrecon.perception.keypoints.crops import crop_of
 from fgrecon.perception.keypoints.detect import Detection
 
 CAMERA = Camera.of([700.0, 700.0, 600.0, 180.0])
-FAST = Options(confidence_midpoint=0.5, keep_history=False, box_model="off")
+FAST = Options(keep_history=False, box="off")
 
 
 def pose_at(rotation_y, location=(1.0, 1.6, 15.0)):

@@ -8,7 +8,7 @@ import pytest
 
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.camera import Camera, Ground
-from fgrecon.core.options import Options
+from fgrecon.core.options import BoxOptions, KeypointOptions, Options
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior, save_prior
@@ -16,6 +16,7 @@ from fgrecon.io.track_file import read_track
 from fgrecon.solve.pipeline import reconstruct
 from tests.cars import CAMERA, MATRIX, observe, rotation_angle, yaw_pose
 from tests.core.test_reconstruction import assert_same
+from tests.settings import options as make_options
 
 TRACKS = "kitti_tracking_keypoints14/*.json"
 
@@ -46,7 +47,7 @@ def untimed(result):
 def test_the_real_frames(data, prior):
     """76 frames with network keypoints, ground and fleet known: the numbers that the project promises."""
     turns, moves, statuses = [], [], []
-    options = Options(box_model="cuboid", keep_history=False)  # KITTI's boxes enclose the projected 3D box
+    options = Options(box="cuboid", keep_history=False)  # KITTI's boxes enclose the projected 3D box
     for path in sorted(data.glob(TRACKS)):
         track = read_track(path, prior.category)
         for frame in track.frames:
@@ -78,7 +79,7 @@ def test_exact_cars(prior, degrees, more):
 
 def test_the_parts_of_a_result_fit_together(prior, seen):
     observation, _ = seen
-    result = solve(observation, ground=1.65, options=Options(free_offsets=True))
+    result = solve(observation, ground=1.65, options=make_options(free_offsets=True))
     pose = result.camera_T_object
     np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-9)
     np.testing.assert_allclose(result.wireframe, prior.keypoints(result.coefficients, result.offsets))
@@ -86,7 +87,7 @@ def test_the_parts_of_a_result_fit_together(prior, seen):
     np.testing.assert_allclose(result.wireframe_uv, CAMERA.project(in_camera))
     np.testing.assert_allclose(result.surface_vertices, prior.surface.vertices(result.coefficients))
     np.testing.assert_allclose(result.box_size, prior.box_size(result.coefficients, result.offsets))
-    sigma0 = np.hypot(Options().sigma_relative * observation.extent, Options().sigma_pixels)
+    sigma0 = np.hypot(KeypointOptions().sigma_relative * observation.extent, KeypointOptions().sigma_pixels)
     np.testing.assert_allclose(result.sigmas * np.sqrt(result.weights), sigma0)
     stages = list(dict.fromkeys(iteration.stage for iteration in result.history))
     assert stages == ["initialisation", "pose", "shape", "joint"]
@@ -121,7 +122,7 @@ def test_json_keeps_every_bit(seen):
 
 @pytest.mark.parametrize("strategy", ["mixture", "paper", "gnc"])
 def test_the_same_input_gives_the_same_bits(seen, strategy):
-    options = Options(strategy=strategy, free_offsets=True)
+    options = make_options(strategy=strategy, free_offsets=True)
     first, second = (untimed(solve(seen[0], options=options)) for _ in range(2))
     assert_same(first, second)
 
@@ -166,11 +167,35 @@ def test_ways_to_say_the_same(prior, seen, tmp_path):
     assert_same(whole, untimed(lists))
 
 
+def test_keypoints_by_name_and_as_an_observation(prior, seen):
+    observation, names = seen[0], prior.category.keypoints
+    rows = np.column_stack([observation.keypoints, observation.confidence])
+    named = {name: tuple(row) for name, row in zip(names, rows, strict=True) if np.isfinite(row).all()}
+    expected = solve(observation)
+    assert_alike(expected, reconstruct(named, CAMERA, box=observation.box), 0.0)
+    assert_alike(expected, reconstruct(observation, CAMERA), 0.0)
+    pixels = {name: row[:2] for name, row in named.items()}
+    assert_alike(
+        untimed(solve(observation, confidence=None)), untimed(reconstruct(pixels, CAMERA, box=observation.box)), 0.0
+    )
+
+
+def test_a_confidence_means_what_its_observation_says(seen):
+    observation = seen[0]
+    strict = replace(observation, confidence_midpoint=0.9)
+    assert reconstruct(strict, CAMERA).weights.sum() < solve(observation).weights.sum() - 0.02
+    with pytest.warns(DeprecationWarning, match="confidence_midpoint"):
+        old = Options(confidence_midpoint=0.9)
+    assert_alike(reconstruct(strict, CAMERA), solve(observation, options=old), 0.0)
+
+
 def test_an_image_of_twice_the_size(seen):
     """Twice the resolution, in camera, pixels and noise: the same car, bit for bit nearly."""
     observation, _ = seen
     double = np.diag([2.0, 2.0, 1.0]) @ MATRIX
-    options = Options(sigma_pixels=2 * Options().sigma_pixels, box_sigma_pixels=2 * Options().box_sigma_pixels)
+    options = make_options(
+        sigma_pixels=2 * KeypointOptions().sigma_pixels, box_sigma_pixels=2 * BoxOptions().sigma_pixels
+    )
     big = reconstruct(
         2 * observation.keypoints, double, confidence=observation.confidence, box=2 * observation.box, options=options
     )
@@ -222,7 +247,7 @@ def test_a_prior_without_surface(prior, seen):
 @pytest.mark.parametrize("count", [0, 1])
 @pytest.mark.parametrize("more", [{}, {"joint": False}, {"free_offsets": True}])
 def test_few_basis_vectors(seen, count, more):
-    result = solve(seen[0], options=Options(basis_vectors=count, **more))
+    result = solve(seen[0], options=make_options(basis_vectors=count, **more))
     assert result.status is Status.CONVERGED
     assert result.coefficients.shape == (count,)
     assert result.coefficients_covariance.shape == (count, count)
@@ -269,6 +294,6 @@ def test_statuses(prior):
     assert two.alternatives[0].excess <= Options().ambiguity_margin
     assert "nats worse" in two.message
     assert solve(observation).status is Status.CONVERGED
-    loose = reconstruct(observation.keypoints, CAMERA, options=Options(sigma_pixels=500.0, box_model="off"))
+    loose = reconstruct(observation.keypoints, CAMERA, options=make_options(sigma_pixels=500.0, box_model="off"))
     assert loose.status is Status.DEGENERATE
     assert "degrees only" in loose.message

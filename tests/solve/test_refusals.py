@@ -10,12 +10,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from fgrecon.core.errors import DegenerateProblemError, FgreconError, InvalidInputError
-from fgrecon.core.options import Options
+from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Status
 from fgrecon.core.robust import StrategyName
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.pipeline import reconstruct
 from tests.cars import CAMERA, MATRIX, observe, yaw_pose
+from tests.settings import options as make_options
 
 
 @pytest.fixture(scope="module")
@@ -45,6 +46,7 @@ def few(count):
     return pixels
 
 
+SEEN = Observation(few(14), np.ones(14))
 BAD = {
     "two points": ({"keypoints": few(2)}, "keypoints", DegenerateProblemError),
     "no point": ({"keypoints": few(0)}, "keypoints", DegenerateProblemError),
@@ -53,6 +55,15 @@ BAD = {
     "infinite pixel": ({"keypoints": np.full((14, 2), np.inf)}, "keypoints", InvalidInputError),
     "huge pixel": ({"keypoints": few(14) * 1e200}, "keypoints", InvalidInputError),
     "words": ({"keypoints": "keypoints"}, "keypoints", InvalidInputError),
+    "unknown name": ({"keypoints": {"bonnet": (1.0, 2.0)}}, "keypoints", InvalidInputError),
+    "one number": ({"keypoints": {"left_headlight": (1.0,)}}, "keypoints.left_headlight", InvalidInputError),
+    "two confidences": ({"keypoints": {"left_headlight": (1, 2, 0.5)}}, "confidence", InvalidInputError),
+    "an observation and its box": ({"keypoints": SEEN}, "confidence", InvalidInputError),
+    "an observation of another size": (
+        {"keypoints": Observation(np.ones((3, 2)), np.ones(3)), "confidence": None, "box": None},
+        "keypoints",
+        InvalidInputError,
+    ),
     "collinear": ({"keypoints": line()}, "keypoints", DegenerateProblemError),
     "one place": ({"keypoints": np.full((14, 2), 9.0)}, "keypoints", DegenerateProblemError),
     "no weight": ({"confidence": np.zeros(14)}, "confidence", DegenerateProblemError),
@@ -77,7 +88,7 @@ BAD = {
     "ground in words": ({"ground": "flat"}, "ground", InvalidInputError),
     "guess NaN": ({"initial": np.nan}, "initial", InvalidInputError),
     "guess in words": ({"initial": "left"}, "initial", InvalidInputError),
-    "too many vectors": ({"options": Options(basis_vectors=6)}, "options.basis_vectors", InvalidInputError),
+    "too many vectors": ({"options": make_options(basis_vectors=6)}, "options.shape.basis_vectors", InvalidInputError),
 }
 
 
@@ -126,7 +137,7 @@ def test_garbage_neither_kills_nor_fools(
     pixels, scale, shift, confidence, box, camera, lens, ground, size, strategy, offsets, vectors
 ):
     """Whatever finite numbers come in: a result without NaN, or an error with a type. Warnings count as errors."""
-    options = Options(strategy=strategy, free_offsets=offsets, basis_vectors=vectors)
+    options = make_options(strategy=strategy, free_offsets=offsets, basis_vectors=vectors)
     try:
         result = reconstruct(
             pixels * scale + shift,

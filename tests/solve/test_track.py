@@ -14,6 +14,7 @@ from fgrecon.core.reconstruction import Status
 from fgrecon.io.track_file import read_track
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate, yaw_pose
 from fgrecon.solve.track import reconstruct_track
+from tests.settings import options as make_options
 
 COEFFICIENTS = np.array([0.9, -0.6, 0.4, 0.2, -0.5])
 
@@ -107,7 +108,7 @@ def test_the_graph_has_one_shape_and_a_pose_per_image(solved):
 
 def test_exact_keypoints_with_a_weak_prior_give_the_exact_car(car):
     poses = [yaw_pose(-2.0 + 0.4 * t, np.array([-2.0 + t, 1.65, 12.0])) for t in range(4)]
-    options = fgrecon.Options(strategy="huber", sigma_relative=0.002, sigma_pixels=0.01, box_model="off")
+    options = make_options(strategy="huber", sigma_relative=0.002, sigma_pixels=0.01, box_model="off")
     track = reconstruct_track([exact(car, pose) for pose in poses], KITTI_CAMERA, options=options)
     assert track.status is Status.CONVERGED
     np.testing.assert_allclose(track.coefficients, COEFFICIENTS, atol=0.02)
@@ -140,7 +141,7 @@ def test_what_cannot_be_solved_is_refused(car):
     with pytest.raises(InvalidInputError, match="cameras"):
         reconstruct_track(seen, [KITTI_CAMERA])
     with pytest.raises(InvalidInputError, match="joint"):
-        reconstruct_track(seen, KITTI_CAMERA, options=fgrecon.Options(joint=False))
+        reconstruct_track(seen, KITTI_CAMERA, options=make_options(joint=False))
 
 
 def test_a_solve_that_gives_up_says_so_and_keeps_the_state_before(car, monkeypatch):
@@ -165,7 +166,7 @@ def test_a_real_track_has_a_better_size_than_its_images_alone(data):
     file = data / "kitti_tracking_keypoints14" / "seq0005_track12_from182.json"
     track = read_track(file, fgrecon.load_category("car14"))
     seen = [frame.observation for frame in track.frames]
-    options = fgrecon.Options(box_model="cuboid", keep_history=False)
+    options = fgrecon.Options(box="cuboid", keep_history=False)
     solved = reconstruct_track(seen, track.camera, size_prior="kitti", ground=1.65, options=options)
     label = json.loads(file.read_text())["frames"][0]["gt"]
     size = np.array([label["length"], label["width"], label["height"]])

@@ -52,7 +52,7 @@ def shape_command(
     """
     import json
 
-    from fgrecon.core.options import Options
+    from fgrecon.core.options import Options, ShapeOptions
     from fgrecon.core.size_prior import SIZE_PRIORS
     from fgrecon.io.files import write_text
     from fgrecon.paper import ablation, shape
@@ -80,7 +80,7 @@ def shape_command(
         size = SIZE_PRIORS["apollo79"]
         symmetric = ablation.ablate(seen, prior, Options(), ground=ground, size=size, advance=tell)
         loose_prior = ablation.unsymmetrised_prior(models, names, seed=seed)
-        free = Options(free_offsets=True)
+        free = Options(shape=ShapeOptions(free_offsets=True))
         loose = ablation.ablate(seen, loose_prior, free, ground=ground, size=size, advance=tell)
         hard = shape.simulate_views(models, names, views, seed, HARD)
         strategies = ablation.score_strategies(hard, prior, Options(), ground=ground, size=size, advance=tell)

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from fgrecon.cli.common import console
-from fgrecon.perception.keypoints.detect import CONFIDENCE_MIDPOINT, Detector
+from fgrecon.perception.keypoints.detect import Detector
 from fgrecon.perception.keypoints.weights import Stored, load_weights, mean_state, save_weights
 from fgrecon.training.keypoints.evaluate import (
     GROUPS,
@@ -109,7 +109,7 @@ def end_to_end(out: Console, detector: Detector, data: Path, count: int, seed: i
     apart = read_validation_ids(data / "hand_labels" / "validation_cad_ids.json")
     cars = [car for car in read_posed_cars(data / "posed_cars") if car.cad_id in apart]
     chosen = np.sort(np.random.default_rng(seed).choice(len(cars), min(count, len(cars)), replace=False))
-    prior, options = load_prior("car14"), Options(confidence_midpoint=CONFIDENCE_MIDPOINT, keep_history=False)
+    prior, options = load_prior("car14"), Options(keep_history=False)
     score = azimuth_errors(
         detector,
         [cars[i] for i in chosen],

@@ -20,7 +20,6 @@ from fgrecon.perception.keypoints.decode import Calibration, Decoded, decode, so
 from fgrecon.perception.keypoints.weights import load_weights, shipped
 
 __all__ = [
-    "CONFIDENCE_MIDPOINT",
     "REACH",
     "SMALLEST_BOX",
     "Detection",
@@ -35,8 +34,7 @@ Array = NDArray[np.float64]
 REACH = 0.1
 """A point is right within this fraction of the box's longer side: what a confidence is the probability of."""
 
-CONFIDENCE_MIDPOINT = 0.5
-"""`Options.confidence_midpoint` for these confidences, which are probabilities: right as often as wrong at 0.5."""
+_EVEN = 0.5  # these confidences are probabilities: right as often as wrong at a half
 
 SMALLEST_BOX = 8.0
 """Pixels of the longer side: a smaller vehicle has no keypoints to see."""
@@ -153,7 +151,9 @@ class Detector:
         found = []
         for row, (box, crop) in enumerate(zip(boxes, crops, strict=True)):
             covariance = self.calibration.covariance(decoded.covariance[row], size / MARGIN) / crop.scale**2
-            observation = Observation(crop.to_image(decoded.points[row]), confidence[row], box, covariance)
+            observation = Observation(
+                crop.to_image(decoded.points[row]), confidence[row], box, covariance, confidence_midpoint=_EVEN
+            )
             seen = 0.5 * (1.0 + np.tanh(0.5 * visible[row]))
             found.append(
                 Detection(observation, azimuth[row], seen, decoded.mass[row], crop, likelihood[row] if maps else None)

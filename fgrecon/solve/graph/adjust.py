@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from factors import check_in_front
 from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.reconstruction import Iteration
-from fgrecon.solve.graph.graph import Scene, Terms, VehicleGraph, build
+from fgrecon.solve.graph.graph import Terms, VehicleGraph, build
 from fgrecon.solve.graph.solver import minimise
 from fgrecon.solve.graph.state import State, graph_weights, iteration, reweigh, robust_energies
 from fgrecon.solve.proposals.adjust import PoseEstimate
-from fgrecon.solve.proposals.search import PoseProblem
+from fgrecon.solve.proposals.problem import Problem
 
 __all__ = ["EARLY_TOLERANCE", "FINAL_TOLERANCE", "SETTLED", "ShapeEstimate", "adjust_shape"]
 
@@ -58,12 +58,11 @@ class ShapeEstimate:
     unfinished: str | None = None
 
 
-def adjust_shape(scene: Scene, problem: PoseProblem, start: PoseEstimate) -> ShapeEstimate:
+def adjust_shape(problem: Problem, start: PoseEstimate) -> ShapeEstimate:
     """Minimise the full energy from the pose stage's result.
 
     Args:
-        scene: What is given.
-        problem: The pose stage's problem, for weights and visibility.
+        problem: What is to be solved.
         start: Result of the pose stage.
 
     Returns:
@@ -81,8 +80,8 @@ def adjust_shape(scene: Scene, problem: PoseProblem, start: PoseEstimate) -> Sha
     at_end: dict[str, float] = {}
     failure = unfinished = None
     try:
-        for stage in ("shape", "joint") if scene.options.joint else ("shape",):
-            at_end, unfinished = _run_stage(stage, scene, problem, state, history)
+        for stage in ("shape", "joint") if problem.options.shape.joint else ("shape",):
+            at_end, unfinished = _run_stage(stage, problem, state, history)
     except DegenerateProblemError as error:
         failure = str(error)
     return ShapeEstimate(
@@ -100,30 +99,30 @@ def adjust_shape(scene: Scene, problem: PoseProblem, start: PoseEstimate) -> Sha
 
 
 def _run_stage(
-    stage: str, scene: Scene, problem: PoseProblem, state: State, history: list[Iteration]
+    stage: str, problem: Problem, state: State, history: list[Iteration]
 ) -> tuple[dict[str, float], str | None]:
     """IRLS updates of one stage, in place; the energies at its end, and where the last solve was stopped early."""
-    graph = VehicleGraph(scene, state.pose, pose_free=stage == "joint")
+    graph = VehicleGraph(problem, state.pose, pose_free=stage == "joint")
     values = graph.values(state.pose, state.coefficients, state.offsets)
     check_in_front(graph.kernel, values)
-    updates = max(scene.options.strategy.updates, 1)
+    updates = max(problem.options.strategy.updates, 1)
     terms: Terms = {}
     unfinished = None
     for update in range(updates):
         before = state.weights
-        reweigh(state, problem, graph, values, update / max(updates - 1, 1))
-        terms = graph.terms(graph_weights(problem, state.weights, state.visibility), state.box_weights)
+        reweigh(state, problem.energy, graph, values, update / max(updates - 1, 1))
+        terms = graph.terms(graph_weights(problem.energy, state.weights, state.visibility), state.box_weights)
         settled = update > 0 and float(np.abs(state.weights - before).max()) < SETTLED
-        last = update == updates - 1 or (settled and not scene.options.strategy.anneals)
+        last = update == updates - 1 or (settled and not problem.options.strategy.anneals)
         solution = minimise(
             build(terms),
             values,
             relative_tolerance=FINAL_TOLERANCE if last else EARLY_TOLERANCE,
-            record=scene.options.keep_history,
+            record=problem.options.keep_history,
         )
         values = solution.values
         history.extend(
-            iteration(stage, update, step, graph, iterate, state.weights, terms, problem)
+            iteration(stage, update, step, graph, iterate, state.weights, terms, problem.energy)
             for step, iterate in enumerate(solution.path)
         )
         state.pose, state.coefficients, state.offsets = graph.read(values)
@@ -131,4 +130,4 @@ def _run_stage(
             if not solution.converged:
                 unfinished = f"after {solution.iterations} iterations, on nearly level ground"
             break
-    return robust_energies(graph, values, terms, problem), unfinished
+    return robust_energies(graph, values, terms, problem.energy), unfinished

@@ -18,7 +18,6 @@ of every quad made of two mirrored pairs: those terms are constant zero and are 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import gtsam
 import numpy as np
@@ -26,15 +25,11 @@ from numpy.typing import NDArray
 
 import factors
 from factors import L, LinearShape, M, O, P, ProjectionKernel, RobustLoss, X
-from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.camera import Ground
 from fgrecon.core.category import Category, Face
-from fgrecon.core.observation import Observation
-from fgrecon.core.options import Options
-from fgrecon.solve.proposals.problem import keypoint_covariances
-from fgrecon.solve.proposals.terms import BoxTerm
-from fgrecon.solve.vehicle.model import VehicleModel
+from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
 
-__all__ = ["Scene", "Terms", "VehicleGraph", "build", "energies"]
+__all__ = ["Terms", "VehicleGraph", "build", "energies"]
 
 Array = NDArray[np.float64]
 Terms = Mapping[str, list[gtsam.NonlinearFactor]]
@@ -44,23 +39,11 @@ _SMALLEST_OFFSET = 1e-4  # metres; a standard deviation of zero would make the s
 _SMALLEST_WEIGHT = 1e-6  # a box edge of less weight says nothing
 
 
-@dataclass(frozen=True)
-class Scene:
-    """What is given: the observation (undistorted), camera, model, ground, the 2D box as evidence, and the settings."""
-
-    observation: Observation
-    camera: Camera
-    model: VehicleModel
-    ground: Ground | None
-    box: BoxTerm | None
-    options: Options
-
-
 class VehicleGraph:
     """Builds the graph for given weights; everything that does not depend on them is built once.
 
     Attributes:
-        scene: What is given.
+        problem: What is given.
         shape: The keypoints as a function of lambda and the offsets.
         kernel: Their projection.
         pose_key: Key of the pose, or None where it is a constant.
@@ -68,7 +51,7 @@ class VehicleGraph:
 
     def __init__(
         self,
-        scene: Scene,
+        problem: Problem,
         pose: gtsam.Pose3,
         *,
         pose_free: bool,
@@ -79,34 +62,35 @@ class VehicleGraph:
         """Prepare the graph.
 
         Args:
-            scene: What is given.
+            problem: What is given.
             pose: camera_T_object: the constant where it is not free; its depth also sets the ground's uncertainty.
             pose_free: Whether the pose is a variable.
             vehicle: Number of the vehicle in the keys.
             frame: Number of the frame in the keys.
             shape_terms: Whether to have the terms of the shape alone; of the frames of one vehicle one has them.
         """
-        prior, options = scene.model.prior, scene.options
-        self.scene = scene
+        prior, options = problem.model.prior, problem.options.shape
+        self.problem = problem
         self.pose_key = X(vehicle, frame) if pose_free else None
         self._pose = pose
         self._vehicle = vehicle
         coefficients = L(vehicle) if prior.dimension else np.zeros(0)
         self.shape = LinearShape(prior.mean, prior.basis, coefficients, O(vehicle) if options.free_offsets else None)
         self._bound_pose = pose if self.pose_key is None else self.pose_key
-        self.kernel = ProjectionKernel(self.shape, scene.camera.matrix, self._bound_pose)
-        self._covariances = keypoint_covariances(scene.observation, options)
+        self.kernel = ProjectionKernel(self.shape, problem.camera.matrix, self._bound_pose)
+        self._covariances = keypoint_covariances(problem.observation, problem.options.keypoints)
         self._box_kernel = None
-        if scene.box is not None:
-            box_shape = LinearShape(scene.box.mean, scene.box.basis, coefficients)
-            self._box_kernel = ProjectionKernel(box_shape, scene.camera.matrix, self._bound_pose)
+        box = problem.energy.box
+        if box is not None:
+            box_shape = LinearShape(box.mean, box.basis, coefficients)
+            self._box_kernel = ProjectionKernel(box_shape, problem.camera.matrix, self._bound_pose)
         self._planes: dict[int, NDArray[np.intp] | None] = {}  # keypoints to fit each plane to; None: the medial plane
         self._static = self._static_terms(shape_terms=shape_terms)
 
     def terms(self, weights: Array, box_weights: Array) -> Terms:
         """All factors by energy term, for keypoint weights (K,) and box edge weights (4,)."""
         terms = {"reprojection": self._reprojection(weights), **self._static}
-        box = self.scene.box
+        box = self.problem.energy.box
         if box is not None and self._box_kernel is not None and self._box_kernel.keys:
             used = box.used & (box_weights > _SMALLEST_WEIGHT)
             if used.any():
@@ -129,7 +113,7 @@ class VehicleGraph:
         points = self.shape.points(values)
         for key, keypoints in self._planes.items():
             plane = _medial_plane() if keypoints is None else factors.fit_plane(points[keypoints])
-            free = keypoints is not None and self.scene.options.plane_penalty is not None
+            free = keypoints is not None and self.problem.options.shape.plane_penalty is not None
             values.insert(key, plane.planeCoefficients() if free else plane)
         return values
 
@@ -148,7 +132,7 @@ class VehicleGraph:
             factors.keypoint_noise(weight, 1.0, covariance=covariance, robust=self._loss(weight))
             for weight, covariance in zip(weights.tolist(), self._covariances, strict=True)
         ]
-        return list(factors.reprojection_factors(self.kernel, self.scene.observation.keypoints, noises))
+        return list(factors.reprojection_factors(self.kernel, self.problem.observation.keypoints, noises))
 
     def _loss(self, weight: float) -> RobustLoss | None:
         """The m-estimator of a keypoint, with the energy w rho(d) of the pose stage.
@@ -156,10 +140,10 @@ class VehicleGraph:
         GTSAM applies rho to the whitened norm sqrt(w) d; every loss has rho(c s) = c^2 rho(s) where its constant is
         scaled by c as well.
         """
-        strategy = self.scene.options.strategy
+        strategy = self.problem.options.strategy
         if strategy.loss is None or weight <= 0.0:
             return None
-        return RobustLoss.of(strategy.loss, strategy.tuning * weight**0.5)
+        return RobustLoss(strategy.robust_loss.loss, strategy.robust_loss.constant * weight**0.5)
 
     def _static_terms(self, *, shape_terms: bool) -> dict[str, list[gtsam.NonlinearFactor]]:
         """The factors that no weight changes."""
@@ -168,13 +152,13 @@ class VehicleGraph:
             terms["cheirality"] = [factors.cheirality_factor(self.kernel)]
         if shape_terms and self.shape.keys:
             terms |= self._shape_terms()
-        if self.pose_key is not None and self.scene.ground is not None:
-            terms["ground"] = self._ground_factors(self.pose_key, self.scene.ground)
-        disabled = self.scene.options.disabled_terms
+        if self.pose_key is not None and self.problem.ground is not None:
+            terms["ground"] = self._ground_factors(self.pose_key, self.problem.ground)
+        disabled = self.problem.options.disabled_terms
         return {name: term for name, term in terms.items() if term and name not in disabled}
 
     def _shape_terms(self) -> dict[str, list[gtsam.NonlinearFactor]]:
-        prior, options, size = self.scene.model.prior, self.scene.options, self.scene.model.size
+        prior, options, size = self.problem.model.prior, self.problem.options.shape, self.problem.model.size
         category = prior.category
         terms: dict[str, list[gtsam.NonlinearFactor]] = {}
         if self.shape.coefficients_key is not None:
@@ -206,11 +190,11 @@ class VehicleGraph:
 
     @property
     def _always_symmetric(self) -> bool:
-        return self.scene.model.prior.is_symmetric and self.shape.offsets_key is None
+        return self.problem.model.prior.is_symmetric and self.shape.offsets_key is None
 
     def _planarity(self, category: Category) -> list[gtsam.NonlinearFactor]:
         """Each face's planarity, and the direction of the ground-parallel ones."""
-        if "planarity" in self.scene.options.disabled_terms:
+        if "planarity" in self.problem.options.disabled_terms:
             return []
         term: list[gtsam.NonlinearFactor] = []
         for index, face in enumerate(category.faces):
@@ -222,8 +206,8 @@ class VehicleGraph:
         return term
 
     def _face(self, face: Face, key: int) -> list[gtsam.NonlinearFactor]:
-        options, indices, sigma = self.scene.options, face.keypoints, self.scene.options.planarity_sigma
-        mu, parallel = options.plane_penalty, options.parallel_sigma
+        options, indices = self.problem.options.shape, face.keypoints
+        sigma, mu, parallel = options.planarity_sigma, options.plane_penalty, options.parallel_sigma
         term: list[gtsam.NonlinearFactor]
         if mu is None:
             term = [factors.planarity_factor(self.shape, indices, key, sigma)]
@@ -233,12 +217,12 @@ class VehicleGraph:
 
     def _symmetry(self, category: Category) -> list[gtsam.NonlinearFactor]:
         pairs = category.symmetric_pairs
-        if self._always_symmetric or not pairs or "symmetry" in self.scene.options.disabled_terms:
+        if self._always_symmetric or not pairs or "symmetry" in self.problem.options.disabled_terms:
             return []
         key = M(self._vehicle)
         self._planes[key] = None
         middle = np.flatnonzero(category.mirror == np.arange(category.size))
-        sigma = self.scene.options.symmetry_sigma
+        sigma = self.problem.options.shape.symmetry_sigma
         return [factors.symmetry_factor(self.shape, pairs, key, sigma, on_plane=middle)]
 
     def _ground_factors(self, pose_key: int, ground: Ground) -> list[gtsam.NonlinearFactor]:

@@ -29,14 +29,14 @@ def graph_factors(vehicle: VehicleGraph, terms: Terms, weights: NDArray[np.float
 
 def _reprojection(vehicle: VehicleGraph, weights: NDArray[np.float64]) -> Iterator[GraphFactor]:
     """One factor per keypoint that is measured and has a weight, however they are stacked for speed."""
-    names = vehicle.scene.model.prior.category.keypoints
+    names = vehicle.problem.model.prior.category.keypoints
     variables = tuple(key_name(key) for key in vehicle.kernel.keys)
-    for i in np.flatnonzero(vehicle.scene.observation.measured & (weights >= _SMALLEST_WEIGHT)) if variables else ():
+    for i in np.flatnonzero(vehicle.problem.observation.measured & (weights >= _SMALLEST_WEIGHT)) if variables else ():
         yield GraphFactor("reprojection", names[i], variables)
 
 
 def _others(vehicle: VehicleGraph, terms: Terms) -> Iterator[GraphFactor]:
-    faces = vehicle.scene.model.prior.category.faces
+    faces = vehicle.problem.model.prior.category.faces
     for term, members in terms.items():
         for factor in members if term != "reprojection" else ():
             keys = list(factor.keys())

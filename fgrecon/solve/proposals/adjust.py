@@ -1,9 +1,9 @@
 """Pose adjustment: the pose, and a first guess of the shape, from the keypoints of one image.
 
 Two ways lead there. The strategies `paper` and `paper_literal` run the paper's Algorithm 1
-(`fgrecon.solve.proposals.irls`). With the others the vehicle is placed around the clock in the 2D box and at every
-minimum that ASPnP finds, all starts are refined at once over pose and coefficients under the robust energy, and the
-energy decides; poses that come close to the best are kept as alternatives.
+(`fgrecon.solve.proposals.irls`). With the others the vehicle is placed in the 2D box at azimuths all around, and at
+every minimum that ASPnP finds; all starts are refined at once over pose and coefficients under the robust energy, and
+the energy decides; poses that come close to the best are kept as alternatives.
 """
 
 from __future__ import annotations
@@ -14,18 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.box3d import Box3D
-from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import DegenerateProblemError
-from fgrecon.core.observation import Observation
-from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Alternative, Iteration
 from fgrecon.solve.proposals.aspnp import aspnp
 from fgrecon.solve.proposals.irls import algorithm1
-from fgrecon.solve.proposals.problem import build_problem
-from fgrecon.solve.proposals.search import PoseProblem, search
-from fgrecon.solve.proposals.starts import around_the_clock, from_box3d, from_pose, view_box
+from fgrecon.solve.proposals.problem import Problem
+from fgrecon.solve.proposals.search import search
+from fgrecon.solve.proposals.starts import at_azimuths, from_box3d, from_pose, view_box
 from fgrecon.solve.proposals.terms import Hypotheses
-from fgrecon.solve.vehicle.model import VehicleModel
 
 __all__ = ["PoseEstimate", "adjust_pose"]
 
@@ -35,7 +31,6 @@ _ITERATIONS = 8
 _KEEP = {1: 10, 3: 4, 5: 3}  # hypotheses that go on from these iterations: losers show early
 _DISTINCT = np.deg2rad(20.0)  # poses closer than that are one
 _GUESS_SPREAD = np.deg2rad([-30.0, 0.0, 30.0])
-_FEWEST = 3  # points that a pose needs
 
 
 @dataclass(frozen=True)
@@ -61,33 +56,19 @@ class PoseEstimate:
     history: tuple[Iteration, ...]
 
 
-def adjust_pose(
-    observation: Observation,
-    camera: Camera,
-    model: VehicleModel,
-    ground: Ground | None,
-    initial: Box3D | float | None,
-    options: Options,
-) -> PoseEstimate:
+def adjust_pose(problem: Problem, initial: Box3D | float | None = None) -> PoseEstimate:
     """Estimate the pose.
 
     Args:
-        observation: Keypoints with confidences, undistorted.
-        camera: Camera.
-        model: Prepared prior.
-        ground: Ground plane, or None.
+        problem: What is to be solved.
         initial: A 3D box to start from as well, or a guess of rotation_y in radians to trust within 45 degrees.
-        options: Settings.
 
     Raises:
-        DegenerateProblemError: Too few points, all in one line, or without any weight.
+        DegenerateProblemError: No start ends in front of the camera, or the weights leave the pose undetermined.
     """
-    check_points(observation)
-    problem = build_problem(observation, camera, model, ground, options)
-    if options.strategy.is_paper:
-        return _by_algorithm1(problem, observation, camera, model, options)
-    starts = _starts(problem, observation, camera, model, ground, initial, options)
-    result = search(problem, starts, _ITERATIONS, _KEEP)
+    if problem.options.strategy.is_paper:
+        return _by_algorithm1(problem)
+    result = search(problem.energy, _starts(problem, initial), _ITERATIONS, _KEEP)
     if not np.isfinite(result.energy[0]):
         raise DegenerateProblemError("keypoints", "no pose in front of the camera", "Check intrinsics, box and points.")
     best = result.hypotheses.matrices()
@@ -96,52 +77,27 @@ def adjust_pose(
         camera_T_object=best[0],
         coefficients=result.hypotheses.coefficients[0],
         weights=result.weights[0],
-        visibility=problem.visibility(best[:1])[0],
+        visibility=problem.energy.visibility(best[:1])[0],
         energy=float(result.energy[0]),
         alternatives=tuple(
             Alternative(best[i], result.hypotheses.coefficients[i], float(result.energy[i] - result.energy[0]))
             for i in distinct[1:]
         ),
-        history=_history(problem, result.path, result.path_weights) if options.keep_history else (),
+        history=_history(problem, result.path, result.path_weights),
     )
 
 
-def check_points(observation: Observation) -> None:
-    """Refuse observations that cannot determine a pose.
-
-    Raises:
-        DegenerateProblemError: Fewer than three points carry weight, or they lie on one line.
-    """
-    points = observation.keypoints[observation.measured & (observation.confidence > 0)]
-    if not observation.measured.any():
-        raise DegenerateProblemError("keypoints", "no measured point", f"Give at least {_FEWEST} keypoints.")
-    if not len(points):
-        raise DegenerateProblemError("confidence", "all zero", "Give at least three points a confidence above zero.")
-    if len(points) < _FEWEST:
-        fix = f"Give at least {_FEWEST} keypoints with a confidence above zero."
-        raise DegenerateProblemError("keypoints", f"{len(points)} usable points", fix)
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    if spread[1] < 1e-3 * max(spread[0], 1.0):
-        raise DegenerateProblemError("keypoints", "all points on one line", "Give keypoints that span an area.")
-
-
-def _starts(
-    problem: PoseProblem,
-    observation: Observation,
-    camera: Camera,
-    model: VehicleModel,
-    ground: Ground | None,
-    initial: Box3D | float | None,
-    options: Options,
-) -> Hypotheses:
-    box = view_box(observation)
+def _starts(problem: Problem, initial: Box3D | float | None) -> Hypotheses:
+    camera, model, ground = problem.camera, problem.model, problem.ground
+    box = view_box(problem.observation)
     if isinstance(initial, int | float):
-        return around_the_clock(box, camera, model, ground, float(initial) + _GUESS_SPREAD, relative=False)
-    clock = 2.0 * np.pi * np.arange(options.azimuths) / options.azimuths
-    parts = [around_the_clock(box, camera, model, ground, clock, relative=True)]
+        return at_azimuths(box, camera, model, ground, float(initial) + _GUESS_SPREAD, relative=False)
+    count = problem.options.search.azimuths
+    clock = 2.0 * np.pi * np.arange(count) / count
+    parts = [at_azimuths(box, camera, model, ground, clock, relative=True)]
     if isinstance(initial, Box3D):
         parts.append(from_box3d(initial, model, ground))
-    parts.append(_from_aspnp(problem, observation, camera, model))
+    parts.append(_from_aspnp(problem))
     return Hypotheses(
         np.concatenate([p.rotation for p in parts]),
         np.concatenate([p.translation for p in parts]),
@@ -149,33 +105,32 @@ def _starts(
     )
 
 
-def _from_aspnp(problem: PoseProblem, observation: Observation, camera: Camera, model: VehicleModel) -> Hypotheses:
+def _from_aspnp(problem: Problem) -> Hypotheses:
     """The minima of ASPnP with the confidences as weights; none where it finds the points degenerate."""
+    prior = problem.model.prior
     none = np.zeros((0, 4, 4))
-    weights = problem.keypoints.evidence.right
+    weights = problem.energy.keypoints.evidence.right
     used = np.flatnonzero(weights > 0.3)
     if len(used) < 4:
-        return from_pose(none, model.prior.dimension)
-    rays = camera.rays(observation.keypoints[used])[:, :2]
+        return from_pose(none, prior.dimension)
+    rays = problem.camera.rays(problem.observation.keypoints[used])[:, :2]
     try:
-        found = aspnp(model.prior.mean[used], rays, weights[used])
+        found = aspnp(prior.mean[used], rays, weights[used])
     except DegenerateProblemError:
-        return from_pose(none, model.prior.dimension)
-    return from_pose(np.array([solution.camera_T_object for solution in found]), model.prior.dimension)
+        return from_pose(none, prior.dimension)
+    return from_pose(np.array([solution.camera_T_object for solution in found]), prior.dimension)
 
 
-def _by_algorithm1(
-    problem: PoseProblem, observation: Observation, camera: Camera, model: VehicleModel, options: Options
-) -> PoseEstimate:
+def _by_algorithm1(problem: Problem) -> PoseEstimate:
     try:
-        result = algorithm1(problem, observation, camera)
+        result = algorithm1(problem)
     except DegenerateProblemError as error:  # in the words of this function's caller
         raise DegenerateProblemError("keypoints", error.value, error.fix) from error
-    zero = np.zeros((len(result.poses), model.prior.dimension))
+    zero = np.zeros((len(result.poses), problem.model.prior.dimension))
     path = Hypotheses(result.poses[:, :3, :3], result.poses[:, :3, 3], zero)
-    visibility = problem.visibility(result.poses[-1:])
+    visibility = problem.energy.visibility(result.poses[-1:])
     last = path.take(np.array([len(path) - 1]))
-    total, _ = problem.evaluate(last)
+    total, _ = problem.energy.evaluate(last)
     return PoseEstimate(
         camera_T_object=result.poses[-1],
         coefficients=zero[-1],
@@ -183,7 +138,7 @@ def _by_algorithm1(
         visibility=visibility[0],
         energy=float(total.energy[0]),
         alternatives=tuple(Alternative(pose, zero[-1], float("nan")) for pose in result.others),
-        history=_history(problem, path, result.weights) if options.keep_history else (),
+        history=_history(problem, path, result.weights),
     )
 
 
@@ -197,11 +152,14 @@ def _distinct(poses: Array) -> list[int]:
     return kept
 
 
-def _history(problem: PoseProblem, path: Hypotheses, weights: Array) -> tuple[Iteration, ...]:
-    energies = problem.energies(path)
-    points = problem.keypoints.mean + np.tensordot(path.coefficients, problem.keypoints.basis, axes=1)
+def _history(problem: Problem, path: Hypotheses, weights: Array) -> tuple[Iteration, ...]:
+    """The steps of the search; none where they are not wanted."""
+    if not problem.options.keep_history:
+        return ()
+    energies, keypoints = problem.energy.energies(path), problem.energy.keypoints
+    points = keypoints.mean + np.tensordot(path.coefficients, keypoints.basis, axes=1)
     camera = points @ path.rotation.transpose(0, 2, 1) + path.translation[:, None]
-    homogeneous = camera @ problem.keypoints.matrix.T
+    homogeneous = camera @ keypoints.matrix.T
     pixels = homogeneous[..., :2] / homogeneous[..., 2:]
     return tuple(
         Iteration(

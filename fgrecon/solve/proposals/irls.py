@@ -18,11 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.camera import Camera
 from fgrecon.core.geometry import cross, exponential, pixel_jacobian
-from fgrecon.core.observation import Observation
 from fgrecon.solve.proposals.aspnp import aspnp
-from fgrecon.solve.proposals.search import PoseProblem
+from fgrecon.solve.proposals.problem import Problem
+from fgrecon.solve.proposals.search import PoseEnergy
 from fgrecon.solve.proposals.terms import Hypotheses
 
 __all__ = ["Algorithm1Result", "algorithm1", "refine_pose"]
@@ -45,23 +44,20 @@ class Algorithm1Result:
     others: tuple[Array, ...]
 
 
-def algorithm1(
-    problem: PoseProblem, observation: Observation, camera: Camera, *, every_solve_global: bool = False
-) -> Algorithm1Result:
+def algorithm1(problem: Problem, *, every_solve_global: bool = False) -> Algorithm1Result:
     """Run Algorithm 1 with the mean shape.
 
     Args:
-        problem: Provides mean shape, noise model, strategy and visibility.
-        observation: Undistorted keypoints.
-        camera: Camera.
+        problem: What is to be solved; of its energy the keypoints and their visibility count.
         every_solve_global: Solve globally at every update, not only at the first and the last.
 
     Raises:
         DegenerateProblemError: The weighted points do not determine a pose.
     """
-    term = problem.keypoints
+    energy, observation = problem.energy, problem.observation
+    term = energy.keypoints
     used = np.flatnonzero(observation.measured)
-    points, rays = term.mean[used], camera.rays(observation.keypoints[used])[:, :2]
+    points, rays = term.mean[used], problem.camera.rays(observation.keypoints[used])[:, :2]
     updates = term.strategy.updates
 
     # Before a pose is known the visibility of every keypoint is even.
@@ -70,8 +66,8 @@ def algorithm1(
     pose = found[0].camera_T_object
     poses, trace = [pose], [weights]
     for update in range(updates):
-        visibility = problem.visibility(pose[None])[0]
-        squared = _squared_distances(problem, pose)
+        visibility = energy.visibility(pose[None])[0]
+        squared = _squared_distances(energy, pose)
         weights = term.strategy.weights(squared, term.evidence, visibility, previous=weights)
         if every_solve_global or update == updates - 1:
             found = aspnp(points, rays, weights[used])
@@ -128,9 +124,9 @@ def _weighted_residual(
     return (camera[:, :2] / camera[:, 2:] - rays) * scale, camera
 
 
-def _squared_distances(problem: PoseProblem, camera_T_object: Array) -> Array:
+def _squared_distances(energy: PoseEnergy, camera_T_object: Array) -> Array:
     """(K,) squared Mahalanobis distances of the mean shape's residuals at a pose."""
-    dimension = len(problem.keypoints.basis)
+    dimension = len(energy.keypoints.basis)
     one = Hypotheses(camera_T_object[None, :3, :3], camera_T_object[None, :3, 3], np.zeros((1, dimension)))
-    squared: Array = np.square(problem.keypoints.residuals(one)[0][0]).sum(axis=-1)
+    squared: Array = np.square(energy.keypoints.residuals(one)[0][0]).sum(axis=-1)
     return squared

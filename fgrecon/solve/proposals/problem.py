@@ -1,6 +1,8 @@
-"""From an observation to the pose search's problem: noise models, confidences, the terms that apply."""
+"""One vehicle in one image as a problem to be solved: noise models, confidences, the terms that apply."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,13 +10,13 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.observation import Observation
-from fgrecon.core.options import BoxModel, Options
+from fgrecon.core.options import BoxModel, BoxOptions, KeypointOptions, Options
 from fgrecon.core.robust import Evidence
-from fgrecon.solve.proposals.search import PoseProblem
+from fgrecon.solve.proposals.search import PoseEnergy
 from fgrecon.solve.proposals.terms import BoxTerm, GroundTerm, KeypointTerm, SizeTerm
 from fgrecon.solve.vehicle.model import VehicleModel
 
-__all__ = ["box_term", "build_problem", "keypoint_covariances"]
+__all__ = ["Problem", "box_term", "keypoint_covariances"]
 
 Array = NDArray[np.float64]
 
@@ -22,10 +24,63 @@ _SURE = 0.99  # no detector is surer than that
 _BORDER = 2.0  # pixels from the image's border within which a box edge says nothing
 _SOFT_CORNERS, _SOFT_OUTLINE = 0.5, 0.2  # softness per sigma: a box's corners leave creases, a dense outline hardly any
 _FEW_POINTS = 8
+_FEWEST = 3  # points that a pose needs
 _EDGE_WRONG = 0.1  # probability that a box edge is wrong
 
 
-def keypoint_covariances(observation: Observation, options: Options) -> Array:
+@dataclass(frozen=True)
+class Problem:
+    """One vehicle in one image, to be solved: what is given, and the energy that it makes of a pose.
+
+    Attributes:
+        observation: Undistorted keypoints.
+        camera: The camera, whose distortion is not used.
+        model: The prepared prior.
+        ground: Ground plane, or None.
+        options: Settings.
+        energy: The terms that apply, for many poses at once.
+    """
+
+    observation: Observation
+    camera: Camera
+    model: VehicleModel
+    ground: Ground | None
+    options: Options
+    energy: PoseEnergy
+
+    @classmethod
+    def of(
+        cls, observation: Observation, camera: Camera, model: VehicleModel, ground: Ground | None, options: Options
+    ) -> Problem:
+        """The problem of an observation.
+
+        Raises:
+            DegenerateProblemError: Too few points, all in one place or line, or without any weight.
+        """
+        _check_points(observation)
+        return cls(observation, camera, model, ground, options, _energy(observation, camera, model, ground, options))
+
+
+def _check_points(observation: Observation) -> None:
+    """Refuse observations that cannot determine a pose.
+
+    Raises:
+        DegenerateProblemError: Fewer than three points carry weight, or they lie on one line.
+    """
+    points = observation.keypoints[observation.measured & (observation.confidence > 0)]
+    if not observation.measured.any():
+        raise DegenerateProblemError("keypoints", "no measured point", f"Give at least {_FEWEST} keypoints.")
+    if not len(points):
+        raise DegenerateProblemError("confidence", "all zero", "Give at least three points a confidence above zero.")
+    if len(points) < _FEWEST:
+        fix = f"Give at least {_FEWEST} keypoints with a confidence above zero."
+        raise DegenerateProblemError("keypoints", f"{len(points)} usable points", fix)
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if spread[1] < 1e-3 * max(spread[0], 1.0):
+        raise DegenerateProblemError("keypoints", "all points on one line", "Give keypoints that span an area.")
+
+
+def keypoint_covariances(observation: Observation, options: KeypointOptions) -> Array:
     """(K, 2, 2) covariance of each keypoint in square pixels.
 
     Where the detector gives a covariance, a pixel's and a tenth of the general noise is added for what no shape of the
@@ -39,54 +94,42 @@ def keypoint_covariances(observation: Observation, options: Options) -> Array:
     return observation.covariance + (0.1 * spread**2 + options.sigma_pixels**2) * identity
 
 
-def build_problem(
+def _energy(
     observation: Observation, camera: Camera, model: VehicleModel, ground: Ground | None, options: Options
-) -> PoseProblem:
-    """The pose search's problem.
-
-    Args:
-        observation: Undistorted keypoints.
-        camera: The camera, whose distortion is not used.
-        model: The prepared prior.
-        ground: Ground plane, or None.
-        options: Settings.
-
-    Raises:
-        DegenerateProblemError: The keypoints lie in one place.
-    """
+) -> PoseEnergy:
     extent = observation.extent
     if extent < 1.0:
         raise DegenerateProblemError("keypoints", f"extent {extent:.3g} px", "Give keypoints that are not all one.")
-    covariance = keypoint_covariances(observation, options)
+    covariance = keypoint_covariances(observation, options.keypoints)
     keypoints = KeypointTerm(
         mean=model.prior.mean,
         basis=model.prior.basis,
         matrix=camera.matrix,
         pixels=np.where(observation.measured[:, None], observation.keypoints, 0.0),
         whitener=np.linalg.inv(np.linalg.cholesky(covariance)),
-        evidence=_evidence(observation, covariance, options),
+        evidence=_evidence(observation, covariance),
         strategy=options.strategy,
     )
     off = options.disabled_terms
     size = None
     if model.size is not None and "dimensions" not in off:
         size = SizeTerm(model.dimension_mean, model.dimension_basis, model.size)
-    return PoseProblem(
+    return PoseEnergy(
         keypoints=keypoints,
         visibility=model.visibility.lookup,
-        box=None if "box" in off else box_term(observation, camera, model, options),
+        box=None if "box" in off else box_term(observation, camera, model, options.box),
         size=size,
         ground=None if ground is None or "ground" in off else GroundTerm(ground),
     )
 
 
-def box_term(observation: Observation, camera: Camera, model: VehicleModel, options: Options) -> BoxTerm | None:
+def box_term(observation: Observation, camera: Camera, model: VehicleModel, options: BoxOptions) -> BoxTerm | None:
     """The 2D box as evidence; None where there is no box or it is not to count."""
-    if observation.box is None or options.box_model is BoxModel.OFF:
+    if observation.box is None or options.model is BoxModel.OFF:
         return None
-    points = model.box_points(options.box_model)
+    points = model.box_points(options.model)
     extent = observation.extent
-    sigma = float(np.hypot(options.box_sigma_relative * extent, options.box_sigma_pixels))
+    sigma = float(np.hypot(options.sigma_relative * extent, options.sigma_pixels))
     outlier = _EDGE_WRONG / (1.0 - _EDGE_WRONG) * np.sqrt(2.0 * np.pi) * sigma / extent
     used = np.ones(4, dtype=bool)
     if camera.image_size is not None:
@@ -97,9 +140,8 @@ def box_term(observation: Observation, camera: Camera, model: VehicleModel, opti
     return BoxTerm(points.mean, points.basis, camera.matrix, observation.box, used, sigma, float(outlier), softness)
 
 
-def _evidence(observation: Observation, covariance: Array, options: Options) -> Evidence:
-    squared = observation.confidence**2
-    right = np.clip(squared / (squared + options.confidence_midpoint**2), 1.0 - _SURE, _SURE)
+def _evidence(observation: Observation, covariance: Array) -> Evidence:
+    right = np.clip(observation.right, 1.0 - _SURE, _SURE)
     box = observation.box
     area = observation.extent**2 if box is None else (box[2] - box[0]) * (box[3] - box[1])
     # Below 1, so that a wrong point never explains a keypoint better than a right one.

@@ -19,7 +19,7 @@ from fgrecon.solve.proposals.terms import (
     coefficient_term,
 )
 
-__all__ = ["PoseProblem", "SearchResult", "search"]
+__all__ = ["PoseEnergy", "SearchResult", "search"]
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ _CALMER, _BOLDER = 0.3, 5.0  # factors on the damping after a good and after a b
 
 
 @dataclass(frozen=True)
-class PoseProblem:
+class PoseEnergy:
     """What the search minimises: the terms that apply, and how visible keypoints are from a pose.
 
     Attributes:
@@ -99,11 +99,11 @@ class SearchResult:
     path_weights: Array
 
 
-def search(problem: PoseProblem, starts: Hypotheses, iterations: int, keep: Mapping[int, int]) -> SearchResult:
+def search(energy: PoseEnergy, starts: Hypotheses, iterations: int, keep: Mapping[int, int]) -> SearchResult:
     """Minimise from every start at once.
 
     Args:
-        problem: What to minimise.
+        energy: What to minimise.
         starts: Start hypotheses, in front of the camera.
         iterations: Levenberg-Marquardt iterations.
         keep: Before iteration i all but the keep[i] best distinct hypotheses are dropped.
@@ -113,7 +113,7 @@ def search(problem: PoseProblem, starts: Hypotheses, iterations: int, keep: Mapp
     """
     h = starts
     damping = np.full(len(h), 1e-2)
-    total, weights = problem.evaluate(h, 0.0)
+    total, weights = energy.evaluate(h, 0.0)
     survivor = np.arange(len(h))  # row of each hypothesis in the snapshot before
     snapshots = [(h, weights, survivor)]
     for iteration in range(iterations):
@@ -123,7 +123,7 @@ def search(problem: PoseProblem, starts: Hypotheses, iterations: int, keep: Mapp
         else:
             survivor = np.arange(len(h))
         trial = _retract(h, _damped_step(total, damping))
-        trial_total, trial_weights = problem.evaluate(trial, (iteration + 1) / iterations)
+        trial_total, trial_weights = energy.evaluate(trial, (iteration + 1) / iterations)
         with np.errstate(invalid="ignore"):  # too near the camera before and after: inf - inf, no gain
             gain = total.energy - trial_total.energy
         better = gain > 0

@@ -1,4 +1,4 @@
-"""Where the pose search starts: around the clock from a 2D box, from a guess, from a 3D box, from PnP."""
+"""Where the pose search starts: all around from a 2D box, from a guess, from a 3D box, from PnP."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fgrecon.core.observation import Observation
 from fgrecon.solve.proposals.terms import Hypotheses
 from fgrecon.solve.vehicle.model import VehicleModel
 
-__all__ = ["around_the_clock", "from_box3d", "from_pose", "view_box"]
+__all__ = ["at_azimuths", "from_box3d", "from_pose", "view_box"]
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ def view_box(observation: Observation) -> Array:
     return np.concatenate([low - margin, high + margin])
 
 
-def around_the_clock(
+def at_azimuths(
     box: Array, camera: Camera, model: VehicleModel, ground: Ground | None, azimuths: ArrayLike, *, relative: bool
 ) -> Hypotheses:
     """The mean shape at several azimuths, each placed so that its outline fills the 2D box.

@@ -72,7 +72,7 @@ def prepare(prior: ShapePrior, size: SizePrior | None = None, basis_vectors: int
     if basis_vectors is not None:
         if basis_vectors > prior.dimension:
             fix = f"Prior {prior.name} has {prior.dimension} basis vectors: give at most so many."
-            raise InvalidInputError("options.basis_vectors", basis_vectors, fix)
+            raise InvalidInputError("options.shape.basis_vectors", basis_vectors, fix)
         prior = prior.truncated(basis_vectors)
     if size is not None and is_one_vehicle(prior, size):
         prior, size = given_size(prior, size), None

@@ -18,13 +18,13 @@ class Energy:
     pose is free, then lambda, then the offsets where they are free, then the planes.
     """
 
-    def __init__(self, scene, covariances, weights, box_weights, camera_T_object, *, joint):
-        self.scene, self.joint, self.pose = scene, joint, camera_T_object
-        self.prior, self.options = scene.model.prior, scene.options
+    def __init__(self, problem, covariances, weights, box_weights, camera_T_object, *, joint):
+        self.problem, self.joint, self.pose = problem, joint, camera_T_object
+        self.prior, self.options = problem.model.prior, problem.options
         self.category = self.prior.category
         self.weights, self.box_weights = weights, box_weights
         self.whiteners = [_inverse_root(covariance) for covariance in covariances]
-        free = self.options.free_offsets
+        free = self.options.shape.free_offsets
         self.symmetric = self.prior.is_symmetric and not free
         self.faces = [
             face
@@ -34,7 +34,7 @@ class Energy:
         if "planarity" in self.options.disabled_terms or not (free or self.prior.dimension):
             self.faces = []
         self.medial = not self.symmetric and "symmetry" not in self.options.disabled_terms
-        self.penalty = self.options.plane_penalty
+        self.penalty = self.options.shape.plane_penalty
         self.sizes = [6 * joint, self.prior.dimension, 3 * self.category.size * free]
         self.sizes += [3 if self.penalty is None else 4] * len(self.faces) + [3] * self.medial
         # The ground's uncertainty belongs to the depth at which the stage starts.
@@ -62,7 +62,7 @@ class Energy:
 
     def start(self, coefficients, offsets):
         """The vector at the pose, with planes through the mean heights of their faces."""
-        x = [np.zeros(self.sizes[0]), coefficients, offsets.ravel() if self.options.free_offsets else np.zeros(0)]
+        x = [np.zeros(self.sizes[0]), coefficients, offsets.ravel() if self.options.shape.free_offsets else np.zeros(0)]
         points = self.prior.keypoints(coefficients, offsets)
         for face in self.faces:
             height = -points[list(face.keypoints), 1].mean()
@@ -73,7 +73,7 @@ class Energy:
 
     def terms(self, x):
         """Whitened residuals by name."""
-        options, scene = self.options, self.scene
+        options, problem = self.options, self.problem
         _, coefficients, offsets, *planes = self.split(x)
         pose, points = self.pose_at(x), self.points_at(x)
         terms = {"reprojection": self._reprojection(pose, points), "coefficients": coefficients}
@@ -85,26 +85,26 @@ class Energy:
                 n, d = np.array([plane[0], 1.0, plane[1]]) / np.sqrt(1 + plane[0] ** 2 + plane[1] ** 2), plane[2]
             else:
                 n, d = plane[:3], plane[3]
-                planarity.append(np.sqrt(self.penalty) * (1 - n @ n) / options.planarity_sigma)
-            planarity += [(n @ points[k] + d) / options.planarity_sigma for k in face.keypoints]
+                planarity.append(np.sqrt(self.penalty) * (1 - n @ n) / options.shape.planarity_sigma)
+            planarity += [(n @ points[k] + d) / options.shape.planarity_sigma for k in face.keypoints]
             if face.ground_parallel:
-                planarity += [n[0] / options.parallel_sigma, n[2] / options.parallel_sigma]
+                planarity += [n[0] / options.shape.parallel_sigma, n[2] / options.shape.parallel_sigma]
         terms["planarity"] = np.array(planarity)
         terms["rectangularity"] = np.concatenate([self._rectangle(points, face) for face in self.category.faces])
         if self.medial:
             terms["symmetry"] = self._symmetry(points, planes[-1])
-        if scene.model.size is not None:
-            size = scene.model.size
+        if problem.model.size is not None:
+            size = problem.model.size
             measured = np.array([self._dimension(points, dimension) for dimension in self.category.dimensions])
             terms["dimensions"] = (measured - size.mean) / size.sigma
-        usual = 0.0 if options.literal_laplacian else self._delta(self.prior.mean)
-        terms["laplacian"] = (self._delta(points) - usual).ravel() / options.laplacian_sigma
-        if self.joint and scene.ground is not None:
-            ground = scene.ground
+        usual = 0.0 if options.shape.literal_laplacian else self._delta(self.prior.mean)
+        terms["laplacian"] = (self._delta(points) - usual).ravel() / options.shape.laplacian_sigma
+        if self.joint and problem.ground is not None:
+            ground = problem.ground
             sigma = np.hypot(ground.height_sigma, ground.slope_sigma * self.depth)
             height = (ground.normal @ pose[:3, 3] - ground.distance) / sigma
             terms["ground"] = np.append((pose[:3, 1] - ground.normal) / ground.tilt_sigma, height)
-        if scene.box is not None:
+        if problem.energy.box is not None:
             terms["box"] = self._box(pose, coefficients)
         return {name: term for name, term in terms.items() if name not in options.disabled_terms}
 
@@ -120,13 +120,13 @@ class Energy:
         return np.array(columns).T
 
     def _project(self, pose, points):
-        q = (points @ pose[:3, :3].T + pose[:3, 3]) @ self.scene.camera.matrix.T
+        q = (points @ pose[:3, :3].T + pose[:3, 3]) @ self.problem.camera.matrix.T
         return q[:, :2] / q[:, 2:]
 
     def _reprojection(self, pose, points):
         pixels, rows = self._project(pose, points), []
-        for k in np.flatnonzero(self.scene.observation.measured):
-            d = pixels[k] - self.scene.observation.keypoints[k]
+        for k in np.flatnonzero(self.problem.observation.measured):
+            d = pixels[k] - self.problem.observation.keypoints[k]
             rows.append(np.sqrt(self.weights[k]) * self.whiteners[k] @ d)
         return np.concatenate(rows)
 
@@ -139,14 +139,14 @@ class Energy:
             return np.zeros(0)
         a, b, c, d = points[list(face.keypoints)]
         diagonals = np.linalg.norm(a - c) - np.linalg.norm(b - d)
-        return np.append(a - b + c - d, diagonals) / self.options.rectangularity_sigma
+        return np.append(a - b + c - d, diagonals) / self.options.shape.rectangularity_sigma
 
     def _symmetry(self, points, plane):
         n = np.array([plane[0], plane[1], 1.0]) / np.sqrt(1 + plane[0] ** 2 + plane[1] ** 2)
         left, right = np.array(self.category.symmetric_pairs).T
         mirrored = points[right] - 2 * np.outer(points[right] @ n + plane[2], n)
         middle = points[self.category.mirror == np.arange(self.category.size)] @ n + plane[2]
-        return np.concatenate([(mirrored - points[left]).ravel(), middle]) / self.options.symmetry_sigma
+        return np.concatenate([(mirrored - points[left]).ravel(), middle]) / self.options.shape.symmetry_sigma
 
     def _delta(self, points):
         rows = []
@@ -154,12 +154,12 @@ class Energy:
             if near:
                 others = points[list(near)]
                 weight = np.exp(-np.sum((points[i] - others) ** 2, axis=1))
-                literal = self.options.literal_laplacian
+                literal = self.options.shape.literal_laplacian
                 rows.append(points[i] - weight @ others / (1.0 if literal else weight.sum()))
         return np.array(rows)
 
     def _box(self, pose, coefficients):
-        box, rows = self.scene.box, []
+        box, rows = self.problem.energy.box, []
         points = box.mean + sum(c * b for c, b in zip(coefficients, box.basis, strict=True))
         pixels = self._project(pose, points)
         for edge in range(4):

@@ -10,14 +10,13 @@ import numpy as np
 from factors import M, P
 from fgrecon.core.camera import Ground
 from fgrecon.core.observation import Observation
-from fgrecon.core.options import Options
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.graph.graph import Scene
 from fgrecon.solve.proposals.adjust import adjust_pose
 from fgrecon.solve.proposals.problem import keypoint_covariances
 from fgrecon.solve.proposals.terms import Hypotheses
-from tests.cars import CAMERA, observe, pose_problem, yaw_pose
+from tests.cars import observe, pose_problem, yaw_pose
+from tests.settings import options as make_options
 from tests.solve.graph.energy import Energy
 
 GROUND = Ground(np.array([0.01, 1.0, -0.02]), 1.6)
@@ -31,10 +30,10 @@ def unsymmetric(prior, seed=0):
     return replace(prior, mean=mean, basis=basis, offset_sigma=np.full(len(mean), 0.04), surface=None)
 
 
-def scene_of(seed=0, *, ground=True, size=True, covariance=False, prior=None, yaw=None, **settings):
-    """A scene, the pose stage's problem, and its result."""
+def problem_of(seed=0, *, ground=True, size=True, covariance=False, prior=None, yaw=None, **settings):
+    """A problem and the pose stage's result."""
     rng = np.random.default_rng(seed)
-    options = Options(**settings)
+    options = make_options(**settings)
     car = load_prior("car14")
     prior = car if prior is None else prior
     pose = yaw_pose(rng.uniform(-3, 3) if yaw is None else yaw, (rng.uniform(-3, 3), 1.65, rng.uniform(8, 20)))
@@ -44,23 +43,23 @@ def scene_of(seed=0, *, ground=True, size=True, covariance=False, prior=None, ya
         observation = Observation(observation.keypoints, observation.confidence, observation.box, own)
     plane = GROUND if ground else None
     fleet = SIZE_PRIORS["kitti"] if size else None
-    problem, model = pose_problem(prior, observation, ground=plane, size=fleet, options=options)
-    estimate = adjust_pose(observation, CAMERA, model, plane, None, options)
-    return Scene(observation, CAMERA, model, plane, problem.box, options), problem, estimate
+    problem, _ = pose_problem(prior, observation, ground=plane, size=fleet, options=options)
+    return problem, adjust_pose(problem)
 
 
 def weights_of(problem, estimate):
     """Weights of keypoints and box edges at the pose stage's result, and the keypoints' covariances."""
     pose = estimate.camera_T_object
     here = Hypotheses(pose[None, :3, :3], pose[None, :3, 3], estimate.coefficients[None])
-    box = np.ones(4) if problem.box is None else problem.box.weights(problem.box.residuals(here))[0]
+    box = problem.energy.box
+    box = np.ones(4) if box is None else box.weights(box.residuals(here))[0]
     return estimate.weights, box
 
 
-def energy_of(scene, weights, box_weights, camera_T_object, *, joint):
-    """The independent energy of a scene."""
-    covariances = keypoint_covariances(scene.observation, scene.options)
-    return Energy(scene, covariances, weights, box_weights, camera_T_object, joint=joint)
+def energy_of(problem, weights, box_weights, camera_T_object, *, joint):
+    """The independent energy of a problem."""
+    covariances = keypoint_covariances(problem.observation, problem.options.keypoints)
+    return Energy(problem, covariances, weights, box_weights, camera_T_object, joint=joint)
 
 
 def vector(energy, vehicle, values):
@@ -71,7 +70,7 @@ def vector(energy, vehicle, values):
         change = gtsam.Pose3(energy.pose).between(pose)
         parts = [gtsam.Rot3.Logmap(change.rotation()), change.translation()]
     parts.append(coefficients)
-    if energy.options.free_offsets:
+    if energy.options.shape.free_offsets:
         parts.append(offsets.ravel())
     for index, face in enumerate(energy.category.faces):
         if face in energy.faces:

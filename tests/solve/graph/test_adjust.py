@@ -14,27 +14,27 @@ from fgrecon.solve.graph.state import graph_weights
 from fgrecon.solve.proposals.adjust import PoseEstimate
 from tests.cars import rotation_angle, yaw_pose
 from tests.solve.graph.energy import minimise_by_scipy
-from tests.solve.graph.support import energy_of, scene_of
+from tests.solve.graph.support import energy_of, problem_of
 
 
 def adjust(seed=0, **settings):
-    scene, problem, start = scene_of(seed, **settings)
-    return adjust_shape(scene, problem, start), scene, problem, start
+    problem, start = problem_of(seed, **settings)
+    return adjust_shape(problem, start), problem, start
 
 
 @pytest.mark.parametrize("settings", [{}, {"joint": False}, {"free_offsets": True}])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_result_is_the_minimum_for_its_weights(seed, settings):
     """Another solver, from the pose stage's result and with the final weights, ends at the same pose and lambda."""
-    result, scene, _, start = adjust(seed, **settings)
+    result, problem, start = adjust(seed, **settings)
     assert result.failure is None
-    joint = scene.options.joint
-    energy = energy_of(scene, result.weights, result.box_weights, start.camera_T_object, joint=joint)
+    joint = problem.options.shape.joint
+    energy = energy_of(problem, result.weights, result.box_weights, start.camera_T_object, joint=joint)
     x = minimise_by_scipy(energy, energy.start(start.coefficients, np.zeros((14, 3))))
     pose = energy.pose_at(x)
     np.testing.assert_allclose(result.pose.matrix(), pose, atol=2e-5)
     np.testing.assert_allclose(result.coefficients, energy.split(x)[1], atol=2e-4)
-    points = scene.model.prior.keypoints(result.coefficients, result.offsets)
+    points = problem.model.prior.keypoints(result.coefficients, result.offsets)
     np.testing.assert_allclose(points, energy.points_at(x), atol=1e-5)
     plain = energy.cost(energy.start(result.coefficients, result.offsets))
     assert plain >= energy.cost(x) - 1e-9
@@ -42,13 +42,13 @@ def test_the_result_is_the_minimum_for_its_weights(seed, settings):
 
 @pytest.mark.parametrize("settings", [{}, {"joint": False}])
 def test_stages(settings):
-    result, scene, _, start = adjust(1, **settings)
+    result, problem, start = adjust(1, **settings)
     stages = [iteration.stage for iteration in result.history]
     assert stages == sorted(stages, key=["shape", "joint"].index)
     fixed = [iteration for iteration in result.history if iteration.stage == "shape"]
     for iteration in fixed:
         np.testing.assert_allclose(iteration.camera_T_object, start.camera_T_object, atol=1e-15)
-    assert ("joint" in stages) is scene.options.joint
+    assert ("joint" in stages) is problem.options.shape.joint
     last = result.history[-1]
     np.testing.assert_array_equal(last.camera_T_object, result.pose.matrix())
     np.testing.assert_array_equal(last.coefficients, result.coefficients)
@@ -70,24 +70,24 @@ def test_the_shape_comes_closer_to_the_truth_than_the_mean():
     """Keypoints of random cars in the object frame: by 15 % in the median, without the pull towards the mean's form."""
     before, after = [], []
     for seed in range(12):
-        rng = np.random.default_rng(seed)  # as `scene_of` draws them
+        rng = np.random.default_rng(seed)  # as `problem_of` draws them
         rng.uniform(size=3)
         truth = load_prior("car14").keypoints(rng.normal(size=5))
         settings = {"size": False, "sigma_relative": 0.01, "disabled_terms": {"laplacian"}}
-        result, scene, _, _ = adjust(seed, ground=False, **settings)
-        after.append(np.linalg.norm(scene.model.prior.keypoints(result.coefficients) - truth, axis=1).mean())
-        before.append(np.linalg.norm(scene.model.prior.mean - truth, axis=1).mean())
+        result, problem, _ = adjust(seed, ground=False, **settings)
+        after.append(np.linalg.norm(problem.model.prior.keypoints(result.coefficients) - truth, axis=1).mean())
+        before.append(np.linalg.norm(problem.model.prior.mean - truth, axis=1).mean())
     assert np.median(after) < 0.85 * np.median(before)
 
 
 @pytest.mark.parametrize("strategy", StrategyName)
 def test_every_strategy_runs(strategy):
-    result, _, problem, start = adjust(2, strategy=strategy.value)
+    result, problem, start = adjust(2, strategy=strategy.value)
     assert result.failure is None
     assert np.degrees(rotation_angle(result.pose.matrix(), start.camera_T_object)) < 20
     assert ((result.weights >= 0) & (result.weights <= 1)).all()
-    held = graph_weights(problem, result.weights, result.visibility)
-    if problem.keypoints.strategy.loss is None:
+    held = graph_weights(problem.energy, result.weights, result.visibility)
+    if problem.energy.keypoints.strategy.loss is None:
         np.testing.assert_array_equal(held, result.weights)
     else:
         assert (held >= result.weights - 1e-12).all()  # the graph's own loss weighs again
@@ -95,13 +95,13 @@ def test_every_strategy_runs(strategy):
 
 @pytest.mark.parametrize("settings", [{}, {"joint": False}, {"free_offsets": True}])
 def test_without_basis_vectors(settings):
-    result, scene, *_ = adjust(4, basis_vectors=0, **settings)
+    result, problem, *_ = adjust(4, basis_vectors=0, **settings)
     assert result.failure is None
     assert result.coefficients.shape == (0,)
     assert np.isfinite(result.pose.matrix()).all()
-    if not scene.options.free_offsets:
+    if not problem.options.shape.free_offsets:
         assert (result.offsets == 0).all()
-    if scene.options.joint:
+    if problem.options.shape.joint:
         assert result.history
 
 
@@ -124,9 +124,9 @@ def test_bit_for_bit():
 @pytest.mark.parametrize("location", [(0.0, 1.65, -8.0), (0.0, 1.0, 0.5)], ids=["behind", "around the camera"])
 def test_a_start_behind_the_camera_is_reported(location):
     """No step is taken from there: the state before comes back, with the reason."""
-    scene, problem, start = scene_of(0)
+    problem, start = problem_of(0)
     pose = yaw_pose(0.3, location)
-    result = adjust_shape(scene, problem, replace(start, camera_T_object=pose))
+    result = adjust_shape(problem, replace(start, camera_T_object=pose))
     assert "behind the camera" in result.failure
     np.testing.assert_array_equal(result.pose.matrix(), pose)
     np.testing.assert_array_equal(result.coefficients, start.coefficients)
@@ -135,36 +135,37 @@ def test_a_start_behind_the_camera_is_reported(location):
 
 def test_no_weight_at_all_leaves_the_prior():
     """Where nothing was measured nothing pulls: the pose stays within the ground's reach and lambda at its prior."""
-    scene, problem, start = scene_of(0, size=False, box_model="off")
-    none = replace(scene.observation, keypoints=np.full((14, 2), np.nan), confidence=np.zeros(14))
-    blind = replace(scene, observation=none)
-    evidence = replace(problem.keypoints.evidence, measured=np.zeros(14, dtype=bool))
-    result = adjust_shape(blind, replace(problem, keypoints=replace(problem.keypoints, evidence=evidence)), start)
+    problem, start = problem_of(0, size=False, box_model="off")
+    none = replace(problem.observation, keypoints=np.full((14, 2), np.nan), confidence=np.zeros(14))
+    term = problem.energy.keypoints
+    blind = replace(term, evidence=replace(term.evidence, measured=np.zeros(14, dtype=bool)))
+    energy = replace(problem.energy, keypoints=blind)
+    result = adjust_shape(replace(problem, observation=none, energy=energy), start)
     assert (result.weights == 0).all()
     assert result.failure is None or isinstance(result.failure, str)
     assert np.abs(result.coefficients).max() < 1.0
 
 
 def test_the_stage_does_not_change_its_input():
-    scene, problem, start = scene_of(6)
+    problem, start = problem_of(6)
     copy = PoseEstimate(**{name: getattr(start, name) for name in start.__dataclass_fields__})
     weights, pose = start.weights.copy(), start.camera_T_object.copy()
-    adjust_shape(scene, problem, start)
+    adjust_shape(problem, start)
     assert start == copy or np.array_equal(start.weights, weights)
     np.testing.assert_array_equal(start.weights, weights)
     np.testing.assert_array_equal(start.camera_T_object, pose)
 
 
 def test_the_grounds_uncertainty_belongs_to_the_depth():
-    scene, problem, start = scene_of(1)
+    problem, start = problem_of(1)
     near, far = (gtsam.Pose3(yaw_pose(0.2, (0.0, 1.4, depth))) for depth in (8.0, 40.0))
     errors = []
     for pose in (near, far):
-        vehicle = VehicleGraph(scene, pose, pose_free=True)
+        vehicle = VehicleGraph(problem, pose, pose_free=True)
         values = vehicle.values(pose, start.coefficients, np.zeros((14, 3)))
         height = vehicle.terms(start.weights, np.ones(4))["ground"][0]
         residual = height.unwhitenedError(values)[0]
-        sigma = np.hypot(scene.ground.height_sigma, scene.ground.slope_sigma * pose.z())
+        sigma = np.hypot(problem.ground.height_sigma, problem.ground.slope_sigma * pose.z())
         assert height.error(values) == pytest.approx(0.5 * (residual / sigma) ** 2)
         errors.append(residual)
-    assert problem.ground is not None
+    assert problem.energy.ground is not None

@@ -8,7 +8,7 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph.adjust import adjust_shape
 from fgrecon.solve.graph.covariance import covariances
 from fgrecon.solve.graph.graph import VehicleGraph, build
-from tests.solve.graph.support import energy_of, scene_of, unsymmetric, vector
+from tests.solve.graph.support import energy_of, problem_of, unsymmetric, vector
 
 SCENES = {
     "symmetric": {},
@@ -23,22 +23,22 @@ SCENES = {
 
 
 def at_result(seed=3, **settings):
-    scene, problem, start = scene_of(seed, **settings)
-    result = adjust_shape(scene, problem, start)
-    vehicle = VehicleGraph(scene, result.pose, pose_free=True)
+    problem, start = problem_of(seed, **settings)
+    result = adjust_shape(problem, start)
+    vehicle = VehicleGraph(problem, result.pose, pose_free=True)
     values = vehicle.values(result.pose, result.coefficients, result.offsets)
     graph = build(vehicle.terms(result.weights, result.box_weights))
-    return scene, result, vehicle, graph, values
+    return problem, result, vehicle, graph, values
 
 
 @pytest.mark.parametrize("settings", SCENES.values(), ids=SCENES)
 def test_the_inverse_of_the_gauss_newton_matrix(settings):
-    scene, result, vehicle, graph, values = at_result(**settings)
+    problem, result, vehicle, graph, values = at_result(**settings)
     found = covariances(vehicle, graph, values)
-    energy = energy_of(scene, result.weights, result.box_weights, result.pose.matrix(), joint=True)
+    energy = energy_of(problem, result.weights, result.box_weights, result.pose.matrix(), joint=True)
     jacobian = energy.jacobian(vector(energy, vehicle, values))
     whole = np.linalg.inv(jacobian.T @ jacobian)
-    count = scene.model.prior.dimension
+    count = problem.model.prior.dimension
 
     def same(actual, expected):
         np.testing.assert_allclose(actual, expected, rtol=0, atol=1e-5 * max(np.abs(expected).max(initial=0.0), 1e-9))
@@ -48,8 +48,8 @@ def test_the_inverse_of_the_gauss_newton_matrix(settings):
     variables = whole[6:, 6:]
     for k in range(14):
         derivative = np.zeros((3, len(variables)))
-        derivative[:, :count] = scene.model.prior.basis[:, k].T
-        if scene.options.free_offsets:
+        derivative[:, :count] = problem.model.prior.basis[:, k].T
+        if problem.options.shape.free_offsets:
             derivative[:, count + 3 * k : count + 3 * k + 3] = np.eye(3)
         same(found.keypoints[k], derivative @ variables @ derivative.T)
 

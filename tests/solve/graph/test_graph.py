@@ -10,7 +10,7 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph.graph import VehicleGraph, build, energies
 from fgrecon.solve.graph.solver import minimise
 from tests.solve.graph.energy import minimise_by_ceres, minimise_by_scipy
-from tests.solve.graph.support import energy_of, scene_of, unsymmetric, vector, weights_of
+from tests.solve.graph.support import energy_of, problem_of, unsymmetric, vector, weights_of
 
 NO_OFFSETS = np.zeros((14, 3))
 PRIOR = load_prior("car14")
@@ -32,16 +32,16 @@ SCENES = {
 
 
 class Case:
-    """Graph and independent energy of one scene at the pose stage's result."""
+    """Graph and independent energy of one problem at the pose stage's result."""
 
-    def __init__(self, *, joint, **scene):
-        self.scene, problem, self.estimate = scene_of(**scene)
+    def __init__(self, *, joint, **settings):
+        self.problem, self.estimate = problem_of(**settings)
         pose = gtsam.Pose3(self.estimate.camera_T_object)
-        self.vehicle = VehicleGraph(self.scene, pose, pose_free=joint)
-        weights, box_weights = weights_of(problem, self.estimate)
+        self.vehicle = VehicleGraph(self.problem, pose, pose_free=joint)
+        weights, box_weights = weights_of(self.problem, self.estimate)
         self.terms = self.vehicle.terms(weights, box_weights)
         self.values = self.vehicle.values(pose, self.estimate.coefficients, NO_OFFSETS)
-        self.energy = energy_of(self.scene, weights, box_weights, self.estimate.camera_T_object, joint=joint)
+        self.energy = energy_of(self.problem, weights, box_weights, self.estimate.camera_T_object, joint=joint)
 
     def start(self):
         return self.energy.start(self.estimate.coefficients, NO_OFFSETS)
@@ -88,8 +88,10 @@ def variables(case):
     return set(case.values.keys())
 
 
-def _sigma2(scene):
-    return (scene.options.sigma_relative * scene.observation.extent) ** 2 + scene.options.sigma_pixels**2
+def _sigma2(problem):
+    return (
+        problem.options.keypoints.sigma_relative * problem.observation.extent
+    ) ** 2 + problem.options.keypoints.sigma_pixels**2
 
 
 def test_a_symmetric_prior_needs_neither_symmetry_nor_mirrored_planes():
@@ -124,9 +126,9 @@ def test_the_pose_is_a_constant_in_the_shape_stage():
 
 @pytest.mark.parametrize("term", Options.TERMS)
 def test_each_term_can_be_left_out(term):
-    scene, problem, estimate = scene_of(5, free_offsets=True, disabled_terms={term})
+    problem, estimate = problem_of(5, free_offsets=True, disabled_terms={term})
     whole = Case(joint=True, seed=5, free_offsets=True)
-    vehicle = VehicleGraph(scene, gtsam.Pose3(estimate.camera_T_object), pose_free=True)
+    vehicle = VehicleGraph(problem, gtsam.Pose3(estimate.camera_T_object), pose_free=True)
     assert set(whole.terms) - set(vehicle.terms(*weights_of(problem, estimate))) == {term}
     graph = build(vehicle.terms(*weights_of(problem, estimate)))
     used = {key for i in range(graph.size()) for key in list(graph.at(i).keys())}
@@ -135,8 +137,8 @@ def test_each_term_can_be_left_out(term):
 
 
 def test_every_keypoint_has_its_own_factor_and_weight():
-    scene, problem, estimate = scene_of(1)
-    vehicle = VehicleGraph(scene, gtsam.Pose3(estimate.camera_T_object), pose_free=True)
+    problem, estimate = problem_of(1)
+    vehicle = VehicleGraph(problem, gtsam.Pose3(estimate.camera_T_object), pose_free=True)
     weights, box_weights = weights_of(problem, estimate)
     values = vehicle.values(gtsam.Pose3(estimate.camera_T_object), estimate.coefficients, NO_OFFSETS)
     weights = np.where(np.arange(14) == 4, 0.0, np.linspace(0.1, 1.0, 14))
@@ -144,29 +146,28 @@ def test_every_keypoint_has_its_own_factor_and_weight():
     assert len(factors_) == 13  # weight zero: no factor
     for factor, weight in zip(factors_, np.delete(weights, 4), strict=True):
         plain = float(np.sum(factor.unwhitenedError(values) ** 2))
-        sigma2 = _sigma2(scene)
+        sigma2 = _sigma2(problem)
         assert factor.error(values) == pytest.approx(0.5 * weight * plain / sigma2)
 
 
 @pytest.mark.parametrize("strategy", ["huber", "cauchy", "geman_mcclure", "tukey"])
 def test_m_estimators_stand_in_the_graph(strategy):
     """Each keypoint's energy is its weight times the robust loss of its whitened residual."""
-    from factors import RobustLoss
 
-    scene, _, estimate = scene_of(1, strategy=strategy)
-    vehicle = VehicleGraph(scene, gtsam.Pose3(estimate.camera_T_object), pose_free=True)
+    problem, estimate = problem_of(1, strategy=strategy)
+    vehicle = VehicleGraph(problem, gtsam.Pose3(estimate.camera_T_object), pose_free=True)
     values = vehicle.values(gtsam.Pose3(estimate.camera_T_object), estimate.coefficients, NO_OFFSETS)
     weights = np.linspace(0.2, 1.0, 14)
-    loss = RobustLoss.of(strategy, scene.options.strategy.tuning)
-    sigma2 = _sigma2(scene)
+    loss = problem.options.strategy.robust_loss
+    sigma2 = _sigma2(problem)
     for factor, weight in zip(vehicle.terms(weights, np.ones(4))["reprojection"], weights, strict=True):
         distance = np.linalg.norm(factor.unwhitenedError(values)) / np.sqrt(sigma2)
         assert factor.error(values) == pytest.approx(weight * loss.losses(distance))
 
 
 def test_edges_of_no_weight_say_nothing():
-    scene, _, estimate = scene_of(1)
-    vehicle = VehicleGraph(scene, gtsam.Pose3(estimate.camera_T_object), pose_free=True)
+    problem, estimate = problem_of(1)
+    vehicle = VehicleGraph(problem, gtsam.Pose3(estimate.camera_T_object), pose_free=True)
     values = vehicle.values(gtsam.Pose3(estimate.camera_T_object), estimate.coefficients, NO_OFFSETS)
     some = vehicle.terms(estimate.weights, np.array([1.0, 0.0, 0.5, 1e-9]))["box"][0]
     assert len(some.unwhitenedError(values)) == 2
@@ -174,8 +175,8 @@ def test_edges_of_no_weight_say_nothing():
 
 
 def test_values_are_read_back():
-    scene, _, estimate = scene_of(5, free_offsets=True)
-    vehicle = VehicleGraph(scene, gtsam.Pose3(estimate.camera_T_object), pose_free=True, vehicle=3, frame=7)
+    problem, estimate = problem_of(5, free_offsets=True)
+    vehicle = VehicleGraph(problem, gtsam.Pose3(estimate.camera_T_object), pose_free=True, vehicle=3, frame=7)
     pose, offsets = gtsam.Pose3(estimate.camera_T_object), np.random.default_rng(0).normal(size=(14, 3)) * 0.02
     values = vehicle.values(pose, estimate.coefficients, offsets)
     back = vehicle.read(values)

@@ -7,15 +7,15 @@ import pytest
 from factors import key_name
 from fgrecon.solve.graph.graph import VehicleGraph
 from fgrecon.solve.graph.structure import graph_factors
-from tests.solve.graph.support import scene_of
+from tests.solve.graph.support import problem_of
 
 
 def described(seed=0, **settings):
-    scene, _, start = scene_of(seed, **settings)
-    vehicle = VehicleGraph(scene, gtsam.Pose3(start.camera_T_object), pose_free=True)
+    problem, start = problem_of(seed, **settings)
+    vehicle = VehicleGraph(problem, gtsam.Pose3(start.camera_T_object), pose_free=True)
     weights = np.where(np.arange(len(start.weights)) == 2, 0.0, 1.0)
     terms = vehicle.terms(weights, np.ones(4))
-    return scene, terms, graph_factors(vehicle, terms, weights)
+    return problem, terms, graph_factors(vehicle, terms, weights)
 
 
 @pytest.mark.parametrize("settings", [{}, {"free_offsets": True}])
@@ -30,10 +30,10 @@ def test_every_factor_is_there_with_its_variables(settings):
 
 
 def test_keypoints_without_measurement_or_weight_have_none():
-    scene, _, found = described()
-    names = scene.model.prior.category.keypoints
+    problem, _, found = described()
+    names = problem.model.prior.category.keypoints
     told = [factor.label for factor in found if factor.term == "reprojection"]
-    expected = [name for i, name in enumerate(names) if scene.observation.measured[i] and i != 2]
+    expected = [name for i, name in enumerate(names) if problem.observation.measured[i] and i != 2]
     assert told == expected
     assert {factor.variables for factor in found if factor.term == "reprojection"} == {("X(v=0,t=0)", "L(v=0)")}
 

@@ -11,11 +11,12 @@ from fgrecon.core.options import Options
 from fgrecon.core.robust import StrategyName
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.proposals.adjust import adjust_pose, check_points
-from fgrecon.solve.proposals.problem import build_problem
+from fgrecon.solve.proposals.adjust import adjust_pose
+from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.terms import Hypotheses
 from fgrecon.solve.vehicle.model import prepare
 from tests.cars import CAMERA, observe, rotation_angle, yaw_pose
+from tests.settings import options as make_options
 
 GROUND = Ground.level(1.65)
 
@@ -26,7 +27,8 @@ def prior():
 
 
 def adjust(prior, observation, *, ground=None, initial=None, size=None, **options):
-    return adjust_pose(observation, CAMERA, prepare(prior, size), ground, initial, Options(**options))
+    problem = Problem.of(observation, CAMERA, prepare(prior, size), ground, make_options(**options))
+    return adjust_pose(problem, initial)
 
 
 @pytest.mark.parametrize("strategy", StrategyName)
@@ -57,7 +59,7 @@ def test_energy_is_that_of_the_problem(prior):
     estimate = adjust(prior, observation, ground=GROUND, size=size)
     pose = estimate.camera_T_object
     one = Hypotheses(pose[None, :3, :3], pose[None, :3, 3], estimate.coefficients[None])
-    problem = build_problem(observation, CAMERA, model, GROUND, Options())
+    problem = Problem.of(observation, CAMERA, model, GROUND, Options()).energy
     total, weights = problem.evaluate(one)
     assert estimate.energy == pytest.approx(total.energy[0])
     np.testing.assert_allclose(estimate.weights, weights[0])
@@ -160,6 +162,6 @@ def gaps(count):
 )
 def test_what_determines_no_pose_is_refused(field, pixels, confidence):
     with pytest.raises(DegenerateProblemError) as caught:
-        check_points(Observation(pixels, confidence))
+        adjust(load_prior("car14"), Observation(pixels, confidence))
     assert caught.value.field == field
     assert caught.value.fix

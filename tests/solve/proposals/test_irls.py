@@ -11,7 +11,7 @@ from fgrecon.core.options import Options
 from fgrecon.core.robust import RobustStrategy, StrategyName
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.proposals.irls import algorithm1, refine_pose
-from tests.cars import CAMERA, observe, pose_problem, rotation_angle, yaw_pose
+from tests.cars import observe, pose_problem, rotation_angle, yaw_pose
 
 PAPER = RobustStrategy(StrategyName.PAPER)
 
@@ -29,7 +29,7 @@ def problem_of(prior, observation, robust=PAPER):
 def test_exact_keypoints_give_the_exact_pose(prior, degrees):
     truth = yaw_pose(np.radians(degrees))
     observation = observe(prior, truth)
-    result = algorithm1(problem_of(prior, observation), observation, CAMERA)
+    result = algorithm1(problem_of(prior, observation))
     assert result.poses.shape == (6, 4, 4)
     assert result.weights.shape == (6, 14)
     for pose in result.poses:
@@ -39,7 +39,7 @@ def test_exact_keypoints_give_the_exact_pose(prior, degrees):
 def test_missing_keypoints_have_no_weight(prior):
     truth = yaw_pose(0.6)
     observation = observe(prior, truth, visible_only=True)
-    result = algorithm1(problem_of(prior, observation), observation, CAMERA)
+    result = algorithm1(problem_of(prior, observation))
     assert (result.weights[:, ~observation.measured] == 0).all()
     np.testing.assert_allclose(result.poses[-1], truth, atol=1e-4)
 
@@ -51,13 +51,13 @@ def test_weights_of_wrong_points_fall_and_the_pose_improves(prior):
     pixels, wrong = observation.keypoints.copy(), [1, 11]
     pixels[wrong] += [[40.0, -25.0], [-30.0, 30.0]]
     spoiled = Observation(pixels, np.full(14, 0.8), observation.box)
-    result = algorithm1(problem_of(prior, spoiled), spoiled, CAMERA)
+    result = algorithm1(problem_of(prior, spoiled))
     share = result.weights[:, wrong].sum(axis=1) / result.weights.sum(axis=1)
     assert share[-1] < 0.6 * share[0]
     errors = [rotation_angle(pose, truth) for pose in result.poses]
     assert errors[-1] < errors[0]
     literal = RobustStrategy(StrategyName.PAPER_LITERAL)
-    printed = algorithm1(problem_of(prior, spoiled, literal), spoiled, CAMERA)
+    printed = algorithm1(problem_of(prior, spoiled, literal))
     assert errors[-1] < rotation_angle(printed.poses[-1], truth)
 
 
@@ -65,7 +65,7 @@ def test_weights_of_wrong_points_fall_and_the_pose_improves(prior):
 def test_the_number_of_updates(prior, updates):
     observation = observe(prior, yaw_pose(0.3), noise=2.0)
     robust = RobustStrategy(StrategyName.PAPER, updates=updates)
-    result = algorithm1(problem_of(prior, observation, robust), observation, CAMERA)
+    result = algorithm1(problem_of(prior, observation, robust))
     assert len(result.poses) == len(result.weights) == updates + 1
 
 
@@ -73,8 +73,8 @@ def test_warm_starts_end_where_global_solves_do(prior):
     for seed in range(6):
         observation = observe(prior, yaw_pose(seed), noise=3.0, seed=seed)
         problem = problem_of(prior, observation)
-        warm = algorithm1(problem, observation, CAMERA)
-        cold = algorithm1(problem, observation, CAMERA, every_solve_global=True)
+        warm = algorithm1(problem)
+        cold = algorithm1(problem, every_solve_global=True)
         assert rotation_angle(warm.poses[-1], cold.poses[-1]) < np.radians(1.0)
 
 

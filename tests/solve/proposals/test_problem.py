@@ -6,10 +6,10 @@ import pytest
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.observation import Observation
-from fgrecon.core.options import BoxModel, Options
+from fgrecon.core.options import BoxModel, BoxOptions, KeypointOptions, Options
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.proposals.problem import box_term, build_problem, keypoint_covariances
+from fgrecon.solve.proposals.problem import Problem, box_term, keypoint_covariances
 from fgrecon.solve.vehicle.model import prepare
 from tests.cars import CAMERA, MATRIX, observe, yaw_pose
 
@@ -27,12 +27,12 @@ def seen(prior):
 
 
 def build(prior, observation, *, ground=None, size=None, options=OPTIONS, camera=CAMERA):
-    return build_problem(observation, camera, prepare(prior, size), ground, options)
+    return Problem.of(observation, camera, prepare(prior, size), ground, options).energy
 
 
 def test_noise_scales_with_the_box(seen):
-    options = Options(sigma_relative=0.04, sigma_pixels=1.5)
-    covariance = keypoint_covariances(seen, options)
+    options = Options(keypoints=KeypointOptions(sigma_relative=0.04, sigma_pixels=1.5))
+    covariance = keypoint_covariances(seen, options.keypoints)
     assert covariance.shape == (14, 2, 2)
     extent = max(seen.box[2] - seen.box[0], seen.box[3] - seen.box[1])
     np.testing.assert_allclose(covariance[3], ((0.04 * extent) ** 2 + 1.5**2) * np.eye(2))
@@ -41,8 +41,8 @@ def test_noise_scales_with_the_box(seen):
 def test_a_detectors_covariance_gets_the_rest_added(seen):
     own = np.array([[[25.0, 5.0], [5.0, 16.0]]] * 14)
     observation = Observation(seen.keypoints, seen.confidence, seen.box, own)
-    added = keypoint_covariances(observation, OPTIONS) - own
-    expected = 0.1 * (OPTIONS.sigma_relative * observation.extent) ** 2 + OPTIONS.sigma_pixels**2
+    added = keypoint_covariances(observation, OPTIONS.keypoints) - own
+    expected = 0.1 * (OPTIONS.keypoints.sigma_relative * observation.extent) ** 2 + OPTIONS.keypoints.sigma_pixels**2
     np.testing.assert_allclose(added, np.broadcast_to(expected * np.eye(2), (14, 2, 2)))
 
 
@@ -50,7 +50,7 @@ def test_whitened_residuals_are_mahalanobis_distances(prior, seen):
     rng = np.random.default_rng(0)
     own = np.array([[25.0, 5.0], [5.0, 16.0]]) * rng.uniform(0.5, 3, (14, 1, 1))
     term = build(prior, Observation(seen.keypoints, seen.confidence, seen.box, own)).keypoints
-    covariance = keypoint_covariances(Observation(seen.keypoints, seen.confidence, seen.box, own), OPTIONS)
+    covariance = keypoint_covariances(Observation(seen.keypoints, seen.confidence, seen.box, own), OPTIONS.keypoints)
     d = rng.normal(size=(14, 2)) * 5
     whitened = (term.whitener @ d[..., None])[..., 0]
     expected = [x @ np.linalg.inv(S) @ x for x, S in zip(d, covariance, strict=True)]
@@ -61,23 +61,25 @@ def test_probability_of_being_right(prior, seen):
     confidence = np.linspace(0.0, 1.0, 14)
     pixels = seen.keypoints.copy()
     pixels[3] = np.nan
-    options = Options(confidence_midpoint=0.3)
-    evidence = build(prior, Observation(pixels, confidence, seen.box), options=options).keypoints.evidence
+    observation = Observation(pixels, confidence, seen.box, confidence_midpoint=0.3)
+    evidence = build(prior, observation).keypoints.evidence
     expected = np.clip(confidence**2 / (confidence**2 + 0.3**2), 0.01, 0.99)
     expected[3] = 0.0
     np.testing.assert_allclose(evidence.right, expected)
     assert (np.diff(np.delete(evidence.right, 3)) >= 0).all()
     np.testing.assert_array_equal(evidence.measured, np.arange(14) != 3)
-    half = build(prior, Observation(pixels, np.full(14, 0.3), seen.box), options=options).keypoints.evidence.right
+    half = build(
+        prior, Observation(pixels, np.full(14, 0.3), seen.box, confidence_midpoint=0.3)
+    ).keypoints.evidence.right
     np.testing.assert_allclose(half[0], 0.5)
 
 
 def test_density_of_wrong_points(prior, seen):
     evidence = build(prior, seen).keypoints.evidence
-    sigma2 = keypoint_covariances(seen, OPTIONS)[0, 0, 0]
+    sigma2 = keypoint_covariances(seen, OPTIONS.keypoints)[0, 0, 0]
     width, height = seen.box[2:] - seen.box[:2]
     np.testing.assert_allclose(evidence.outlier, 2 * np.pi * sigma2 / (width * height))
-    vague = build(prior, seen, options=Options(sigma_relative=3.0)).keypoints.evidence
+    vague = build(prior, seen, options=Options(keypoints=KeypointOptions(sigma_relative=3.0))).keypoints.evidence
     assert (vague.outlier == 0.5).all()  # never likelier than a right point
 
 
@@ -103,9 +105,9 @@ def test_terms_that_apply(prior, seen):
 
 def test_box_models(prior, seen):
     model = prepare(prior)
-    assert box_term(seen, CAMERA, model, Options(box_model="off")) is None
-    assert len(box_term(seen, CAMERA, model, Options(box_model=BoxModel.CUBOID)).mean) == 8
-    term = box_term(seen, CAMERA, model, OPTIONS)
+    assert box_term(seen, CAMERA, model, BoxOptions(BoxModel.OFF)) is None
+    assert len(box_term(seen, CAMERA, model, BoxOptions(BoxModel.CUBOID)).mean) == 8
+    term = box_term(seen, CAMERA, model, OPTIONS.box)
     assert len(term.mean) == len(model.outline.mean)
     assert term.used.all()
     assert term.sigma == pytest.approx(np.hypot(0.02 * seen.extent, 1.5))

@@ -8,9 +8,10 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.proposals.search import search
-from fgrecon.solve.proposals.starts import around_the_clock, from_pose, view_box
+from fgrecon.solve.proposals.starts import at_azimuths, from_pose, view_box
 from fgrecon.solve.proposals.terms import Hypotheses
-from tests.cars import CAMERA, observe, pose_problem, rotation_angle, yaw_pose
+from tests.cars import CAMERA, observe, pose_energy, rotation_angle, yaw_pose
+from tests.settings import options
 
 CLOCK = np.arange(24) * np.pi / 12
 GROUND = Ground.level(1.65)
@@ -23,7 +24,7 @@ def prior():
 
 
 def starts_of(observation, model, ground=None):
-    return around_the_clock(view_box(observation), CAMERA, model, ground, CLOCK, relative=True)
+    return at_azimuths(view_box(observation), CAMERA, model, ground, CLOCK, relative=True)
 
 
 @pytest.mark.parametrize("box", [False, True])
@@ -33,10 +34,10 @@ def test_exact_from_exact_keypoints(prior, degrees, ground, box):
     """Pose and coefficients from any azimuth; the second search has so little noise that the prior's pull vanishes."""
     truth, coefficients = yaw_pose(np.radians(degrees)), np.random.default_rng(degrees).normal(size=5)
     observation = observe(prior, truth, coefficients, box=box)
-    coarse, model = pose_problem(prior, observation, ground=ground, options=Options(**NO_BOX))
+    coarse, model = pose_energy(prior, observation, ground=ground, options=options(**NO_BOX))
     found = search(coarse, starts_of(observation, model, ground), 10, {5: 3})
-    fine, _ = pose_problem(
-        prior, observation, ground=ground, options=Options(**NO_BOX, sigma_relative=0, sigma_pixels=0.003)
+    fine, _ = pose_energy(
+        prior, observation, ground=ground, options=options(**NO_BOX, sigma_relative=0, sigma_pixels=0.003)
     )
     best = search(fine, found.hypotheses, 60, {}).hypotheses
     assert rotation_angle(best.rotation[0], truth) < 1e-5
@@ -50,7 +51,7 @@ def test_flips_are_resolved_by_the_defaults(prior, degrees, box):
     """Rough keypoints of which the hidden half is unsure: no azimuth ends turned around."""
     truth = yaw_pose(np.radians(degrees))
     observation = observe(prior, truth, noise=4.0, seed=degrees, box=box)
-    problem, model = pose_problem(prior, observation)
+    problem, model = pose_energy(prior, observation)
     best = search(problem, starts_of(observation, model), 10, {2: 12, 4: 5, 6: 3}).hypotheses
     assert np.degrees(rotation_angle(best.rotation[0], truth)) < 12
 
@@ -62,7 +63,7 @@ def test_a_confident_mirror_mistake_does_not_turn_the_car(prior, swap):
     pixels, confidence = observation.keypoints.copy(), observation.confidence.copy()
     pixels[list(swap)] = pixels[list(swap)[::-1]]
     confidence[list(swap)] = 0.9
-    problem, model = pose_problem(prior, Observation(pixels, confidence, observation.box))
+    problem, model = pose_energy(prior, Observation(pixels, confidence, observation.box))
     best = search(problem, starts_of(observation, model), 10, {2: 12, 4: 5, 6: 3}).hypotheses
     assert np.degrees(rotation_angle(best.rotation[0], truth)) < 12
 
@@ -75,7 +76,7 @@ def noisy(request, prior):
     pixels = observation.keypoints.copy()
     pixels[[0, 5, 10]] += rng.normal(size=(3, 2)) * 60
     observation = Observation(pixels, rng.uniform(0.05, 0.9, 14), observation.box)
-    problem, model = pose_problem(prior, observation, ground=GROUND, options=Options(strategy=request.param))
+    problem, model = pose_energy(prior, observation, ground=GROUND, options=Options(strategy=request.param))
     return problem, starts_of(observation, model, GROUND)
 
 
@@ -127,7 +128,7 @@ def test_a_hypothesis_does_not_depend_on_the_others(noisy):
 def test_starts_behind_the_camera_lose(prior):
     truth = yaw_pose(0.3)
     observation = observe(prior, truth)
-    problem, model = pose_problem(prior, observation)
+    problem, model = pose_energy(prior, observation)
     behind = from_pose(np.array([yaw_pose(0.3, (0.0, 1.65, -5.0)), yaw_pose(0.3, (0.0, 1.0, 0.0))]), 5)
     good = starts_of(observation, model)
     both = Hypotheses(

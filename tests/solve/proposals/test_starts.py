@@ -9,7 +9,7 @@ from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.proposals.starts import around_the_clock, from_box3d, from_pose, view_box
+from fgrecon.solve.proposals.starts import at_azimuths, from_box3d, from_pose, view_box
 from fgrecon.solve.vehicle.model import prepare
 from tests.cars import CAMERA, MATRIX, observe, project, yaw_pose
 
@@ -31,7 +31,7 @@ def test_starts_fill_the_box(model, depth, lateral):
     for yaw in np.radians([-170, -80, 0, 35, 110]):
         truth = yaw_pose(yaw, (lateral * depth, 1.65, depth))
         box = outline_box(model, truth)
-        start = around_the_clock(box, CAMERA, model, None, [yaw], relative=False)
+        start = at_azimuths(box, CAMERA, model, None, [yaw], relative=False)
         assert rotation_y(start.matrices()[0]) == pytest.approx(yaw)
         assert np.linalg.norm(start.translation[0] - truth[:3, 3]) < 0.1 * depth
         size = box[2:] - box[:2]
@@ -44,7 +44,7 @@ def test_relative_azimuths_turn_with_the_viewing_ray(model):
     box = np.array([900.0, 150.0, 1000.0, 220.0])
     ray = CAMERA.rays((box[:2] + box[2:]) / 2)
     clock = np.arange(8) * np.pi / 4
-    starts = around_the_clock(box, CAMERA, model, None, clock, relative=True)
+    starts = at_azimuths(box, CAMERA, model, None, clock, relative=True)
     yaws = np.array([rotation_y(pose) for pose in starts.matrices()])
     turned = (yaws - np.arctan2(ray[0], ray[2]) - clock + np.pi) % (2 * np.pi) - np.pi
     np.testing.assert_allclose(turned, 0.0, atol=1e-12)
@@ -52,7 +52,7 @@ def test_relative_azimuths_turn_with_the_viewing_ray(model):
 
 def test_starts_stand_upright_on_a_tilted_ground(model):
     ground = Ground(np.array([0.1, 1.0, -0.15]), 1.6)
-    starts = around_the_clock(np.array([500.0, 150, 620, 240]), CAMERA, model, ground, np.arange(6.0), relative=True)
+    starts = at_azimuths(np.array([500.0, 150, 620, 240]), CAMERA, model, ground, np.arange(6.0), relative=True)
     np.testing.assert_allclose(starts.rotation[:, :, 1], np.tile(ground.normal, (6, 1)), atol=1e-12)
     np.testing.assert_allclose(
         starts.rotation @ starts.rotation.transpose(0, 2, 1), np.tile(np.eye(3), (6, 1, 1)), atol=1e-12
@@ -62,7 +62,7 @@ def test_starts_stand_upright_on_a_tilted_ground(model):
 
 def test_a_box_that_fills_the_image_still_starts_in_front(model):
     tiny = Camera(MATRIX * [[0.05, 1, 1], [1, 0.05, 1], [1, 1, 1]])
-    starts = around_the_clock(np.array([-5e3, -5e3, 9e3, 9e3]), tiny, model, None, np.arange(12.0), relative=True)
+    starts = at_azimuths(np.array([-5e3, -5e3, 9e3, 9e3]), tiny, model, None, np.arange(12.0), relative=True)
     for pose in starts.matrices():
         depths = (model.outline.mean @ pose[:3, :3].T + pose[:3, 3])[:, 2]
         assert depths.min() > MIN_DEPTH

@@ -79,7 +79,7 @@ def test_basis_vectors(prior):
     assert nothing.corners.basis.shape == (0, 8, 3)
     with pytest.raises(InvalidInputError) as caught:
         prepare(prior, None, 6)
-    assert caught.value.field == "options.basis_vectors"
+    assert caught.value.field == "options.shape.basis_vectors"
 
 
 def test_the_size_of_one_car_moves_the_shape_and_that_of_a_fleet_stretches_it(prior):
