@@ -24,7 +24,7 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.evaluation.kitti_devkit import MINIMUM_OVERLAP, REGIMES, match_detections, regime_members
 from fgrecon.io.images import read_image
-from fgrecon.io.kitti_calibration import Calibration, read_calibration
+from fgrecon.io.kitti_calibration import KittiCalibration, read_calibration
 from fgrecon.io.kitti_files import Objects, Problem, read_detections, read_labels
 from fgrecon.perception.from_image import FromImage, reconstruct_image
 from fgrecon.perception.keypoints.detect import Detector
@@ -50,7 +50,7 @@ class ImageFrame:
     image: Path
     labels: Objects
     detections: Objects | None
-    calibration: Calibration
+    calibration: KittiCalibration
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from fgrecon.core.category import Category
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction
-from fgrecon.evaluation.methods import Scene
+from fgrecon.evaluation.methods import SceneKnowledge
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.proposals.adjust import adjust_pose
 from fgrecon.solve.proposals.starts import around_the_clock
@@ -21,7 +21,7 @@ from fgrecon.solve.vehicle.model import VehicleModel
 __all__ = [
     "AZIMUTH_GROSS",
     "AZIMUTH_SIGMA",
-    "State",
+    "StageEstimate",
     "algorithm1_state",
     "initial_state",
     "noisy_azimuth",
@@ -43,7 +43,7 @@ _STAGES = ("pose", "shape", "joint")
 
 
 @dataclass(frozen=True)
-class State:
+class StageEstimate:
     """Where a stage leaves a vehicle.
 
     Attributes:
@@ -63,8 +63,8 @@ class State:
 
 
 def stages(
-    observation: Observation, camera: Camera, scene: Scene, ground: Ground | None, options: Options
-) -> dict[str, State]:
+    observation: Observation, camera: Camera, scene: SceneKnowledge, ground: Ground | None, options: Options
+) -> dict[str, StageEstimate]:
     """State after each stage: `pose`, `shape` (pose fixed: solved one after the other) and `joint` (both together).
 
     Args:
@@ -93,34 +93,34 @@ def stages(
     return stages_of(result, scene.prior.category)
 
 
-def stages_of(result: Reconstruction, category: Category) -> dict[str, State]:
+def stages_of(result: Reconstruction, category: Category) -> dict[str, StageEstimate]:
     """The states that the history of a result holds: `pose`, `shape` and `joint`, the last being the result.
 
     A stage without a step of its own ends where the one before did.
     """
-    states: dict[str, State] = {}
+    states: dict[str, StageEstimate] = {}
     for stage in _STAGES:
         steps = [step for step in result.history if step.stage == stage]
         if steps:
             last = steps[-1]
             size = np.tensordot(category.dimension_operator, last.keypoints, axes=2)
-            states[stage] = State(last.camera_T_object, last.keypoints, size)
+            states[stage] = StageEstimate(last.camera_T_object, last.keypoints, size)
         elif states:
             states[stage] = next(reversed(states.values()))
-    states[_STAGES[-1]] = State(result.camera_T_object, result.wireframe, result.box_size)
+    states[_STAGES[-1]] = StageEstimate(result.camera_T_object, result.wireframe, result.box_size)
     return states
 
 
-def algorithm1_state(observation: Observation, camera: Camera, model: VehicleModel, options: Options) -> State:
+def algorithm1_state(observation: Observation, camera: Camera, model: VehicleModel, options: Options) -> StageEstimate:
     """ASPnP + IRLS with the mean shape: the paper's pose adjustment alone (`options` name one of its strategies)."""
     pose = adjust_pose(observation, camera, model, None, None, options)
-    return State(pose.camera_T_object, model.prior.mean, model.dimension_mean)
+    return StageEstimate(pose.camera_T_object, model.prior.mean, model.dimension_mean)
 
 
-def initial_state(box: Array, camera: Camera, model: VehicleModel, ground: Ground, rotation_y: float) -> State:
+def initial_state(box: Array, camera: Camera, model: VehicleModel, ground: Ground, rotation_y: float) -> StageEstimate:
     """The mean shape on the ground's slope at an azimuth, placed so that it fills the 2D box (4,)."""
     start = around_the_clock(box, camera, model, ground, [rotation_y], relative=False)
-    return State(start.matrices()[0], model.prior.mean, model.dimension_mean)
+    return StageEstimate(start.matrices()[0], model.prior.mean, model.dimension_mean)
 
 
 def noisy_azimuth(rotation_y: float, rng: np.random.Generator) -> float:

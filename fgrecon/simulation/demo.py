@@ -16,7 +16,7 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.simulation.keypoint_noise import HOURGLASS, NoiseModel
 from fgrecon.simulation.render import Body, Picture, render
 from fgrecon.simulation.scenery import BODY_COLOURS, car_paint, planter, road, with_shadow
-from fgrecon.simulation.vehicles import Truth, Vehicle, simulate, yaw_pose
+from fgrecon.simulation.vehicles import SimulatedTruth, Vehicle, simulate, yaw_pose
 from fgrecon.solve.vehicle.visibility import clearance
 
 __all__ = ["DemoScene", "demo_scene"]
@@ -47,7 +47,7 @@ class DemoScene:
     camera: Camera
     ground: Ground
     observation: Observation
-    truth: Truth
+    truth: SimulatedTruth
 
 
 def demo_scene(prior: ShapePrior, seed: int = 0, noise: NoiseModel = HOURGLASS) -> DemoScene:

@@ -21,7 +21,7 @@ from fgrecon.solve.vehicle.visibility import TOLERANCE, clearance
 
 __all__ = [
     "KITTI_CAMERA",
-    "Truth",
+    "SimulatedTruth",
     "Vehicle",
     "kitti_like_pose",
     "label_poses",
@@ -72,7 +72,7 @@ class Vehicle:
 
 
 @dataclass(frozen=True)
-class Truth:
+class SimulatedTruth:
     """What a simulated observation was made from.
 
     Attributes:
@@ -99,7 +99,7 @@ def simulate(
     rng: np.random.Generator,
     noise: NoiseModel = HOURGLASS,
     hidden: NDArray[np.bool_] | None = None,
-) -> tuple[Observation, Truth]:
+) -> tuple[Observation, SimulatedTruth]:
     """Observe a vehicle as a keypoint network would.
 
     Args:
@@ -141,7 +141,7 @@ def simulate(
     pixels, confidence = noise.measure(projections, visible, measured_box, Twins.of(vehicle.category), rng)
     extent = float(max(box[2] - box[0], box[3] - box[1]))
     outlier = np.linalg.norm(pixels - projections, axis=1) > OUTLIER * extent
-    truth = Truth(camera_T_object, vehicle, projections, visible, outlier, box)
+    truth = SimulatedTruth(camera_T_object, vehicle, projections, visible, outlier, box)
     return Observation(pixels, confidence, measured_box), truth
 
 
@@ -152,7 +152,7 @@ def simulate_many(
     noise: NoiseModel = HOURGLASS,
     camera: Camera = KITTI_CAMERA,
     poses: NDArray[np.float64] | None = None,
-) -> list[tuple[Observation, Truth]]:
+) -> list[tuple[Observation, SimulatedTruth]]:
     """Observe vehicles one by one, independently of one another.
 
     Args:
@@ -176,7 +176,7 @@ def simulate_track(
     rng: np.random.Generator,
     noise: NoiseModel = HOURGLASS,
     camera: Camera = KITTI_CAMERA,
-) -> list[tuple[Observation, Truth]]:
+) -> list[tuple[Observation, SimulatedTruth]]:
     """Observe one vehicle in consecutive frames, ten a second, until it leaves the image or is nearer than 5 m.
 
     Seen from the camera, it moves along its heading at a constant speed of up to 10 m/s and turns a little. The noise
@@ -186,7 +186,7 @@ def simulate_track(
     step = np.eye(4)
     step[:3, :3] = _rotation(1, np.radians(rng.normal(0.0, 0.5)))
     step[0, 3] = rng.uniform(-1.0, 1.0)
-    track: list[tuple[Observation, Truth]] = []
+    track: list[tuple[Observation, SimulatedTruth]] = []
     while len(track) < frames and pose[2, 3] > 5.0:
         try:
             track.append(simulate(vehicle, camera, pose, rng, noise))
@@ -216,7 +216,7 @@ def _observe_one(
     noise: NoiseModel,
     camera: Camera,
     poses: NDArray[np.float64] | None,
-) -> tuple[Observation, Truth]:
+) -> tuple[Observation, SimulatedTruth]:
     if isinstance(vehicles, ShapePrior):
         vehicle = Vehicle.sample(vehicles, rng)
     else:

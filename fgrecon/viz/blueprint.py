@@ -21,7 +21,7 @@ from fgrecon.viz.geometry import Box, crop_around
 from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR, Truth
 
 __all__ = [
-    "Page",
+    "ChunkBlueprint",
     "blueprint",
     "error_measures",
     "error_views",
@@ -52,11 +52,11 @@ def blueprint(reconstruction: Reconstruction, observation: Observation, truth: T
         zoom.append((views.scene, controls))
     if reconstruction.graph:
         zoom.append((views.graph, _bounds(_reach(lay_out(reconstruction.graph)))))
-    return Page(views.chunks, zoom)
+    return ChunkBlueprint(views.chunks, zoom)
 
 
 @dataclass(frozen=True)
-class Page:
+class ChunkBlueprint:
     """A layout for rerun that is made of chunks: building its views again for every recording would cost too much.
 
     rerun takes it for a `Blueprint`, of which it asks no more than these two methods.
@@ -69,7 +69,7 @@ class Page:
     chunks: Sequence[Any]
     properties: Sequence[tuple[str, Any]]
 
-    def to_blueprint(self) -> Page:
+    def to_blueprint(self) -> ChunkBlueprint:
         """Itself."""
         return self
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.perception.keypoints.decode import Calibration
+from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import Detector, as_rgb8
 from fgrecon.perception.keypoints.weights import Stored, save_weights
 
@@ -19,7 +19,7 @@ SMALL = KNetSettings(crop=32, width=8)
 def detector(tmp_path_factory):
     torch.manual_seed(0)
     path = tmp_path_factory.mktemp("weights") / "w.safetensors"
-    save_weights(path, Stored(KNet(SMALL).state_dict(), SMALL.to_dict(), Calibration(), {}))
+    save_weights(path, Stored(KNet(SMALL).state_dict(), SMALL.to_dict(), ConfidenceCalibration(), {}))
     return Detector(path)
 
 

@@ -146,18 +146,18 @@ def run_training(
     import torch
     from rich.progress import track
 
-    from fgrecon.perception.keypoints.decode import Calibration
+    from fgrecon.perception.keypoints.decode import ConfidenceCalibration
     from fgrecon.training.keypoints.calibrate import calibrate
     from fgrecon.training.keypoints.dataset import azimuth_weights
     from fgrecon.training.keypoints.labelling import read_source
     from fgrecon.training.keypoints.rounds import train_in_rounds
-    from fgrecon.training.keypoints.train import Progress, Training
+    from fgrecon.training.keypoints.train import Training, TrainingProgress
     from fgrecon.training.keypoints.train_refine import RefineTraining, train_refinement
 
     shown = console(error=True)
     reported: list[tuple[int, float]] = []  # step and time of the last report
 
-    def report(progress: Progress) -> None:
+    def report(progress: TrainingProgress) -> None:
         text = ", ".join(f"{name} {value:.3f}" for name, value in progress.losses.items())
         if progress.score is not None:
             text += f"; held out PCK 0.1 {100 * progress.score:.1f} %"
@@ -201,7 +201,7 @@ def run_training(
         "training": f"{steps} steps of {batch}, labels corrected at {list(relabel_at)}, seed {seed}",
     }
     state = network.state_dict() if begun is None else mean_state(begun.state, network.state_dict(), start_share)
-    stored = Stored(state, how.network.to_dict(), Calibration(), provenance)
+    stored = Stored(state, how.network.to_dict(), ConfidenceCalibration(), provenance)
     if refine_steps:
         tell("Refinement networks")
         chosen = labelling.samples(photographs, source.learn)

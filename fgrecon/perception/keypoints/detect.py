@@ -16,7 +16,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.io.catalogue import load_category
 from fgrecon.perception.keypoints.crops import MARGIN, Crop, crop_of, extract
-from fgrecon.perception.keypoints.decode import Calibration, Decoded, decode, softmax
+from fgrecon.perception.keypoints.decode import ConfidenceCalibration, Decoded, decode, softmax
 from fgrecon.perception.keypoints.weights import load_weights, shipped
 
 __all__ = [
@@ -94,7 +94,7 @@ class Detector:
         path = shipped() if weights is None else Path(weights)
         stored = load_weights(path)
         self.provenance = dict(stored.provenance)
-        self.calibration: Calibration = stored.calibration
+        self.calibration: ConfidenceCalibration = stored.calibration
         self.device = device
         self.mirror = mirror
         self._partner = load_category(_CATEGORY).mirror

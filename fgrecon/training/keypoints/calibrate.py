@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.perception.keypoints.crops import MARGIN
-from fgrecon.perception.keypoints.decode import Calibration, logit
+from fgrecon.perception.keypoints.decode import ConfidenceCalibration, logit
 from fgrecon.perception.keypoints.detect import REACH, Detector
 from fgrecon.training.keypoints.augment import Street
 from fgrecon.training.keypoints.dataset import Photographs, azimuth_weights
@@ -64,7 +64,7 @@ def calibrate(
     street: Street | None = None,
     samples: int = 1500,
     seed: int = 1,
-) -> Calibration:
+) -> ConfidenceCalibration:
     """Fit the calibration on street-like samples of photographs that the network has not learnt from.
 
     Args:
@@ -97,6 +97,6 @@ def calibrate(
             if detection.observation.covariance is not None:
                 spread.append(detection.observation.covariance[hit] / extent**2)
                 error.append(away[hit])
-    fitted = Calibration.fit(np.concatenate(visible), np.concatenate(mass), np.concatenate(right))
+    fitted = ConfidenceCalibration.fit(np.concatenate(visible), np.concatenate(mass), np.concatenate(right))
     fitted = fitted.with_spread(np.concatenate(spread), np.concatenate(error))
     return replace(fitted, floor=float(np.hypot(fitted.floor, _UNLABELLED)))

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.images import read_image
-from fgrecon.training.keypoints.augment import Sample, Street, View
+from fgrecon.training.keypoints.augment import LabelledView, Sample, Street
 from fgrecon.training.keypoints.distant import draw_distant
 from fgrecon.training.keypoints.labels import SEEN, Labels, ShapeFit, project_labels, surface_of
 from fgrecon.training.keypoints.posed_cars import PosedCar
@@ -96,10 +96,10 @@ class Photographs:
         again = chosen + len(self.scales)
         return np.concatenate([chosen, again[self.sizes[again, 0] > 0]])
 
-    def view(self, index: int) -> View:
+    def view(self, index: int) -> LabelledView:
         """One photograph with its labels."""
         width, height = self.sizes[index]
-        return View(
+        return LabelledView(
             np.asarray(self.images[index, :height, :width]),
             np.asarray(self.masks[index, :height, :width]),
             self.keypoints[index],
@@ -114,7 +114,7 @@ class Photographs:
         rng = np.random.default_rng(list(seed))
         index = int(rng.choice(chosen, p=weights))
 
-        def another(azimuth: float | None) -> View:
+        def another(azimuth: float | None) -> LabelledView:
             some = rng.choice(chosen, _TRIES)
             if azimuth is None:
                 view = self.view(int(some[0]))

@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import write_text
 from fgrecon.io.json_fields import read_json
-from fgrecon.perception.keypoints.decode import Calibration
+from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import Detector
 from fgrecon.perception.keypoints.weights import Stored, load_weights, save_weights
 from fgrecon.training.keypoints.checkpoint import load_checkpoint
 from fgrecon.training.keypoints.dataset import Photographs, azimuth_weights
 from fgrecon.training.keypoints.labelling import Labelling, Source, corrected, first_labelling, open_photographs
-from fgrecon.training.keypoints.train import Progress, Training, train_knet
+from fgrecon.training.keypoints.train import Training, TrainingProgress, train_knet
 from fgrecon.training.keypoints.validate import HeldOut
 from fgrecon.training.keypoints.watch import Watch, unwatched
 
@@ -45,7 +45,7 @@ def train_in_rounds(
     start: Path | None = None,
     silhouettes: Path | None = None,
     device: str = "cpu",
-    report: Callable[[Progress], None] | None = None,
+    report: Callable[[TrainingProgress], None] | None = None,
     tell: Callable[[str], None] = lambda _: None,
     watch: Watch = unwatched,
 ) -> tuple[Any, Labelling, Photographs]:
@@ -165,7 +165,7 @@ def _as_detector(content: dict[str, Any], begun: Stored | None, folder: Path, de
     """
     path = folder / "round.safetensors"
     if begun is None:
-        save_weights(path, Stored(content["average"], content["settings"], Calibration(), {}))
+        save_weights(path, Stored(content["average"], content["settings"], ConfidenceCalibration(), {}))
     else:
         save_weights(path, replace(begun, state=content["average"], settings=content["settings"]))
     return Detector(path, device=device)

@@ -20,7 +20,7 @@ from fgrecon.training.keypoints.dataset import Photographs
 from fgrecon.training.keypoints.losses import knet_loss
 from fgrecon.training.keypoints.validate import HeldOut
 
-__all__ = ["Progress", "Training", "train_knet"]
+__all__ = ["Training", "TrainingProgress", "train_knet"]
 
 Array = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ class Training:
 
 
 @dataclass(frozen=True)
-class Progress:
+class TrainingProgress:
     """A step's losses, for display.
 
     Attributes:
@@ -115,7 +115,7 @@ def train_knet(
     imagenet: dict[str, Any] | None = None,
     start: dict[str, Any] | None = None,
     device: str = "cpu",
-    report: Callable[[Progress], None] | None = None,
+    report: Callable[[TrainingProgress], None] | None = None,
     until: int | None = None,
     held: HeldOut | None = None,
 ) -> KNet:
@@ -181,7 +181,9 @@ def train_knet(
             save_checkpoint(checkpoint, network, average, optimizer, step + 1, how.network.to_dict())
             if report is not None:
                 means = {name: value / summed for name, value in sums.items()}
-                report(Progress(step + 1, how.steps, means, None if held is None else held.score(average, device)))
+                report(
+                    TrainingProgress(step + 1, how.steps, means, None if held is None else held.score(average, device))
+                )
             sums, summed = {}, 0
         if ending:
             break

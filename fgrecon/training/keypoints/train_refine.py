@@ -18,7 +18,7 @@ from fgrecon.training.keypoints.augment import Street
 from fgrecon.training.keypoints.checkpoint import follow, restore_checkpoint, save_checkpoint
 from fgrecon.training.keypoints.dataset import Photographs
 from fgrecon.training.keypoints.losses import HIDDEN_WEIGHT, map_loss
-from fgrecon.training.keypoints.train import Progress
+from fgrecon.training.keypoints.train import TrainingProgress
 
 __all__ = ["RefineTraining", "train_refinement"]
 
@@ -73,7 +73,7 @@ def train_refinement(
     *,
     start: Mapping[str, Any] | None = None,
     device: str = "cpu",
-    report: Callable[[Progress], None] | None = None,
+    report: Callable[[TrainingProgress], None] | None = None,
 ) -> RefineNet:
     """Train, or go on where the checkpoint ends.
 
@@ -131,7 +131,7 @@ def train_refinement(
         if (step + 1) % how.save_every == 0 or step + 1 == how.steps:
             save_checkpoint(checkpoint, network, average, optimizer, step + 1, how.network.to_dict())
             if report is not None:
-                report(Progress(step + 1, how.steps, {"patches": sums / summed}))
+                report(TrainingProgress(step + 1, how.steps, {"patches": sums / summed}))
             sums, summed = 0.0, 0
     average.eval()
     return average

@@ -8,7 +8,7 @@ import pytest
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.images import write_png
-from fgrecon.perception.keypoints.decode import Calibration
+from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import Detector
 from fgrecon.perception.keypoints.weights import Stored, load_weights, save_weights
 from fgrecon.training.keypoints.calibrate import calibrate, reliability
@@ -52,7 +52,7 @@ def source(tmp_path_factory):
 def detector(tmp_path_factory):
     torch.manual_seed(0)
     path = tmp_path_factory.mktemp("weights") / "w.safetensors"
-    return Detector(save_weights(path, Stored(KNet(SMALL).state_dict(), SMALL.to_dict(), Calibration(), {})))
+    return Detector(save_weights(path, Stored(KNet(SMALL).state_dict(), SMALL.to_dict(), ConfidenceCalibration(), {})))
 
 
 @pytest.fixture(scope="module")
@@ -154,7 +154,9 @@ def test_a_training_goes_on_with_the_same_marks(source, tmp_path):
 def test_a_trained_network_can_go_on(source, tmp_path):
     torch.manual_seed(1)
     begun = KNet(SMALL)
-    start = save_weights(tmp_path / "s.safetensors", Stored(begun.state_dict(), SMALL.to_dict(), Calibration(), {}))
+    start = save_weights(
+        tmp_path / "s.safetensors", Stored(begun.state_dict(), SMALL.to_dict(), ConfidenceCalibration(), {})
+    )
     how = replace(HOW, steps=1, rate=0.0)
     network, labelling, _ = train_in_rounds(source, tmp_path / "work", how, [], start=start)
     torch.testing.assert_close(network.head.weight, begun.head.weight, atol=1e-3, rtol=1e-3)
@@ -164,7 +166,7 @@ def test_a_trained_network_can_go_on(source, tmp_path):
 
 def test_networks_between_rounds_keep_the_refinement_that_they_began_with(trained, tmp_path):
     sizes = RefineSettings(crop=64, width=4)
-    calibration = Calibration(floor=0.03)
+    calibration = ConfidenceCalibration(floor=0.03)
     begun = Stored(
         KNet(SMALL).state_dict(), SMALL.to_dict(), calibration, {}, RefineNet(sizes).state_dict(), sizes.to_dict()
     )
