@@ -244,7 +244,7 @@ def summarise(cars: Sequence[Car]) -> tuple[RegimeScore, ...]:
     return tuple(scores)
 
 
-def document(cars: Sequence[Car], told: dict[str, Any]) -> dict[str, Any]:
+def document(cars: Sequence[Car], given: dict[str, Any]) -> dict[str, Any]:
     """Everything as plain values for JSON: what was given, the regimes, and each car."""
 
     def finite(value: float) -> float | None:
@@ -252,7 +252,7 @@ def document(cars: Sequence[Car], told: dict[str, Any]) -> dict[str, Any]:
 
     return {
         "format": "fgrecon.kitti-images/1",
-        "given": told,
+        "given": given,
         "regimes": [
             {
                 "name": score.name,

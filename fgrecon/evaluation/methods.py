@@ -120,8 +120,8 @@ def select(names: Iterable[str] | None = None) -> tuple[Method, ...]:
             raise InvalidInputError("method", name, fix)
         chosen[name] = METHODS[method]
         if robust:
-            told = method.split("+")
-            chosen[name] = _fgrecon(name, ground="ground" in told, size="size" in told, robust=named_strategy(robust))
+            known = method.split("+")
+            chosen[name] = _fgrecon(name, ground="ground" in known, size="size" in known, robust=named_strategy(robust))
     return tuple(chosen.values())
 
 
@@ -268,8 +268,8 @@ def _fgrecon(name: str, *, ground: bool, size: bool, robust: RobustStrategy | No
     def prior_name(scene: SceneKnowledge) -> str:
         return prepare(scene.prior, scene.size if size else None).prior.name
 
-    told = "pose and shape by factor-graph optimisation"
-    return Method(name, told, bind, prior_name, partial(result_of, keep_history=True))
+    summary = "pose and shape by factor-graph optimisation"
+    return Method(name, summary, bind, prior_name, partial(result_of, keep_history=True))
 
 
 _BASELINES: tuple[tuple[str, str, Callable[[], PnP]], ...] = (

@@ -143,8 +143,8 @@ def _frame(record: Any, position: int, track: str, order: NDArray[np.intp], wher
     content = fields.get("gt", dict)
     label = Fields(content, f"{where}gt.")
     dimensions = ("length", "width", "height")
-    told = all(name in content for name in dimensions)
-    size = np.array([float(label.numbers(name, ())) for name in dimensions]) if told else None
+    sized = all(name in content for name in dimensions)
+    size = np.array([float(label.numbers(name, ())) for name in dimensions]) if sized else None
     return TrackFrame(
         name=f"{track}:{number}",
         observation=observation if observation.measured.any() else None,

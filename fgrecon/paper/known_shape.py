@@ -193,9 +193,9 @@ def _score_model(
     prior = apollo79_prior(models, basis=BASIS, exclude=exclude)
     frequent = apollo79_prior(models, basis=BASIS, exclude=exclude, weights=frequency)
     relation = apollo79_size_relation(models, prior, exclude)
-    told = given_size(prior, SizePrior("the true size", size, _SIZE_SIGMA * size), relation)
+    sized = given_size(prior, SizePrior("the true size", size, _SIZE_SIGMA * size), relation)
     as_modelled = np.zeros_like(offsets)
-    variants = [(prior, as_modelled), (frequent, offsets), (told, as_modelled), (told, offsets)]
+    variants = [(prior, as_modelled), (frequent, offsets), (sized, as_modelled), (sized, offsets)]
     return [_score_car(car, camera, variants) for car in cars]
 
 

@@ -87,9 +87,9 @@ def held_out(models: Apollo79, count: int = 20, seed: int = 0) -> tuple[str, ...
         raise InvalidInputError("count", count, f"Give a number from 1 to {len(models.names) - 1}.")
     chosen: list[str] = []
     for name in np.random.default_rng(seed).permutation(np.array(models.names)).tolist():
-        together = [name] if name not in DUPLICATE else [twin for twin in DUPLICATE if twin in models.names]
-        if name not in chosen and len(chosen) + len(together) <= count:
-            chosen.extend(together)
+        twins = [name] if name not in DUPLICATE else [other for other in DUPLICATE if other in models.names]
+        if name not in chosen and len(chosen) + len(twins) <= count:
+            chosen.extend(twins)
     return tuple(sorted(chosen))
 
 

@@ -105,8 +105,8 @@ class Replay:
     def summary(self) -> tuple[StageSummary, ...]:
         """The stages in order of their first step. A track's joint stage is told once, with the terms of the shape."""
         stages = dict.fromkeys(step.stage for step in self.history)
-        told = [_of_frames(stage, self.frames) for stage in stages if not (self.joint and stage == "joint")]
-        return (*told, _of_joint(self.joint)) if self.joint else tuple(told)
+        summaries = [_of_frames(stage, self.frames) for stage in stages if not (self.joint and stage == "joint")]
+        return (*summaries, _of_joint(self.joint)) if self.joint else tuple(summaries)
 
 
 def _of_frames(stage: str, frames: Mapping[int, tuple[Iteration, ...]]) -> StageSummary:

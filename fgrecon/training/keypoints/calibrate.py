@@ -86,7 +86,7 @@ def calibrate(
     for start in range(0, samples, _BATCH):
         count = min(_BATCH, samples - start)
         drawn = [photographs.draw(chosen, weights, scene, partner, (seed, start + i)) for i in range(count)]
-        found = detector.together([sample.crop for sample in drawn], np.tile(box, (count, 1)))
+        found = detector.detect_batch([sample.crop for sample in drawn], np.tile(box, (count, 1)))
         for sample, detection in zip(drawn, found, strict=True):
             away = (detection.observation.keypoints - sample.keypoints) / extent
             known = np.isfinite(sample.keypoints).all(axis=1)

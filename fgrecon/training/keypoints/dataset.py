@@ -17,10 +17,10 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.images import read_image
 from fgrecon.training.keypoints.augment import LabelledView, Sample, Street
-from fgrecon.training.keypoints.distant import draw_distant
+from fgrecon.training.keypoints.distant import random_distant_view
 from fgrecon.training.keypoints.labels import SEEN, Labels, ShapeFit, project_labels, surface_of
 from fgrecon.training.keypoints.posed_cars import PosedCar
-from fgrecon.training.keypoints.watch import Watch, unwatched
+from fgrecon.training.keypoints.progress import Progress, no_progress
 
 __all__ = [
     "SIDE",
@@ -133,7 +133,7 @@ def prepare_photographs(
     prior: ShapePrior,
     folder: Path,
     silhouettes: Sequence[Path | None] | None = None,
-    watch: Watch = unwatched,
+    progress: Progress = no_progress,
 ) -> None:
     """Resize all photographs, draw their masks and make distant ones, in memory-mapped arrays (0.2 MB a photograph).
 
@@ -144,7 +144,7 @@ def prepare_photographs(
         folder: Where to write; made if missing.
         silhouettes: Grey image of each that is white on the car, for its mask; None where the shape's projection has to
             do, or for all. Only those that have one are also seen from further away.
-        watch: Shows the progress.
+        progress: Shows how far each loop has come.
 
     Raises:
         InvalidInputError: A photograph or silhouette cannot be read.
@@ -159,7 +159,7 @@ def prepare_photographs(
     sizes, scales = np.zeros((2 * count, 2), dtype=np.int64), np.ones(count)
     before, after = np.zeros((2, count, prior.category.size, 2))
     ratio, visible = np.ones(count), np.zeros((count, prior.category.size))
-    for i, (car, fit) in watch(list(enumerate(zip(cars, fits, strict=True))), "Photographs"):
+    for i, (car, fit) in progress(list(enumerate(zip(cars, fits, strict=True))), "Photographs"):
         image = read_image(car.image)
         scales[i] = min(1.0, SIDE / max(image.shape[:2]))
         width, height = (max(round(n * float(scales[i])), 1) for n in (image.shape[1], image.shape[0]))
@@ -173,7 +173,7 @@ def prepare_photographs(
         masks[i, :height, :width] = cv2.resize(drawn, (width, height), interpolation=cv2.INTER_AREA)
         small = car.resized(float(scales[i]), (width, height))
         taken = np.asarray(images[i, :height, :width]), np.asarray(masks[i, :height, :width])
-        distant = draw_distant(*taken, small, fit, prior, SIDE, np.random.default_rng((_SEED, i)))
+        distant = random_distant_view(*taken, small, fit, prior, SIDE, np.random.default_rng((_SEED, i)))
         if distant is not None:
             width, height = sizes[count + i] = distant.car.size
             images[count + i, :height, :width], masks[count + i, :height, :width] = distant.image, distant.mask

@@ -57,15 +57,15 @@ def detector(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def trained(source, tmp_path_factory):
-    folder, told, reports = tmp_path_factory.mktemp("work"), [], []
-    result = train_in_rounds(source, folder, HOW, [1], report=reports.append, tell=told.append)
-    return folder, told, reports, result
+    folder, logged, reports = tmp_path_factory.mktemp("work"), [], []
+    result = train_in_rounds(source, folder, HOW, [1], report=reports.append, log=logged.append)
+    return folder, logged, reports, result
 
 
 def test_rounds_correct_labels_and_go_on(trained, source):
-    folder, told, reports, (_, labelling, photographs) = trained
+    folder, logged, reports, (_, labelling, photographs) = trained
     assert [report.step for report in reports] == [1, 2]
-    assert len(told) == 4
+    assert len(logged) == 4
     names = ["labels-0.npz", "labels-1.npz", "labels-first.npz"]
     assert sorted(path.name for path in folder.glob("labels-*.npz")) == names
     assert set(labelling.fits) == {"a", "b"}
@@ -74,8 +74,8 @@ def test_rounds_correct_labels_and_go_on(trained, source):
 
 def test_a_finished_training_is_not_done_again(trained, source):
     folder, _, _, (network, _, _) = trained
-    told, reports = [], []
-    again, _, _ = train_in_rounds(source, folder, HOW, [1], report=reports.append, tell=told.append)
+    logged, reports = [], []
+    again, _, _ = train_in_rounds(source, folder, HOW, [1], report=reports.append, log=logged.append)
     assert reports == []
     for name, value in network.state_dict().items():
         torch.testing.assert_close(value, again.state_dict()[name])
@@ -86,18 +86,18 @@ def test_every_report_has_a_score_that_changes_nothing(trained, source, tmp_path
     assert all(0.0 <= report.score <= 1.0 for report in reports)
     reports, headings = [], []
 
-    def watch(things, heading):
+    def progress(things, heading):
         headings.append((heading, len(things)))
         return things
 
     blind = replace(source, validate=np.arange(0))
-    other, _, _ = train_in_rounds(blind, tmp_path, HOW, [1], report=reports.append, watch=watch)
+    other, _, _ = train_in_rounds(blind, tmp_path, HOW, [1], report=reports.append, progress=progress)
     assert [report.score for report in reports] == [None, None]
     for name, value in network.state_dict().items():
         torch.testing.assert_close(value, other.state_dict()[name])
-    first, found, told = ("Shapes of boxes and silhouettes", 2), ("Keypoints in all photographs", 1), "Shapes of what"
+    first, found, again = ("Shapes of boxes and silhouettes", 2), ("Keypoints in all photographs", 1), "Shapes of what"
     assert headings[:3] == [first, ("Photographs", 6), found]
-    assert headings[3][0].startswith(told)
+    assert headings[3][0].startswith(again)
 
 
 def test_the_score_is_the_share_of_visible_points_that_are_near(trained, source):
