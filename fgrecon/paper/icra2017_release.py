@@ -39,7 +39,6 @@ __all__ = [
     "Icra2017Example",
     "import_icra2017",
     "load_icra2017_example",
-    "load_icra2017_visibility",
 ]
 
 Array = NDArray[np.float64]
@@ -158,19 +157,6 @@ def load_icra2017_example(folder: str | Path, name: str) -> Icra2017Example:
         rotation_y=float(truth["rotation_y"]),
         size=np.array([truth["length"], truth["width"], truth["height"]], dtype=np.float64),
     )
-
-
-def load_icra2017_visibility(folder: str | Path) -> NDArray[np.bool_]:
-    """(360, 36) which points a car shows at an angle of observation alpha of 0, 1, ..., 359 degrees.
-
-    alpha = rotation_y - atan2(x, z), as in KITTI. The release's own table runs the other way round.
-
-    Raises:
-        InvalidInputError: The file is missing or has the wrong content.
-    """
-    table = _numbers(Path(folder) / "keypointLookupAzimuth.txt", (360, _POINTS))
-    visible: NDArray[np.bool_] = table[-np.arange(360)] > 0
-    return visible
 
 
 def _origin(mean: Array) -> Array:

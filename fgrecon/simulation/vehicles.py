@@ -24,7 +24,6 @@ __all__ = [
     "SimulatedTruth",
     "Vehicle",
     "kitti_like_pose",
-    "label_poses",
     "simulate",
     "simulate_many",
     "simulate_track",
@@ -161,7 +160,7 @@ def simulate_many(
         rng: Source of randomness.
         noise: The network's mistakes.
         camera: The camera.
-        poses: (P, 4, 4) poses to draw from, such as `label_poses` gives; those that put a vehicle outside the image
+        poses: (P, 4, 4) poses to draw from, such as labelled ones; those that put a vehicle outside the image
             are drawn again. None for `kitti_like_pose`.
 
     Raises:
@@ -194,20 +193,6 @@ def simulate_track(
             break
         pose = pose @ step
     return track
-
-
-def label_poses(text: str, nearest: float = 8.0, farthest: float = 45.0) -> NDArray[np.float64]:
-    """Poses (P, 4, 4) of the cars in a label file of KITTI's tracking set, in the labels' camera frame.
-
-    Args:
-        text: Content of the file.
-        nearest: Cars nearer than this, in metres along the camera's axis, are left out,
-        farthest: and so are those farther than this, truncated ones, and those largely occluded.
-    """
-    rows = [line.split() for line in text.splitlines()]
-    cars = [r for r in rows if len(r) >= 17 and r[2] == "Car" and r[3] == "0" and r[4] in ("0", "1")]
-    poses = [yaw_pose(float(r[16]), np.array([float(x) for x in r[13:16]])) for r in cars]
-    return np.array([p for p in poses if nearest <= p[2, 3] <= farthest]).reshape(-1, 4, 4)
 
 
 def _observe_one(

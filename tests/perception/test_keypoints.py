@@ -35,8 +35,8 @@ def test_points_lie_in_the_crop_and_everything_is_a_probability(detector, image)
     for detection, box in zip(found, boxes, strict=True):
         seen = detection.observation
         np.testing.assert_allclose(seen.box, box)
-        inside = detection.crop.to_crop(seen.keypoints)
-        assert ((inside > -1) & (inside < 32)).all()
+        low, high = detection.crop.to_image([[-1, -1], [32, 32]])
+        assert ((seen.keypoints > low) & (seen.keypoints < high)).all()
         assert ((seen.confidence >= 0) & (seen.confidence <= 1)).all()
         assert np.linalg.eigvalsh(seen.covariance).min() > 0
         assert detection.azimuth.sum() == pytest.approx(1.0)

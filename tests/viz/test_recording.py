@@ -14,7 +14,7 @@ import pytest
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Iteration, Reconstruction, Status
-from fgrecon.viz import entities, log_reconstruction, record, replay, style
+from fgrecon.viz import entities, record, recording_of, replay, style
 from tests.viz.made_up import STAGES, Example
 
 
@@ -330,7 +330,7 @@ def test_a_stream_of_ones_own_gets_the_same(example: Example, tmp_path: Path) ->
     path = tmp_path / "own.rrd"
     stream = rr.RecordingStream("test")
     stream.save(path)
-    log_reconstruction(stream, example.reconstruction, example.observation, example.camera)
+    recording_of(example.reconstruction, example.observation, example.camera).make()(stream)
     stream.flush()
     stream.disconnect()
     assert len(replay.read(path).history) == len(example.reconstruction.history)
