@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import MIRROR
 from fgrecon.core.observation import Observation
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
@@ -48,7 +49,6 @@ AVERAGE_CAR = SizePrior("icra2017", np.array([3.86, 1.6362, 1.5208]), np.array([
 
 _POINTS, _VECTORS, _CELLS = 36, 42, 64
 _TO_OBJECT = np.array([1.0, -1.0, -1.0])
-_MIRROR = np.array([1.0, 1.0, -1.0])
 _MIDPOINT = -0.007
 """Midpoint between the keypoints of front and rear, ahead of the box's centre, divided by the box's length: mean over
 78 car models (standard deviation 0.009)."""
@@ -105,8 +105,8 @@ def import_icra2017(folder: str | Path) -> ShapePrior:
             str(folder / "shapeCoefficientsInitial.txt"), variance.min(), "Give the release's file."
         )
     # The files are symmetric to their six decimals.
-    mean = (mean + mean[category.mirror] * _MIRROR) / 2
-    basis = (basis + basis[:, category.mirror] * _MIRROR) / 2 * np.sqrt(variance)[:, None, None]
+    mean = (mean + mean[category.mirror] * MIRROR) / 2
+    basis = (basis + basis[:, category.mirror] * MIRROR) / 2 * np.sqrt(variance)[:, None, None]
     size = np.tensordot(category.dimension_operator, mean, axes=2)
     length, width, height = AVERAGE_CAR.mean / size
     scale = np.array([length, height, width])

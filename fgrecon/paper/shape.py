@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Ground
 from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.geometry import transform
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.core.shape_prior import ShapePrior
@@ -206,7 +207,7 @@ def _errors(view: SimulatedView, camera_T_object: Array, keypoints: Array) -> tu
     truth = view.truth
     difference = keypoints - truth.vehicle.keypoints
     inlier = truth.visible & ~truth.outlier & view.observation.measured
-    points = keypoints @ camera_T_object[:3, :3].T + camera_T_object[:3, 3]
+    points = transform(camera_T_object, keypoints)
     with np.errstate(divide="ignore", invalid="ignore"):  # a failed pose is at the camera
         pixels = KITTI_CAMERA.project(points)[inlier]
     reprojection = np.linalg.norm(pixels - view.observation.keypoints[inlier], axis=1)

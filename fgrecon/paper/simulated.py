@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
+from fgrecon.core.geometry import transform
 from fgrecon.core.observation import Observation
 from fgrecon.evaluation.kitti_devkit import REGIMES, match_detections, regime_members
 from fgrecon.io.kitti_calibration import KittiCalibration
@@ -119,7 +120,7 @@ def _instance(frame: KittiFrame, fleet: Fleet, index: int, regimes: Mask, detect
     pose = yaw_pose(float(labels.rotation_y[index]), labels.location[index] + offset)
     model = int(rng.integers(len(fleet.vehicles)))
     vehicle = _scaled(fleet.vehicles[model], labels.size[index] / fleet.sizes[model])
-    points = vehicle.keypoints @ pose[:3, :3].T + pose[:3, 3]
+    points = transform(pose, vehicle.keypoints)
     projections = camera.project(np.column_stack([points[:, :2], np.maximum(points[:, 2], _NEAREST)]))
     centre = -pose[:3, :3].T @ pose[:3, 3]
     visible = clearance(vehicle.vertices, vehicle.faces, vehicle.keypoints, centre) <= TOLERANCE

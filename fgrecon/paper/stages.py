@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.category import Category
+from fgrecon.core.geometry import transform
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction
@@ -58,8 +59,7 @@ class StageEstimate:
 
     def in_camera(self) -> Array:
         """(K, 3) wireframe in the camera frame."""
-        placed: Array = self.keypoints @ self.camera_T_object[:3, :3].T + self.camera_T_object[:3, 3]
-        return placed
+        return transform(self.camera_T_object, self.keypoints)
 
 
 def stages(

@@ -256,6 +256,41 @@ def test_every_recording_has_all_views_zoomed_to_its_own_vehicle(example: Exampl
     assert bounds != there
 
 
+def test_a_release_of_rerun_without_the_private_hook_gets_the_same_layout(
+    example: Example, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import rerun.blueprint as rrb
+    import rerun.sinks
+    from rerun.chunk import RrdReader
+
+    def layout(name: str) -> tuple[Counter, Counter, Counter]:
+        result = example.reconstruction
+        reader = RrdReader(record(tmp_path / name, result, example.observation, example.camera, truth=example.truth))
+        (store,) = reader.blueprints()
+        batches = [chunk.to_record_batch() for chunk in reader.stream(store=store)]
+
+        def values(component: str) -> Counter:
+            rows = [row for b in batches if component in b.schema.names for row in b.column(component).to_pylist()]
+            return Counter(map(str, rows))
+
+        assert len(replay.read(tmp_path / name).history) == len(result.history)
+        return tuple(map(values, ("ViewBlueprint:display_name", "VisualBounds2D:range", "EyeControls3D:position")))
+
+    now = layout("now.rrd")
+    hook, convert = rrb.Blueprint._log_to_stream, rerun.sinks.create_in_memory_blueprint
+
+    def newer(*, application_id: str, blueprint: rrb.Blueprint) -> object:
+        assert isinstance(blueprint, rrb.Blueprint)  # of which a newer release may ask anything
+        with monkeypatch.context() as patch:
+            patch.setattr(rrb.Blueprint, "_log_to_stream", hook, raising=False)
+            return convert(application_id=application_id, blueprint=blueprint)
+
+    monkeypatch.delattr(rrb.Blueprint, "_log_to_stream")
+    monkeypatch.setattr(rerun.sinks, "create_in_memory_blueprint", newer)
+    assert layout("newer.rrd") == now
+    assert all(now)
+
+
 def test_a_failed_result_without_history_still_records(example: Example, tmp_path: Path) -> None:
     failed = replace(
         example.reconstruction,

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.images import read_image
 from fgrecon.training.keypoints.augment import LabelledView, Sample, Street
@@ -120,7 +121,7 @@ class Photographs:
                 view = self.view(int(some[0]))
                 return view.mirrored(partner) if rng.random() < 0.5 else view
             # Of a handful the one most alike; the mirror image of a photograph from the other side will do as well.
-            away = np.abs(np.abs(_wrapped(self.azimuth[some])) - abs(_wrapped(azimuth)))
+            away = np.abs(np.abs(wrap_angle(self.azimuth[some])) - abs(wrap_angle(azimuth)))
             view = self.view(int(some[away.argmin()]))
             return view if view.azimuth * azimuth > 0 else view.mirrored(partner)
 
@@ -238,16 +239,10 @@ def azimuth_weights(azimuth: Array, chosen: NDArray[np.intp], strength: float = 
         strength: 0 leaves the photographs as they are, 1 evens out fully.
         limit: How much more often than the most frequent direction a rare one's photographs may be drawn.
     """
-    angle = np.abs(_wrapped(azimuth[chosen]))
+    angle = np.abs(wrap_angle(azimuth[chosen]))
     which = np.minimum((angle / np.pi * _BINS / 2).astype(int), _BINS // 2 - 1)
     count = np.bincount(which, minlength=_BINS // 2).astype(np.float64)
     smooth = np.convolve(np.pad(count, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
     weight = np.minimum((smooth.max() / np.maximum(smooth, 1e-9)) ** strength, limit)[which]
     probability: Array = weight / weight.sum()
     return probability
-
-
-def _wrapped(angle: ArrayLike) -> Array:
-    """Angles in radians brought to [-pi, pi)."""
-    wrapped: Array = (np.asarray(angle, dtype=np.float64) + np.pi) % (2.0 * np.pi) - np.pi
-    return wrapped

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from fgrecon.core.geometry import MIRROR
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.simulation.render import Fragments, rasterise
 from fgrecon.training.keypoints.labels import ShapeFit, surface_of
@@ -27,7 +28,6 @@ __all__ = ["DistantView", "distant_view", "dolly_zoom", "random_distant_view"]
 Array = NDArray[np.float64]
 Pixels = NDArray[np.uint8]
 
-_MIRROR = np.array([1.0, 1.0, -1.0])
 _BEHIND = 0.02  # by so much of the car's diagonal a hidden point lies behind what hides it
 _DISTANCES = 1.5, 8.0  # diagonals of the car: 7 to 40 metres
 _LEAST = 1.2  # factor from which another photograph is worth while
@@ -147,8 +147,8 @@ def distant_view(
     seen, towards = _seen(far, vertices, faces)
     points = seen.interpolate(vertices, towards)
     depth = _depth(_seen(car, vertices, faces)[0], car.size)
-    places, other = car.project(points), car.project(points * _MIRROR)
-    shown, mirrored = _shown(car, points, places, depth), _shown(car, points * _MIRROR, other, depth)
+    places, other = car.project(points), car.project(points * MIRROR)
+    shown, mirrored = _shown(car, points, places, depth), _shown(car, points * MIRROR, other, depth)
     valid = shown | mirrored
     if not valid.any():
         return DistantView(image, mask, car, 1.0, 1.0, np.zeros(mask.shape, dtype=np.bool_))
