@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections import Counter
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -12,7 +11,6 @@ import numpy as np
 import pytest
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Iteration, Reconstruction, Status
 from fgrecon.viz import entities, record, recording_of, replay, style
 from tests.viz.made_up import STAGES, Example
@@ -222,73 +220,6 @@ def test_drawn_geometry_is_the_history(example: Example, recording: Path) -> Non
     assert np.array_equal(translation, last.camera_T_object[:3, 3].astype(np.float32))
     surface = at_end(entities.SURFACE, "Mesh3D:vertex_positions")
     assert np.array_equal(surface, example.reconstruction.surface_vertices.astype(np.float32))
-
-
-def test_layout_is_stored_in_the_file(recording: Path) -> None:
-    from rerun.chunk import RrdReader
-
-    assert len(RrdReader(recording).blueprints()) == 1
-    assert len(RrdReader(recording).recordings()) == 1
-
-
-def test_every_recording_has_all_views_zoomed_to_its_own_vehicle(example: Example, tmp_path: Path) -> None:
-    from rerun.chunk import RrdReader
-
-    def layout(name: str, observation: Observation) -> tuple[dict[str, int], list]:
-        reader = RrdReader(record(tmp_path / name, example.reconstruction, observation, example.camera))
-        (store,) = reader.blueprints()
-        batches = [chunk.to_record_batch() for chunk in reader.stream(store=store)]
-
-        def values(component: str) -> list:
-            return [row for b in batches if component in b.schema.names for row in b.column(component).to_pylist()]
-
-        assert len(values("EyeControls3D:position")) == 1
-        return Counter(name for (name,) in values("ViewBlueprint:display_name")), values("VisualBounds2D:range")
-
-    moved = replace(example.observation, box=example.observation.box + 300.0)
-    views, bounds = layout("here.rrd", example.observation)
-    assert views == layout("again.rrd", example.observation)[0]
-    assert {"Weights", "Shape", "Log", "Result", "Scene: camera frame, metres"} < set(views)
-    assert set(views.values()) == {1}
-    assert len(bounds) == 2  # of the image and of the factor graph
-    there = layout("there.rrd", moved)[1]
-    assert bounds[-1] == there[-1] or bounds[0] == there[0]
-    assert bounds != there
-
-
-def test_a_release_of_rerun_without_the_private_hook_gets_the_same_layout(
-    example: Example, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    import rerun.blueprint as rrb
-    import rerun.sinks
-    from rerun.chunk import RrdReader
-
-    def layout(name: str) -> tuple[Counter, Counter, Counter]:
-        result = example.reconstruction
-        reader = RrdReader(record(tmp_path / name, result, example.observation, example.camera, truth=example.truth))
-        (store,) = reader.blueprints()
-        batches = [chunk.to_record_batch() for chunk in reader.stream(store=store)]
-
-        def values(component: str) -> Counter:
-            rows = [row for b in batches if component in b.schema.names for row in b.column(component).to_pylist()]
-            return Counter(map(str, rows))
-
-        assert len(replay.read(tmp_path / name).history) == len(result.history)
-        return tuple(map(values, ("ViewBlueprint:display_name", "VisualBounds2D:range", "EyeControls3D:position")))
-
-    now = layout("now.rrd")
-    hook, convert = rrb.Blueprint._log_to_stream, rerun.sinks.create_in_memory_blueprint
-
-    def newer(*, application_id: str, blueprint: rrb.Blueprint) -> object:
-        assert isinstance(blueprint, rrb.Blueprint)  # of which a newer release may ask anything
-        with monkeypatch.context() as patch:
-            patch.setattr(rrb.Blueprint, "_log_to_stream", hook, raising=False)
-            return convert(application_id=application_id, blueprint=blueprint)
-
-    monkeypatch.delattr(rrb.Blueprint, "_log_to_stream")
-    monkeypatch.setattr(rerun.sinks, "create_in_memory_blueprint", newer)
-    assert layout("newer.rrd") == now
-    assert all(now)
 
 
 def test_a_failed_result_without_history_still_records(example: Example, tmp_path: Path) -> None:
