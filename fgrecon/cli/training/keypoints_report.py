@@ -151,8 +151,9 @@ def run_training(
     from fgrecon.training.keypoints.dataset import azimuth_weights
     from fgrecon.training.keypoints.labelling import read_source
     from fgrecon.training.keypoints.rounds import train_in_rounds
-    from fgrecon.training.keypoints.train import Training, TrainingProgress
+    from fgrecon.training.keypoints.train import Training
     from fgrecon.training.keypoints.train_refine import RefineTraining, train_refinement
+    from fgrecon.training.keypoints.trainer import TrainingProgress
 
     shown = console(error=True)
     reported: list[tuple[int, float]] = []  # step and time of the last report

@@ -27,7 +27,8 @@ from fgrecon.training.keypoints.checkpoint import load_checkpoint
 from fgrecon.training.keypoints.dataset import Photographs, azimuth_weights
 from fgrecon.training.keypoints.labelling import Labelling, Source, corrected, first_labelling, open_photographs
 from fgrecon.training.keypoints.progress import Progress, no_progress
-from fgrecon.training.keypoints.train import Training, TrainingProgress, train_knet
+from fgrecon.training.keypoints.train import Training, train_knet
+from fgrecon.training.keypoints.trainer import TrainingProgress
 from fgrecon.training.keypoints.validate import HeldOut
 
 __all__ = ["train_in_rounds"]
