@@ -37,8 +37,7 @@ from fgrecon.core.errors import FgreconError
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import BoxModel, Options
 from fgrecon.core.size_prior import SIZE_PRIORS
-from fgrecon.evaluation.methods import METHODS
-from fgrecon.evaluation.methods import Scene as Known
+from fgrecon.evaluation.methods import METHODS, SceneKnowledge
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.track_file import read_track
 from fgrecon.paper.icra2017_release import import_icra2017, load_icra2017_example
@@ -190,7 +189,7 @@ def table(title: str, rows: dict[str, Sequence[Callable[[], object]]], repeats: 
 
 def baseline(name: str, car: Car) -> Callable[[], object]:
     """A method of the evaluation, bound."""
-    solver = METHODS[name].bind(Known(PRIORS[car.model.prior.category.name], GROUND, SIZE))
+    solver = METHODS[name].bind(SceneKnowledge(PRIORS[car.model.prior.category.name], GROUND, SIZE))
     return lambda: solver(car.observation, car.camera)
 
 

@@ -34,7 +34,7 @@ from factors.lazy import lazy_names
 
 if TYPE_CHECKING:  # imported when used
     from factors.box import box_factor
-    from factors.cheirality import check_in_front, cheirality_factor, is_in_front
+    from factors.cheirality import check_in_front, cheirality_factor
     from factors.dimensions import dimensions_factor
     from factors.errors import DegenerateProblemError, FactorCallbackError, FgreconError, InvalidInputError
     from factors.ground import ground_height_factor, upright_factor
@@ -86,7 +86,6 @@ __all__ = [
     "ground_height_factor",
     "ground_parallel_factor",
     "guarded_factor",
-    "is_in_front",
     "key_name",
     "keypoint_noise",
     "keypoint_whiteners",

@@ -16,7 +16,7 @@ from factors.errors import DegenerateProblemError
 from factors.guard import Evaluation, guarded_factor
 from factors.kernel import MIN_DEPTH, ProjectionKernel
 
-__all__ = ["check_in_front", "cheirality_factor", "is_in_front"]
+__all__ = ["check_in_front", "cheirality_factor"]
 
 
 def cheirality_factor(kernel: ProjectionKernel, min_depth: float = 10 * MIN_DEPTH) -> gtsam.CustomFactor:
@@ -29,11 +29,6 @@ def cheirality_factor(kernel: ProjectionKernel, min_depth: float = 10 * MIN_DEPT
     """
     callback = _Cheirality(kernel, min_depth, sum(kernel.dims))
     return guarded_factor("cheirality", 1.0, kernel.keys, kernel.dims, 1, callback, allow_infinite=True)
-
-
-def is_in_front(kernel: ProjectionKernel, values: gtsam.Values, min_depth: float = 10 * MIN_DEPTH) -> bool:
-    """Whether every keypoint lies deeper than `min_depth` (metres) at the values."""
-    return bool(kernel.evaluate(values).depths.min() > min_depth)
 
 
 def check_in_front(kernel: ProjectionKernel, values: gtsam.Values, min_depth: float = 10 * MIN_DEPTH) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from fgrecon.core.camera import Ground
 from fgrecon.core.size_prior import SIZE_PRIORS
-from fgrecon.evaluation.methods import Scene
+from fgrecon.evaluation.methods import SceneKnowledge
 from fgrecon.io.catalogue import load_prior
 from tests.made_up_track import make_track
 
@@ -36,7 +36,7 @@ def data() -> Path:
 
 @pytest.fixture(scope="session")
 def scene():
-    return Scene(load_prior("car14"), Ground.level(1.65), SIZE_PRIORS["kitti"])
+    return SceneKnowledge(load_prior("car14"), Ground.level(1.65), SIZE_PRIORS["kitti"])
 
 
 @pytest.fixture

@@ -82,7 +82,7 @@ def tracks_command(
     from fgrecon.core.camera import Ground
     from fgrecon.core.size_prior import size_prior as parse_size
     from fgrecon.evaluation import report
-    from fgrecon.evaluation.methods import Scene, select
+    from fgrecon.evaluation.methods import SceneKnowledge, select
     from fgrecon.evaluation.run import score_tracks
     from fgrecon.io.catalogue import load_prior
     from fgrecon.io.files import write_text
@@ -94,7 +94,7 @@ def tracks_command(
         Ground.level(KITTI_CAMERA_HEIGHT),
         f"level camera {KITTI_CAMERA_HEIGHT} m above the ground (KITTI's)",
     )
-    scene = Scene(prior=load_prior(prior), ground=plane, size=parse_size(size_prior))
+    scene = SceneKnowledge(prior=load_prior(prior), ground=plane, size=parse_size(size_prior))
     methods = select(method or None)
     recording = evaluate_recording.recorded(methods) if wants_recording(save, connect, spawn=spawn) else None
     tracks = [read_track(file, scene.prior.category) for file in files]

@@ -91,7 +91,7 @@ def kitti_command(
     for problem in problems:
         out.print(str(problem), markup=False)
     if json_out is not None:
-        told = {
+        given = {
             "images": len(frames),
             "boxes": "labels" if boxes is None else boxes.name,
             "overlap": overlap,
@@ -100,7 +100,7 @@ def kitti_command(
             "box_model": box_model.value,
             "network": setup.detector.provenance,
         }
-        text = json.dumps(kitti_images.document(cars, told), indent=1) + "\n"
+        text = json.dumps(kitti_images.document(cars, given), indent=1) + "\n"
         write_json(json_out, text)
     wanted = wants_recording(save, connect, spawn=spawn)
     sights = _sights(cars, {frame.name: frame.image for frame in frames}) if picture is not None or wanted else []

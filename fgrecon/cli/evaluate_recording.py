@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from fgrecon.cli.track_report import image_numbers, truth_of
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.reconstruction import Reconstruction, Status
-from fgrecon.evaluation.methods import Method, Scene
+from fgrecon.evaluation.methods import Method, SceneKnowledge
 from fgrecon.io.track_file import Track
 from fgrecon.solve.track import TrackReconstruction
 from fgrecon.viz import Recording, TrackSight, track_recording_of
@@ -28,7 +28,7 @@ def recorded(methods: Sequence[Method]) -> Method:
     return known[-1]
 
 
-def recordings(tracks: Sequence[Track], method: Method, scene: Scene) -> list[tuple[str, Recording]]:
+def recordings(tracks: Sequence[Track], method: Method, scene: SceneKnowledge) -> list[tuple[str, Recording]]:
     """Name and recording of every track, solved once more frame by frame, with the labels as the truth.
 
     A track of which no frame can be solved has none.
@@ -48,7 +48,7 @@ def recordings(tracks: Sequence[Track], method: Method, scene: Scene) -> list[tu
     return made
 
 
-def _solve(track: Track, method: Method, scene: Scene) -> TrackReconstruction | None:
+def _solve(track: Track, method: Method, scene: SceneKnowledge) -> TrackReconstruction | None:
     """The frames one by one as a track without a joint optimisation; None where none was solved."""
     assert method.reconstruct is not None
     solved: dict[int, Reconstruction] = {}

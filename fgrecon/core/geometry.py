@@ -1,13 +1,16 @@
-"""Small vectorised geometry that the pose stage shares."""
+"""Small vectorised geometry that several parts share."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["cross", "exponential", "pixel_jacobian"]
+__all__ = ["MIRROR", "cross", "exponential", "pixel_jacobian", "transform"]
 
 Array = NDArray[np.float64]
+
+MIRROR = np.array([1.0, 1.0, -1.0])
+"""Factors of the coordinates in the object frame that put a point where its mirror image is."""
 
 
 def exponential(rotation: Array) -> Array:
@@ -41,3 +44,8 @@ def cross(a: Array, b: Array) -> Array:
     result[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
     result[..., 2] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
     return result
+
+
+def transform(a_T_b: Array, points: Array) -> Array:
+    """Points (..., 3) of frame b in frame a, by the pose (4, 4)."""
+    return points @ a_T_b[:3, :3].T + a_T_b[:3, 3]

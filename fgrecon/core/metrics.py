@@ -17,11 +17,9 @@ from fgrecon.core.errors import InvalidInputError
 __all__ = [
     "FAILURE_DEGREES",
     "THRESHOLDS",
-    "closest_shape",
     "hausdorff_distance",
     "instances_within",
     "keypoint_error",
-    "keypoint_precision",
     "orientation_error",
     "orientation_precision",
     "rotation_error",
@@ -124,36 +122,6 @@ def rotation_error(estimated: ArrayLike, true: ArrayLike) -> NDArray[np.float64]
     return np.where(np.isnan(angle), FAILURE_DEGREES, angle)
 
 
-def keypoint_precision(
-    estimated: ArrayLike, true: ArrayLike, boxes: ArrayLike, alpha: float = 0.1
-) -> NDArray[np.float64]:
-    """Precision of each keypoint (APK): how often it lies within `alpha * max(h, w)` of the truth.
-
-    Args:
-        estimated: (M, K, 2) keypoints in pixels; NaN where the method failed or gave no such point (then it is wrong).
-        true: (M, K, 2) annotated keypoints in pixels; NaN where a point is not annotated (then it is not scored).
-        boxes: (M, 4) 2D boxes x1, y1, x2, y2 in pixels.
-        alpha: Tolerance relative to the longer side of the box.
-
-    Returns:
-        (K,) fraction of the annotated instances of each keypoint that are right; NaN where it is never annotated. The
-        mean over the keypoints (`np.nanmean`) is the APK of the paper's tables.
-
-    Raises:
-        InvalidInputError: The shapes do not fit together, or `alpha` is not positive.
-    """
-    if not alpha > 0:
-        raise InvalidInputError("alpha", alpha, "Give a positive number.")
-    truth = as_shape("true", true, (None, None, 2))
-    points = as_shape("estimated", estimated, truth.shape)
-    corners = as_finite("boxes", boxes, (len(truth), 4))
-    tolerance = alpha * (corners[:, 2:] - corners[:, :2]).max(axis=1, initial=0.0)
-    annotated = ~np.isnan(truth).any(axis=2)
-    right = annotated & (np.linalg.norm(points - truth, axis=2) <= tolerance[:, None])
-    scored = annotated.sum(axis=0)
-    return np.where(scored > 0, right.sum(axis=0) / np.maximum(scored, 1), np.nan)
-
-
 def keypoint_error(estimated: ArrayLike, true: ArrayLike) -> NDArray[np.float64]:
     """Distance of each estimated 3D keypoint from its true position.
 
@@ -198,23 +166,3 @@ def hausdorff_distance(first: ArrayLike, second: ArrayLike) -> float:
             raise InvalidInputError(field, "no points", "Give at least one point.")
     a, b = sets
     return float(max(cKDTree(b).query(a)[0].max(), cKDTree(a).query(b)[0].max()))
-
-
-def closest_shape(points: ArrayLike, candidates: Sequence[ArrayLike]) -> tuple[int, float]:
-    """Which of several shapes, such as a folder of CAD models, is closest to a wireframe.
-
-    Args:
-        points: (P, 3) points, metres, in the object frame.
-        candidates: At least one shape (Q, 3) in the same frame, each with a number of points of its own.
-
-    Returns:
-        Index of the closest candidate and its Hausdorff distance in metres; the first of several that are equal.
-
-    Raises:
-        InvalidInputError: There is no candidate, or a set is empty, of the wrong shape or not finite.
-    """
-    if not len(candidates):
-        raise InvalidInputError("candidates", "none", "Give at least one shape.")
-    distances = [hausdorff_distance(points, candidate) for candidate in candidates]
-    best = int(np.argmin(distances))
-    return best, distances[best]

@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.category import Category
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import MIRROR
 from fgrecon.core.size_prior import SizePrior
 
 __all__ = ["ShapePrior", "Surface"]
 
 _SYMMETRY_TOLERANCE = 1e-6
-_MIRROR = np.array([1.0, 1.0, -1.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +121,7 @@ class ShapePrior:
         mirror = self.category.mirror
         arrays = (self.mean[None], self.basis)
         scale = max(1.0, float(np.abs(self.mean).max()))
-        return all(np.abs(a[:, mirror] * _MIRROR - a).max(initial=0.0) <= _SYMMETRY_TOLERANCE * scale for a in arrays)
+        return all(np.abs(a[:, mirror] * MIRROR - a).max(initial=0.0) <= _SYMMETRY_TOLERANCE * scale for a in arrays)
 
     def truncated(self, dimension: int) -> ShapePrior:
         """The same prior with the first `dimension` basis vectors alone.

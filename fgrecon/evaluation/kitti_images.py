@@ -24,7 +24,7 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.evaluation.kitti_devkit import MINIMUM_OVERLAP, REGIMES, match_detections, regime_members
 from fgrecon.io.images import read_image
-from fgrecon.io.kitti_calibration import Calibration, read_calibration
+from fgrecon.io.kitti_calibration import KittiCalibration, read_calibration
 from fgrecon.io.kitti_files import Objects, Problem, read_detections, read_labels
 from fgrecon.perception.from_image import FromImage, reconstruct_image
 from fgrecon.perception.keypoints.detect import Detector
@@ -50,7 +50,7 @@ class ImageFrame:
     image: Path
     labels: Objects
     detections: Objects | None
-    calibration: Calibration
+    calibration: KittiCalibration
 
 
 @dataclass(frozen=True)
@@ -244,7 +244,7 @@ def summarise(cars: Sequence[Car]) -> tuple[RegimeScore, ...]:
     return tuple(scores)
 
 
-def document(cars: Sequence[Car], told: dict[str, Any]) -> dict[str, Any]:
+def document(cars: Sequence[Car], given: dict[str, Any]) -> dict[str, Any]:
     """Everything as plain values for JSON: what was given, the regimes, and each car."""
 
     def finite(value: float) -> float | None:
@@ -252,7 +252,7 @@ def document(cars: Sequence[Car], told: dict[str, Any]) -> dict[str, Any]:
 
     return {
         "format": "fgrecon.kitti-images/1",
-        "given": told,
+        "given": given,
         "regimes": [
             {
                 "name": score.name,

@@ -35,7 +35,7 @@ __all__ = [
     "RANSAC_TOLERANCE",
     "Estimate",
     "Method",
-    "Scene",
+    "SceneKnowledge",
     "named_strategy",
     "select",
 ]
@@ -55,7 +55,7 @@ _MINIMUM = 4  # fewer points leave several poses
 
 
 @dataclass(frozen=True)
-class Scene:
+class SceneKnowledge:
     """What the user knows; each method is told the part that its name says.
 
     Attributes:
@@ -101,9 +101,9 @@ class Method:
 
     name: str
     summary: str
-    bind: Callable[[Scene], Solver]
-    prior_name: Callable[[Scene], str]
-    reconstruct: Callable[[Scene, Observation, Camera], Reconstruction] | None = None
+    bind: Callable[[SceneKnowledge], Solver]
+    prior_name: Callable[[SceneKnowledge], str]
+    reconstruct: Callable[[SceneKnowledge, Observation, Camera], Reconstruction] | None = None
 
 
 def select(names: Iterable[str] | None = None) -> tuple[Method, ...]:
@@ -120,8 +120,8 @@ def select(names: Iterable[str] | None = None) -> tuple[Method, ...]:
             raise InvalidInputError("method", name, fix)
         chosen[name] = METHODS[method]
         if robust:
-            told = method.split("+")
-            chosen[name] = _fgrecon(name, ground="ground" in told, size="size" in told, robust=named_strategy(robust))
+            known = method.split("+")
+            chosen[name] = _fgrecon(name, ground="ground" in known, size="size" in known, robust=named_strategy(robust))
     return tuple(chosen.values())
 
 
@@ -213,10 +213,10 @@ def _pose(rotation: Any, translation: Any) -> NDArray[np.float64]:
 
 
 def _baseline(name: str, summary: str, load: Callable[[], PnP], *, size: bool) -> Method:
-    def prior(scene: Scene) -> ShapePrior:
+    def prior(scene: SceneKnowledge) -> ShapePrior:
         return scene.prior.for_fleet(scene.size) if size else scene.prior
 
-    def bind(scene: Scene) -> Solver:
+    def bind(scene: SceneKnowledge) -> Solver:
         shape, pnp = np.ascontiguousarray(prior(scene).mean), load()
 
         def solve(observation: Observation, camera: Camera) -> Estimate:
@@ -233,7 +233,9 @@ def _baseline(name: str, summary: str, load: Callable[[], PnP], *, size: bool) -
 
 
 def _fgrecon(name: str, *, ground: bool, size: bool, robust: RobustStrategy | None = None) -> Method:
-    def result_of(scene: Scene, observation: Observation, camera: Camera, *, keep_history: bool) -> Reconstruction:
+    def result_of(
+        scene: SceneKnowledge, observation: Observation, camera: Camera, *, keep_history: bool
+    ) -> Reconstruction:
         from fgrecon.core.options import BoxModel, Options
         from fgrecon.solve.pipeline import reconstruct
 
@@ -248,7 +250,7 @@ def _fgrecon(name: str, *, ground: bool, size: bool, robust: RobustStrategy | No
             options=Options(strategy=strategy, box=BoxModel.CUBOID, keep_history=keep_history),
         )
 
-    def bind(scene: Scene) -> Solver:
+    def bind(scene: SceneKnowledge) -> Solver:
         import fgrecon.solve.pipeline  # noqa: F401 - slow: not while the time is measured
         from fgrecon.core.reconstruction import Status
 
@@ -260,11 +262,11 @@ def _fgrecon(name: str, *, ground: bool, size: bool, robust: RobustStrategy | No
 
         return solve
 
-    def prior_name(scene: Scene) -> str:
+    def prior_name(scene: SceneKnowledge) -> str:
         return prepare(scene.prior, scene.size if size else None).prior.name
 
-    told = "pose and shape by factor-graph optimisation"
-    return Method(name, told, bind, prior_name, partial(result_of, keep_history=True))
+    summary = "pose and shape by factor-graph optimisation"
+    return Method(name, summary, bind, prior_name, partial(result_of, keep_history=True))
 
 
 _BASELINES: tuple[tuple[str, str, Callable[[], PnP]], ...] = (

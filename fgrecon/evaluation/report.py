@@ -23,7 +23,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from fgrecon.core.metrics import THRESHOLDS, instances_within, orientation_precision
-from fgrecon.evaluation.methods import Scene
+from fgrecon.evaluation.methods import SceneKnowledge
 from fgrecon.evaluation.run import MethodScores
 from fgrecon.io.track_file import Track
 
@@ -71,7 +71,7 @@ def summary(scores: MethodScores) -> dict[str, Any]:
 
 
 def document(
-    scores: Sequence[MethodScores], files: Sequence[tuple[str, Track]], scene: Scene, notes: Mapping[str, str]
+    scores: Sequence[MethodScores], files: Sequence[tuple[str, Track]], scene: SceneKnowledge, notes: Mapping[str, str]
 ) -> dict[str, Any]:
     """The JSON document of a run: every method, and under which conditions.
 
@@ -99,7 +99,7 @@ def document(
     }
 
 
-def settings(scene: Scene, notes: Mapping[str, str]) -> dict[str, Any]:
+def settings(scene: SceneKnowledge, notes: Mapping[str, str]) -> dict[str, Any]:
     """What the user knew about the scene, as plain values."""
     return {
         "prior": scene.prior.describe(),

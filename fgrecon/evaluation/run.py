@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error, translation_error
 from fgrecon.core.reconstruction import rotation_y
-from fgrecon.evaluation.methods import Estimate, Method, Scene, Solver
-from fgrecon.io.track_file import Frame, Track
+from fgrecon.evaluation.methods import Estimate, Method, SceneKnowledge, Solver
+from fgrecon.io.track_file import Track, TrackFrame
 
 __all__ = ["FrameScore", "MethodScores", "score_tracks"]
 
@@ -73,7 +73,7 @@ class MethodScores:
 def score_tracks(
     tracks: Sequence[Track],
     methods: Sequence[Method],
-    scene: Scene,
+    scene: SceneKnowledge,
     advance: Callable[[str], None] = lambda _: None,
 ) -> tuple[MethodScores, ...]:
     """Run every method on every frame, one after the other in this process, so that the times mean something.
@@ -110,7 +110,7 @@ def _warm_up(solver: Solver, tracks: Sequence[Track]) -> None:
                 return
 
 
-def _score(solver: Solver, track: Track, frame: Frame) -> FrameScore:
+def _score(solver: Solver, track: Track, frame: TrackFrame) -> FrameScore:
     if frame.observation is None:
         return _failed(frame, "the frame has no measured keypoint")
     try:
@@ -137,5 +137,5 @@ def _checked(estimate: Estimate) -> Estimate:
     return estimate
 
 
-def _failed(frame: Frame, reason: str) -> FrameScore:
+def _failed(frame: TrackFrame, reason: str) -> FrameScore:
     return FrameScore(frame.name, FAILURE_DEGREES, float("inf"), None, None, {}, reason)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,13 +13,11 @@ from numpy.typing import NDArray
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import BoxModel
 from fgrecon.io.json_fields import Fields, read_json
+from fgrecon.io.kitti_files import DETECTION_CLASSES, LABEL_COLUMNS, parse_detection, parse_object
 
 __all__ = ["NamedBox", "read_boxes"]
 
 _COCO_CAR = 3  # COCO's number of cars, where the file names no categories
-_DETECTION_CAR = "2"  # the number of cars in files `image class score x1 y1 x2 y2`
-_LABEL_COLUMNS = (15, 16)
-_DETECTION_COLUMNS = 7
 _LEAST_SCORE = 0.5
 _FIX = "Give KITTI labels, detections `image class score x1 y1 x2 y2`, or COCO JSON."
 
@@ -59,31 +57,22 @@ def read_boxes(file: Path, image: str) -> list[NamedBox]:
         raise InvalidInputError("boxes", str(file), _FIX) from error
     boxes = []
     for number, line in enumerate(lines):
-        words = line.split()
-        spaced = line.rsplit(maxsplit=_DETECTION_COLUMNS - 1)
-        if len(words) not in _LABEL_COLUMNS and len(spaced) == _DETECTION_COLUMNS and spaced[1].isdecimal():
-            words = spaced  # of a detection in an image whose name has spaces
-        if not words:
+        if not line.strip():
             continue
+        columns = len(line.split())
         try:
-            if len(words) in _LABEL_COLUMNS:
-                if words[0] == "Car":
-                    boxes.append(_named(str(number), words[4:8], BoxModel.CUBOID))
-            elif len(words) == _DETECTION_COLUMNS:
-                if Path(words[0]).stem == image and words[1] == _DETECTION_CAR and float(words[2]) >= _LEAST_SCORE:
-                    boxes.append(_named(str(len(boxes)), words[3:], BoxModel.CUBOID))
+            if columns in (LABEL_COLUMNS, LABEL_COLUMNS + 1):
+                kind, numbers = parse_object(line, scored=columns > LABEL_COLUMNS)
+                if kind == "Car":
+                    boxes.append(NamedBox(str(number), np.array(numbers[3:7]), BoxModel.CUBOID))
             else:
-                raise ValueError(f"{len(words)} columns")
+                found = parse_detection(line)
+                is_car = DETECTION_CLASSES.get(found.label) == "Car" and found.score >= _LEAST_SCORE
+                if is_car and Path(found.image).stem == image:
+                    boxes.append(NamedBox(str(len(boxes)), np.array(found.box), BoxModel.CUBOID))
         except ValueError as error:
             raise InvalidInputError(f"{file}:{number + 1}", line, _FIX) from error
     return boxes
-
-
-def _named(name: str, numbers: Sequence[Any], model: BoxModel) -> NamedBox:
-    corners = np.array([float(number) for number in numbers])
-    if not np.isfinite(corners).all():
-        raise ValueError("not finite")
-    return NamedBox(name, corners, model)
 
 
 def _coco(data: Any, file: Path, image: str) -> list[NamedBox]:

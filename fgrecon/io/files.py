@@ -1,16 +1,16 @@
-"""Writing files whole or not at all."""
+"""Writing files whole or not at all, and of a type that their names choose."""
 
 from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["replacing", "write_bytes", "write_text"]
+__all__ = ["check_ending", "replacing", "write_bytes", "write_text"]
 
 
 def write_text(path: str | Path, text: str) -> Path:
@@ -34,6 +34,18 @@ def write_bytes(path: str | Path, content: bytes) -> Path:
     with replacing(path) as part:
         part.write_bytes(content)
     return Path(path)
+
+
+def check_ending(path: str | Path, endings: Collection[str]) -> str:
+    """The ending of a file's name, in lower case and without its dot.
+
+    Raises:
+        InvalidInputError: It is none of those that can be written.
+    """
+    kind = Path(path).suffix.lower().removeprefix(".")
+    if kind not in endings:
+        raise InvalidInputError(str(path), kind or "no ending", f"Let the name end in one of {', '.join(endings)}.")
+    return kind
 
 
 @contextmanager

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["Calibration", "read_calibration", "rectified_size"]
+__all__ = ["KittiCalibration", "read_calibration", "rectified_size"]
 
 _FOCAL_TOLERANCE = 0.01  # pixels
 _RECTIFIED_SIZES = {721.5377: (1242, 375), 707.0493: (1224, 370), 718.3351: (1238, 374), 718.856: (1241, 376)}
 
 
 @dataclass(frozen=True)
-class Calibration:
+class KittiCalibration:
     """One camera of KITTI's rig.
 
     Attributes:
@@ -46,7 +46,7 @@ def rectified_size(matrix: NDArray[np.float64]) -> tuple[int, int] | None:
     return None
 
 
-def read_calibration(path: Path, projection: str = "P2") -> Calibration:
+def read_calibration(path: Path, projection: str = "P2") -> KittiCalibration:
     """Read the camera of one projection from a calibration file of KITTI's object or tracking set.
 
     Args:
@@ -78,4 +78,4 @@ def read_calibration(path: Path, projection: str = "P2") -> Calibration:
         camera = Camera(matrix[:, :3], image_size=rectified_size(matrix))
     except InvalidInputError as error:
         raise InvalidInputError(place, error.value, error.fix) from error
-    return Calibration(camera, np.linalg.solve(matrix[:, :3], matrix[:, 3]).astype(np.float64))
+    return KittiCalibration(camera, np.linalg.solve(matrix[:, :3], matrix[:, 3]).astype(np.float64))

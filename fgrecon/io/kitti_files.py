@@ -1,8 +1,8 @@
 """KITTI's label, result, image set and detection files, with every defect named and counted.
 
 A line of a label file (object set) is `type truncated occluded alpha x1 y1 x2 y2 h w l x y z rotation_y`; results add a
-score as the 16th column, and label files of the tracking set put frame and track before the type. Nothing is skipped
-silently: whatever cannot be used becomes a `Problem`, which the readers return beside what could be read.
+score as the 16th column. Nothing is skipped silently: whatever cannot be used becomes a `Problem`, which the readers
+return beside what could be read.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from enum import StrEnum
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,13 +22,16 @@ from fgrecon.io.files import write_text
 
 __all__ = [
     "DETECTION_CLASSES",
+    "LABEL_COLUMNS",
     "Defect",
+    "DetectionLine",
     "Objects",
     "Problem",
     "count_defects",
     "format_results",
+    "parse_detection",
+    "parse_object",
     "parse_objects",
-    "parse_tracking",
     "read_detections",
     "read_image_set",
     "read_labels",
@@ -38,7 +42,8 @@ __all__ = [
 DETECTION_CLASSES = {"1": "Pedestrian", "2": "Car", "3": "Cyclist"}
 """Numbers of the classes in detection files."""
 
-_LABEL_COLUMNS = 15
+LABEL_COLUMNS = 15
+"""Columns of a line of a label file; a result has its score after them."""
 _DETECTION_COLUMNS = 7
 _UNKNOWN = -1.0
 
@@ -71,6 +76,15 @@ class Problem:
         return f"{self.defect}: {self.place}: {self.detail}"
 
 
+class DetectionLine(NamedTuple):
+    """One line of a file of detections: image, number of the class, score, and x1, y1, x2, y2 in pixels."""
+
+    image: str
+    label: str
+    score: float
+    box: list[float]
+
+
 def count_defects(problems: Iterable[Problem]) -> dict[str, int]:
     """How often each defect occurs, by its name."""
     counts = Counter(problem.defect for problem in problems)
@@ -91,7 +105,6 @@ class Objects:
         location: (M, 3) centre of the bottom face in the rectified reference camera, metres.
         rotation_y: (M,) yaw about the camera's y axis, radians.
         score: (M,) of results; NaN in labels.
-        track: (M,) track numbers of the tracking set; -1 elsewhere.
     """
 
     kind: tuple[str, ...]
@@ -103,16 +116,15 @@ class Objects:
     location: NDArray[np.float64]
     rotation_y: NDArray[np.float64]
     score: NDArray[np.float64]
-    track: NDArray[np.int64]
 
     def __len__(self) -> int:
         """Number of objects."""
         return len(self.kind)
 
     @classmethod
-    def of_rows(cls, kind: Sequence[str], rows: NDArray[np.float64], track: NDArray[np.int64] | None = None) -> Objects:
+    def of_rows(cls, kind: Sequence[str], rows: NDArray[np.float64]) -> Objects:
         """From the numeric columns of label lines (M, 14), or of result lines (M, 15)."""
-        rows = np.asarray(rows, dtype=np.float64).reshape(len(kind), -1 if len(kind) else _LABEL_COLUMNS - 1)
+        rows = np.asarray(rows, dtype=np.float64).reshape(len(kind), -1 if len(kind) else LABEL_COLUMNS - 1)
         return cls(
             kind=tuple(kind),
             truncation=rows[:, 0],
@@ -122,8 +134,7 @@ class Objects:
             size=rows[:, [9, 8, 7]],  # KITTI writes height, width, length
             location=rows[:, 10:13],
             rotation_y=rows[:, 13],
-            score=rows[:, 14] if rows.shape[1] > _LABEL_COLUMNS - 1 else np.full(len(kind), np.nan),
-            track=np.full(len(kind), -1) if track is None else track,
+            score=rows[:, 14] if rows.shape[1] > LABEL_COLUMNS - 1 else np.full(len(kind), np.nan),
         )
 
     @classmethod
@@ -141,6 +152,38 @@ class Objects:
         return Objects(kind=tuple(np.array(self.kind, dtype=object)[index]), **arrays)
 
 
+def parse_object(line: str, *, scored: bool = False) -> tuple[str, list[float]]:
+    """Type and the 14 numbers of a line of a label file; 15, with the score, of a result file.
+
+    Raises:
+        ValueError: The line has another number of columns, or one that is no finite number.
+    """
+    kind, *words = line.split()
+    if len(words) + 1 != LABEL_COLUMNS + scored:
+        raise ValueError(f"{len(words) + 1} columns instead of {LABEL_COLUMNS + scored}")
+    return kind, _finite(words, line)
+
+
+def parse_detection(line: str) -> DetectionLine:
+    """A line `image class score x1 y1 x2 y2` of a file of detections; the image's name may hold spaces.
+
+    Raises:
+        ValueError: The line is none.
+    """
+    words = line.rsplit(maxsplit=_DETECTION_COLUMNS - 1)
+    if len(words) != _DETECTION_COLUMNS or not words[1].isdecimal():
+        raise ValueError(f"'{line}' is not: image, class, score, x1, y1, x2, y2")
+    score, *box = _finite(words[2:], line)
+    return DetectionLine(words[0].strip(), words[1], score, box)
+
+
+def _finite(words: Sequence[str], line: str) -> list[float]:
+    numbers = [float(word) for word in words]
+    if not np.isfinite(numbers).all():
+        raise ValueError(f"a number that is not finite in '{line}'")
+    return numbers
+
+
 def parse_objects(text: str, place: str, *, scored: bool = False) -> tuple[Objects, list[Problem]]:
     """Read the lines of a label file, or of a result file.
 
@@ -152,40 +195,20 @@ def parse_objects(text: str, place: str, *, scored: bool = False) -> tuple[Objec
     Returns:
         The objects of the lines that can be used, and a problem for each line that cannot, or for an empty file.
     """
-    return _parse(text, place, before=0, columns=_LABEL_COLUMNS + scored)[:2]
-
-
-def parse_tracking(text: str, place: str) -> tuple[dict[int, Objects], list[Problem]]:
-    """Read a label file of the tracking set: objects by frame number, and what could not be read."""
-    objects, problems, frames = _parse(text, place, before=2, columns=_LABEL_COLUMNS)
-    return {int(frame): objects.take(frames == frame) for frame in np.unique(frames)}, problems
-
-
-def _parse(text: str, place: str, before: int, columns: int) -> tuple[Objects, list[Problem], NDArray[np.int64]]:
-    """Objects, problems, and the first column where whole numbers stand before the type."""
-    kinds, rows, leading, problems = [], [], [], []
+    kinds, rows, problems = [], [], []
     for number, line in enumerate(text.splitlines(), start=1):
-        words = line.split()
-        if not words:
+        if not line.strip():
             continue
         try:
-            if len(words) != before + columns:
-                raise ValueError(f"{len(words)} columns instead of {before + columns}")
-            numbers = [float(word) for word in words[before + 1 :]]
-            if not np.isfinite(numbers).all():
-                raise ValueError(f"a number that is not finite in '{line}'")
-            leading.append([int(word) for word in words[:before]])
+            kind, numbers = parse_object(line, scored=scored)
         except ValueError as error:
             problems.append(Problem(Defect.MALFORMED_LINE, f"{place}:{number}", str(error)))
             continue
-        kinds.append(words[before])
+        kinds.append(kind)
         rows.append(numbers)
     if not kinds and not problems:
         problems.append(Problem(Defect.EMPTY_FILE, place, "no line"))
-    before_type = np.array(leading, dtype=np.int64).reshape(len(kinds), before)
-    track = before_type[:, 1] if before else None
-    frames = before_type[:, 0] if before else np.zeros(len(kinds), dtype=np.int64)
-    return Objects.of_rows(kinds, np.array(rows), track), problems, frames
+    return Objects.of_rows(kinds, np.array(rows)), problems
 
 
 def read_image_set(path: Path) -> tuple[str, ...]:
@@ -248,25 +271,22 @@ def read_detections(path: Path, frames: Sequence[str]) -> tuple[dict[str, Object
     Raises:
         InvalidInputError: The file cannot be read.
     """
-    rows: dict[str, list[tuple[str, list[float]]]] = {frame: [] for frame in frames}
+    rows: dict[str, list[DetectionLine]] = {frame: [] for frame in frames}
     problems: list[Problem] = []
     strangers: Counter[str] = Counter()
     for number, line in enumerate(_read(path).splitlines(), start=1):
-        words = line.split()
-        if not words:
+        if not line.strip():
             continue
         try:
-            if len(words) != _DETECTION_COLUMNS or words[1] not in DETECTION_CLASSES:
-                raise ValueError(f"'{line}' is not: image, class (1, 2, 3), score, x1, y1, x2, y2")
-            numbers = [float(word) for word in words[2:]]
-            if not np.isfinite(numbers).all():
-                raise ValueError(f"a number that is not finite in '{line}'")
+            detection = parse_detection(line)
+            if detection.label not in DETECTION_CLASSES:
+                raise ValueError(f"class {detection.label} in '{line}' is none of {', '.join(DETECTION_CLASSES)}")
         except ValueError as error:
             problems.append(Problem(Defect.MALFORMED_LINE, f"{path}:{number}", str(error)))
             continue
-        frame = Path(words[0]).stem
+        frame = Path(detection.image).stem
         if frame in rows:
-            rows[frame].append((DETECTION_CLASSES[words[1]], numbers))
+            rows[frame].append(detection)
         else:
             strangers[frame] += 1
     problems += [Problem(Defect.UNKNOWN_FRAME, f, f"{n} detections in {path}") for f, n in sorted(strangers.items())]
@@ -274,9 +294,9 @@ def read_detections(path: Path, frames: Sequence[str]) -> tuple[dict[str, Object
     return {frame: _detected(found) for frame, found in rows.items()}, problems
 
 
-def _detected(found: Sequence[tuple[str, Sequence[float]]]) -> Objects:
-    numbers = np.array([numbers for _, numbers in found]).reshape(-1, 5)
-    return Objects.detections([kind for kind, _ in found], numbers[:, 1:], numbers[:, 0])
+def _detected(found: Sequence[DetectionLine]) -> Objects:
+    kinds, boxes = [DETECTION_CLASSES[one.label] for one in found], [one.box for one in found]
+    return Objects.detections(kinds, np.array(boxes).reshape(-1, 4), np.array([one.score for one in found]))
 
 
 def format_results(objects: Objects) -> str:

@@ -23,7 +23,7 @@ from fgrecon.core.observation import Observation
 from fgrecon.io.json_fields import Fields, read_json
 from fgrecon.io.kitti_calibration import rectified_size
 
-__all__ = ["Frame", "GroundTruth", "Track", "parse_track", "read_track"]
+__all__ = ["GroundTruth", "Track", "TrackFrame", "parse_track", "read_track"]
 
 _INTRINSICS_TOLERANCE = 1e-6
 
@@ -44,7 +44,7 @@ class GroundTruth:
 
 
 @dataclass(frozen=True)
-class Frame:
+class TrackFrame:
     """One vehicle in one image.
 
     Attributes:
@@ -72,7 +72,7 @@ class Track:
     name: str
     camera: Camera
     label_offset: NDArray[np.float64]
-    frames: tuple[Frame, ...]
+    frames: tuple[TrackFrame, ...]
 
 
 def read_track(path: Path, category: Category) -> Track:
@@ -127,7 +127,7 @@ def parse_track(data: Any, name: str, category: Category, where: str = "") -> Tr
     )
 
 
-def _frame(record: Any, position: int, track: str, order: NDArray[np.intp], where: str) -> Frame:
+def _frame(record: Any, position: int, track: str, order: NDArray[np.intp], where: str) -> TrackFrame:
     number = Fields(record, f"{where}frames[{position}].").get("frame", int)
     where = f"{where}frame {number}: "
     fields = Fields(record, where)
@@ -143,9 +143,9 @@ def _frame(record: Any, position: int, track: str, order: NDArray[np.intp], wher
     content = fields.get("gt", dict)
     label = Fields(content, f"{where}gt.")
     dimensions = ("length", "width", "height")
-    told = all(name in content for name in dimensions)
-    size = np.array([float(label.numbers(name, ())) for name in dimensions]) if told else None
-    return Frame(
+    sized = all(name in content for name in dimensions)
+    size = np.array([float(label.numbers(name, ())) for name in dimensions]) if sized else None
+    return TrackFrame(
         name=f"{track}:{number}",
         observation=observation if observation.measured.any() else None,
         truth=GroundTruth(label.numbers("location", (3,)), float(label.numbers("rotation_y", ())), size),

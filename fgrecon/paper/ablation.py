@@ -22,7 +22,7 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.evaluation.methods import NO_UPDATES, named_strategy
 from fgrecon.io.catalogue import load_category
-from fgrecon.paper.shape import StageScore, View, score_shape
+from fgrecon.paper.shape import SimulatedView, StageScore, score_shape
 from fgrecon.simulation.vehicles import KITTI_CAMERA
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.training.priors.apollo79 import DUPLICATE, Apollo79
@@ -98,7 +98,7 @@ def variants(options: Options) -> dict[str, Options]:
 
 
 def ablate(
-    views: Sequence[View],
+    views: Sequence[SimulatedView],
     prior: ShapePrior,
     options: Options,
     *,
@@ -115,7 +115,7 @@ def ablate(
 
 
 def score_strategies(
-    views: Sequence[View],
+    views: Sequence[SimulatedView],
     prior: ShapePrior,
     options: Options,
     *,
@@ -133,7 +133,7 @@ def score_strategies(
 
 
 def _score_strategy(
-    views: Sequence[View], prior: ShapePrior, options: Options, ground: Ground | None, size: SizePrior | None
+    views: Sequence[SimulatedView], prior: ShapePrior, options: Options, ground: Ground | None, size: SizePrior | None
 ) -> StrategyScore:
     turns, keypoints, translations = [], [], []
     for view in views:

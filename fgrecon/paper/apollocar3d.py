@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.geometry import pixel_jacobian
+from fgrecon.core.geometry import MIRROR, pixel_jacobian
 from fgrecon.io.annotations.offsets import robust_offset
 from fgrecon.io.json_fields import Fields, read_json
 from fgrecon.training.priors.apollo79 import Apollo79
@@ -171,7 +171,7 @@ def marking_offsets(cars: Sequence[MarkedCar], camera: Camera, category: Categor
         if len(rows) >= _ENOUGH:
             jacobian, residual = np.array([j for j, _ in rows]), np.array([r for _, r in rows])
             offset = robust_offset(jacobian, residual, np.ones(len(rows)), _MARK_SIGMA, _WEAK)
-            offsets[keypoint], offsets[mirrored] = offset, offset * [1.0, 1.0, -1.0]
+            offsets[keypoint], offsets[mirrored] = offset, offset * MIRROR
     return offsets
 
 

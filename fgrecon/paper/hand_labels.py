@@ -12,7 +12,7 @@ from fgrecon.core.observation import Observation
 from fgrecon.io.json_fields import Fields, read_json
 from fgrecon.io.kitti_calibration import read_calibration
 from fgrecon.io.kitti_files import read_labels
-from fgrecon.io.track_file import Frame, GroundTruth, Track
+from fgrecon.io.track_file import GroundTruth, Track, TrackFrame
 
 __all__ = ["read_hand_labels"]
 
@@ -51,5 +51,7 @@ def read_hand_labels(path: Path, kitti: Path, category: Category) -> list[Track]
         label, name = labels[frame], f"{frame}:{index}"
         truth = GroundTruth(label.location[index], float(label.rotation_y[index]))
         calibration = read_calibration(kitti / "training" / "calib" / f"{frame}.txt")
-        tracks.append(Track(name, calibration.camera, calibration.label_offset, (Frame(name, observation, truth),)))
+        tracks.append(
+            Track(name, calibration.camera, calibration.label_offset, (TrackFrame(name, observation, truth),))
+        )
     return tracks

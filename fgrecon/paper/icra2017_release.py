@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import MIRROR
 from fgrecon.core.observation import Observation
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
@@ -39,7 +40,6 @@ __all__ = [
     "Icra2017Example",
     "import_icra2017",
     "load_icra2017_example",
-    "load_icra2017_visibility",
 ]
 
 Array = NDArray[np.float64]
@@ -49,7 +49,6 @@ AVERAGE_CAR = SizePrior("icra2017", np.array([3.86, 1.6362, 1.5208]), np.array([
 
 _POINTS, _VECTORS, _CELLS = 36, 42, 64
 _TO_OBJECT = np.array([1.0, -1.0, -1.0])
-_MIRROR = np.array([1.0, 1.0, -1.0])
 _MIDPOINT = -0.007
 """Midpoint between the keypoints of front and rear, ahead of the box's centre, divided by the box's length: mean over
 78 car models (standard deviation 0.009)."""
@@ -106,8 +105,8 @@ def import_icra2017(folder: str | Path) -> ShapePrior:
             str(folder / "shapeCoefficientsInitial.txt"), variance.min(), "Give the release's file."
         )
     # The files are symmetric to their six decimals.
-    mean = (mean + mean[category.mirror] * _MIRROR) / 2
-    basis = (basis + basis[:, category.mirror] * _MIRROR) / 2 * np.sqrt(variance)[:, None, None]
+    mean = (mean + mean[category.mirror] * MIRROR) / 2
+    basis = (basis + basis[:, category.mirror] * MIRROR) / 2 * np.sqrt(variance)[:, None, None]
     size = np.tensordot(category.dimension_operator, mean, axes=2)
     length, width, height = AVERAGE_CAR.mean / size
     scale = np.array([length, height, width])
@@ -158,19 +157,6 @@ def load_icra2017_example(folder: str | Path, name: str) -> Icra2017Example:
         rotation_y=float(truth["rotation_y"]),
         size=np.array([truth["length"], truth["width"], truth["height"]], dtype=np.float64),
     )
-
-
-def load_icra2017_visibility(folder: str | Path) -> NDArray[np.bool_]:
-    """(360, 36) which points a car shows at an angle of observation alpha of 0, 1, ..., 359 degrees.
-
-    alpha = rotation_y - atan2(x, z), as in KITTI. The release's own table runs the other way round.
-
-    Raises:
-        InvalidInputError: The file is missing or has the wrong content.
-    """
-    table = _numbers(Path(folder) / "keypointLookupAzimuth.txt", (360, _POINTS))
-    visible: NDArray[np.bool_] = table[-np.arange(360)] > 0
-    return visible
 
 
 def _origin(mean: Array) -> Array:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.geometry import transform
 from fgrecon.core.metrics import FAILURE_DEGREES, keypoint_error, rotation_error
 from fgrecon.core.options import BoxModel, KeypointOptions, Options
 from fgrecon.core.shape_prior import ShapePrior
@@ -193,9 +194,9 @@ def _score_model(
     prior = apollo79_prior(models, basis=BASIS, exclude=exclude)
     frequent = apollo79_prior(models, basis=BASIS, exclude=exclude, weights=frequency)
     relation = apollo79_size_relation(models, prior, exclude)
-    told = given_size(prior, SizePrior("the true size", size, _SIZE_SIGMA * size), relation)
+    sized = given_size(prior, SizePrior("the true size", size, _SIZE_SIGMA * size), relation)
     as_modelled = np.zeros_like(offsets)
-    variants = [(prior, as_modelled), (frequent, offsets), (told, as_modelled), (told, offsets)]
+    variants = [(prior, as_modelled), (frequent, offsets), (sized, as_modelled), (sized, offsets)]
     return [_score_car(car, camera, variants) for car in cars]
 
 
@@ -237,7 +238,7 @@ def _stages(car: MarkedCar, camera: Camera, prior: ShapePrior) -> list[tuple[Arr
 
 
 def _errors(car: MarkedCar, camera_T_object: Array, shape: Array) -> tuple[float, float, float]:
-    points = shape @ camera_T_object[:3, :3].T + camera_T_object[:3, 3]
+    points = transform(camera_T_object, shape)
     truth = car.in_camera
     turn = rotation_error(camera_T_object[None, :3, :3], car.camera_T_object[None, :3, :3])[0]
     centre, true_centre = points.mean(axis=0), truth.mean(axis=0)

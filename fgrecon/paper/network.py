@@ -21,7 +21,7 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.io.kitti_calibration import read_calibration
 from fgrecon.io.kitti_files import read_labels
 from fgrecon.paper.numbers import PRINTED_APK, PRINTED_HAUSDORFF
-from fgrecon.paper.stages import State, initial_state, noisy_azimuth, stages_of
+from fgrecon.paper.stages import StageEstimate, initial_state, noisy_azimuth, stages_of
 from fgrecon.paper.tables import APK_ALPHA, LABELS, Cell, Table
 from fgrecon.perception.from_image import reconstruct_detection
 from fgrecon.perception.keypoints.detect import Detector
@@ -113,7 +113,7 @@ def score_network(data: Path, seed: int = 0, detector: Detector | None = None) -
     cameras = [_street_camera(item, data) for item in scored]
     labels, _ = read_labels(training / "label_2", sorted({_frame(item) for item in scored}))
     yaw = np.array([labels[_frame(item)].rotation_y[_index(item)] for item in scored])
-    states: list[dict[str, State]] = []
+    states: list[dict[str, StageEstimate]] = []
     model, plane = prepare(load_prior("car14"), size_prior("kitti")), Ground.level(_CAMERA_HEIGHT)
     found = adjust_marked(scored, data, keep_history=True)
     for item, camera, true, result in zip(scored, cameras, yaw.tolist(), found, strict=True):
@@ -215,7 +215,7 @@ def _street_camera(item: Scored, data: Path) -> Camera:
     return read_calibration(calibration).camera
 
 
-def _moved(states: Mapping[str, State], row: str) -> float:
+def _moved(states: Mapping[str, StageEstimate], row: str) -> float:
     """Hausdorff distance between a row's placed wireframe and the initialisation's."""
     if row not in states:
         return float("inf")

@@ -18,7 +18,7 @@ from fgrecon.core.robust import StrategyName
 from fgrecon.evaluation import report
 from fgrecon.evaluation.kitti_devkit import evaluate
 from fgrecon.evaluation.kitti_overlap import Space
-from fgrecon.evaluation.methods import METHODS, Scene, select
+from fgrecon.evaluation.methods import METHODS, SceneKnowledge, select
 from fgrecon.evaluation.run import MethodScores, score_tracks
 from fgrecon.io.kitti_files import Objects, count_defects, write_results
 from fgrecon.io.track_file import Track, read_track
@@ -37,10 +37,10 @@ from fgrecon.paper.plots import (
     per_part_table,
     simulated_parts,
 )
-from fgrecon.paper.simulated import Fleet, Instance, simulate_frame
+from fgrecon.paper.simulated import Fleet, SimulatedInstance, simulate_frame
 from fgrecon.paper.simulated_run import (
     CONDITIONS,
-    Outcome,
+    ConditionResult,
     Validation,
     read_validation,
     run_conditions,
@@ -59,7 +59,7 @@ from fgrecon.paper.tables import (
 )
 from fgrecon.training.priors.apollo79 import load_apollo79
 
-__all__ = ["Page", "Settings", "evaluate_paper"]
+__all__ = ["EvaluationSettings", "Page", "evaluate_paper"]
 
 _TIMED = 40
 _REAL_TRACKS = ("real_tracks", "Real tracks: network keypoints on KITTI tracking")
@@ -73,7 +73,7 @@ _SHOWN = ("initialisation", "epnp+size", "aspnp+size", "sqpnp_confident+size", "
 
 
 @dataclass(frozen=True)
-class Settings:
+class EvaluationSettings:
     """What to run on.
 
     Attributes:
@@ -87,7 +87,7 @@ class Settings:
 
     data: Path
     out: Path
-    scene: Scene
+    scene: SceneKnowledge
     workers: int
     every: int
     seed: int
@@ -118,7 +118,7 @@ class Page:
     throughput: Mapping[str, float]
 
 
-def evaluate_paper(settings: Settings, advance: Callable[[str, int, int], None] = lambda *_: None) -> Page:
+def evaluate_paper(settings: EvaluationSettings, advance: Callable[[str, int, int], None] = lambda *_: None) -> Page:
     """Run everything.
 
     Args:
@@ -231,13 +231,15 @@ def _observed(tracks: Sequence[Track], network: NetworkScores) -> list[Track]:
     ]
 
 
-def _network(data: Path, scene: Scene) -> list[Residuals]:
+def _network(data: Path, scene: SceneKnowledge) -> list[Residuals]:
     """What the network that the noise model is fitted to differs from the truth."""
     paths = sorted((data / _TRACK_FORMAT).glob("*.json"))
     return [residuals(read_vehicle(path, scene.prior.category), scene.prior) for path in paths]
 
 
-def _conditions(settings: Settings, outcomes: Mapping[str, Outcome], validation: Validation) -> tuple[str, ...]:
+def _conditions(
+    settings: EvaluationSettings, outcomes: Mapping[str, ConditionResult], validation: Validation
+) -> tuple[str, ...]:
     scene, main = settings.scene, outcomes["validation"].scores
     length, width, height = scene.size.mean
     share = "all parts" if settings.every == 1 else f"every {settings.every}th part"
@@ -282,7 +284,7 @@ def _known_note(cars: MarkedCars) -> str:
     )
 
 
-def _variants(outcomes: Mapping[str, Outcome]) -> tuple[Table, Table, Table]:
+def _variants(outcomes: Mapping[str, ConditionResult]) -> tuple[Table, Table, Table]:
     harder, strategies = outcomes["harder"], outcomes["strategies"]
     note = f"{len(harder.scores)} cars with the network's mistakes made worse (severity {harder.condition.severity:g})."
     title = "Harder keypoints (simulated)"
@@ -305,7 +307,7 @@ def _variants(outcomes: Mapping[str, Outcome]) -> tuple[Table, Table, Table]:
     )
 
 
-def _real_table(key: str, title: str, tracks: Sequence[Track], scene: Scene) -> Table:
+def _real_table(key: str, title: str, tracks: Sequence[Track], scene: SceneKnowledge) -> Table:
     strategies = [f"fgrecon+ground+size:{name.value}" for name in StrategyName if name is not StrategyName.MIXTURE]
     scores = score_tracks(tracks, select([*METHODS, *strategies]), scene)
     lines = tuple((entry.name, _real_cells(entry)) for entry in scores)
@@ -321,12 +323,12 @@ def _real_cells(entry: MethodScores) -> tuple[float | None, ...]:
     return (summary["mae_deg"], summary["median_deg"], *aop, summary["median_translation_m"], len(entry.failures), ms)
 
 
-def _some_instances(validation: Validation, fleet: Fleet) -> list[Instance]:
+def _some_instances(validation: Validation, fleet: Fleet) -> list[SimulatedInstance]:
     seen = (i for frame in validation.frames for i in simulate_frame(frame, fleet) if i.observation is not None)
     return list(islice(seen, _TIMED))
 
 
-def _times(instances: Sequence[Instance], scene: Scene, seed: int) -> dict[str, list[float]]:
+def _times(instances: Sequence[SimulatedInstance], scene: SceneKnowledge, seed: int) -> dict[str, list[float]]:
     """Milliseconds of each stage, one instance after the other in this process."""
     names = {"aspnp+size": "ASPnP", "aspnp_irls+size": "ASPnP + IRLS", "poselib_ransac+size": "PoseLib RANSAC"}
     times: dict[str, list[float]] = {}

@@ -16,20 +16,21 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Ground
 from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.geometry import transform
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.catalogue import load_category
 from fgrecon.simulation.keypoint_noise import HOURGLASS, NoiseModel
-from fgrecon.simulation.vehicles import KITTI_CAMERA, Truth, Vehicle, kitti_like_pose, simulate
+from fgrecon.simulation.vehicles import KITTI_CAMERA, SimulatedTruth, Vehicle, kitti_like_pose, simulate
 from fgrecon.solve.graph.adjust import ShapeEstimate, adjust_shape
 from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.vehicle.model import VehicleModel, prepare
 from fgrecon.training.priors.apollo79 import DUPLICATE, Apollo79
 
-__all__ = ["STAGES", "StageScore", "View", "change", "held_out", "score_shape", "simulate_views"]
+__all__ = ["STAGES", "SimulatedView", "StageScore", "change", "held_out", "score_shape", "simulate_views"]
 
 Array = NDArray[np.float64]
 
@@ -44,11 +45,11 @@ _TRIES = 1000
 
 
 @dataclass(frozen=True)
-class View:
+class SimulatedView:
     """One simulated view: what is observed, and the truth behind it."""
 
     observation: Observation
-    truth: Truth
+    truth: SimulatedTruth
 
 
 @dataclass(frozen=True)
@@ -85,15 +86,15 @@ def held_out(models: Apollo79, count: int = 20, seed: int = 0) -> tuple[str, ...
         raise InvalidInputError("count", count, f"Give a number from 1 to {len(models.names) - 1}.")
     chosen: list[str] = []
     for name in np.random.default_rng(seed).permutation(np.array(models.names)).tolist():
-        together = [name] if name not in DUPLICATE else [twin for twin in DUPLICATE if twin in models.names]
-        if name not in chosen and len(chosen) + len(together) <= count:
-            chosen.extend(together)
+        twins = [name] if name not in DUPLICATE else [other for other in DUPLICATE if other in models.names]
+        if name not in chosen and len(chosen) + len(twins) <= count:
+            chosen.extend(twins)
     return tuple(sorted(chosen))
 
 
 def simulate_views(
     models: Apollo79, names: Sequence[str], per_car: int, seed: int = 0, noise: NoiseModel = HOURGLASS
-) -> list[View]:
+) -> list[SimulatedView]:
     """Views of car models by KITTI's camera, each car equally often; a car with two names counts once.
 
     Args:
@@ -108,7 +109,7 @@ def simulate_views(
     """
     category = load_category("car14")
     rng = np.random.default_rng(seed)
-    views: list[View] = []
+    views: list[SimulatedView] = []
     for i in models.index([name for name in names if name != DUPLICATE[1] or DUPLICATE[0] not in names]):
         vehicle = Vehicle(category, models.keypoints[i], models.vertices[i], models.faces)
         views.extend(_view(vehicle, rng, noise) for _ in range(per_car))
@@ -116,7 +117,7 @@ def simulate_views(
 
 
 def score_shape(
-    views: Iterable[View],
+    views: Iterable[SimulatedView],
     prior: ShapePrior,
     options: Options | None = None,
     *,
@@ -154,16 +155,18 @@ def change(before: StageScore, after: StageScore) -> Mapping[str, float]:
     return {field: 100.0 * (getattr(after, field) / getattr(before, field) - 1.0) for field in fields}
 
 
-def _view(vehicle: Vehicle, rng: np.random.Generator, noise: NoiseModel) -> View:
+def _view(vehicle: Vehicle, rng: np.random.Generator, noise: NoiseModel) -> SimulatedView:
     for _ in range(_TRIES):
         try:
-            return View(*simulate(vehicle, KITTI_CAMERA, kitti_like_pose(rng), rng, noise))
+            return SimulatedView(*simulate(vehicle, KITTI_CAMERA, kitti_like_pose(rng), rng, noise))
         except InvalidInputError:  # outside the image
             continue
     raise InvalidInputError("names", "no view within the image", "Use vehicles of the size of cars.")
 
 
-def _states(view: View, model: VehicleModel, ground: Ground | None, options: Options) -> dict[str, tuple[Array, Array]]:
+def _states(
+    view: SimulatedView, model: VehicleModel, ground: Ground | None, options: Options
+) -> dict[str, tuple[Array, Array]]:
     """Pose (4, 4) and keypoints (K, 3) of every stage."""
     prior, observation = model.prior, view.observation
     mean, true_pose = prior.mean, view.truth.camera_T_object
@@ -199,12 +202,12 @@ def _known_pose(problem: Problem, camera_T_object: Array) -> PoseEstimate:
     return PoseEstimate(camera_T_object, zero, weights, visibility, 0.0, (), ())
 
 
-def _errors(view: View, camera_T_object: Array, keypoints: Array) -> tuple[Array, Array, Array, float]:
+def _errors(view: SimulatedView, camera_T_object: Array, keypoints: Array) -> tuple[Array, Array, Array, float]:
     """Distances (K,), centred distances (K,), reprojection errors of the inliers, orientation error in degrees."""
     truth = view.truth
     difference = keypoints - truth.vehicle.keypoints
     inlier = truth.visible & ~truth.outlier & view.observation.measured
-    points = keypoints @ camera_T_object[:3, :3].T + camera_T_object[:3, 3]
+    points = transform(camera_T_object, keypoints)
     with np.errstate(divide="ignore", invalid="ignore"):  # a failed pose is at the camera
         pixels = KITTI_CAMERA.project(points)[inlier]
     reprojection = np.linalg.norm(pixels - view.observation.keypoints[inlier], axis=1)

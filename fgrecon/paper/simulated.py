@@ -16,15 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
+from fgrecon.core.geometry import transform
 from fgrecon.core.observation import Observation
 from fgrecon.evaluation.kitti_devkit import REGIMES, match_detections, regime_members
-from fgrecon.io.kitti_calibration import Calibration
+from fgrecon.io.kitti_calibration import KittiCalibration
 from fgrecon.io.kitti_files import Objects
 from fgrecon.simulation.keypoint_noise import HOURGLASS, NoiseModel, Twins
 from fgrecon.simulation.vehicles import Vehicle, yaw_pose
 from fgrecon.solve.vehicle.visibility import TOLERANCE, clearance
 
-__all__ = ["Fleet", "Frame", "Instance", "hidden_by_boxes", "simulate_frame"]
+__all__ = ["Fleet", "KittiFrame", "SimulatedInstance", "hidden_by_boxes", "simulate_frame"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -37,7 +38,7 @@ _NEAREST = 0.3
 
 
 @dataclass(frozen=True)
-class Instance:
+class SimulatedInstance:
     """One labelled car that counts in some regime.
 
     Attributes:
@@ -87,16 +88,16 @@ class Fleet:
 
 
 @dataclass(frozen=True)
-class Frame:
+class KittiFrame:
     """What KITTI has of one image: its name (a number), labels, detections and camera."""
 
     name: str
     labels: Objects
     detections: Objects
-    calibration: Calibration
+    calibration: KittiCalibration
 
 
-def simulate_frame(frame: Frame, fleet: Fleet) -> list[Instance]:
+def simulate_frame(frame: KittiFrame, fleet: Fleet) -> list[SimulatedInstance]:
     """Simulate every car of a frame that counts in some regime.
 
     What an instance looks like depends on the seed, the frame's name and its place in the label file alone, so the
@@ -113,13 +114,13 @@ def simulate_frame(frame: Frame, fleet: Fleet) -> list[Instance]:
     ]
 
 
-def _instance(frame: Frame, fleet: Fleet, index: int, regimes: Mask, detection: int) -> Instance:
+def _instance(frame: KittiFrame, fleet: Fleet, index: int, regimes: Mask, detection: int) -> SimulatedInstance:
     labels, camera, offset = frame.labels, frame.calibration.camera, frame.calibration.label_offset
     rng = np.random.default_rng([fleet.seed, int(frame.name), index])
     pose = yaw_pose(float(labels.rotation_y[index]), labels.location[index] + offset)
     model = int(rng.integers(len(fleet.vehicles)))
     vehicle = _scaled(fleet.vehicles[model], labels.size[index] / fleet.sizes[model])
-    points = vehicle.keypoints @ pose[:3, :3].T + pose[:3, 3]
+    points = transform(pose, vehicle.keypoints)
     projections = camera.project(np.column_stack([points[:, :2], np.maximum(points[:, 2], _NEAREST)]))
     centre = -pose[:3, :3].T @ pose[:3, 3]
     visible = clearance(vehicle.vertices, vehicle.faces, vehicle.keypoints, centre) <= TOLERANCE
@@ -134,7 +135,7 @@ def _instance(frame: Frame, fleet: Fleet, index: int, regimes: Mask, detection: 
         box = frame.detections.box[detection]
         pixels, confidence = fleet.noise.measure(projections, visible, box, Twins.of(vehicle.category), rng)
         observation = Observation(pixels, confidence, box)
-    return Instance(
+    return SimulatedInstance(
         frame=frame.name,
         index=index,
         regimes=regimes,

@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 
 from fgrecon.core.robust import StrategyName
-from fgrecon.evaluation.methods import Scene
+from fgrecon.evaluation.methods import SceneKnowledge
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.kitti_calibration import read_calibration
 from fgrecon.io.kitti_files import Objects, Problem, read_detections, read_image_set, read_labels
-from fgrecon.paper.simulated import Fleet, Frame, simulate_frame
+from fgrecon.paper.simulated import Fleet, KittiFrame, simulate_frame
 from fgrecon.paper.simulated_scores import CHAIN_ROWS, MAIN_ROWS, RowSolver, Scores, row_solvers, score_instances
 from fgrecon.simulation.keypoint_noise import HOURGLASS
 from fgrecon.simulation.vehicles import Vehicle
@@ -29,7 +29,7 @@ from fgrecon.training.priors.apollo79 import Apollo79
 __all__ = [
     "CONDITIONS",
     "Condition",
-    "Outcome",
+    "ConditionResult",
     "Validation",
     "read_validation",
     "run_conditions",
@@ -74,12 +74,12 @@ class Validation:
         problems: What was wrong with the files.
     """
 
-    frames: tuple[Frame, ...]
+    frames: tuple[KittiFrame, ...]
     problems: tuple[Problem, ...]
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ConditionResult:
     """Result of a condition.
 
     Attributes:
@@ -109,7 +109,9 @@ def read_validation(folder: Path, image_set: str = "val") -> Validation:
     labels, problems = read_labels(folder / "training" / "label_2", names)
     detections, more = read_detections(folder / "detections_2d" / f"rgb_detection_{image_set}.txt", names)
     frames = tuple(
-        Frame(name, labels[name], detections[name], read_calibration(folder / "training" / "calib" / f"{name}.txt"))
+        KittiFrame(
+            name, labels[name], detections[name], read_calibration(folder / "training" / "calib" / f"{name}.txt")
+        )
         for name in names
         if name in labels
     )
@@ -128,14 +130,14 @@ class _Job:
     """Some frames of one condition, and the file for their scores."""
 
     condition: Condition
-    frames: tuple[Frame, ...]
+    frames: tuple[KittiFrame, ...]
     path: Path
 
 
 class _Worker:
     """What a process needs, made once: shapes and, by condition, solvers."""
 
-    def __init__(self, scene: Scene, vehicles: Sequence[Vehicle], sizes: np.ndarray, seed: int) -> None:
+    def __init__(self, scene: SceneKnowledge, vehicles: Sequence[Vehicle], sizes: np.ndarray, seed: int) -> None:
         self.scene, self.vehicles, self.sizes, self.seed = scene, vehicles, sizes, seed
         self.mean = scene.prior.for_fleet(scene.size).mean
         self.solvers: dict[str, tuple[RowSolver, ...]] = {}
@@ -154,7 +156,7 @@ class _Worker:
 _worker: _Worker | None = None
 
 
-def _start(scene: Scene, vehicles: Sequence[Vehicle], sizes: np.ndarray, seed: int) -> None:
+def _start(scene: SceneKnowledge, vehicles: Sequence[Vehicle], sizes: np.ndarray, seed: int) -> None:
     global _worker  # noqa: PLW0603 - a process pool has no other place for what its processes keep
     _worker = _Worker(scene, vehicles, sizes, seed)
 
@@ -167,7 +169,7 @@ def _run(job: _Job) -> int:
 def run_conditions(
     validation: Validation,
     conditions: Sequence[Condition],
-    scene: Scene,
+    scene: SceneKnowledge,
     models: Apollo79,
     folder: Path,
     *,
@@ -175,7 +177,7 @@ def run_conditions(
     workers: int = 1,
     every: int = 1,
     advance: Callable[[str, int, int], None] = lambda *_: None,
-) -> Mapping[str, Outcome]:
+) -> Mapping[str, ConditionResult]:
     """Score every condition; parts that an earlier run finished with the same inputs are read, not made again.
 
     Args:
@@ -194,7 +196,7 @@ def run_conditions(
         Outcomes by the conditions' names.
     """
     vehicles = vehicles_of(models)
-    outcomes: dict[str, Outcome] = {}
+    outcomes: dict[str, ConditionResult] = {}
     made_with = (scene, vehicles, models.size, seed)
     with single_threaded(), ProcessPoolExecutor(workers, get_context("spawn"), _start, made_with) as pool:
         for condition in conditions:
@@ -212,17 +214,17 @@ def run_conditions(
                 advance(condition.name, done, len(jobs))
             seconds = time.perf_counter() - started
             scores = Scores.join([Scores.read(job.path) for job in jobs])
-            outcomes[condition.name] = Outcome(condition, scores, solved, seconds)
+            outcomes[condition.name] = ConditionResult(condition, scores, solved, seconds)
     return outcomes
 
 
-def _parts(validation: Validation) -> list[tuple[Frame, ...]]:
+def _parts(validation: Validation) -> list[tuple[KittiFrame, ...]]:
     """The frames a few at a time: what one process works on and one file holds."""
     frames = validation.frames
     return [frames[start : start + _FRAMES_A_PART] for start in range(0, len(frames), _FRAMES_A_PART)]
 
 
-def _digest(condition: Condition, scene: Scene, models: Apollo79, seed: int) -> bytes:
+def _digest(condition: Condition, scene: SceneKnowledge, models: Apollo79, seed: int) -> bytes:
     """Changes with everything but the frames that a result depends on, save for unreleased changes of the code."""
     ground = scene.ground
     plane = (ground.normal.tolist(), ground.distance, ground.height_sigma, ground.slope_sigma, ground.tilt_sigma)
@@ -235,7 +237,7 @@ def _digest(condition: Condition, scene: Scene, models: Apollo79, seed: int) -> 
     return digest.digest()
 
 
-def _part_digest(inputs: bytes, frames: Sequence[Frame]) -> str:
+def _part_digest(inputs: bytes, frames: Sequence[KittiFrame]) -> str:
     """Changes with the rest of the inputs and with what the frames hold."""
     digest = hashlib.sha256(inputs)
     for frame in frames:

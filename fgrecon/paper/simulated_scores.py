@@ -20,10 +20,10 @@ from fgrecon.core.metrics import (
 from fgrecon.core.options import BoxModel, Options
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.core.robust import StrategyName
-from fgrecon.evaluation.methods import Scene, select
+from fgrecon.evaluation.methods import SceneKnowledge, select
 from fgrecon.io.files import write_bytes
-from fgrecon.paper.simulated import Instance
-from fgrecon.paper.stages import State, algorithm1_state, initial_state, noisy_azimuth, stages
+from fgrecon.paper.simulated import SimulatedInstance
+from fgrecon.paper.stages import StageEstimate, algorithm1_state, initial_state, noisy_azimuth, stages
 from fgrecon.solve.vehicle.model import prepare
 
 __all__ = ["CHAIN_ROWS", "MAIN_ROWS", "STAGE_ROWS", "Scores", "row_solvers", "score_instances"]
@@ -117,11 +117,11 @@ class Scores:
             raise InvalidInputError(str(path), str(error), "Delete the file: it will be made again.") from error
 
 
-RowSolver = Callable[[Instance], Mapping[str, State]]
+RowSolver = Callable[[SimulatedInstance], Mapping[str, StageEstimate]]
 """Some rows' states for an instance with a detection; raises where it has none."""
 
 
-def row_solvers(rows: Sequence[str], scene: Scene, seed: int) -> tuple[RowSolver, ...]:
+def row_solvers(rows: Sequence[str], scene: SceneKnowledge, seed: int) -> tuple[RowSolver, ...]:
     """What fills the rows; each solver fills one row or several.
 
     Args:
@@ -133,7 +133,7 @@ def row_solvers(rows: Sequence[str], scene: Scene, seed: int) -> tuple[RowSolver
     kitti = Options(box=BoxModel.CUBOID)
     paper = Options(box=BoxModel.CUBOID, strategy=StrategyName.PAPER)
 
-    def initialisation(instance: Instance) -> dict[str, State]:
+    def initialisation(instance: SimulatedInstance) -> dict[str, StageEstimate]:
         rng = np.random.default_rng([seed, int(instance.frame), instance.index, _AZIMUTH_STREAM])
         azimuth = noisy_azimuth(instance.rotation_y, rng)
         assert instance.observation is not None
@@ -141,12 +141,12 @@ def row_solvers(rows: Sequence[str], scene: Scene, seed: int) -> tuple[RowSolver
         box = instance.observation.box
         return {"initialisation": initial_state(box, instance.camera, model, scene.ground, azimuth)}
 
-    def algorithm1(instance: Instance) -> dict[str, State]:
+    def algorithm1(instance: SimulatedInstance) -> dict[str, StageEstimate]:
         assert instance.observation is not None
         return {"aspnp_irls+size": algorithm1_state(instance.observation, instance.camera, model, paper)}
 
     def staged(names: Mapping[str, str], options: Options) -> RowSolver:
-        def solve(instance: Instance) -> dict[str, State]:
+        def solve(instance: SimulatedInstance) -> dict[str, StageEstimate]:
             assert instance.observation is not None
             found = stages(instance.observation, instance.camera, scene, scene.ground, options)
             return {name: found[stage] for name, stage in names.items()}
@@ -167,21 +167,21 @@ def row_solvers(rows: Sequence[str], scene: Scene, seed: int) -> tuple[RowSolver
     return tuple(solvers)
 
 
-def _registered(name: str, scene: Scene) -> RowSolver:
+def _registered(name: str, scene: SceneKnowledge) -> RowSolver:
     solver = select([name])[0].bind(scene)
     mean = scene.prior.for_fleet(scene.size) if "+size" in name else scene.prior
     size = mean.box_size(np.zeros(mean.dimension))
 
-    def solve(instance: Instance) -> dict[str, State]:
+    def solve(instance: SimulatedInstance) -> dict[str, StageEstimate]:
         assert instance.observation is not None
         estimate = solver(instance.observation, instance.camera)
-        return {name: State(estimate.camera_T_object, mean.mean, size)}
+        return {name: StageEstimate(estimate.camera_T_object, mean.mean, size)}
 
     return solve
 
 
 def score_instances(
-    instances: Sequence[Instance], rows: Sequence[str], solvers: Sequence[RowSolver], mean: Array
+    instances: Sequence[SimulatedInstance], rows: Sequence[str], solvers: Sequence[RowSolver], mean: Array
 ) -> Scores:
     """Run every solver on every instance with a detection.
 
@@ -246,11 +246,11 @@ def score_instances(
 
 
 def _states(
-    instance: Instance, solvers: Sequence[RowSolver], failures: list[str]
-) -> tuple[dict[str, State], dict[str, State]]:
+    instance: SimulatedInstance, solvers: Sequence[RowSolver], failures: list[str]
+) -> tuple[dict[str, StageEstimate], dict[str, StageEstimate]]:
     """Every row's state, and the state before it where one solver fills several rows."""
-    states: dict[str, State] = {}
-    before: dict[str, State] = {}
+    states: dict[str, StageEstimate] = {}
+    before: dict[str, StageEstimate] = {}
     for solver in solvers:
         try:
             found = solver(instance)

@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.category import Category
+from fgrecon.core.geometry import transform
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction
-from fgrecon.evaluation.methods import Scene
+from fgrecon.evaluation.methods import SceneKnowledge
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.proposals.adjust import adjust_pose
 from fgrecon.solve.proposals.problem import Problem
@@ -22,7 +23,7 @@ from fgrecon.solve.vehicle.model import VehicleModel
 __all__ = [
     "AZIMUTH_GROSS",
     "AZIMUTH_SIGMA",
-    "State",
+    "StageEstimate",
     "algorithm1_state",
     "initial_state",
     "noisy_azimuth",
@@ -44,7 +45,7 @@ _STAGES = ("pose", "shape", "joint")
 
 
 @dataclass(frozen=True)
-class State:
+class StageEstimate:
     """Where a stage leaves a vehicle.
 
     Attributes:
@@ -59,13 +60,12 @@ class State:
 
     def in_camera(self) -> Array:
         """(K, 3) wireframe in the camera frame."""
-        placed: Array = self.keypoints @ self.camera_T_object[:3, :3].T + self.camera_T_object[:3, 3]
-        return placed
+        return transform(self.camera_T_object, self.keypoints)
 
 
 def stages(
-    observation: Observation, camera: Camera, scene: Scene, ground: Ground | None, options: Options
-) -> dict[str, State]:
+    observation: Observation, camera: Camera, scene: SceneKnowledge, ground: Ground | None, options: Options
+) -> dict[str, StageEstimate]:
     """State after each stage: `pose`, `shape` (pose fixed: solved one after the other) and `joint` (both together).
 
     Args:
@@ -92,34 +92,34 @@ def stages(
     return stages_of(result, scene.prior.category)
 
 
-def stages_of(result: Reconstruction, category: Category) -> dict[str, State]:
+def stages_of(result: Reconstruction, category: Category) -> dict[str, StageEstimate]:
     """The states that the history of a result holds: `pose`, `shape` and `joint`, the last being the result.
 
     A stage without a step of its own ends where the one before did.
     """
-    states: dict[str, State] = {}
+    states: dict[str, StageEstimate] = {}
     for stage in _STAGES:
         steps = [step for step in result.history if step.stage == stage]
         if steps:
             last = steps[-1]
             size = np.tensordot(category.dimension_operator, last.keypoints, axes=2)
-            states[stage] = State(last.camera_T_object, last.keypoints, size)
+            states[stage] = StageEstimate(last.camera_T_object, last.keypoints, size)
         elif states:
             states[stage] = next(reversed(states.values()))
-    states[_STAGES[-1]] = State(result.camera_T_object, result.wireframe, result.box_size)
+    states[_STAGES[-1]] = StageEstimate(result.camera_T_object, result.wireframe, result.box_size)
     return states
 
 
-def algorithm1_state(observation: Observation, camera: Camera, model: VehicleModel, options: Options) -> State:
+def algorithm1_state(observation: Observation, camera: Camera, model: VehicleModel, options: Options) -> StageEstimate:
     """ASPnP + IRLS with the mean shape: the paper's pose adjustment alone (`options` name one of its strategies)."""
     pose = adjust_pose(Problem.of(observation, camera, model, None, options))
-    return State(pose.camera_T_object, model.prior.mean, model.dimension_mean)
+    return StageEstimate(pose.camera_T_object, model.prior.mean, model.dimension_mean)
 
 
-def initial_state(box: Array, camera: Camera, model: VehicleModel, ground: Ground, rotation_y: float) -> State:
+def initial_state(box: Array, camera: Camera, model: VehicleModel, ground: Ground, rotation_y: float) -> StageEstimate:
     """The mean shape on the ground's slope at an azimuth, placed so that it fills the 2D box (4,)."""
     start = at_azimuths(box, camera, model, ground, [rotation_y], relative=False)
-    return State(start.matrices()[0], model.prior.mean, model.dimension_mean)
+    return StageEstimate(start.matrices()[0], model.prior.mean, model.dimension_mean)
 
 
 def noisy_azimuth(rotation_y: float, rng: np.random.Generator) -> float:

@@ -34,8 +34,8 @@ def boxes_of(
     """
     ways = {"--box": bool(given), "--boxes": file is not None, "--detect": search is not None}
     if sum(ways.values()) != 1:
-        told = " and ".join(way for way, used in ways.items() if used) or "nothing"
-        raise InvalidInputError("box", told, "Give either --box, --boxes with a file, or --detect.")
+        flags = " and ".join(way for way, used in ways.items() if used) or "nothing"
+        raise InvalidInputError("box", flags, "Give either --box, --boxes with a file, or --detect.")
     if search is not None:
         found = detected_boxes(search)
         if not found:

@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.geometry import transform
 from fgrecon.core.observation import Observation
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.simulation.keypoint_noise import HOURGLASS, NoiseModel
 from fgrecon.simulation.render import Body, Picture, render
 from fgrecon.simulation.scenery import BODY_COLOURS, car_paint, planter, road, with_shadow
-from fgrecon.simulation.vehicles import Truth, Vehicle, simulate, yaw_pose
+from fgrecon.simulation.vehicles import SimulatedTruth, Vehicle, simulate, yaw_pose
 from fgrecon.solve.vehicle.visibility import clearance
 
 __all__ = ["DemoScene", "demo_scene"]
@@ -47,7 +48,7 @@ class DemoScene:
     camera: Camera
     ground: Ground
     observation: Observation
-    truth: Truth
+    truth: SimulatedTruth
 
 
 def demo_scene(prior: ShapePrior, seed: int = 0, noise: NoiseModel = HOURGLASS) -> DemoScene:
@@ -73,7 +74,7 @@ def demo_scene(prior: ShapePrior, seed: int = 0, noise: NoiseModel = HOURGLASS) 
     box_vertices, box_faces, box_paint = planter(*_PLANTER, seed)
 
     to_planter = np.linalg.inv(planter_pose) @ pose
-    keypoints = vehicle.keypoints @ to_planter[:3, :3].T + to_planter[:3, 3]
+    keypoints = transform(to_planter, vehicle.keypoints)
     centre = -planter_pose[:3, :3].T @ planter_pose[:3, 3]
     hidden = clearance(box_vertices, box_faces, keypoints, centre) > 0.0
     observation, truth = simulate(vehicle, _CAMERA, pose, rng, noise, hidden)
@@ -94,7 +95,7 @@ def demo_scene(prior: ShapePrior, seed: int = 0, noise: NoiseModel = HOURGLASS) 
 def _before_nearest_wheel(vehicle: Vehicle, camera_T_object: NDArray[np.float64]) -> NDArray[np.float64]:
     """Pose (4, 4) on the ground between the camera and the nearest ground keypoint, broadside to the camera."""
     ground = vehicle.keypoints[list(vehicle.category.ground_keypoints)] * np.array([1.0, 0.0, 1.0])
-    seen = ground @ camera_T_object[:3, :3].T + camera_T_object[:3, 3]
+    seen = transform(camera_T_object, ground)
     wheel = seen[seen[:, 2].argmin()]
     away = np.array([wheel[0], 0.0, wheel[2]]) / np.hypot(wheel[0], wheel[2])
     return yaw_pose(float(np.arctan2(away[0], away[2])), wheel - _PLANTER_GAP * away)

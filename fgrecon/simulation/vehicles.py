@@ -21,10 +21,9 @@ from fgrecon.solve.vehicle.visibility import TOLERANCE, clearance
 
 __all__ = [
     "KITTI_CAMERA",
-    "Truth",
+    "SimulatedTruth",
     "Vehicle",
     "kitti_like_pose",
-    "label_poses",
     "simulate",
     "simulate_many",
     "simulate_track",
@@ -72,7 +71,7 @@ class Vehicle:
 
 
 @dataclass(frozen=True)
-class Truth:
+class SimulatedTruth:
     """What a simulated observation was made from.
 
     Attributes:
@@ -99,7 +98,7 @@ def simulate(
     rng: np.random.Generator,
     noise: NoiseModel = HOURGLASS,
     hidden: NDArray[np.bool_] | None = None,
-) -> tuple[Observation, Truth]:
+) -> tuple[Observation, SimulatedTruth]:
     """Observe a vehicle as a keypoint network would.
 
     Args:
@@ -141,7 +140,7 @@ def simulate(
     pixels, confidence = noise.measure(projections, visible, measured_box, Twins.of(vehicle.category), rng)
     extent = float(max(box[2] - box[0], box[3] - box[1]))
     outlier = np.linalg.norm(pixels - projections, axis=1) > OUTLIER * extent
-    truth = Truth(camera_T_object, vehicle, projections, visible, outlier, box)
+    truth = SimulatedTruth(camera_T_object, vehicle, projections, visible, outlier, box)
     return Observation(pixels, confidence, measured_box), truth
 
 
@@ -152,7 +151,7 @@ def simulate_many(
     noise: NoiseModel = HOURGLASS,
     camera: Camera = KITTI_CAMERA,
     poses: NDArray[np.float64] | None = None,
-) -> list[tuple[Observation, Truth]]:
+) -> list[tuple[Observation, SimulatedTruth]]:
     """Observe vehicles one by one, independently of one another.
 
     Args:
@@ -161,7 +160,7 @@ def simulate_many(
         rng: Source of randomness.
         noise: The network's mistakes.
         camera: The camera.
-        poses: (P, 4, 4) poses to draw from, such as `label_poses` gives; those that put a vehicle outside the image
+        poses: (P, 4, 4) poses to draw from, such as labelled ones; those that put a vehicle outside the image
             are drawn again. None for `kitti_like_pose`.
 
     Raises:
@@ -176,7 +175,7 @@ def simulate_track(
     rng: np.random.Generator,
     noise: NoiseModel = HOURGLASS,
     camera: Camera = KITTI_CAMERA,
-) -> list[tuple[Observation, Truth]]:
+) -> list[tuple[Observation, SimulatedTruth]]:
     """Observe one vehicle in consecutive frames, ten a second, until it leaves the image or is nearer than 5 m.
 
     Seen from the camera, it moves along its heading at a constant speed of up to 10 m/s and turns a little. The noise
@@ -186,7 +185,7 @@ def simulate_track(
     step = np.eye(4)
     step[:3, :3] = _rotation(1, np.radians(rng.normal(0.0, 0.5)))
     step[0, 3] = rng.uniform(-1.0, 1.0)
-    track: list[tuple[Observation, Truth]] = []
+    track: list[tuple[Observation, SimulatedTruth]] = []
     while len(track) < frames and pose[2, 3] > 5.0:
         try:
             track.append(simulate(vehicle, camera, pose, rng, noise))
@@ -196,27 +195,13 @@ def simulate_track(
     return track
 
 
-def label_poses(text: str, nearest: float = 8.0, farthest: float = 45.0) -> NDArray[np.float64]:
-    """Poses (P, 4, 4) of the cars in a label file of KITTI's tracking set, in the labels' camera frame.
-
-    Args:
-        text: Content of the file.
-        nearest: Cars nearer than this, in metres along the camera's axis, are left out,
-        farthest: and so are those farther than this, truncated ones, and those largely occluded.
-    """
-    rows = [line.split() for line in text.splitlines()]
-    cars = [r for r in rows if len(r) >= 17 and r[2] == "Car" and r[3] == "0" and r[4] in ("0", "1")]
-    poses = [yaw_pose(float(r[16]), np.array([float(x) for x in r[13:16]])) for r in cars]
-    return np.array([p for p in poses if nearest <= p[2, 3] <= farthest]).reshape(-1, 4, 4)
-
-
 def _observe_one(
     vehicles: Sequence[Vehicle] | ShapePrior,
     rng: np.random.Generator,
     noise: NoiseModel,
     camera: Camera,
     poses: NDArray[np.float64] | None,
-) -> tuple[Observation, Truth]:
+) -> tuple[Observation, SimulatedTruth]:
     if isinstance(vehicles, ShapePrior):
         vehicle = Vehicle.sample(vehicles, rng)
     else:

@@ -15,9 +15,9 @@ neither rerun nor matplotlib: they are imported on use.
 from fgrecon.viz.animation import animate
 from fgrecon.viz.photograph import Photograph
 from fgrecon.viz.picture import Sight, as_rgb, contact_sheet, picture, save_picture
-from fgrecon.viz.recording import log_reconstruction, record, recording_of
+from fgrecon.viz.recording import record, recording_of
 from fgrecon.viz.sinks import Recording
-from fgrecon.viz.track_recording import log_track, record_track, track_recording_of
+from fgrecon.viz.track_recording import record_track, track_recording_of
 from fgrecon.viz.track_sight import TrackSight
 from fgrecon.viz.truth import Truth
 
@@ -30,8 +30,6 @@ __all__ = [
     "animate",
     "as_rgb",
     "contact_sheet",
-    "log_reconstruction",
-    "log_track",
     "picture",
     "record",
     "record_track",

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import transform
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Iteration, Reconstruction
-from fgrecon.io.files import write_bytes
+from fgrecon.io.files import check_ending, write_bytes
 from fgrecon.viz import style
 from fgrecon.viz.describe import describe_errors, total_energy
-from fgrecon.viz.geometry import BOX_EDGES, as_image, box_corners, crop_around, image_points, transform
+from fgrecon.viz.geometry import BOX_EDGES, as_image, box_corners, crop_around, image_points
 from fgrecon.viz.marks import draw_box, draw_crop, draw_edges, draw_keypoints, draw_true_box, unit
 from fgrecon.viz.picture import as_rgb, new_figure, place_axes, split_edges
 from fgrecon.viz.style import Side
@@ -45,10 +46,7 @@ def check_format(path: str | Path) -> str:
     Raises:
         InvalidInputError: Nothing is written with that ending.
     """
-    kind = Path(path).suffix.lower().removeprefix(".")
-    if kind not in FORMATS:
-        raise InvalidInputError(str(path), kind or "no ending", f"Let the name end in one of {', '.join(FORMATS)}.")
-    return kind
+    return check_ending(path, FORMATS)
 
 
 def animate(

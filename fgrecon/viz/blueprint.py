@@ -21,7 +21,7 @@ from fgrecon.viz.geometry import Box, crop_around
 from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR, Truth
 
 __all__ = [
-    "Page",
+    "ChunkBlueprint",
     "blueprint",
     "error_measures",
     "error_views",
@@ -36,6 +36,7 @@ __all__ = [
 ]
 
 _ASPECT = 1.6
+_HOOK = "_log_to_stream"  # what rerun 0.41 calls to get the content of a layout
 _STEPS_PER_SECOND = 8.0
 _LAYOUT_TIME, _CLOCK = "blueprint", "log_time"  # rerun's timelines of a layout
 _GRAPH_MARGIN = (75.0, 30.0)  # half a label beyond the outermost nodes
@@ -46,17 +47,33 @@ def blueprint(reconstruction: Reconstruction, observation: Observation, truth: T
     """The layout of a recording for rerun, zoomed to the vehicle in the image and in the scene."""
     crop = crop_around(observation, reconstruction.wireframe_uv, aspect=_ASPECT)
     measures = () if truth is None else error_measures(shape=truth.keypoints is not None)
-    views = _views(measures, graph=bool(reconstruction.graph))
+    controls = eye(reconstruction)
+    layout = lay_out(reconstruction.graph) if reconstruction.graph else None
+    if not _takes_chunks():
+        structure = None if layout is None else graph_view(layout)
+        return _whole(measures, image_view(crop), scene_view(controls), structure)
+    views = _views(measures, graph=layout is not None)
     zoom = [(views.image, _bounds(crop))]
-    if (controls := eye(reconstruction)) is not None:
+    if controls is not None:
         zoom.append((views.scene, controls))
-    if reconstruction.graph:
-        zoom.append((views.graph, _bounds(_reach(lay_out(reconstruction.graph)))))
-    return Page(views.chunks, zoom)
+    if layout is not None:
+        zoom.append((views.graph, _bounds(_reach(layout))))
+    return ChunkBlueprint(views.chunks, zoom)
+
+
+def _takes_chunks() -> bool:
+    """Whether this release of rerun asks a layout for its chunks as `ChunkBlueprint` gives them.
+
+    It does so by a private method, which may go. The layout is then built of rerun's public classes, which takes
+    longer.
+    """
+    import rerun.blueprint as rrb
+
+    return hasattr(rrb.Blueprint, _HOOK)
 
 
 @dataclass(frozen=True)
-class Page:
+class ChunkBlueprint:
     """A layout for rerun that is made of chunks: building its views again for every recording would cost too much.
 
     rerun takes it for a `Blueprint`, of which it asks no more than these two methods.
@@ -69,7 +86,7 @@ class Page:
     chunks: Sequence[Any]
     properties: Sequence[tuple[str, Any]]
 
-    def to_blueprint(self) -> Page:
+    def to_blueprint(self) -> ChunkBlueprint:
         """Itself."""
         return self
 
@@ -106,8 +123,22 @@ class _Views:
 @lru_cache(maxsize=8)
 def _views(measures: tuple[tuple[str, str], ...], *, graph: bool) -> _Views:
     """The views with these errors and with the factor graph or without, not zoomed yet."""
-    import rerun.blueprint as rrb
     from rerun.chunk import RrdReader
+
+    image, scene, structure = image_view(None), scene_view(None), graph_view(None)
+    whole = _whole(measures, image, scene, structure if graph else None)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "layout.rbl"
+        whole.save("fgrecon", path)
+        reader = RrdReader(path)
+        (store,) = reader.blueprints()
+        paths = (view.blueprint_path() for view in (image, scene, structure))
+        return _Views(tuple(map(_without_clock, reader.stream(store=store))), *paths)
+
+
+def _whole(measures: tuple[tuple[str, str], ...], image: Any, scene: Any, structure: Any) -> Any:
+    """The `rerun.blueprint.Blueprint` of these views and the plots; without a factor graph `structure` is None."""
+    import rerun.blueprint as rrb
 
     plots = [
         plot_view("Energy [nats]", entities.ENERGY),
@@ -116,20 +147,12 @@ def _views(measures: tuple[tuple[str, str], ...], *, graph: bool) -> _Views:
     ]
     if measures:
         plots.append(error_views(entities.ERROR, measures))
-    image, scene, structure = image_view(None), scene_view(None), graph_view(None)
-    whole = page(
+    return page(
         [image, scene],
-        [rrb.Tabs(*plots), *([structure] if graph else []), word_views()],
+        [rrb.Tabs(*plots), *([] if structure is None else [structure]), word_views()],
         name="One vehicle: from keypoints to pose and shape",
         timeline=entities.STEP,
     )
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "layout.rbl"
-        whole.save("fgrecon", path)
-        reader = RrdReader(path)
-        (store,) = reader.blueprints()
-        paths = (view.blueprint_path() for view in (image, scene, structure))
-        return _Views(tuple(map(_without_clock, reader.stream(store=store))), *paths)
 
 
 def page(above: Sequence[Any], below: Sequence[Any], *, name: str, timeline: str) -> Any:

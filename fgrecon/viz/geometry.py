@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.geometry import cross
+from fgrecon.core.geometry import cross, transform
 from fgrecon.core.observation import Observation
 
 __all__ = [
@@ -19,7 +19,6 @@ __all__ = [
     "ground_grid",
     "image_points",
     "resolution",
-    "transform",
     "vertex_normals",
 ]
 
@@ -54,11 +53,6 @@ def resolution(camera: Camera, image: NDArray[np.uint8] | None) -> tuple[float, 
     if camera.image_size is not None:
         return float(camera.image_size[0]), float(camera.image_size[1])
     return max(2 * float(camera.matrix[0, 2]), 1.0), max(2 * float(camera.matrix[1, 2]), 1.0)
-
-
-def transform(a_T_b: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points (..., 3) of frame b in frame a."""
-    return points @ a_T_b[:3, :3].T + a_T_b[:3, 3]
 
 
 def image_points(

@@ -19,7 +19,7 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Iteration, Reconstruction, Status
-from fgrecon.io.files import write_bytes
+from fgrecon.io.files import check_ending, write_bytes
 from fgrecon.viz import style
 from fgrecon.viz.describe import describe_errors, median_residual
 from fgrecon.viz.geometry import Box, as_image, crop_around, image_points
@@ -180,9 +180,7 @@ def save_picture(path: str | Path, figure: Any, dpi: float = _DPI) -> Path:
     """
     import matplotlib as mpl
 
-    kind = Path(path).suffix.lower().removeprefix(".")
-    if kind not in FORMATS:
-        raise InvalidInputError(str(path), kind or "no ending", f"Let the name end in one of {', '.join(FORMATS)}.")
+    kind = check_ending(path, FORMATS)
     metadata: dict[str, dict[str, Any]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
     quality: dict[str, Any] = {"pil_kwargs": {"quality": 92}} if kind in ("jpg", "jpeg") else {}
     buffer = io.BytesIO()

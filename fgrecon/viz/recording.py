@@ -1,8 +1,8 @@
 """Recordings of a reconstruction for the rerun viewer, made from its history after solving.
 
-`record` writes a file, whole or not at all; `log_reconstruction` sends the same to any recording stream (a viewer that
-runs, a file that holds more). The names are those of `fgrecon.viz.entities`; `fgrecon.viz.replay` reads a file back.
-`fgrecon.viz.track_recording` does the same for a track.
+`record` writes a file, whole or not at all; `recording_of` gives the same to be sent to any recording stream (a viewer
+that runs, a file that holds more). The names are those of `fgrecon.viz.entities`; `fgrecon.viz.replay` reads a file
+back. `fgrecon.viz.track_recording` does the same for a track.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from fgrecon.viz.scene import log_camera, log_frame, log_ground, log_result, log
 from fgrecon.viz.sinks import Recording
 from fgrecon.viz.truth import Truth
 
-__all__ = ["log_reconstruction", "record", "recording_of"]
+__all__ = ["record", "recording_of"]
 
 
 def record(
@@ -78,24 +78,6 @@ def recording_of(
         return _outbox(reconstruction, observation, camera, image, truth, ground).empty_into
 
     return Recording(make, lambda: blueprint(reconstruction, observation, truth))
-
-
-def log_reconstruction(
-    stream: Any,
-    reconstruction: Reconstruction,
-    observation: Observation,
-    camera: Camera,
-    *,
-    image: NDArray[np.uint8] | None = None,
-    truth: Truth | None = None,
-    ground: Ground | None = None,
-) -> None:
-    """Send the whole optimisation to a `rerun.RecordingStream`; the arguments are those of `record`.
-
-    Raises:
-        InvalidInputError: The image is not (H, W, 3) of bytes.
-    """
-    _outbox(reconstruction, observation, camera, image, truth, ground).empty_into(stream)
 
 
 def _outbox(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -105,8 +105,8 @@ class Replay:
     def summary(self) -> tuple[StageSummary, ...]:
         """The stages in order of their first step. A track's joint stage is told once, with the terms of the shape."""
         stages = dict.fromkeys(step.stage for step in self.history)
-        told = [_of_frames(stage, self.frames) for stage in stages if not (self.joint and stage == "joint")]
-        return (*told, _of_joint(self.joint)) if self.joint else tuple(told)
+        summaries = [_of_frames(stage, self.frames) for stage in stages if not (self.joint and stage == "joint")]
+        return (*summaries, _of_joint(self.joint)) if self.joint else tuple(summaries)
 
 
 def _of_frames(stage: str, frames: Mapping[int, tuple[Iteration, ...]]) -> StageSummary:
@@ -145,50 +145,80 @@ def read(path: str | Path) -> Replay:
     Raises:
         InvalidInputError: There is no such file, or it is no recording of fgrecon.
     """
-    from rerun.chunk import RrdReader  # on use: importing fgrecon must not import rerun
-
     fix = "Give a .rrd file that this version of fgrecon wrote."
     if not Path(path).is_file():
         raise InvalidInputError("recording", str(path), fix)
-    history: list[tuple[int, int, Iteration]] = []
-    joint: list[tuple[int, JointStep]] = []
-    rows: dict[str, list[tuple[int, list[float]]]] = {}
-    names: dict[str, tuple[str, ...]] = {}
-    log: list[LogLine] = []
+    found = _Found()
     try:
-        for chunk in RrdReader(path).stream():
-            entity = str(chunk.entity_path).strip("/")
-            batch = chunk.to_record_batch()
-            if entity not in _WORDS_AND_STEPS and not {_SCALARS, _NAMES} & set(batch.schema.names):
-                continue  # drawn: photographs alone would take minutes as lists of numbers
-            columns = batch.to_pydict()
-            steps, at_frames = columns.get(entities.STEP), columns.get(entities.FRAME)
-            if entity == entities.HISTORY and steps is not None and at_frames is not None:
-                rows_of_history = columns[f"{entities.HISTORY_ARCHETYPE}:{FIELDS}"]
-                history += [
-                    (f, s, _iteration(row)) for f, s, (row,) in zip(at_frames, steps, rows_of_history, strict=True)
-                ]
-            elif entity == entities.TRACK and steps is not None:
-                rows_of_joint = columns[f"{entities.JOINT_ARCHETYPE}:{FIELDS}"]
-                joint += [(step, _joint_step(row)) for step, (row,) in zip(steps, rows_of_joint, strict=True)]
-            elif _SCALARS in columns:
-                times = at_frames if _by_frame(entity) else steps
-                rows.setdefault(entity, []).extend(zip(times or [], columns[_SCALARS], strict=True))
-            elif _NAMES in columns:
-                names[entity] = tuple(columns[_NAMES][0])
-            elif entity == entities.LOG and _TEXT in columns:
-                log += _lines(columns, steps)
+        for entity, columns in _chunks(path):
+            found.add(entity, columns)
     except (RuntimeError, ValueError, KeyError, OSError) as error:
         raise InvalidInputError("recording", f"{path}: {error}", fix) from error
-    if not log:
+    if not found.log:
         raise InvalidInputError("recording", f"{path} holds no log of fgrecon", fix)
-    log.sort(key=lambda line: -1 if line.step is None else line.step)
-    return Replay(
-        frames=_by_number(history),
-        joint=tuple(step for _, step in sorted(joint, key=lambda item: item[0])),
-        scalars={entity: _series(entity, rows[entity], names.get(entity, ())) for entity in sorted(rows)},
-        log=tuple(log),
-    )
+    return found.replay()
+
+
+def _chunks(path: str | Path) -> Iterator[tuple[str, dict[str, list[Any]]]]:
+    """Entity and columns of every chunk that holds words, steps or plotted numbers."""
+    from rerun.chunk import RrdReader  # on use: importing fgrecon must not import rerun
+
+    for chunk in RrdReader(path).stream():
+        entity = str(chunk.entity_path).strip("/")
+        batch = chunk.to_record_batch()
+        # What is drawn stays out: photographs alone would take minutes as lists of numbers.
+        if entity in _WORDS_AND_STEPS or {_SCALARS, _NAMES} & set(batch.schema.names):
+            yield entity, batch.to_pydict()
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What the chunks so far hold.
+
+    Attributes:
+        history: Frame, step and state of every step.
+        joint: Step and state of the joint optimisation.
+        rows: Time and numbers of every row of a plot, by entity.
+        names: Names of its series.
+        log: Lines of the log.
+    """
+
+    history: list[tuple[int, int, Iteration]] = field(default_factory=list)
+    joint: list[tuple[int, JointStep]] = field(default_factory=list)
+    rows: dict[str, list[tuple[int, list[float]]]] = field(default_factory=dict)
+    names: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    log: list[LogLine] = field(default_factory=list)
+
+    def add(self, entity: str, columns: Mapping[str, list[Any]]) -> None:
+        """Take in a chunk.
+
+        Raises:
+            KeyError: A column is missing.
+            ValueError: Columns have different lengths.
+        """
+        steps, frames = columns.get(entities.STEP), columns.get(entities.FRAME)
+        if entity == entities.HISTORY and steps is not None and frames is not None:
+            states = columns[f"{entities.HISTORY_ARCHETYPE}:{FIELDS}"]
+            self.history.extend((f, s, _iteration(row)) for f, s, (row,) in zip(frames, steps, states, strict=True))
+        elif entity == entities.TRACK and steps is not None:
+            states = columns[f"{entities.JOINT_ARCHETYPE}:{FIELDS}"]
+            self.joint.extend((step, _joint_step(row)) for step, (row,) in zip(steps, states, strict=True))
+        elif _SCALARS in columns:
+            times = frames if _by_frame(entity) else steps
+            self.rows.setdefault(entity, []).extend(zip(times or [], columns[_SCALARS], strict=True))
+        elif _NAMES in columns:
+            self.names[entity] = tuple(columns[_NAMES][0])
+        elif entity == entities.LOG and _TEXT in columns:
+            self.log.extend(_lines(columns, steps))
+
+    def replay(self) -> Replay:
+        """All of it in order."""
+        return Replay(
+            frames=_by_number(self.history),
+            joint=tuple(step for _, step in sorted(self.joint, key=lambda item: item[0])),
+            scalars={name: _series(name, self.rows[name], self.names.get(name, ())) for name in sorted(self.rows)},
+            log=tuple(sorted(self.log, key=lambda line: -1 if line.step is None else line.step)),
+        )
 
 
 def _by_frame(entity: str) -> bool:

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.viz import style
-from fgrecon.viz.geometry import BOX_EDGES, box_corners, transform
+from fgrecon.viz.geometry import BOX_EDGES, box_corners
 from fgrecon.viz.marks import draw_edges, unit
 from fgrecon.viz.style import Side
 from fgrecon.viz.truth import Truth

@@ -42,7 +42,7 @@ from fgrecon.viz.scene import line_style, log_camera, log_frame, log_ground, log
 from fgrecon.viz.sinks import Recording
 from fgrecon.viz.track_sight import TrackSight
 
-__all__ = ["log_track", "record_track", "track_recording_of"]
+__all__ = ["record_track", "track_recording_of"]
 
 _FAINT = 110
 _STAGE = 2  # of the joint optimisation on the timeline `stage`: initialisation and pose come before
@@ -70,15 +70,6 @@ def track_recording_of(track: TrackReconstruction, sight: TrackSight) -> Recordi
     from fgrecon.viz.track_blueprint import track_blueprint
 
     return Recording(lambda: _outbox(track, sight).empty_into, lambda: track_blueprint(track, sight))
-
-
-def log_track(stream: Any, track: TrackReconstruction, sight: TrackSight) -> None:
-    """Send a track to a `rerun.RecordingStream`; the arguments are those of `record_track`.
-
-    Raises:
-        InvalidInputError: An image is not (H, W, 3) of bytes.
-    """
-    _outbox(track, sight).empty_into(stream)
 
 
 def _outbox(track: TrackReconstruction, sight: TrackSight) -> Outbox:

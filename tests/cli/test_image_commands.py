@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.images import write_png
-from fgrecon.perception.keypoints.decode import Calibration
+from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.weights import Stored, save_weights
 from fgrecon.viz import replay
 
@@ -32,7 +32,9 @@ def weights(tmp_path_factory):
     torch.set_num_threads(1)
     sizes = KNetSettings(crop=32, width=8)
     path = tmp_path_factory.mktemp("weights") / "w.safetensors"
-    yield save_weights(path, Stored(KNet(sizes).state_dict(), sizes.to_dict(), Calibration(bias=1.0), {"data": "none"}))
+    yield save_weights(
+        path, Stored(KNet(sizes).state_dict(), sizes.to_dict(), ConfidenceCalibration(bias=1.0), {"data": "none"})
+    )
     torch.set_num_threads(threads)
 
 

@@ -69,18 +69,6 @@ def test_rotation_error_keeps_its_digits_near_0_and_180_degrees(axis, angle):
     assert error == pytest.approx(np.degrees(angle), abs=1e-7)
 
 
-def test_keypoint_precision_by_hand():
-    # box 40 x 100, so a point may be off by 10 pixels
-    true = np.array([[[0.0, 0.0], [50.0, 50.0], [np.nan, np.nan]], [[0.0, 0.0], [50.0, 50.0], [np.nan, np.nan]]])
-    estimated = np.array([[[6.0, 8.0], [50.0, 61.0], [1.0, 1.0]], [[np.nan, np.nan], [50.0, 50.0], [1.0, 1.0]]])
-    boxes = [[0, 0, 40, 100], [10, 10, 50, 110]]
-    right = metrics.keypoint_precision(estimated, true, boxes)
-    assert right[:2].tolist() == [0.5, 0.5]  # the missing estimate of the first point counts as wrong
-    assert np.isnan(right[2])  # never annotated
-    assert np.nanmean(right) == 0.5
-    assert metrics.keypoint_precision(estimated, true, boxes, alpha=0.12)[:2].tolist() == [0.5, 1.0]
-
-
 def test_keypoint_error_by_hand():
     true = np.zeros((2, 2, 3))
     estimated = np.array([[[1.0, 2.0, 2.0], [0.0, 0.0, 0.0]], [[0.0, 0.0, -0.5], [np.nan] * 3]])
@@ -104,7 +92,6 @@ def test_hausdorff_distance_by_hand():
         (lambda: metrics.orientation_precision([], 5), "errors"),
         (lambda: metrics.translation_error(np.zeros((1, 2)), np.zeros((1, 3))), "estimated"),
         (lambda: metrics.rotation_error(np.zeros((1, 3, 3)), np.full((1, 3, 3), np.nan)), "true[0, 0, 0]"),
-        (lambda: metrics.keypoint_precision(np.zeros((1, 2, 2)), np.zeros((1, 2, 2)), np.zeros((1, 4)), 0.0), "alpha"),
         (lambda: metrics.keypoint_error(np.zeros((4, 3)), np.zeros((5, 3))), "estimated"),
         (lambda: metrics.hausdorff_distance(np.zeros((0, 3)), np.zeros((1, 3))), "first"),
     ],
@@ -113,12 +100,3 @@ def test_bad_input_names_the_field(call, field):
     with pytest.raises(InvalidInputError) as error:
         call()
     assert error.value.field == field
-
-
-def test_the_closest_shape_by_hand():
-    square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
-    finer = np.concatenate([square, [[0.5, 0.0, 0.0]]])
-    index, distance = metrics.closest_shape(square + np.array([0, 0, 0.1]), [square + 2.0, finer, square])
-    assert (index, distance) == (2, pytest.approx(0.1))
-    with pytest.raises(InvalidInputError, match="candidates"):
-        metrics.closest_shape(square, [])

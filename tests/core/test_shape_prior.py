@@ -10,6 +10,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior, Surface
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior, save_prior
+from fgrecon.io.kitti_files import read_image_set, read_labels
 from fgrecon.solve.vehicle.conditioning import express
 from fgrecon.training.priors.apollo79 import DUPLICATE, apollo79_prior, leave_one_out, load_apollo79, rounded
 
@@ -214,12 +215,8 @@ class TestApollo79:
 def test_kitti_size_prior_is_that_of_the_training_labels(data):
     folder = data / "kitti_object"
     labels = folder / "training" / "label_2"
-    sizes = []
-    for frame in (folder / "ImageSets" / "train.txt").read_text().split():
-        for line in (labels / f"{frame}.txt").read_text().splitlines():
-            words = line.split()
-            if words[0] == "Car":
-                sizes.append([float(words[i]) for i in (10, 9, 8)])
+    found, _ = read_labels(labels, read_image_set(folder / "ImageSets" / "train.txt"))
+    sizes = np.concatenate([objects.size[np.array(objects.kind) == "Car"] for objects in found.values()])
     assert len(sizes) == 14357
     assert SIZE_PRIORS["kitti"].mean == pytest.approx(np.mean(sizes, axis=0), abs=0.005)
     assert SIZE_PRIORS["kitti"].sigma == pytest.approx(np.std(sizes, axis=0), abs=0.005)

@@ -10,7 +10,6 @@ from fgrecon.io.kitti_files import (
     count_defects,
     format_results,
     parse_objects,
-    parse_tracking,
     read_detections,
     read_image_set,
     read_labels,
@@ -34,7 +33,6 @@ def test_a_label_line_is_read_column_by_column():
     assert objects.location[0].tolist() == [-2.0, 1.65, 14.0]
     assert objects.rotation_y[0] == -1.7
     assert np.isnan(objects.score).all()
-    assert objects.track.tolist() == [-1, -1]
 
 
 def test_each_defect_of_a_file_is_a_problem_and_the_other_lines_are_kept():
@@ -119,15 +117,6 @@ def test_detections_by_frame_with_defects(tmp_path):
     assert count_defects(problems) == {"missing frame": 1, "unknown frame": 1, "malformed line": 3}
 
 
-def test_tracking_labels_are_grouped_by_frame():
-    text = f"3 7 {CAR}\n3 -1 {AREA}\n5 7 {CAR}\n5 {CAR}\n"
-    frames, problems = parse_tracking(text, "0000.txt")
-    assert sorted(frames) == [3, 5]
-    assert frames[3].kind == ("Car", "DontCare")
-    assert frames[3].track.tolist() == [7, -1]
-    assert [p.place for p in problems] == ["0000.txt:4"]
-
-
 @pytest.mark.parametrize(("text", "match"), [("", "no frame"), ("000001\n000002\n000001\n", "000001")])
 def test_image_sets_that_cannot_be_used_are_refused(tmp_path, text, match):
     path = tmp_path / "val.txt"
@@ -146,11 +135,3 @@ def test_the_real_validation_set_reads_without_a_defect_but_empty_frames(data):
     assert problems == []
     assert set(count_defects(without)) <= {"missing frame"}
     assert sum(kind == "Car" for objects in labels.values() for kind in objects.kind) == 14385
-
-
-@pytest.mark.data
-def test_real_tracking_labels_read_without_a_defect(data):
-    path = data / "kitti_tracking" / "label_02" / "0000.txt"
-    frames, problems = parse_tracking(path.read_text(), path.name)
-    assert problems == []
-    assert len(frames) > 100

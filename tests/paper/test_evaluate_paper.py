@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from fgrecon.cli.main import app
 from fgrecon.core.camera import Ground
 from fgrecon.core.size_prior import size_prior
-from fgrecon.evaluation.methods import Scene
+from fgrecon.evaluation.methods import SceneKnowledge
 from fgrecon.io.catalogue import load_prior
 from fgrecon.paper.apollocar3d import read_apollocar3d
 from fgrecon.paper.known_shape import score_known_shapes
@@ -115,7 +115,7 @@ def again(data, parts, folder):
     for path in set(stored) - set(kept):
         (folder / path).unlink()
     models = load_apollo79(data)
-    scene = Scene(load_prior("car14"), Ground.level(1.65), size_prior("kitti"))
+    scene = SceneKnowledge(load_prior("car14"), Ground.level(1.65), size_prior("kitti"))
     validation = read_validation(data / "kitti_object")
     outcomes = run_conditions(validation, CONDITIONS, scene, models, folder, workers=2)
     assert {name for name, outcome in outcomes.items() if not outcome.solved} == {"harder"}

@@ -15,7 +15,6 @@ from fgrecon.paper.icra2017_release import (
     AVERAGE_CAR,
     import_icra2017,
     load_icra2017_example,
-    load_icra2017_visibility,
 )
 from fgrecon.training.priors.apollo79 import DUPLICATE
 
@@ -194,19 +193,6 @@ class TestExamples:
         gaps = [np.median(np.linalg.norm(uv - seen, axis=1)) for uv in (here[LEFT], here[LEFT + 18])]
         assert gaps[0] < 15
         assert gaps[1] > 1.5 * gaps[0]
-
-    def test_visibility(self, example, folder):
-        """Both cars show their left; the table of the release, read as it stands, would show the right of one."""
-        visible = load_icra2017_visibility(folder)
-        alpha = example.rotation_y - np.arctan2(example.location[0], example.location[2])
-        row = visible[round(np.degrees(alpha)) % 360]
-        assert row[LEFT].sum() > 2 * row[LEFT + 18].sum()
-        rear, front = CATEGORY.index("left_boot_rear_top"), CATEGORY.index("left_bonnet_front")
-        assert visible[270, rear]
-        assert not visible[270, front]  # -90 degrees: seen from behind
-        assert visible[90, front]
-        assert not visible[90, rear]
-        assert (visible[0, LEFT + 18].all(), visible[0, LEFT].any()) == (True, False)  # faces right: shows its right
 
     def test_pose_and_shape_fit(self, example, fleet):
         """Plain fits at the labelled size: 01 errs by 0.1 and 1.1 degrees, 02 (a car on a slope) by 8 and 5."""

@@ -6,10 +6,10 @@ import pytest
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.options import BoxModel, Options
 from fgrecon.evaluation.kitti_devkit import match_detections
-from fgrecon.evaluation.methods import Scene
-from fgrecon.io.kitti_calibration import Calibration
+from fgrecon.evaluation.methods import SceneKnowledge
+from fgrecon.io.kitti_calibration import KittiCalibration
 from fgrecon.io.kitti_files import Objects, parse_objects
-from fgrecon.paper.simulated import Fleet, Frame, hidden_by_boxes, simulate_frame
+from fgrecon.paper.simulated import Fleet, KittiFrame, hidden_by_boxes, simulate_frame
 from fgrecon.paper.simulated_run import Condition, Validation, run_conditions
 from fgrecon.paper.simulated_scores import Scores, row_solvers, score_instances
 from fgrecon.paper.stages import AZIMUTH_GROSS, initial_state, noisy_azimuth, stages
@@ -20,7 +20,7 @@ from fgrecon.training.priors.apollo79 import Apollo79
 
 K = np.array([[721.5, 0.0, 609.6], [0.0, 721.5, 172.9], [0.0, 0.0, 1.0]])
 OFFSET = np.array([0.06, 0.0, 0.003])
-CALIBRATION = Calibration(Camera(K, image_size=(1242, 375)), OFFSET)
+CALIBRATION = KittiCalibration(Camera(K, image_size=(1242, 375)), OFFSET)
 
 
 def label(prior, x, z, yaw, size=(3.9, 1.6, 1.5), occlusion=0):
@@ -42,7 +42,7 @@ def frame_of(*lines, name="000007", without=()):
     assert not problems
     kept = labels.take(np.array([i for i in range(len(labels)) if i not in without], dtype=np.intp))
     found = Objects.detections(kept.kind, kept.box, np.linspace(0.9, 0.5, len(kept)))
-    return Frame(name, labels, found, CALIBRATION)
+    return KittiFrame(name, labels, found, CALIBRATION)
 
 
 @pytest.fixture(scope="module")
@@ -155,9 +155,9 @@ def test_scores_by_hand_for_a_row_that_knows_the_truth_and_one_that_fails(scene,
     instances = simulate_frame(frame, fleet)
 
     def truth(instance):
-        from fgrecon.paper.stages import State
+        from fgrecon.paper.stages import StageEstimate
 
-        return {"truth": State(instance.camera_T_object, instance.keypoints, np.ones(3))}
+        return {"truth": StageEstimate(instance.camera_T_object, instance.keypoints, np.ones(3))}
 
     def broken(instance):
         raise RuntimeError("no luck")
@@ -182,7 +182,7 @@ def test_a_run_can_be_taken_up_again_and_does_not_depend_on_processes(scene, fle
     faces = fleet.vehicles[0].faces
     models = Apollo79(("a", "b", "c"), keypoints, keypoints, vertices, vertices, faces, fleet.sizes, np.ones(3))
     validation, condition = Validation(frames, ()), Condition("few", 0.0, 1, ("initialisation", "sqpnp_confident+size"))
-    told = Scene(scene.prior, scene.ground, scene.size)
+    told = SceneKnowledge(scene.prior, scene.ground, scene.size)
     calls = []
 
     def run(folder, workers):

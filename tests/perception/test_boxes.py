@@ -52,6 +52,12 @@ def test_detections_of_the_image_alone(tmp_path):
         boxes_of(tmp_path / "000009.png", [], file)
 
 
+def test_detections_of_an_image_whose_name_has_spaces_and_of_unknown_classes(tmp_path):
+    file = tmp_path / "d.txt"
+    file.write_text("my street.png 2 0.9 1 2 3 4\nmy street.png 7 0.9 5 6 7 8\n")
+    assert [box.corners.tolist() for box in read_boxes(file, "my street")] == [[1, 2, 3, 4]]
+
+
 def test_coco_results_and_annotations(tmp_path):
     file = tmp_path / "c.json"
     entry = {"image_id": 3, "category_id": 3, "bbox": [10, 20, 30, 40]}
@@ -69,7 +75,8 @@ def test_coco_results_and_annotations(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "line", ["Car 1 2", f"Car {LABEL.replace('10.0', 'ten')}", f"Car {LABEL.replace('10.0', 'nan')}"]
+    "line",
+    ["Car 1 2", f"Car {LABEL.replace('10.0', 'ten')}", f"Car {LABEL.replace('10.0', 'nan')}", "a.png 2 0.9 1 2 3 four"],
 )
 def test_bad_lines_are_named(tmp_path, line):
     file = tmp_path / "l.txt"

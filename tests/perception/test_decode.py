@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fgrecon.perception.keypoints.decode import Calibration, decode, log_softmax, sigmoid, softmax
+from fgrecon.perception.keypoints.decode import ConfidenceCalibration, decode, log_softmax, sigmoid, softmax
 
 
 def gaussian(point, sigma, side=48, stride=2.0):
@@ -42,11 +42,11 @@ def test_a_peak_in_a_corner_stays_finite():
 def test_calibration_recovers_the_probabilities_that_made_the_examples():
     rng = np.random.default_rng(0)
     visible, mass = rng.normal(0, 2, 40000), rng.beta(1.5, 1, 40000)
-    truth = Calibration(-0.5, 0.8, 0.6, 0.3)
+    truth = ConfidenceCalibration(-0.5, 0.8, 0.6, 0.3)
     right = rng.random(40000) < truth.confidence(visible, mass)
-    fitted = Calibration.fit(visible, mass, right, ridge=0.0)
+    fitted = ConfidenceCalibration.fit(visible, mass, right, ridge=0.0)
     np.testing.assert_allclose(fitted.confidence(visible, mass), truth.confidence(visible, mass), atol=0.05)
-    assert Calibration.from_dict(fitted.to_dict()) == fitted
+    assert ConfidenceCalibration.from_dict(fitted.to_dict()) == fitted
 
 
 def test_softmax_and_sigmoid_survive_large_numbers():
@@ -59,7 +59,7 @@ def test_the_spread_of_errors_is_found():
     rng = np.random.default_rng(0)
     likelihood = np.broadcast_to(0.01**2 * np.eye(2), (4000, 2, 2))
     error = rng.normal(0, np.hypot(0.01, 0.02), (4000, 2))
-    fitted = Calibration().with_spread(likelihood, error)
+    fitted = ConfidenceCalibration().with_spread(likelihood, error)
     found = fitted.covariance(likelihood[0], 1.0)[0, 0]
     assert found == pytest.approx(0.01**2 + 0.02**2, rel=0.3)
     assert fitted.covariance(likelihood[0] * 100**2, 100.0)[0, 0] == pytest.approx(found * 100**2)

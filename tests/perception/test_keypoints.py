@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.perception.keypoints.decode import Calibration
+from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import Detector, as_rgb8
 from fgrecon.perception.keypoints.weights import Stored, save_weights
 
@@ -19,7 +19,7 @@ SMALL = KNetSettings(crop=32, width=8)
 def detector(tmp_path_factory):
     torch.manual_seed(0)
     path = tmp_path_factory.mktemp("weights") / "w.safetensors"
-    save_weights(path, Stored(KNet(SMALL).state_dict(), SMALL.to_dict(), Calibration(), {}))
+    save_weights(path, Stored(KNet(SMALL).state_dict(), SMALL.to_dict(), ConfidenceCalibration(), {}))
     return Detector(path)
 
 
@@ -35,8 +35,8 @@ def test_points_lie_in_the_crop_and_everything_is_a_probability(detector, image)
     for detection, box in zip(found, boxes, strict=True):
         seen = detection.observation
         np.testing.assert_allclose(seen.box, box)
-        inside = detection.crop.to_crop(seen.keypoints)
-        assert ((inside > -1) & (inside < 32)).all()
+        low, high = detection.crop.to_image([[-1, -1], [32, 32]])
+        assert ((seen.keypoints > low) & (seen.keypoints < high)).all()
         assert ((seen.confidence >= 0) & (seen.confidence <= 1)).all()
         assert np.linalg.eigvalsh(seen.covariance).min() > 0
         assert detection.azimuth.sum() == pytest.approx(1.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fgrecon.io.catalogue import load_category
-from fgrecon.perception.keypoints.decode import Calibration, decode
+from fgrecon.perception.keypoints.decode import ConfidenceCalibration, decode
 from fgrecon.perception.keypoints.detect import Detector
 from fgrecon.perception.keypoints.weights import Stored, load_weights, save_weights
 
@@ -123,7 +123,7 @@ def test_a_cascade_from_a_file_moves_points_only_within_the_patches(tmp_path):
     stored = Stored(
         KNet(sizes).state_dict(),
         sizes.to_dict(),
-        Calibration(),
+        ConfidenceCalibration(),
         {},
         RefineNet(SMALL).state_dict(),
         SMALL.to_dict(),

@@ -17,7 +17,6 @@ from fgrecon.simulation.vehicles import (
     KITTI_CAMERA,
     Vehicle,
     kitti_like_pose,
-    label_poses,
     simulate,
     simulate_many,
     simulate_track,
@@ -220,18 +219,3 @@ def test_a_track_moves_smoothly():
     assert steps.max() <= 1.0
     np.testing.assert_allclose(steps, steps[0], rtol=1e-6)
     assert len({id(t.vehicle) for _, t in track}) == 1
-
-
-def test_label_poses_keeps_whole_cars_in_range():
-    lines = [
-        "0 1 Car 0 0 1.6 500 150 600 220 1.5 1.6 3.9 1.0 1.7 20.0 -1.5",
-        "0 2 Car 1 0 1.6 500 150 600 220 1.5 1.6 3.9 1.0 1.7 20.0 -1.5",
-        "0 3 Van 0 0 1.6 500 150 600 220 1.5 1.6 3.9 1.0 1.7 20.0 -1.5",
-        "0 4 Car 0 2 1.6 500 150 600 220 1.5 1.6 3.9 1.0 1.7 20.0 -1.5",
-        "0 5 Car 0 1 1.6 500 150 600 220 1.5 1.6 3.9 1.0 1.7 60.0 -1.5",
-    ]
-    poses = label_poses("\n".join(lines))
-    assert poses.shape == (1, 4, 4)
-    assert rotation_y(poses[0]) == pytest.approx(-1.5)
-    np.testing.assert_allclose(poses[0, :3, 3], [1.0, 1.7, 20.0])
-    assert label_poses("").shape == (0, 4, 4)

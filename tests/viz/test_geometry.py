@@ -11,6 +11,7 @@ from hypothesis.extra.numpy import arrays
 
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import transform
 from fgrecon.core.observation import Observation
 from fgrecon.viz import Truth
 from fgrecon.viz.geometry import (
@@ -21,7 +22,6 @@ from fgrecon.viz.geometry import (
     ground_grid,
     image_points,
     resolution,
-    transform,
     vertex_normals,
 )
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections import Counter
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -12,9 +11,8 @@ import numpy as np
 import pytest
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Iteration, Reconstruction, Status
-from fgrecon.viz import entities, log_reconstruction, record, replay, style
+from fgrecon.viz import entities, record, recording_of, replay, style
 from tests.viz.made_up import STAGES, Example
 
 
@@ -224,38 +222,6 @@ def test_drawn_geometry_is_the_history(example: Example, recording: Path) -> Non
     assert np.array_equal(surface, example.reconstruction.surface_vertices.astype(np.float32))
 
 
-def test_layout_is_stored_in_the_file(recording: Path) -> None:
-    from rerun.chunk import RrdReader
-
-    assert len(RrdReader(recording).blueprints()) == 1
-    assert len(RrdReader(recording).recordings()) == 1
-
-
-def test_every_recording_has_all_views_zoomed_to_its_own_vehicle(example: Example, tmp_path: Path) -> None:
-    from rerun.chunk import RrdReader
-
-    def layout(name: str, observation: Observation) -> tuple[dict[str, int], list]:
-        reader = RrdReader(record(tmp_path / name, example.reconstruction, observation, example.camera))
-        (store,) = reader.blueprints()
-        batches = [chunk.to_record_batch() for chunk in reader.stream(store=store)]
-
-        def values(component: str) -> list:
-            return [row for b in batches if component in b.schema.names for row in b.column(component).to_pylist()]
-
-        assert len(values("EyeControls3D:position")) == 1
-        return Counter(name for (name,) in values("ViewBlueprint:display_name")), values("VisualBounds2D:range")
-
-    moved = replace(example.observation, box=example.observation.box + 300.0)
-    views, bounds = layout("here.rrd", example.observation)
-    assert views == layout("again.rrd", example.observation)[0]
-    assert {"Weights", "Shape", "Log", "Result", "Scene: camera frame, metres"} < set(views)
-    assert set(views.values()) == {1}
-    assert len(bounds) == 2  # of the image and of the factor graph
-    there = layout("there.rrd", moved)[1]
-    assert bounds[-1] == there[-1] or bounds[0] == there[0]
-    assert bounds != there
-
-
 def test_a_failed_result_without_history_still_records(example: Example, tmp_path: Path) -> None:
     failed = replace(
         example.reconstruction,
@@ -330,7 +296,7 @@ def test_a_stream_of_ones_own_gets_the_same(example: Example, tmp_path: Path) ->
     path = tmp_path / "own.rrd"
     stream = rr.RecordingStream("test")
     stream.save(path)
-    log_reconstruction(stream, example.reconstruction, example.observation, example.camera)
+    recording_of(example.reconstruction, example.observation, example.camera).make()(stream)
     stream.flush()
     stream.disconnect()
     assert len(replay.read(path).history) == len(example.reconstruction.history)

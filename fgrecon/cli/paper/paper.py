@@ -56,17 +56,17 @@ def paper_command(
     from fgrecon.core.camera import Ground
     from fgrecon.core.size_prior import size_prior as parse_size
     from fgrecon.evaluation import report
-    from fgrecon.evaluation.methods import Scene
+    from fgrecon.evaluation.methods import SceneKnowledge
     from fgrecon.io.catalogue import load_prior
     from fgrecon.io.files import write_text
     from fgrecon.paper import page as paper_page
-    from fgrecon.paper.run import Settings, evaluate_paper
+    from fgrecon.paper.run import EvaluationSettings, evaluate_paper
 
-    scene = Scene(load_prior(prior), Ground.level(camera_height), parse_size(size_prior))
+    scene = SceneKnowledge(load_prior(prior), Ground.level(camera_height), parse_size(size_prior))
     out.mkdir(parents=True, exist_ok=True)
     if fresh:
         shutil.rmtree(out / "parts", ignore_errors=True)
-    settings = Settings(data, out, scene, workers or os.cpu_count() or 1, every, seed)
+    settings = EvaluationSettings(data, out, scene, workers or os.cpu_count() or 1, every, seed)
     with _bar(shown=sys.stderr.isatty() if progress is None else progress) as advance:
         page = evaluate_paper(settings, advance)
     told = {**report.settings(scene, {}), "data": str(data), "workers": settings.workers, "every": every, "seed": seed}

@@ -146,18 +146,19 @@ def run_training(
     import torch
     from rich.progress import track
 
-    from fgrecon.perception.keypoints.decode import Calibration
+    from fgrecon.perception.keypoints.decode import ConfidenceCalibration
     from fgrecon.training.keypoints.calibrate import calibrate
     from fgrecon.training.keypoints.dataset import azimuth_weights
     from fgrecon.training.keypoints.labelling import read_source
     from fgrecon.training.keypoints.rounds import train_in_rounds
-    from fgrecon.training.keypoints.train import Progress, Training
+    from fgrecon.training.keypoints.train import Training
     from fgrecon.training.keypoints.train_refine import RefineTraining, train_refinement
+    from fgrecon.training.keypoints.trainer import TrainingProgress
 
     shown = console(error=True)
     reported: list[tuple[int, float]] = []  # step and time of the last report
 
-    def report(progress: Progress) -> None:
+    def report(progress: TrainingProgress) -> None:
         text = ", ".join(f"{name} {value:.3f}" for name, value in progress.losses.items())
         if progress.score is not None:
             text += f"; held out PCK 0.1 {100 * progress.score:.1f} %"
@@ -168,11 +169,11 @@ def run_training(
         reported[:] = [(step, now)]
         shown.print(f"step {step} of {progress.steps}: {text}", markup=False, soft_wrap=True)
 
-    def tell(line: str) -> None:
+    def log(line: str) -> None:
         reported.clear()  # what comes between is not the training's rate
         shown.print(line)
 
-    def watch(things: Sequence[Any], heading: str) -> Iterable[Any]:
+    def progress(things: Sequence[Any], heading: str) -> Iterable[Any]:
         return track(things, heading, console=shown)
 
     source = read_source(data, marks)
@@ -188,8 +189,8 @@ def run_training(
         silhouettes=silhouettes,
         device=device,
         report=report,
-        tell=tell,
-        watch=watch,
+        log=log,
+        progress=progress,
     )
     partner = source.prior.category.mirror
     begun = None if start is None else load_weights(start)
@@ -201,9 +202,9 @@ def run_training(
         "training": f"{steps} steps of {batch}, labels corrected at {list(relabel_at)}, seed {seed}",
     }
     state = network.state_dict() if begun is None else mean_state(begun.state, network.state_dict(), start_share)
-    stored = Stored(state, how.network.to_dict(), Calibration(), provenance)
+    stored = Stored(state, how.network.to_dict(), ConfidenceCalibration(), provenance)
     if refine_steps:
-        tell("Refinement networks")
+        log("Refinement networks")
         chosen = labelling.samples(photographs, source.learn)
         refining = RefineTraining(steps=refine_steps, seed=seed)
         refining = replace(refining, street=refining.street.moving(source.prior.category))
@@ -224,7 +225,7 @@ def run_training(
             refined = mean_state(begun.refinement, refined, start_share)
         stored = replace(stored, refinement=refined, refine_settings=refining.network.to_dict())
     save_weights(out, stored)
-    tell("Calibration")
+    log("Calibration")
     held = labelling.samples(photographs, source.validate)
     fitted = calibrate(Detector(out, device=device), photographs, held, partner, seed=seed + 1)
     save_weights(out, replace(stored, calibration=fitted))

@@ -136,12 +136,12 @@ def _progress(show: bool) -> Iterator[ProgressCallback | None]:
         TextColumn("log likelihood {task.fields[bound]:+.4f} per keypoint, iteration {task.fields[iteration]}"),
         TimeRemainingColumn(),
     )
-    from fgrecon.training.priors.nrsfm import Progress as Step
+    from fgrecon.training.priors.nrsfm import NrsfmProgress
 
     with Progress(*columns, console=terminal, transient=True) as bar:
         task = bar.add_task("start", total=1.0, bound=float("nan"), iteration=0)
 
-        def update(step: Step) -> None:
+        def update(step: NrsfmProgress) -> None:
             bar.update(
                 task, description=step.stage, completed=step.fraction, bound=step.bound, iteration=step.iteration
             )

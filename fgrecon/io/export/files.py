@@ -10,7 +10,7 @@ from fgrecon.io.export.kitti import kitti_text
 from fgrecon.io.export.mesh import glb_bytes, ply_bytes
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.export.table import csv_text, parquet_bytes
-from fgrecon.io.files import write_bytes
+from fgrecon.io.files import check_ending, write_bytes
 
 __all__ = ["FORMATS", "check_format", "export"]
 
@@ -32,10 +32,7 @@ def check_format(path: str | Path) -> str:
     Raises:
         InvalidInputError: Nothing is written with that ending.
     """
-    kind = Path(path).suffix.lower().removeprefix(".")
-    if kind not in _WRITERS:
-        raise InvalidInputError(str(path), kind or "no ending", f"Let the name end in one of {', '.join(FORMATS)}.")
-    return kind
+    return check_ending(path, FORMATS)
 
 
 def export(path: str | Path, results: Sequence[NamedResult]) -> Path:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.metrics import wrap_angle
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.kitti_files import Objects, format_results
 
@@ -32,7 +33,7 @@ def _row(item: NamedResult) -> list[float]:
     x, y, z = result.location - (0.0 if item.label_offset is None else item.label_offset)
     length, width, height = result.box_size
     yaw = result.rotation_y
-    alpha = (yaw - np.arctan2(x, z) + np.pi) % (2 * np.pi) - np.pi
+    alpha = float(wrap_angle(yaw - np.arctan2(x, z)))
     box = _box(result.wireframe_uv) if item.box is None else item.box
     visible = result.visibility >= _VISIBLE
     score = float(result.weights[visible].mean()) if visible.any() else 0.0

@@ -35,11 +35,6 @@ class Crop:
         """Pixels of the crop per pixel of the image."""
         return self.size / self.side
 
-    def to_crop(self, pixels: ArrayLike) -> NDArray[np.float64]:
-        """Pixels of the image (..., 2) as pixels of the crop."""
-        inside: NDArray[np.float64] = (np.asarray(pixels) - self.centre) * self.scale + (self.size - 1) / 2
-        return inside
-
     def to_image(self, pixels: ArrayLike) -> NDArray[np.float64]:
         """Pixels of the crop (..., 2) as pixels of the image."""
         outside: NDArray[np.float64] = (np.asarray(pixels) - (self.size - 1) / 2) / self.scale + self.centre

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Calibration", "Decoded", "decode", "log_softmax", "logit", "sigmoid", "softmax"]
+__all__ = ["ConfidenceCalibration", "Decoded", "decode", "log_softmax", "logit", "sigmoid", "softmax"]
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ class Decoded:
 
 
 @dataclass(frozen=True)
-class Calibration:
+class ConfidenceCalibration:
     """Logistic regression from what the network says to the probability that a point is visible and right.
 
     confidence = sigmoid(bias + visible * v + mass * m + product * v m'), with v the visibility's logit, m the log odds
@@ -67,7 +67,7 @@ class Calibration:
         return np.stack([np.ones_like(v), v, m, v * m / 6.0], axis=-1)
 
     @classmethod
-    def fit(cls, visible: Array, mass: Array, right: NDArray[np.bool_], ridge: float = 1e-3) -> Calibration:
+    def fit(cls, visible: Array, mass: Array, right: NDArray[np.bool_], ridge: float = 1e-3) -> ConfidenceCalibration:
         """Maximum likelihood on examples (any shape): `right` where the point was visible and near enough."""
         x = cls.features(visible, mass).reshape(-1, 4)
         y, w = right.ravel().astype(np.float64), np.zeros(4)
@@ -85,7 +85,7 @@ class Calibration:
         """Covariances (..., 2, 2) from those of the likelihood, for a box of that longer side in the same unit."""
         return self.scale**2 * likelihood + (self.floor * extent) ** 2 * np.eye(2)
 
-    def with_spread(self, likelihood: Array, error: Array) -> Calibration:
+    def with_spread(self, likelihood: Array, error: Array) -> ConfidenceCalibration:
         """The scale and floor under which errors of right points are most probable (Laplace-like tails).
 
         Args:
@@ -110,7 +110,7 @@ class Calibration:
         return asdict(self)
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, float]) -> Calibration:
+    def from_dict(cls, data: Mapping[str, float]) -> ConfidenceCalibration:
         """The reverse of `to_dict`."""
         return cls(**{field.name: float(data[field.name]) for field in fields(cls)})
 

@@ -16,7 +16,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.io.catalogue import load_category
 from fgrecon.perception.keypoints.crops import MARGIN, Crop, crop_of, extract
-from fgrecon.perception.keypoints.decode import Calibration, Decoded, decode, softmax
+from fgrecon.perception.keypoints.decode import ConfidenceCalibration, Decoded, decode, softmax
 from fgrecon.perception.keypoints.weights import load_weights, shipped
 
 __all__ = [
@@ -92,7 +92,7 @@ class Detector:
         path = shipped() if weights is None else Path(weights)
         stored = load_weights(path)
         self.provenance = dict(stored.provenance)
-        self.calibration: Calibration = stored.calibration
+        self.calibration: ConfidenceCalibration = stored.calibration
         self.device = device
         self.mirror = mirror
         self._partner = load_category(_CATEGORY).mirror
@@ -133,17 +133,17 @@ class Detector:
         found: list[Detection] = []
         for start in range(0, len(corners), batch):
             some = corners[start : start + batch]
-            found += self.together([pixels] * len(some), some, maps=maps)
+            found += self.detect_batch([pixels] * len(some), some, maps=maps)
         return found
 
-    def together(
+    def detect_batch(
         self, images: Sequence[NDArray[np.uint8]], boxes: NDArray[np.float64], *, maps: bool = False
     ) -> list[Detection]:
         """Keypoints of one box (B, 4) in each of B RGB images (H, W, 3), in one batch; nothing is checked."""
         size = self.network.settings.crop
         crops = [crop_of(box, size) for box in boxes]
         pixels = np.stack([extract(image, crop) for image, crop in zip(images, crops, strict=True)])
-        likelihood, visible, azimuth = self.both_ways(pixels) if self.mirror else self.forward(pixels)
+        likelihood, visible, azimuth = self.mirror_average(pixels) if self.mirror else self.forward(pixels)
         decoded = decode(likelihood, size / likelihood.shape[-1], REACH * size / MARGIN)
         confidence = self.calibration.confidence(visible, decoded.mass)
         if self.refinement is not None:
@@ -177,7 +177,7 @@ class Detector:
         points = (found.points + origin + 0.5) / ratio - 0.5
         return Decoded(points, found.covariance / ratio**2, first.mass)
 
-    def both_ways(self, crops: NDArray[np.uint8]) -> tuple[Array, Array, Array]:
+    def mirror_average(self, crops: NDArray[np.uint8]) -> tuple[Array, Array, Array]:
         """`forward` on the crops and their mirror images, averaged; in these left and right change places."""
         count = len(crops)
         maps, visible, azimuth = self.forward(np.concatenate([crops, crops[:, :, ::-1]]))

@@ -11,7 +11,7 @@ from typing import Any
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import write_bytes
-from fgrecon.perception.keypoints.decode import Calibration
+from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 
 __all__ = ["FORMAT", "Stored", "load_weights", "mean_state", "save_weights", "shipped"]
 
@@ -37,7 +37,7 @@ class Stored:
 
     state: Mapping[str, Any]
     settings: Mapping[str, int]
-    calibration: Calibration
+    calibration: ConfidenceCalibration
     provenance: Mapping[str, str]
     refinement: Mapping[str, Any] | None = None
     refine_settings: Mapping[str, int] | None = None
@@ -121,7 +121,7 @@ def load_weights(path: Path) -> Stored:
         return Stored(
             state,
             json.loads(about["settings"]),
-            Calibration.from_dict(json.loads(about["calibration"])),
+            ConfidenceCalibration.from_dict(json.loads(about["calibration"])),
             json.loads(about["provenance"]),
             refinement or None,
             json.loads(about["refinement"]),

@@ -19,7 +19,7 @@ from fgrecon.core.category import Category
 from fgrecon.perception.keypoints.crops import FILL, MARGIN
 from fgrecon.training.keypoints.deform import Field, deform, deform_points, move_points, random_field
 
-__all__ = ["Another", "Sample", "Street", "View"]
+__all__ = ["Another", "LabelledView", "Sample", "Street"]
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.uint8]
@@ -29,7 +29,7 @@ _UNEVEN = 0.5  # standard deviation of the logarithm of the boxes' jitter
 
 
 @dataclass(frozen=True)
-class View:
+class LabelledView:
     """A photograph of a car with its labels.
 
     Attributes:
@@ -46,11 +46,11 @@ class View:
     visible: Array
     azimuth: float
 
-    def mirrored(self, partner: NDArray[np.intp]) -> View:
+    def mirrored(self, partner: NDArray[np.intp]) -> LabelledView:
         """The mirror image, in which left and right of the car have changed places."""
         flipped = self.keypoints[partner] * [-1.0, 1.0] + [self.image.shape[1] - 1.0, 0.0]
         image, mask = (np.ascontiguousarray(a[:, ::-1]) for a in (self.image, self.mask))
-        return View(image, mask, flipped, self.visible[partner], -self.azimuth)
+        return LabelledView(image, mask, flipped, self.visible[partner], -self.azimuth)
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Sample:
         crop: (S, S, 3) RGB.
         keypoints: (K, 2) pixels of the crop; NaN where unknown.
         visible: (K,) probability that each can be seen.
-        azimuth: As in `View`.
+        azimuth: As in `LabelledView`.
     """
 
     crop: Pixels
@@ -70,7 +70,7 @@ class Sample:
     azimuth: float
 
 
-Another = Callable[[float | None], View]
+Another = Callable[[float | None], LabelledView]
 """Draws a photograph; one seen from about an azimuth in radians where that is given."""
 
 
@@ -124,7 +124,9 @@ class Street:
         along = [(a, b) for a, b in sides if category.mirror[a] != b]
         return replace(self, moves=(*along, *((b, a) for a, b in along)))
 
-    def sample(self, view: View, another: Another, partner: NDArray[np.intp], rng: np.random.Generator) -> Sample:
+    def sample(
+        self, view: LabelledView, another: Another, partner: NDArray[np.intp], rng: np.random.Generator
+    ) -> Sample:
         """Make one sample.
 
         Args:
@@ -168,7 +170,7 @@ class Street:
         crop[outside] = FILL  # what the camera does to its image does not happen beyond it
         return Sample(crop, keypoints, visible, view.azimuth)
 
-    def _placement(self, view: View, rng: np.random.Generator) -> tuple[Array, tuple[str, float] | None]:
+    def _placement(self, view: LabelledView, rng: np.random.Generator) -> tuple[Array, tuple[str, float] | None]:
         """(2, 3) map from the photograph to the crop, and the image border in the crop (side and coordinate)."""
         height, width = view.image.shape[:2]
         low, high = np.array([-0.5, -0.5]), np.array([width - 0.5, height - 0.5])
@@ -203,7 +205,7 @@ class Street:
             by[a] = share * (points[b] - points[a])
         return field + move_points(self.size, points, by) if np.isfinite(by).all() else field
 
-    def _other(self, view: View, another: Another, rng: np.random.Generator) -> View:
+    def _other(self, view: LabelledView, another: Another, rng: np.random.Generator) -> LabelledView:
         """A car beside this one: in a street, cars mostly point the same way."""
         return another(view.azimuth if rng.random() < self.aligned else None)
 
@@ -223,7 +225,7 @@ class Street:
         canvas = _warp(other, np.array([[scale, 0.0, shift[0]], [0.0, scale, shift[1]]]), self.size)
         return np.asarray(cv2.blur(canvas, (5, 5)) if rng.random() < 0.5 else canvas, dtype=np.uint8)
 
-    def _paste(self, canvas: Pixels, other: View, rng: np.random.Generator) -> tuple[Pixels, Pixels]:
+    def _paste(self, canvas: Pixels, other: LabelledView, rng: np.random.Generator) -> tuple[Pixels, Pixels]:
         """Another car somewhere in the crop, mostly to a side, and the mask of where it is."""
         height, width = other.image.shape[:2]
         scale = self.size / MARGIN / max(height, width) * np.exp(rng.normal(0.1, 0.3))

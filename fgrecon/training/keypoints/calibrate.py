@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.perception.keypoints.crops import MARGIN
-from fgrecon.perception.keypoints.decode import Calibration, logit
+from fgrecon.perception.keypoints.decode import ConfidenceCalibration, logit
 from fgrecon.perception.keypoints.detect import REACH, Detector
 from fgrecon.training.keypoints.augment import Street
 from fgrecon.training.keypoints.dataset import Photographs, azimuth_weights
@@ -64,7 +64,7 @@ def calibrate(
     street: Street | None = None,
     samples: int = 1500,
     seed: int = 1,
-) -> Calibration:
+) -> ConfidenceCalibration:
     """Fit the calibration on street-like samples of photographs that the network has not learnt from.
 
     Args:
@@ -86,7 +86,7 @@ def calibrate(
     for start in range(0, samples, _BATCH):
         count = min(_BATCH, samples - start)
         drawn = [photographs.draw(chosen, weights, scene, partner, (seed, start + i)) for i in range(count)]
-        found = detector.together([sample.crop for sample in drawn], np.tile(box, (count, 1)))
+        found = detector.detect_batch([sample.crop for sample in drawn], np.tile(box, (count, 1)))
         for sample, detection in zip(drawn, found, strict=True):
             away = (detection.observation.keypoints - sample.keypoints) / extent
             known = np.isfinite(sample.keypoints).all(axis=1)
@@ -97,6 +97,6 @@ def calibrate(
             if detection.observation.covariance is not None:
                 spread.append(detection.observation.covariance[hit] / extent**2)
                 error.append(away[hit])
-    fitted = Calibration.fit(np.concatenate(visible), np.concatenate(mass), np.concatenate(right))
+    fitted = ConfidenceCalibration.fit(np.concatenate(visible), np.concatenate(mass), np.concatenate(right))
     fitted = fitted.with_spread(np.concatenate(spread), np.concatenate(error))
     return replace(fitted, floor=float(np.hypot(fitted.floor, _UNLABELLED)))

@@ -11,16 +11,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.images import read_image
-from fgrecon.training.keypoints.augment import Sample, Street, View
-from fgrecon.training.keypoints.distant import draw_distant
+from fgrecon.training.keypoints.augment import LabelledView, Sample, Street
+from fgrecon.training.keypoints.distant import random_distant_view
 from fgrecon.training.keypoints.labels import SEEN, Labels, ShapeFit, project_labels, surface_of
 from fgrecon.training.keypoints.posed_cars import PosedCar
-from fgrecon.training.keypoints.watch import Watch, unwatched
+from fgrecon.training.keypoints.progress import Progress, no_progress
 
 __all__ = [
     "SIDE",
@@ -96,10 +97,10 @@ class Photographs:
         again = chosen + len(self.scales)
         return np.concatenate([chosen, again[self.sizes[again, 0] > 0]])
 
-    def view(self, index: int) -> View:
+    def view(self, index: int) -> LabelledView:
         """One photograph with its labels."""
         width, height = self.sizes[index]
-        return View(
+        return LabelledView(
             np.asarray(self.images[index, :height, :width]),
             np.asarray(self.masks[index, :height, :width]),
             self.keypoints[index],
@@ -114,13 +115,13 @@ class Photographs:
         rng = np.random.default_rng(list(seed))
         index = int(rng.choice(chosen, p=weights))
 
-        def another(azimuth: float | None) -> View:
+        def another(azimuth: float | None) -> LabelledView:
             some = rng.choice(chosen, _TRIES)
             if azimuth is None:
                 view = self.view(int(some[0]))
                 return view.mirrored(partner) if rng.random() < 0.5 else view
             # Of a handful the one most alike; the mirror image of a photograph from the other side will do as well.
-            away = np.abs(np.abs(_wrapped(self.azimuth[some])) - abs(_wrapped(azimuth)))
+            away = np.abs(np.abs(wrap_angle(self.azimuth[some])) - abs(wrap_angle(azimuth)))
             view = self.view(int(some[away.argmin()]))
             return view if view.azimuth * azimuth > 0 else view.mirrored(partner)
 
@@ -133,7 +134,7 @@ def prepare_photographs(
     prior: ShapePrior,
     folder: Path,
     silhouettes: Sequence[Path | None] | None = None,
-    watch: Watch = unwatched,
+    progress: Progress = no_progress,
 ) -> None:
     """Resize all photographs, draw their masks and make distant ones, in memory-mapped arrays (0.2 MB a photograph).
 
@@ -144,7 +145,7 @@ def prepare_photographs(
         folder: Where to write; made if missing.
         silhouettes: Grey image of each that is white on the car, for its mask; None where the shape's projection has to
             do, or for all. Only those that have one are also seen from further away.
-        watch: Shows the progress.
+        progress: Shows how far each loop has come.
 
     Raises:
         InvalidInputError: A photograph or silhouette cannot be read.
@@ -159,7 +160,7 @@ def prepare_photographs(
     sizes, scales = np.zeros((2 * count, 2), dtype=np.int64), np.ones(count)
     before, after = np.zeros((2, count, prior.category.size, 2))
     ratio, visible = np.ones(count), np.zeros((count, prior.category.size))
-    for i, (car, fit) in watch(list(enumerate(zip(cars, fits, strict=True))), "Photographs"):
+    for i, (car, fit) in progress(list(enumerate(zip(cars, fits, strict=True))), "Photographs"):
         image = read_image(car.image)
         scales[i] = min(1.0, SIDE / max(image.shape[:2]))
         width, height = (max(round(n * float(scales[i])), 1) for n in (image.shape[1], image.shape[0]))
@@ -173,7 +174,7 @@ def prepare_photographs(
         masks[i, :height, :width] = cv2.resize(drawn, (width, height), interpolation=cv2.INTER_AREA)
         small = car.resized(float(scales[i]), (width, height))
         taken = np.asarray(images[i, :height, :width]), np.asarray(masks[i, :height, :width])
-        distant = draw_distant(*taken, small, fit, prior, SIDE, np.random.default_rng((_SEED, i)))
+        distant = random_distant_view(*taken, small, fit, prior, SIDE, np.random.default_rng((_SEED, i)))
         if distant is not None:
             width, height = sizes[count + i] = distant.car.size
             images[count + i, :height, :width], masks[count + i, :height, :width] = distant.image, distant.mask
@@ -238,16 +239,10 @@ def azimuth_weights(azimuth: Array, chosen: NDArray[np.intp], strength: float = 
         strength: 0 leaves the photographs as they are, 1 evens out fully.
         limit: How much more often than the most frequent direction a rare one's photographs may be drawn.
     """
-    angle = np.abs(_wrapped(azimuth[chosen]))
+    angle = np.abs(wrap_angle(azimuth[chosen]))
     which = np.minimum((angle / np.pi * _BINS / 2).astype(int), _BINS // 2 - 1)
     count = np.bincount(which, minlength=_BINS // 2).astype(np.float64)
     smooth = np.convolve(np.pad(count, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
     weight = np.minimum((smooth.max() / np.maximum(smooth, 1e-9)) ** strength, limit)[which]
     probability: Array = weight / weight.sum()
     return probability
-
-
-def _wrapped(angle: ArrayLike) -> Array:
-    """Angles in radians brought to [-pi, pi)."""
-    wrapped: Array = (np.asarray(angle, dtype=np.float64) + np.pi) % (2.0 * np.pi) - np.pi
-    return wrapped

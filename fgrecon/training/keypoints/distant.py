@@ -17,17 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from fgrecon.core.geometry import MIRROR
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.simulation.render import Fragments, rasterise
 from fgrecon.training.keypoints.labels import ShapeFit, surface_of
 from fgrecon.training.keypoints.posed_cars import PosedCar
 
-__all__ = ["Distant", "draw_distant", "further_away", "seen_from_afar"]
+__all__ = ["DistantView", "distant_view", "dolly_zoom", "random_distant_view"]
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.uint8]
 
-_MIRROR = np.array([1.0, 1.0, -1.0])
 _BEHIND = 0.02  # by so much of the car's diagonal a hidden point lies behind what hides it
 _DISTANCES = 1.5, 8.0  # diagonals of the car: 7 to 40 metres
 _LEAST = 1.2  # factor from which another photograph is worth while
@@ -40,7 +40,7 @@ _NEAR = 7  # pixels around a keypoint of which one has to be shown, for its labe
 
 
 @dataclass(frozen=True)
-class Distant:
+class DistantView:
     """A photograph seen again.
 
     Attributes:
@@ -49,7 +49,7 @@ class Distant:
         car: The photograph with the camera that would take this image; its `size` is that of the image.
         scale: Pixels of this image per pixel of the photograph, at the car's middle.
         made_up: Share of the car that the photograph shows from neither side.
-        told: (H, W) where the image is what the photograph shows of the car's shape, or a drawn mirror.
+        valid: (H, W) where the image is what the photograph shows of the car's shape, or a drawn mirror.
     """
 
     image: Pixels
@@ -57,20 +57,20 @@ class Distant:
     car: PosedCar
     scale: float
     made_up: float
-    told: NDArray[np.bool_]
+    valid: NDArray[np.bool_]
 
     def believes(self, keypoints: Array) -> NDArray[np.bool_]:
         """(K,) which keypoints (K, 2) in pixels lie where the image shows the car as it is."""
         width, height = self.car.size
         column, row = np.clip(np.rint(keypoints).astype(int), 0, [width - 1, height - 1]).T
-        near = cv2.dilate(self.told.astype(np.uint8), np.ones((_NEAR, _NEAR), dtype=np.uint8))
+        near = cv2.dilate(self.valid.astype(np.uint8), np.ones((_NEAR, _NEAR), dtype=np.uint8))
         believed: NDArray[np.bool_] = near[row, column] > 0
         return believed
 
 
-def draw_distant(
+def random_distant_view(
     image: Pixels, mask: Pixels, car: PosedCar, fit: ShapeFit, prior: ShapePrior, side: int, rng: np.random.Generator
-) -> Distant | None:
+) -> DistantView | None:
     """The photograph seen again from a random distance; None where it was taken from afar or would show too little.
 
     Args:
@@ -91,14 +91,14 @@ def draw_distant(
     for _ in range(_TRIES):
         if factor < _LEAST:
             return None
-        distant = seen_from_afar(image, mask, car, vertices, surface.faces, factor, side, mirrors, shade)
+        distant = distant_view(image, mask, car, vertices, surface.faces, factor, side, mirrors, shade)
         if distant.made_up <= _MADE_UP:
             return distant
         factor = 1.0 + (factor - 1.0) / 2.0
     return None
 
 
-def further_away(car: PosedCar, vertices: Array, factor: float, side: int) -> PosedCar:
+def dolly_zoom(car: PosedCar, vertices: Array, factor: float, side: int) -> PosedCar:
     """The car from `factor` times the distance, in the same direction, filling an image of that longest side.
 
     Args:
@@ -117,7 +117,7 @@ def further_away(car: PosedCar, vertices: Array, factor: float, side: int) -> Po
     return moved.resized(scale, (int(width), int(height)), low)
 
 
-def seen_from_afar(
+def distant_view(
     image: Pixels,
     mask: Pixels,
     car: PosedCar,
@@ -127,7 +127,7 @@ def seen_from_afar(
     side: int,
     mirrors: Array | None = None,
     shade: float = 0.5,
-) -> Distant:
+) -> DistantView:
     """The photograph seen again from `factor` times the distance.
 
     Args:
@@ -141,29 +141,29 @@ def seen_from_afar(
         mirrors: (P, 3) where mirrors stand out of the surface.
         shade: Brightness of those that the photograph does not show, of the car's own.
     """
-    far = further_away(car, vertices, factor, side)
+    far = dolly_zoom(car, vertices, factor, side)
     body = len(vertices)
     vertices, faces = _with_stubs(vertices, faces, np.zeros((0, 3)) if mirrors is None else mirrors)
     seen, towards = _seen(far, vertices, faces)
     points = seen.interpolate(vertices, towards)
     depth = _depth(_seen(car, vertices, faces)[0], car.size)
-    places, other = car.project(points), car.project(points * _MIRROR)
-    shown, mirrored = _shown(car, points, places, depth), _shown(car, points * _MIRROR, other, depth)
-    told = shown | mirrored
-    if not told.any():
-        return Distant(image, mask, car, 1.0, 1.0, np.zeros(mask.shape, dtype=np.bool_))
+    places, other = car.project(points), car.project(points * MIRROR)
+    shown, mirrored = _shown(car, points, places, depth), _shown(car, points * MIRROR, other, depth)
+    valid = shown | mirrored
+    if not valid.any():
+        return DistantView(image, mask, car, 1.0, 1.0, np.zeros(mask.shape, dtype=np.bool_))
     places = np.where((~shown & mirrored)[:, None], other, places)
-    at = _sources(seen, places, told, far.size)
+    at = _sources(seen, places, valid, far.size)
     new = cv2.remap(image, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     outline = cv2.remap(mask, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
     outline[seen.rows[~shown], seen.columns[~shown]] = 255
-    drawn = ~told & (towards[seen.face, 0] >= body)
-    new[seen.rows[drawn], seen.columns[drawn]] = shade * np.median(new[seen.rows[told], seen.columns[told]], axis=0)
+    drawn = ~valid & (towards[seen.face, 0] >= body)
+    new[seen.rows[drawn], seen.columns[drawn]] = shade * np.median(new[seen.rows[valid], seen.columns[valid]], axis=0)
     true = np.zeros(outline.shape, dtype=np.bool_)
-    true[seen.rows, seen.columns] = told | drawn
+    true[seen.rows, seen.columns] = valid | drawn
     scale = float(far.matrix[0, 0] / car.matrix[0, 0] / factor)
-    made_up = 1.0 - float((told | drawn).mean())
-    return Distant(np.asarray(new, dtype=np.uint8), np.asarray(outline, dtype=np.uint8), far, scale, made_up, true)
+    made_up = 1.0 - float((valid | drawn).mean())
+    return DistantView(np.asarray(new, dtype=np.uint8), np.asarray(outline, dtype=np.uint8), far, scale, made_up, true)
 
 
 def _with_stubs(vertices: Array, faces: NDArray[np.integer], centres: Array) -> tuple[Array, NDArray[np.integer]]:
@@ -189,20 +189,20 @@ def _ball(around: int = 12, rings: int = 5) -> tuple[Array, NDArray[np.intp]]:
     return vertices, np.concatenate([upper, lower, *caps])
 
 
-def _sources(seen: Fragments, places: Array, told: NDArray[np.bool_], size: tuple[int, int]) -> NDArray[np.float32]:
+def _sources(seen: Fragments, places: Array, valid: NDArray[np.bool_], size: tuple[int, int]) -> NDArray[np.float32]:
     """(H, W, 2) pixel of the photograph that each of the new image shows.
 
     Args:
         seen: The M pixels that show the surface.
         places: (M, 2) where the photograph shows that part of the surface.
-        told: (M,) whether it does.
+        valid: (M,) whether it does.
         size: Width and height of the new image.
     """
     row, column = np.mgrid[: size[1], : size[0]].astype(np.float64)
     grid = np.stack([column, row], axis=-1)
     shift, known, covered = np.zeros_like(grid), np.zeros(row.shape, dtype=bool), np.zeros(row.shape, dtype=bool)
     shift[seen.rows, seen.columns] = places - grid[seen.rows, seen.columns]
-    known[seen.rows, seen.columns], covered[seen.rows, seen.columns] = told, True
+    known[seen.rows, seen.columns], covered[seen.rows, seen.columns] = valid, True
     # Beyond the surface the photograph moves as its edge does; on it, what nothing shows looks like what is beside it.
     nearest = tuple(distance_transform_edt(~known, return_distances=False, return_indices=True))
     smooth = np.stack([cv2.GaussianBlur(shift[nearest][..., i], (0, 0), _SMOOTH) for i in range(2)], axis=-1)

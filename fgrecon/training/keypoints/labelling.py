@@ -19,9 +19,9 @@ from fgrecon.training.keypoints.dataset import Photographs, prepare_photographs
 from fgrecon.training.keypoints.labels import Labels, ShapeFit, fit_shape, project_labels, unit_prior, unmodelled
 from fgrecon.training.keypoints.marks import read_given_marks
 from fgrecon.training.keypoints.posed_cars import PosedCar, groups, read_posed_cars, read_validation_ids
+from fgrecon.training.keypoints.progress import Progress, no_progress
 from fgrecon.training.keypoints.relabel import Found, relabel_shape, without_bias
 from fgrecon.training.keypoints.silhouettes import Outline, contradicted, fit_outlines, read_outline
-from fgrecon.training.keypoints.watch import Watch, unwatched
 from fgrecon.training.priors.apollo79 import load_apollo79
 
 __all__ = ["Labelling", "Source", "corrected", "first_labelling", "open_photographs", "read_source"]
@@ -141,14 +141,14 @@ def read_source(data: Path, marks: Path | None = None) -> Source:
     return Source(cars, learn, np.flatnonzero(held), prior, given)
 
 
-def first_labelling(source: Source, silhouettes: Path | None = None, watch: Watch = unwatched) -> Labelling:
+def first_labelling(source: Source, silhouettes: Path | None = None, progress: Progress = no_progress) -> Labelling:
     """Labels from the shapes that explain the boxes and, where there are some, the silhouettes.
 
     Args:
         source: The photographs.
         silhouettes: Folder of grey images, named as the photographs but png: white on the car. Where some are given,
             only photographs whose silhouette agrees with the shape are trusted.
-        watch: Shows the progress.
+        progress: Shows how far each loop has come.
 
     Raises:
         InvalidInputError: The folder holds no silhouettes of these cars, or a file in it is no image of the right size.
@@ -158,7 +158,7 @@ def first_labelling(source: Source, silhouettes: Path | None = None, watch: Watc
     outlined = np.zeros(len(cars), dtype=bool)
     keypoints, visible = np.zeros((len(cars), prior.category.size, 2)), np.zeros((len(cars), prior.category.size))
     unknown = unmodelled(cars, prior.category)
-    for name, rows in watch(list(groups(cars).items()), "Shapes of boxes and silhouettes"):
+    for name, rows in progress(list(groups(cars).items()), "Shapes of boxes and silhouettes"):
         mine = [cars[i] for i in rows]
         outlines = _outlines(silhouettes, mine)
         result = fit_outlines(prior, mine, outlines, fit_shape(prior, mine))
@@ -182,7 +182,7 @@ def corrected(
     detector: Detector,
     photographs: Photographs,
     silhouettes: Path | None = None,
-    watch: Watch = unwatched,
+    progress: Progress = no_progress,
 ) -> Labelling:
     """Labels corrected by what the network finds in all photographs of each shape.
 
@@ -195,10 +195,10 @@ def corrected(
         detector: The network.
         photographs: Prepared photographs.
         silhouettes: Folder of the silhouettes behind `first`.
-        watch: Shows the progress.
+        progress: Shows how far each loop has come.
     """
     prior = source.prior
-    found = _find(source.cars, detector, photographs, watch)
+    found = _find(source.cars, detector, photographs, progress)
     known = np.asarray(np.isfinite(first.labels.keypoints).all(axis=-1), dtype=np.bool_)
     if first.outlined.any():
         sure = first.outlined[:, None] & known
@@ -207,12 +207,12 @@ def corrected(
     cars, trusted = list(first.cars), np.ones(len(first.cars), dtype=bool)
     keypoints, visible = np.zeros(first.labels.keypoints.shape), np.zeros(known.shape)
     unknown = unmodelled(cars, prior.category)
-    for name, rows in watch(list(groups(source.cars).items()), "Shapes of what was found"):
+    for name, rows in progress(list(groups(source.cars).items()), "Shapes of what was found"):
         seen = Found(found.keypoints[rows], found.confidence[rows], found.covariance[rows])
         mine = [first.cars[i] for i in rows]
-        told = np.logical_and.reduce(known[rows])
+        given = np.logical_and.reduce(known[rows])
         marks = None if source.marks is None else source.marks[rows]
-        result = relabel_shape(prior, mine, first.fits[name], seen, first.outlined[rows], told, marks)
+        result = relabel_shape(prior, mine, first.fits[name], seen, first.outlined[rows], given, marks)
         unknown[rows] &= ~result.marked
         fits[name] = result.fit
         trusted[rows], keypoints[rows] = result.trusted, result.keypoints
@@ -226,16 +226,20 @@ def corrected(
 
 
 def open_photographs(
-    source: Source, labelling: Labelling, folder: Path, silhouettes: Path | None = None, watch: Watch = unwatched
+    source: Source,
+    labelling: Labelling,
+    folder: Path,
+    silhouettes: Path | None = None,
+    progress: Progress = no_progress,
 ) -> Photographs:
-    """The prepared photographs with these labels; prepares them, watched, where that has not been done."""
+    """The prepared photographs with these labels; prepares them where that has not been done."""
     if not (folder / "scales.npy").exists():  # the last file that is written
         fits = [labelling.fits[car.shape] for car in source.cars]
         drawn = None
         if silhouettes is not None:
             outlined = zip(source.cars, labelling.outlined, strict=True)
             drawn = [car.silhouette(silhouettes) if used else None for car, used in outlined]
-        prepare_photographs(labelling.cars, fits, source.prior, folder, drawn, watch)
+        prepare_photographs(labelling.cars, fits, source.prior, folder, drawn, progress)
     return Photographs.load(folder, labelling.labels, np.array([car.azimuth for car in labelling.cars]))
 
 
@@ -255,15 +259,15 @@ def _outlines(silhouettes: Path | None, cars: Sequence[PosedCar]) -> list[Outlin
     return [None if silhouettes is None else read_outline(car.silhouette(silhouettes), car.size) for car in cars]
 
 
-def _find(cars: Sequence[PosedCar], detector: Detector, photographs: Photographs, watch: Watch) -> Found:
+def _find(cars: Sequence[PosedCar], detector: Detector, photographs: Photographs, progress: Progress) -> Found:
     """Keypoints in all prepared photographs, in pixels of the files."""
     keypoints = np.zeros((len(cars), detector.network.settings.keypoints, 2))
     confidence, covariance = np.zeros(keypoints.shape[:2]), np.zeros((*keypoints.shape, 2))
-    for start in watch(range(0, len(cars), _BATCH), "Keypoints in all photographs"):
+    for start in progress(range(0, len(cars), _BATCH), "Keypoints in all photographs"):
         rows = range(start, min(start + _BATCH, len(cars)))
         images = [np.ascontiguousarray(photographs.view(i).image) for i in rows]
         boxes = np.array([[-0.5, -0.5, image.shape[1] - 0.5, image.shape[0] - 0.5] for image in images])
-        for i, detection in zip(rows, detector.together(images, boxes), strict=True):
+        for i, detection in zip(rows, detector.detect_batch(images, boxes), strict=True):
             seen, scale = detection.observation, float(photographs.scales[i])
             keypoints[i], confidence[i] = (seen.keypoints + 0.5) / scale - 0.5, seen.confidence
             covariance[i] = np.eye(2) if seen.covariance is None else seen.covariance / scale**2

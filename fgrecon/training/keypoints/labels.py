@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.category import Category
+from fgrecon.core.geometry import MIRROR
 from fgrecon.core.shape_prior import ShapePrior, Surface
 from fgrecon.io.catalogue import load_category
 from fgrecon.solve.vehicle.visibility import clearance, probability
@@ -28,7 +29,6 @@ Array = NDArray[np.float64]
 SEEN = 0.5
 """A label counts as visible above this probability."""
 
-_MIRROR = np.array([1.0, 1.0, -1.0])
 _DIAGONAL = 5.0  # metres: what a unit of the poses is on a typical car
 _EDGE_SIGMA = 0.05  # of the box's longer side; wider than the residuals, which poses common to four edges correlate
 _HUBER = 1.5  # standard deviations
@@ -83,7 +83,7 @@ def unit_prior(models: Apollo79, basis: int = 10) -> ShapePrior:
     diagonal = np.linalg.norm(high - low, axis=1)[:, None, None]
     centre = ((low + high) / 2)[:, None] * [1.0, 1.0, 0.0]
     vertices = (mesh.vertices - centre) / diagonal
-    vertices = (vertices + vertices[:, mesh.mirror] * _MIRROR) / 2
+    vertices = (vertices + vertices[:, mesh.mirror] * MIRROR) / 2
     points = (models.keypoints - centre) / diagonal
     count = len(points)
     rows = np.concatenate([vertices, points], axis=1).reshape(count, -1)

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 import factors
 from factors import L, LinearShape, M, O, ProjectionKernel, RobustLoss, X
+from fgrecon.core.geometry import MIRROR
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.annotations.offsets import robust_offset
 from fgrecon.training.keypoints.labels import ShapeFit
@@ -213,7 +214,7 @@ def without_bias(
         bias[keypoint] = robust_offset(
             by_offset.reshape(-1, 2, 3), residual.reshape(-1, 2), _POINT_SIGMA * weight.ravel(), _POINT_SIGMA, _WEAK
         )
-        bias[partner] = bias[keypoint] * [1.0, 1.0, -1.0]
+        bias[partner] = bias[keypoint] * MIRROR
     return replace(found, keypoints=found.keypoints - np.einsum("mkij,kj->mki", jacobian, bias))
 
 

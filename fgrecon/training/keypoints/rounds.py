@@ -20,15 +20,16 @@ from numpy.typing import NDArray
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import write_text
 from fgrecon.io.json_fields import read_json
-from fgrecon.perception.keypoints.decode import Calibration
+from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import Detector
 from fgrecon.perception.keypoints.weights import Stored, load_weights, save_weights
 from fgrecon.training.keypoints.checkpoint import load_checkpoint
 from fgrecon.training.keypoints.dataset import Photographs, azimuth_weights
 from fgrecon.training.keypoints.labelling import Labelling, Source, corrected, first_labelling, open_photographs
-from fgrecon.training.keypoints.train import Progress, Training, train_knet
+from fgrecon.training.keypoints.progress import Progress, no_progress
+from fgrecon.training.keypoints.train import Training, train_knet
+from fgrecon.training.keypoints.trainer import TrainingProgress
 from fgrecon.training.keypoints.validate import HeldOut
-from fgrecon.training.keypoints.watch import Watch, unwatched
 
 __all__ = ["train_in_rounds"]
 
@@ -45,9 +46,9 @@ def train_in_rounds(
     start: Path | None = None,
     silhouettes: Path | None = None,
     device: str = "cpu",
-    report: Callable[[Progress], None] | None = None,
-    tell: Callable[[str], None] = lambda _: None,
-    watch: Watch = unwatched,
+    report: Callable[[TrainingProgress], None] | None = None,
+    log: Callable[[str], None] = lambda _: None,
+    progress: Progress = no_progress,
 ) -> tuple[Any, Labelling, Photographs]:
     """Train KNet, correcting the labels at given steps.
 
@@ -61,8 +62,8 @@ def train_in_rounds(
         silhouettes: Folder of silhouettes for the first labels, as `first_labelling` reads them.
         device: Torch's name of the device.
         report: Called with the progress.
-        tell: Called with a line about what begins.
-        watch: Shows the progress of what else takes long.
+        log: Called with a line about what begins.
+        progress: Shows how far every other loop that takes long has come.
 
     Returns:
         The averaged network, and the last labels with their photographs.
@@ -75,7 +76,7 @@ def train_in_rounds(
     how = replace(how, street=how.street.moving(source.prior.category))
     stops = [*(step for step in relabel_at if step < how.steps), how.steps]
     _begin_alike(folder / "began.json", imagenet is not None, start, silhouettes, source.marks)
-    first = _first(source, folder / "labels-first.npz", silhouettes, tell, watch)
+    first = _first(source, folder / "labels-first.npz", silhouettes, log, progress)
     begun = None if start is None else load_weights(start)
     network: Any = None
     labelling: Labelling | None = None
@@ -88,18 +89,18 @@ def train_in_rounds(
             labelling = first
             labelling.save(path)
         else:
-            tell(f"Labels corrected by the network, round {number}")
+            log(f"Labels corrected by the network, round {number}")
             if number == 0:
                 detector = Detector(start, device=device)
             else:
                 detector = _as_detector(load_checkpoint(checkpoint), begun, folder, device)
-            prepared = open_photographs(source, first, folder / "photographs", silhouettes, watch)
-            labelling = corrected(source, first, detector, prepared, silhouettes, watch)
+            prepared = open_photographs(source, first, folder / "photographs", silhouettes, progress)
+            labelling = corrected(source, first, detector, prepared, silhouettes, progress)
             labelling.save(path)
-        photographs = open_photographs(source, labelling, folder / "photographs", silhouettes, watch)
+        photographs = open_photographs(source, labelling, folder / "photographs", silhouettes, progress)
         if checkpoint.exists() and load_checkpoint(checkpoint)["step"] >= last and number < len(stops) - 1:
             continue
-        tell(f"Training to step {last}")
+        log(f"Training to step {last}")
         chosen = labelling.samples(photographs, source.learn)
         if not len(chosen):
             fix = "Start from another network, or from none."
@@ -144,16 +145,16 @@ def _begin_alike(path: Path, imagenet: bool, start: Path | None, silhouettes: Pa
 
 
 def _first(
-    source: Source, path: Path, silhouettes: Path | None, tell: Callable[[str], None], watch: Watch
+    source: Source, path: Path, silhouettes: Path | None, log: Callable[[str], None], progress: Progress
 ) -> Labelling:
     """The first labels: those in the file, or made anew."""
     if path.exists():
         return Labelling.load(path, source.cars)
-    tell("Labels from the boxes" if silhouettes is None else "Labels from boxes and silhouettes")
-    labelling = first_labelling(source, silhouettes, watch)
+    log("Labels from the boxes" if silhouettes is None else "Labels from boxes and silhouettes")
+    labelling = first_labelling(source, silhouettes, progress)
     labelling.save(path)
     if silhouettes is not None:
-        tell(f"{int(labelling.outlined.sum())} silhouettes agree with their cars")
+        log(f"{int(labelling.outlined.sum())} silhouettes agree with their cars")
     return labelling
 
 
@@ -165,7 +166,7 @@ def _as_detector(content: dict[str, Any], begun: Stored | None, folder: Path, de
     """
     path = folder / "round.safetensors"
     if begun is None:
-        save_weights(path, Stored(content["average"], content["settings"], Calibration(), {}))
+        save_weights(path, Stored(content["average"], content["settings"], ConfidenceCalibration(), {}))
     else:
         save_weights(path, replace(begun, state=content["average"], settings=content["settings"]))
     return Detector(path, device=device)

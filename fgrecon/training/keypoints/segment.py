@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.metrics import wrap_angle
 from fgrecon.io.files import write_bytes
 from fgrecon.io.images import read_image
 from fgrecon.training.keypoints.posed_cars import PosedCar, groups
@@ -95,7 +96,7 @@ def _spread(cars: Sequence[PosedCar], each: int) -> list[PosedCar]:
     picked = [int(np.argmax([max(car.size) for car in cars]))]
     apart = np.full(len(cars), np.inf)
     while len(picked) < min(each, len(cars)):
-        turn = np.abs((azimuth - azimuth[picked[-1]] + np.pi) % (2.0 * np.pi) - np.pi)
+        turn = np.abs(wrap_angle(azimuth - azimuth[picked[-1]]))
         apart = np.minimum(apart, turn)
         apart[picked] = -1.0
         picked.append(int(apart.argmax()))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +15,12 @@ from torch.utils.data import DataLoader, Dataset
 
 from fgrecon.perception.keypoints.knet import KNet, KNetSettings, load_imagenet
 from fgrecon.training.keypoints.augment import Street
-from fgrecon.training.keypoints.checkpoint import follow, restore_checkpoint, save_checkpoint
 from fgrecon.training.keypoints.dataset import Photographs
 from fgrecon.training.keypoints.losses import knet_loss
+from fgrecon.training.keypoints.trainer import Schedule, Trainer, TrainingProgress
 from fgrecon.training.keypoints.validate import HeldOut
 
-__all__ = ["Progress", "Training", "train_knet"]
+__all__ = ["Training", "train_knet"]
 
 Array = NDArray[np.float64]
 
@@ -28,59 +28,20 @@ _CLIP = 5.0  # largest norm of a step's gradient
 
 
 @dataclass(frozen=True)
-class Training:
-    """How KNet is trained.
+class Training(Schedule):
+    """How KNet is trained: see `Schedule`; the pretrained encoder's learning rate is half of the others'.
 
     Attributes:
-        steps: Gradient steps in all; the last `decay` of them lower the rate to zero.
-        decay: Share of the steps.
-        batch: Samples per step.
-        rate: Learning rate; the pretrained encoder's is half of it.
-        warmup: Steps over which the rate rises.
         sigma: Standard deviation of the target Gaussians, pixels of the crop.
-        average: Decay per step of the moving average of the weights, which is what is kept.
-        seed: Of samples and first weights.
-        save_every: Steps between checkpoints.
         workers: Processes that make samples; 0 makes them in this one.
         network: Sizes.
         street: Augmentation.
     """
 
-    steps: int = 4000
-    decay: float = 0.25
-    batch: int = 32
-    rate: float = 1e-3
-    warmup: int = 100
     sigma: float = 2.5
-    average: float = 0.998
-    seed: int = 0
-    save_every: int = 100
     workers: int = 1
     network: KNetSettings = field(default_factory=KNetSettings)
     street: Street = field(default_factory=Street)
-
-    def rate_at(self, step: int) -> float:
-        """Learning rate of a step: up, level, and down to zero."""
-        start = round(self.steps * (1.0 - self.decay))
-        down = 1.0 if step < start else (self.steps - step) / max(self.steps - start, 1)
-        return self.rate * min(1.0, (step + 1) / max(self.warmup, 1)) * max(down, 0.0)
-
-
-@dataclass(frozen=True)
-class Progress:
-    """A step's losses, for display.
-
-    Attributes:
-        step: Steps done.
-        steps: Of how many.
-        losses: Mean of each part of the loss since the last report.
-        score: PCK at 0.1 of the averaged network on samples of held-out photographs; None where there are none.
-    """
-
-    step: int
-    steps: int
-    losses: dict[str, float]
-    score: float | None = None
 
 
 class _Samples(Dataset):  # type: ignore[misc]
@@ -115,7 +76,7 @@ def train_knet(
     imagenet: dict[str, Any] | None = None,
     start: dict[str, Any] | None = None,
     device: str = "cpu",
-    report: Callable[[Progress], None] | None = None,
+    report: Callable[[TrainingProgress], None] | None = None,
     until: int | None = None,
     held: HeldOut | None = None,
 ) -> KNet:
@@ -144,48 +105,27 @@ def train_knet(
         load_imagenet(network, imagenet)
     if start is not None:
         network.load_state_dict(start, strict=False)
-    average: KNet = copy.deepcopy(network).eval()
+    network.to(device=device, memory_format=torch.channels_last)
+    score = None if held is None else partial(held.score, device=device)
+    trainer = Trainer(network, _groups(network), how, checkpoint, how.network.to_dict(), report, score)
+
+    def losses(batch: Sequence[Any]) -> dict[str, Any]:
+        crops, points, visible, azimuth = (part.to(device) for part in batch)
+        crops = crops.permute(0, 3, 1, 2).float()
+        with torch.autocast(device, dtype=torch.bfloat16, enabled=device != "cpu"):
+            output = network(crops)
+        return knet_loss(output, points, visible, azimuth, how.sigma)
+
+    samples = _Samples(photographs, chosen, weights, partner, how)
+    return trainer.run(_batches(samples, how, trainer.done), losses, clip=_CLIP, until=until)
+
+
+def _groups(network: KNet) -> list[dict[str, Any]]:
+    """The parameters for the optimizer: those of the encoder learn at half the rate."""
     encoder = [p for part in (network.stem, network.stages) for p in part.parameters()]
     inner = {id(p) for p in encoder}
     others = [p for p in network.parameters() if id(p) not in inner]
-    optimizer = torch.optim.AdamW([{"params": encoder, "share": 0.5}, {"params": others, "share": 1.0}], lr=how.rate)
-    first = 0
-    if checkpoint.exists():
-        first = restore_checkpoint(checkpoint, network, average, optimizer, how.network.to_dict())
-    for part in (network, average):
-        part.to(device=device, memory_format=torch.channels_last)
-    network.train()
-    sums: dict[str, float] = {}
-    summed = 0
-    samples = _Samples(photographs, chosen, weights, partner, how)
-    if first >= (how.steps if until is None else until):
-        return average
-    for step, batch in enumerate(_batches(samples, how, first), start=first):
-        crops, points, visible, azimuth = (b.to(device) for b in batch)
-        crops = crops.permute(0, 3, 1, 2).float()
-        for group in optimizer.param_groups:
-            group["lr"] = how.rate_at(step) * group["share"]
-        with torch.autocast(device, dtype=torch.bfloat16, enabled=device != "cpu"):
-            output = network(crops)
-        losses = knet_loss(output, points, visible, azimuth, how.sigma)
-        optimizer.zero_grad(set_to_none=True)
-        losses["total"].backward()
-        torch.nn.utils.clip_grad_norm_(network.parameters(), _CLIP)
-        optimizer.step()
-        follow(average, network, min(how.average, (step + 1) / (step + 10)))
-        summed += 1
-        for name, value in losses.items():
-            sums[name] = sums.get(name, 0.0) + float(value.detach())
-        ending = step + 1 >= (how.steps if until is None else until)
-        if (step + 1) % how.save_every == 0 or ending:
-            save_checkpoint(checkpoint, network, average, optimizer, step + 1, how.network.to_dict())
-            if report is not None:
-                means = {name: value / summed for name, value in sums.items()}
-                report(Progress(step + 1, how.steps, means, None if held is None else held.score(average, device)))
-            sums, summed = {}, 0
-        if ending:
-            break
-    return average
+    return [{"params": encoder, "share": 0.5}, {"params": others, "share": 1.0}]
 
 
 def _batches(samples: _Samples, how: Training, first: int) -> Iterator[Any]:

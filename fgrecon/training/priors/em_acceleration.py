@@ -25,7 +25,7 @@ from fgrecon.training.priors.em_ppca import (
 )
 from fgrecon.training.priors.symmetric_subspace import SymmetricSubspace
 
-__all__ = ["Report", "State", "em", "start_state"]
+__all__ = ["EmState", "Report", "em", "start_state"]
 
 Array = NDArray[np.float64]
 Report = Callable[[int, float], None]
@@ -36,7 +36,7 @@ _NOISE_FLOOR = 1e-8
 
 
 @dataclass(frozen=True)
-class State:
+class EmState:
     """Everything that EM iterates on.
 
     Attributes:
@@ -54,7 +54,7 @@ class State:
 
 def start_state(
     data: Data, model: ShapeModel, cameras: Cameras, dof: float | None, weight: Array | None = None
-) -> State:
+) -> EmState:
     """A state from a model and cameras, scaled to unit size; the bound does not depend on that scale."""
     scale = 1.0 / float(np.sqrt(np.square(model.mean).sum(axis=1).mean()))
     model = ShapeModel(model.mean * scale, model.basis * scale, model.variance * scale**2)
@@ -62,21 +62,21 @@ def start_state(
     return _evaluated(data, model, cameras, dof, weight)
 
 
-def _evaluated(data: Data, model: ShapeModel, cameras: Cameras, dof: float | None, weight: Array | None) -> State:
+def _evaluated(data: Data, model: ShapeModel, cameras: Cameras, dof: float | None, weight: Array | None) -> EmState:
     posterior = e_step(data, model, cameras, dof, weight if dof is not None else None)
-    return State(model, cameras, posterior, float(bound(data, model, cameras, posterior, dof).sum()))
+    return EmState(model, cameras, posterior, float(bound(data, model, cameras, posterior, dof).sum()))
 
 
 def em(
     data: Data,
-    state: State,
+    state: EmState,
     subspace: SymmetricSubspace,
     *,
     dof: float | None,
     iterations: int,
     tolerance: float,
     report: Report | None = None,
-) -> tuple[State, list[float], bool]:
+) -> tuple[EmState, list[float], bool]:
     """Iterate EM with extrapolation until the bound rises by less than `tolerance` nats per keypoint and iteration.
 
     Args:
@@ -113,7 +113,7 @@ def em(
     return state, history, False
 
 
-def _iterate(data: Data, state: State, subspace: SymmetricSubspace, dof: float | None) -> State:
+def _iterate(data: Data, state: EmState, subspace: SymmetricSubspace, dof: float | None) -> EmState:
     """One iteration of EM: cameras, model, posterior."""
     cameras = pose_step(data, state.model, state.cameras, state.posterior)
     model, posterior = model_step(data, state.model, cameras, state.posterior, subspace, _NOISE_FLOOR)
@@ -121,8 +121,8 @@ def _iterate(data: Data, state: State, subspace: SymmetricSubspace, dof: float |
 
 
 def _extrapolate(
-    data: Data, state: State, first: State, second: State, dof: float | None, longest: float
-) -> tuple[State | None, float]:
+    data: Data, state: EmState, first: EmState, second: EmState, dof: float | None, longest: float
+) -> tuple[EmState | None, float]:
     """The state a longer step away, or None where the step is no longer than EM's; and the step's length."""
     v0, v1, v2 = _vector(state), _vector(first), _vector(second)
     change = v1 - v0
@@ -135,7 +135,7 @@ def _extrapolate(
     return (leap if np.isfinite(leap.bound) else None), length
 
 
-def _vector(state: State) -> Array:
+def _vector(state: EmState) -> Array:
     model, cameras = state.model, state.cameras
     parts = (
         model.mean,
@@ -148,7 +148,7 @@ def _vector(state: State) -> Array:
     return np.concatenate([part.ravel() for part in parts])
 
 
-def _from_vector(vector: Array, like: State) -> tuple[ShapeModel, Cameras]:
+def _from_vector(vector: Array, like: EmState) -> tuple[ShapeModel, Cameras]:
     model, cameras = like.model, like.cameras
     shapes = (
         model.mean.shape,

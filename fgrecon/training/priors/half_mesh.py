@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.geometry import MIRROR
+
 __all__ = ["SymmetricMesh", "mirrored_half"]
 
 Array = NDArray[np.float64]
-_MIRROR = np.array([1.0, 1.0, -1.0])
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ def mirrored_half(vertices: Array, faces: NDArray[np.int32], seam_width: float =
     left_faces = index.reshape(-1, 3)
     right_faces = partner[left_faces][:, ::-1]  # the mirror image turns the other way round
     return SymmetricMesh(
-        vertices=np.concatenate([half, half[:, ~seam] * _MIRROR], axis=1),
+        vertices=np.concatenate([half, half[:, ~seam] * MIRROR], axis=1),
         faces=np.concatenate([left_faces, right_faces]).astype(np.int32),
         mirror=np.concatenate([partner, np.flatnonzero(~seam)]),
     )

@@ -22,15 +22,15 @@ from fgrecon.core.category import Category
 from fgrecon.core.checks import as_shape
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
 from fgrecon.training.priors.canonical_frame import object_axes
-from fgrecon.training.priors.em_acceleration import State, em, start_state
+from fgrecon.training.priors.em_acceleration import EmState, em, start_state
 from fgrecon.training.priors.em_ppca import Cameras, Data, ShapeModel, expected_shapes
 from fgrecon.training.priors.factorisation import affine_factorisation, metric_upgrade
-from fgrecon.training.priors.nrsfm_options import NrsfmOptions, Progress, ProgressCallback
+from fgrecon.training.priors.nrsfm_options import NrsfmOptions, NrsfmProgress, ProgressCallback
 from fgrecon.training.priors.perspective import draw_nearer, estimate_nearness, without_perspective
 from fgrecon.training.priors.pose_search import search_cameras, uniform_rotations
 from fgrecon.training.priors.symmetric_subspace import SymmetricSubspace
 
-__all__ = ["NrsfmOptions", "NrsfmResult", "Progress", "ProgressCallback", "fit_nrsfm"]
+__all__ = ["NrsfmOptions", "NrsfmProgress", "NrsfmResult", "ProgressCallback", "fit_nrsfm"]
 
 Array = NDArray[np.float64]
 _FACTORISATIONS = 4
@@ -171,7 +171,7 @@ class _Learnt:
     """Where learning ended: the data (without perspective where asked for), the state, and how it went."""
 
     data: Data
-    state: State
+    state: EmState
     history: list[float]
     converged: bool
     bounds: tuple[float, ...]
@@ -231,12 +231,12 @@ class _Learner:
             state, _, _ = em(straight, state, self.subspace, dof=self.options.dof, iterations=10, tolerance=1e-4)
         return straight, nearness
 
-    def _handedness(self, state: State) -> float:
+    def _handedness(self, state: EmState) -> float:
         return float(np.sign(np.linalg.det(object_axes(self.category, state.model.mean))))
 
     def _restart(
         self, data: Data, rng: np.random.Generator, number: int, behind: float, share: float
-    ) -> tuple[State, list[float], bool]:
+    ) -> tuple[EmState, list[float], bool]:
         options, name = self.options, f"start {number + 1} of {self.options.restarts}"
         state = self._rigid(data, rng)
         rotations = uniform_rotations(options.rotations, rng)
@@ -246,7 +246,7 @@ class _Learner:
         state, history, converged = self._em(data, state, name, options.iterations, behind + 0.3 * share, 0.7 * share)
         return start_state(data, state.model, state.cameras, options.dof, state.posterior.weight), history, converged
 
-    def _with_vectors(self, data: Data, state: State, rng: np.random.Generator) -> State:
+    def _with_vectors(self, data: Data, state: EmState, rng: np.random.Generator) -> EmState:
         """The state with small random vectors in place of those that are missing or have vanished.
 
         A vector of zeros is a stationary point of EM: once it vanishes it stays so, needed or not.
@@ -258,7 +258,7 @@ class _Learner:
         model = replace(state.model, basis=np.concatenate([kept.reshape(-1, *shape), fresh]))
         return start_state(data, model, state.cameras, self.options.dof, state.posterior.weight)
 
-    def _rigid(self, data: Data, rng: np.random.Generator) -> State:
+    def _rigid(self, data: Data, rng: np.random.Generator) -> EmState:
         """One rigid shape: factorisation, EM, global search for the cameras, EM."""
         dof = self.options.dof
         state = self._rigid_start(data, rng)
@@ -267,7 +267,7 @@ class _Learner:
         state, _, _ = em(data, state, self.subspace, dof=dof, iterations=20, tolerance=1e-4)
         return state
 
-    def _rigid_start(self, data: Data, rng: np.random.Generator) -> State:
+    def _rigid_start(self, data: Data, rng: np.random.Generator) -> EmState:
         best: tuple[float, Array, Array] | None = None
         for _ in range(_FACTORISATIONS):
             shape, affine, error = affine_factorisation(data.points, data.seen, self.subspace, rng)
@@ -283,7 +283,7 @@ class _Learner:
         cameras = Cameras(rotation, np.full(len(rotation), size), np.zeros((len(rotation), 2)))
         return start_state(data, model, cameras, self.options.dof)
 
-    def _extend(self, data: Data, chosen: NDArray[np.intp], state: State, rng: np.random.Generator) -> State:
+    def _extend(self, data: Data, chosen: NDArray[np.intp], state: EmState, rng: np.random.Generator) -> EmState:
         """The model of a part of the images, with cameras for all of them."""
         count = len(data.points)
         rotation = np.tile(np.eye(3)[:2], (count, 1, 1))
@@ -295,12 +295,12 @@ class _Learner:
         return search_cameras(data, whole, rotations, self.options.dof)
 
     def _em(
-        self, data: Data, state: State, stage: str, iterations: int, behind: float, share: float
-    ) -> tuple[State, list[float], bool]:
+        self, data: Data, state: EmState, stage: str, iterations: int, behind: float, share: float
+    ) -> tuple[EmState, list[float], bool]:
         def report(iteration: int, value: float) -> None:
             # how long EM takes is not known: it nears the end of its share geometrically
             done = 1.0 - 0.5 ** (4.0 * iteration / iterations)
-            self.progress(Progress(stage, behind + share * done, iteration, value))
+            self.progress(NrsfmProgress(stage, behind + share * done, iteration, value))
 
         options = self.options
         return em(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["NrsfmOptions", "Progress", "ProgressCallback"]
+__all__ = ["NrsfmOptions", "NrsfmProgress", "ProgressCallback"]
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class NrsfmOptions:
 
 
 @dataclass(frozen=True)
-class Progress:
+class NrsfmProgress:
     """How far learning has come.
 
     Attributes:
@@ -76,4 +76,4 @@ class Progress:
     bound: float
 
 
-ProgressCallback = Callable[[Progress], None]
+ProgressCallback = Callable[[NrsfmProgress], None]

@@ -16,13 +16,13 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.category import Category
 from fgrecon.core.checks import as_finite, as_shape
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import MIRROR
 from fgrecon.core.shape_prior import ShapePrior, Surface
 from fgrecon.training.priors.ppca import LinearModel, fit_linear_model
 
 __all__ = ["SurfaceSamples", "pca_prior"]
 
 Array = NDArray[np.float64]
-_MIRROR = np.array([1.0, 1.0, -1.0])
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def _symmetric_frame(category: Category) -> Array:
     """(3K, D) orthonormal basis of the shapes that are symmetric about z = 0, one non-zero number per row at most."""
     columns = []
     for left, right in category.symmetric_pairs:
-        for axis, sign in enumerate(_MIRROR):
+        for axis, sign in enumerate(MIRROR):
             column = np.zeros((category.size, 3))
             column[left, axis], column[right, axis] = np.sqrt(0.5), sign * np.sqrt(0.5)
             columns.append(column)
@@ -117,7 +117,7 @@ def _symmetric_frame(category: Category) -> Array:
 
 def _with_mirror_images(points: Array, category: Category) -> Array:
     """Each missing keypoint replaced by the mirror image of its partner, where that one is there."""
-    return np.where(np.isnan(points), points[:, category.mirror] * _MIRROR, points)
+    return np.where(np.isnan(points), points[:, category.mirror] * MIRROR, points)
 
 
 def _rows(points: Array, frame: Array) -> Array:
@@ -151,11 +151,11 @@ def _regress(
         if samples.mirror is None:
             fix = "Give the mirror map of the vertices, or ask for symmetric=False."
             raise InvalidInputError("surface.mirror", "None", fix)
-        vertices = (vertices + vertices[:, samples.mirror] * _MIRROR) / 2
+        vertices = (vertices + vertices[:, samples.mirror] * MIRROR) / 2
     w = np.sqrt(np.ones(len(vertices)) if weights is None else np.asarray(weights, dtype=np.float64))[:, None]
     design = np.hstack([np.ones_like(w), model.scores * signs])
     solution = np.linalg.lstsq(w * design, w * vertices.reshape(len(vertices), -1), rcond=None)[0]
     solution = solution.reshape(len(solution), -1, 3)
     if symmetric:  # round-off of the solver
-        solution = (solution + solution[:, samples.mirror] * _MIRROR) / 2
+        solution = (solution + solution[:, samples.mirror] * MIRROR) / 2
     return Surface(solution[0], solution[1:], samples.faces)

@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.training.priors.em_acceleration import State
+from fgrecon.training.priors.em_acceleration import EmState
 from fgrecon.training.priors.em_ppca import Data, expected_shapes
 
 __all__ = ["draw_nearer", "estimate_nearness", "without_perspective"]
@@ -29,7 +29,7 @@ _LEAST_FACTOR = 0.5
 """Bound on 1 + d zeta for points of mistaken cameras."""
 
 
-def estimate_nearness(data: Data, state: State, handedness: float) -> float:
+def estimate_nearness(data: Data, state: EmState, handedness: float) -> float:
     """Inverse distance d of the cameras, per unit of the shape, that explains the residuals best.
 
     Args:
@@ -57,7 +57,7 @@ def estimate_nearness(data: Data, state: State, handedness: float) -> float:
     return float((w * residual * change).sum() / (w * change**2).sum())
 
 
-def without_perspective(data: Data, state: State, handedness: float, nearness: float) -> Data:
+def without_perspective(data: Data, state: EmState, handedness: float, nearness: float) -> Data:
     """The image points (as annotated) moved to where scaled orthography would have them."""
     depth, _, centre = _geometry(state, handedness)
     centre = centre / state.cameras.inverse_scale[:, None]
@@ -85,7 +85,7 @@ def draw_nearer(points: Array, shapes: Array, rotation: Array, nearness: float) 
     return np.asarray(centre + (points - centre) / factor)
 
 
-def _geometry(state: State, handedness: float) -> tuple[Array, Array, Array]:
+def _geometry(state: EmState, handedness: float) -> tuple[Array, Array, Array]:
     """Depth (M, K) and image offset (M, K, 2) of the keypoints from their centre, and the image of that (M, 2)."""
     shapes = expected_shapes(state.model, state.posterior.mean)
     middle = shapes.mean(axis=1)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.training.priors.em_acceleration import State, start_state
+from fgrecon.training.priors.em_acceleration import EmState, start_state
 from fgrecon.training.priors.em_ppca import (
     Cameras,
     Data,
@@ -33,8 +33,8 @@ def uniform_rotations(count: int, rng: np.random.Generator) -> Array:
 
 
 def search_cameras(
-    data: Data, state: State, rotations: Array, dof: float | None, *, sweeps: int = 6, keep: bool = True
-) -> State:
+    data: Data, state: EmState, rotations: Array, dof: float | None, *, sweeps: int = 6, keep: bool = True
+) -> EmState:
     """Try every given rotation, and each camera's own depth reversal, on every instance; keep what is better.
 
     Args:
@@ -64,7 +64,7 @@ def search_cameras(
     return start_state(data, model, Cameras(rotation, scale, translation), dof, weight)
 
 
-def _starts(data: Data, state: State, rotations: Array) -> Iterator[Array]:
+def _starts(data: Data, state: EmState, rotations: Array) -> Iterator[Array]:
     yield _reversed(state)
     for rows in rotations:
         yield np.broadcast_to(rows, (len(data.points), 2, 3))
@@ -82,7 +82,7 @@ def _fit(data: Data, model: ShapeModel, cameras: Cameras, dof: float | None, swe
     return cameras, posterior
 
 
-def _reversed(state: State) -> Array:
+def _reversed(state: EmState) -> Array:
     """(M, 2, 3) each camera mirrored at the plane that fits its seen keypoints best.
 
     Points in one plane look the same from both sides of its mirror image (Necker's reversal), so that this is the

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fgrecon.io.catalogue import load_category
-from fgrecon.training.keypoints.augment import Street, View
+from fgrecon.training.keypoints.augment import LabelledView, Street
 
 MIRROR = load_category("car14").mirror
 PLAIN = Street(cut_out=0, covered=0, block=0, truncated=0, extent=(200.0, 220.0))
@@ -22,7 +22,7 @@ def made_up_view(rng, size=(120, 80)):
     for u, v in keypoints:
         image += 255 * np.exp(-((column - u) ** 2 + (row - v) ** 2) / 8.0)[..., None]
     mask = np.full((height, width), 255, dtype=np.uint8)
-    return View(np.clip(image, 0, 255).astype(np.uint8), mask, keypoints, np.ones(14), 0.7)
+    return LabelledView(np.clip(image, 0, 255).astype(np.uint8), mask, keypoints, np.ones(14), 0.7)
 
 
 class Bright(Street):
@@ -101,7 +101,7 @@ def test_a_backlit_car_is_darker_and_what_is_around_it_brighter():
     rng = np.random.default_rng(0)
     image, mask = np.full((80, 120, 3), 100, dtype=np.uint8), np.zeros((80, 120), dtype=np.uint8)
     mask[20:60, 30:90] = 255
-    view = View(image, mask, np.full((14, 2), 40.0), np.ones(14), 0.7)
+    view = LabelledView(image, mask, np.full((14, 2), 40.0), np.ones(14), 0.7)
     plain = {name: getattr(PLAIN, name) for name in PLAIN.__dataclass_fields__}
     still = {"jitter": 0.0, "roll": 0.0, "stretch": 0.0, "bend": 0.0, "moved": 0.0}
     street = Bright(**{**plain, **still, "backlit": 1.0})

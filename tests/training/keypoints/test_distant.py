@@ -14,7 +14,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.images import write_png
 from fgrecon.simulation.render import Body, render
 from fgrecon.training.keypoints.dataset import Photographs, prepare_photographs
-from fgrecon.training.keypoints.distant import draw_distant, further_away, seen_from_afar
+from fgrecon.training.keypoints.distant import distant_view, dolly_zoom, random_distant_view
 from fgrecon.training.keypoints.labels import Labels, ShapeFit, project_labels
 from fgrecon.training.keypoints.posed_cars import PosedCar
 
@@ -50,7 +50,7 @@ def test_it_is_what_a_camera_there_would_see(prior, number):
     car = made_up_cars(prior, np.zeros(5), 4, np.random.default_rng(5))[number]
     image, mask = photograph(prior, car)
     surface = prior.surface
-    distant = seen_from_afar(image, mask, car, surface.vertices(np.zeros(5)), surface.faces, 4.0, 200)
+    distant = distant_view(image, mask, car, surface.vertices(np.zeros(5)), surface.faces, 4.0, 200)
     expected, outline = photograph(prior, distant.car)
     assert distant.image.shape == expected.shape
     both = (outline > 0) & (distant.mask > 127)
@@ -64,7 +64,7 @@ def test_it_is_what_a_camera_there_would_see(prior, number):
 def test_the_direction_stays_and_the_image_is_filled(prior):
     vertices = prior.surface.vertices(np.zeros(5))
     for car in made_up_cars(prior, np.zeros(5), 5, np.random.default_rng(1)):
-        far = further_away(car, vertices, 3.0, 192)
+        far = dolly_zoom(car, vertices, 3.0, 192)
         assert far.azimuth == pytest.approx(car.azimuth)
         assert np.linalg.norm(far.translation) == pytest.approx(3.0 * np.linalg.norm(car.translation))
         pixels = far.project(vertices)
@@ -76,7 +76,7 @@ def test_from_the_same_distance_nothing_changes(prior):
     (car,) = made_up_cars(prior, np.zeros(5), 1, np.random.default_rng(2))
     image, mask = photograph(prior, car)
     surface = prior.surface
-    same = seen_from_afar(image, mask, car, surface.vertices(np.zeros(5)), surface.faces, 1.0, max(car.size))
+    same = distant_view(image, mask, car, surface.vertices(np.zeros(5)), surface.faces, 1.0, max(car.size))
     np.testing.assert_allclose(same.car.matrix, car.matrix, rtol=1e-2)
     assert same.made_up == 0.0
     assert same.scale == pytest.approx(1.0, abs=0.01)
@@ -88,13 +88,13 @@ def test_what_was_taken_from_afar_is_not_taken_again(prior):
     (car,) = made_up_cars(prior, np.zeros(5), 1, np.random.default_rng(2))
     image, mask = photograph(prior, car)
     far = replace(car, translation=car.translation * 10)
-    assert draw_distant(image, mask, far, FIT, prior, 192, np.random.default_rng(0)) is None
+    assert random_distant_view(image, mask, far, FIT, prior, 192, np.random.default_rng(0)) is None
 
 
 def test_little_of_a_distant_car_is_made_up(prior):
     rng = np.random.default_rng(3)
     cars = made_up_cars(prior, np.zeros(5), 6, rng)
-    drawn = [draw_distant(*photograph(prior, car), car, FIT, prior, 96, rng) for car in cars]
+    drawn = [random_distant_view(*photograph(prior, car), car, FIT, prior, 96, rng) for car in cars]
     made = [d for d in drawn if d is not None]
     assert made
     assert all(d.made_up <= 0.1 and np.linalg.norm(d.car.translation) > 1.2 for d in made)
@@ -141,12 +141,12 @@ def test_mirrors_that_the_photograph_hides_are_drawn(prior):
     assert abs(car.azimuth) == pytest.approx(np.pi)
     image, mask = photograph(prior, car)
     mirrors = prior.mean[prior.category.off_faces]
-    plain = seen_from_afar(image, mask, car, vertices, faces, 6.0, 192)
-    distant = seen_from_afar(image, mask, car, vertices, faces, 6.0, 192, mirrors, 0.0)
+    plain = distant_view(image, mask, car, vertices, faces, 6.0, 192)
+    distant = distant_view(image, mask, car, vertices, faces, 6.0, 192, mirrors, 0.0)
     np.testing.assert_array_equal(distant.car.matrix, plain.car.matrix)  # it is the body that fills the image
     black = (distant.image == 0).all(axis=2) & ~(plain.image == 0).all(axis=2)
     assert black.any()
-    assert distant.told[black].all()
+    assert distant.valid[black].all()
     assert (distant.mask[black] == 255).all()
     row, column = np.nonzero(black)
     away = np.linalg.norm(np.stack([column, row], axis=1)[:, None] - distant.car.project(mirrors), axis=2).min(axis=1)
@@ -159,10 +159,10 @@ def test_labels_are_believed_where_the_photograph_tells(prior):
     (car,) = made_up_cars(prior, np.zeros(5), 1, np.random.default_rng(2))
     image, mask = photograph(prior, car)
     surface = prior.surface
-    distant = seen_from_afar(image, mask, car, surface.vertices(np.zeros(5)), surface.faces, 4.0, 200)
-    row, column = np.nonzero(distant.told)
+    distant = distant_view(image, mask, car, surface.vertices(np.zeros(5)), surface.faces, 4.0, 200)
+    row, column = np.nonzero(distant.valid)
     middle = len(row) // 2
     places = np.array([[column[middle], row[middle]], [-50.0, -50.0]], dtype=float)
     assert distant.believes(places).tolist() == [True, False]
-    blind = replace(distant, told=np.zeros_like(distant.told))
+    blind = replace(distant, valid=np.zeros_like(distant.valid))
     assert not blind.believes(places).any()

@@ -6,7 +6,7 @@ import pytest
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.images import write_png
-from fgrecon.perception.keypoints.decode import Calibration
+from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.weights import Stored, load_weights, mean_state, save_weights
 from fgrecon.training.keypoints.augment import Street
 from fgrecon.training.keypoints.dataset import Photographs, azimuth_weights, prepare_photographs
@@ -151,7 +151,7 @@ def test_a_checkpoint_of_another_network_is_refused(photographs, tmp_path):
 def test_weights_survive_the_file(tmp_path):
     torch.manual_seed(0)
     network = KNet(SMALL).eval()
-    stored = Stored(network.state_dict(), SMALL.to_dict(), Calibration(0.1, 0.2, 0.3, 0.4), {"data": "none"})
+    stored = Stored(network.state_dict(), SMALL.to_dict(), ConfidenceCalibration(0.1, 0.2, 0.3, 0.4), {"data": "none"})
     back = load_weights(save_weights(tmp_path / "w.safetensors", stored))
     assert back.settings == SMALL.to_dict()
     assert back.calibration == stored.calibration

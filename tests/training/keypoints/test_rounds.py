@@ -8,7 +8,7 @@ import pytest
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.images import write_png
-from fgrecon.perception.keypoints.decode import Calibration
+from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import Detector
 from fgrecon.perception.keypoints.weights import Stored, load_weights, save_weights
 from fgrecon.training.keypoints.calibrate import calibrate, reliability
@@ -52,20 +52,20 @@ def source(tmp_path_factory):
 def detector(tmp_path_factory):
     torch.manual_seed(0)
     path = tmp_path_factory.mktemp("weights") / "w.safetensors"
-    return Detector(save_weights(path, Stored(KNet(SMALL).state_dict(), SMALL.to_dict(), Calibration(), {})))
+    return Detector(save_weights(path, Stored(KNet(SMALL).state_dict(), SMALL.to_dict(), ConfidenceCalibration(), {})))
 
 
 @pytest.fixture(scope="module")
 def trained(source, tmp_path_factory):
-    folder, told, reports = tmp_path_factory.mktemp("work"), [], []
-    result = train_in_rounds(source, folder, HOW, [1], report=reports.append, tell=told.append)
-    return folder, told, reports, result
+    folder, logged, reports = tmp_path_factory.mktemp("work"), [], []
+    result = train_in_rounds(source, folder, HOW, [1], report=reports.append, log=logged.append)
+    return folder, logged, reports, result
 
 
 def test_rounds_correct_labels_and_go_on(trained, source):
-    folder, told, reports, (_, labelling, photographs) = trained
+    folder, logged, reports, (_, labelling, photographs) = trained
     assert [report.step for report in reports] == [1, 2]
-    assert len(told) == 4
+    assert len(logged) == 4
     names = ["labels-0.npz", "labels-1.npz", "labels-first.npz"]
     assert sorted(path.name for path in folder.glob("labels-*.npz")) == names
     assert set(labelling.fits) == {"a", "b"}
@@ -74,8 +74,8 @@ def test_rounds_correct_labels_and_go_on(trained, source):
 
 def test_a_finished_training_is_not_done_again(trained, source):
     folder, _, _, (network, _, _) = trained
-    told, reports = [], []
-    again, _, _ = train_in_rounds(source, folder, HOW, [1], report=reports.append, tell=told.append)
+    logged, reports = [], []
+    again, _, _ = train_in_rounds(source, folder, HOW, [1], report=reports.append, log=logged.append)
     assert reports == []
     for name, value in network.state_dict().items():
         torch.testing.assert_close(value, again.state_dict()[name])
@@ -86,18 +86,18 @@ def test_every_report_has_a_score_that_changes_nothing(trained, source, tmp_path
     assert all(0.0 <= report.score <= 1.0 for report in reports)
     reports, headings = [], []
 
-    def watch(things, heading):
+    def progress(things, heading):
         headings.append((heading, len(things)))
         return things
 
     blind = replace(source, validate=np.arange(0))
-    other, _, _ = train_in_rounds(blind, tmp_path, HOW, [1], report=reports.append, watch=watch)
+    other, _, _ = train_in_rounds(blind, tmp_path, HOW, [1], report=reports.append, progress=progress)
     assert [report.score for report in reports] == [None, None]
     for name, value in network.state_dict().items():
         torch.testing.assert_close(value, other.state_dict()[name])
-    first, found, told = ("Shapes of boxes and silhouettes", 2), ("Keypoints in all photographs", 1), "Shapes of what"
+    first, found, again = ("Shapes of boxes and silhouettes", 2), ("Keypoints in all photographs", 1), "Shapes of what"
     assert headings[:3] == [first, ("Photographs", 6), found]
-    assert headings[3][0].startswith(told)
+    assert headings[3][0].startswith(again)
 
 
 def test_the_score_is_the_share_of_visible_points_that_are_near(trained, source):
@@ -154,7 +154,9 @@ def test_a_training_goes_on_with_the_same_marks(source, tmp_path):
 def test_a_trained_network_can_go_on(source, tmp_path):
     torch.manual_seed(1)
     begun = KNet(SMALL)
-    start = save_weights(tmp_path / "s.safetensors", Stored(begun.state_dict(), SMALL.to_dict(), Calibration(), {}))
+    start = save_weights(
+        tmp_path / "s.safetensors", Stored(begun.state_dict(), SMALL.to_dict(), ConfidenceCalibration(), {})
+    )
     how = replace(HOW, steps=1, rate=0.0)
     network, labelling, _ = train_in_rounds(source, tmp_path / "work", how, [], start=start)
     torch.testing.assert_close(network.head.weight, begun.head.weight, atol=1e-3, rtol=1e-3)
@@ -164,7 +166,7 @@ def test_a_trained_network_can_go_on(source, tmp_path):
 
 def test_networks_between_rounds_keep_the_refinement_that_they_began_with(trained, tmp_path):
     sizes = RefineSettings(crop=64, width=4)
-    calibration = Calibration(floor=0.03)
+    calibration = ConfidenceCalibration(floor=0.03)
     begun = Stored(
         KNet(SMALL).state_dict(), SMALL.to_dict(), calibration, {}, RefineNet(sizes).state_dict(), sizes.to_dict()
     )

@@ -1,0 +1,78 @@
+"""Layouts: one in every file, zoomed to its own vehicle, whichever way rerun takes them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pytest
+
+from fgrecon.viz import record, replay
+from tests.viz.made_up import Example
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How often each view is there, and what the zoomed ones show."""
+
+    views: Counter[str]
+    bounds: list
+    eyes: list
+
+
+def layout_of(path: Path) -> Layout:
+    from rerun.chunk import RrdReader
+
+    reader = RrdReader(path)
+    assert len(reader.recordings()) == 1
+    (store,) = reader.blueprints()
+    batches = [chunk.to_record_batch() for chunk in reader.stream(store=store)]
+
+    def values(component: str) -> list:
+        found = [row for b in batches if component in b.schema.names for row in b.column(component).to_pylist()]
+        return sorted(found, key=str)
+
+    names = Counter(name for (name,) in values("ViewBlueprint:display_name"))
+    return Layout(names, values("VisualBounds2D:range"), values("EyeControls3D:position"))
+
+
+def test_every_recording_has_all_views_zoomed_to_its_own_vehicle(example: Example, tmp_path: Path) -> None:
+    def layout(name: str, box_shift: float) -> Layout:
+        observation = replace(example.observation, box=example.observation.box + box_shift)
+        return layout_of(record(tmp_path / name, example.reconstruction, observation, example.camera))
+
+    here, there = layout("here.rrd", 0.0), layout("there.rrd", 300.0)
+    assert here == layout("again.rrd", 0.0)
+    assert {"Weights", "Shape", "Log", "Result", "Scene: camera frame, metres"} < set(here.views)
+    assert set(here.views.values()) == {1}
+    assert len(here.bounds) == 2  # of the image and of the factor graph
+    assert sum(bound in there.bounds for bound in here.bounds) == 1
+    assert len(here.eyes) == 1
+
+
+def test_a_release_of_rerun_without_the_private_hook_gets_the_same_layout(
+    example: Example, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import rerun.blueprint as rrb
+    import rerun.sinks
+
+    def layout(name: str) -> Layout:
+        path, result = tmp_path / name, example.reconstruction
+        record(path, result, example.observation, example.camera, truth=example.truth)
+        assert len(replay.read(path).history) == len(result.history)
+        return layout_of(path)
+
+    hook, convert = rrb.Blueprint._log_to_stream, rerun.sinks.create_in_memory_blueprint
+
+    def newer(*, application_id: str, blueprint: rrb.Blueprint) -> object:
+        assert isinstance(blueprint, rrb.Blueprint)  # of which a newer release may ask anything
+        with monkeypatch.context() as patch:
+            patch.setattr(rrb.Blueprint, "_log_to_stream", hook, raising=False)
+            return convert(application_id=application_id, blueprint=blueprint)
+
+    now = layout("now.rrd")
+    monkeypatch.delattr(rrb.Blueprint, "_log_to_stream")
+    monkeypatch.setattr(rerun.sinks, "create_in_memory_blueprint", newer)
+    assert layout("newer.rrd") == now
+    assert set(now.views.values()) == {1}
