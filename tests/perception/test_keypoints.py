@@ -5,7 +5,7 @@ import pytest
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.perception.keypoints.decode import Calibration
-from fgrecon.perception.keypoints.detect import Detector, as_rgb8
+from fgrecon.perception.keypoints.detect import KeypointCascade, as_rgb8
 from fgrecon.perception.keypoints.weights import Stored, save_weights
 
 torch = pytest.importorskip("torch")
@@ -20,7 +20,7 @@ def detector(tmp_path_factory):
     torch.manual_seed(0)
     path = tmp_path_factory.mktemp("weights") / "w.safetensors"
     save_weights(path, Stored(KNet(SMALL).state_dict(), SMALL.to_dict(), Calibration(), {}))
-    return Detector(path)
+    return KeypointCascade(path)
 
 
 @pytest.fixture
@@ -78,4 +78,4 @@ def test_boxes_have_four_numbers(detector, image):
 
 def test_no_network_is_a_clear_error(tmp_path):
     with pytest.raises(InvalidInputError, match="weights"):
-        Detector(tmp_path / "absent.safetensors")
+        KeypointCascade(tmp_path / "absent.safetensors")

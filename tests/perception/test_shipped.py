@@ -7,7 +7,7 @@ from fgrecon.core.metrics import orientation_error
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.io.catalogue import load_category, load_prior
 from fgrecon.perception.from_image import reconstruct_image
-from fgrecon.perception.keypoints.detect import Detector, detect_keypoints
+from fgrecon.perception.keypoints.detect import KeypointCascade, detect_keypoints
 from fgrecon.perception.keypoints.weights import load_weights, shipped
 from fgrecon.simulation.demo import demo_scene
 
@@ -19,7 +19,7 @@ def scenes():
 
 @pytest.fixture(scope="module")
 def detector():
-    return Detector()
+    return KeypointCascade()
 
 
 def test_the_file_is_small_and_says_what_it_is():
