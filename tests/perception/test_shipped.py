@@ -46,7 +46,11 @@ def test_keypoints_of_rendered_cars_are_found_and_hidden_ones_known(scenes, dete
 def test_rendered_cars_are_reconstructed_from_their_pixels(scenes, detector):
     for scene in scenes:
         (vehicle,) = reconstruct_image(
-            scene.picture.image, [scene.observation.box], scene.camera, detector=detector, ground=scene.ground
+            scene.picture.image,
+            scene.camera,
+            [scene.observation.box],
+            keypoint_detector=detector,
+            ground=scene.ground,
         )
         truth = rotation_y(scene.truth.camera_T_object)
         assert orientation_error([vehicle.result.rotation_y], [truth])[0] < 10.0
