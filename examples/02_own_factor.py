@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import fgrecon
 from factors import X, guarded_factor
-from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate, yaw_pose
+from fgrecon.simulation import KITTI_CAMERA, Vehicle, simulate, yaw_pose
 from fgrecon.solve.graph.graph import Scene, VehicleGraph, build
 from fgrecon.solve.graph.solver import minimise
 from fgrecon.solve.vehicle.model import prepare

@@ -22,7 +22,7 @@ ROOMS = {
     "perception/keypoints": {"core", "io"},
     "perception/vehicles": {"core", "perception/keypoints"},
     "perception": {"factors", "core", "io", "solve", "perception/keypoints", "perception/vehicles"},
-    "": {"factors", "core", "io", "solve", "perception"},  # the public face: fgrecon/__init__.py
+    "": {"factors", "core", "io", "solve", "perception", "perception/vehicles"},  # the public face: fgrecon/__init__.py
     "simulation": {"factors", "core", "solve/vehicle"},
     "viz": {"core", "io", "perception/keypoints"},
     "evaluation": {"core", "io", "solve", "solve/vehicle", "solve/proposals", "perception", "perception/keypoints"},

@@ -11,7 +11,7 @@ import numpy as np
 __all__ = ["brief_repr"]
 
 _FEW = 4
-"""So many numbers or items are shown; of more their count."""
+"""So many numbers or texts are shown; of more, and of other things, their count."""
 
 
 def brief_repr(self: Any) -> str:
@@ -28,5 +28,6 @@ def _brief(value: Any) -> str:
         few = len(value) <= _FEW
         return f"{{{', '.join(f'{k!r}: {_brief(v)}' for k, v in value.items())}}}" if few else f"{len(value)} items"
     if isinstance(value, list | tuple):
-        return f"({', '.join(map(_brief, value))})" if len(value) <= _FEW else f"{len(value)} items"
+        plain = all(item is None or isinstance(item, str | int | float) for item in value)
+        return repr(value) if plain and len(value) <= _FEW else f"{len(value)} items"
     return repr(value).partition("\n")[0]

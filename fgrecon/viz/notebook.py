@@ -30,7 +30,7 @@ from fgrecon.viz.solid import draw_from_above, draw_three_quarter
 
 __all__ = ["html", "plot", "plot_track"]
 
-_GAP, _HEADING, _FOOT = 0.1, 0.3, 0.62  # inches, as all sizes here
+_GAP, _HEADING, _FOOT = 0.1, 0.3, 0.8  # inches, as all sizes here
 _WIDTH, _HEIGHT, _SOLID, _ABOVE = 3.4, 2.3, 2.2, 2.0
 _COLUMNS, _CELL, _ASPECT = 4, 2.6, 1.5
 _SHOWN = 12
@@ -71,7 +71,7 @@ def plot(
         above = place_axes(figure, _WIDTH + _SOLID + 6 * _GAP, _FOOT + 0.25, _ABOVE - _GAP, _HEIGHT - 0.25)
         draw_from_above(above, result, edges, None)
         above.set_title("From above", fontsize=9, loc="left")
-    words = textwrap.fill(" ".join(repr(result).split()), 150, max_lines=3)
+    words = "\n".join(textwrap.shorten(line, 170) for line in repr(result).splitlines())
     height = figure.get_size_inches()[1]
     figure.text(0.012, (_FOOT - 0.28) / height, words, fontsize=7, color=unit(style.INK), va="top")
     return figure

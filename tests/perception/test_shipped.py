@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from safetensors import safe_open
 
 from fgrecon.core.metrics import orientation_error
 from fgrecon.core.reconstruction import rotation_y
@@ -28,6 +29,8 @@ def test_the_file_is_small_and_says_what_it_is():
     stored = load_weights(shipped())
     assert stored.settings["keypoints"] == load_category("car14").size
     assert stored.provenance["data"]
+    with safe_open(str(shipped()), framework="pt") as file:
+        assert file.metadata()["category"] == stored.category == "car14"
 
 
 def test_keypoints_of_rendered_cars_are_found_and_hidden_ones_known(scenes, detector):
