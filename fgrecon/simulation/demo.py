@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.brief import brief_repr
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.observation import Observation
 from fgrecon.core.shape_prior import ShapePrior
@@ -48,6 +49,8 @@ class DemoScene:
     ground: Ground
     observation: Observation
     truth: Truth
+
+    __repr__ = brief_repr
 
 
 def demo_scene(prior: ShapePrior, seed: int = 0, noise: NoiseModel = HOURGLASS) -> DemoScene:

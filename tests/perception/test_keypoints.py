@@ -90,7 +90,7 @@ def test_the_category_is_stored_with_the_weights(tmp_path):
     stored = Stored(network, SMALL.to_dict(), Calibration(), {}, category="car36")
     path = save_weights(tmp_path / "w.safetensors", stored)
     assert load_weights(path).category == "car36"
-    with pytest.raises(InvalidInputError, match="14 keypoints in .*Category car36 has 36"):
+    with pytest.raises(InvalidInputError, match=r"14 keypoints in .*Category car36 has 36"):
         KeypointCascade(path)
     assert KeypointCascade(save_weights(path, replace(stored, category="car14"))).category == "car14"
 
