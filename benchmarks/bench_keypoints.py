@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from fgrecon.perception.keypoints import Detector
+from fgrecon.perception.keypoints import KeypointCascade
 
 CONDITIONS = {
     "KNet": {"refine": False, "mirror": False},
@@ -24,7 +24,7 @@ CONDITIONS = {
 }
 
 
-def clock(detector: Detector, image: np.ndarray, boxes: np.ndarray, repeats: int) -> tuple[float, float]:
+def clock(detector: KeypointCascade, image: np.ndarray, boxes: np.ndarray, repeats: int) -> tuple[float, float]:
     """Best and median wall time of one batch, seconds."""
     detector(image, boxes)
     times = []
@@ -51,7 +51,7 @@ def main() -> None:
     boxes = np.hstack([low, low + rng.uniform(40, 120, low.shape)])
     print(f"{arguments.batch} cars, {arguments.threads} threads, {arguments.device}, {platform.machine()}")
     for name, settings in CONDITIONS.items():
-        detector = Detector(arguments.weights, device=arguments.device, **settings)
+        detector = KeypointCascade(arguments.weights, device=arguments.device, **settings)
         best, median = (1e3 * seconds / arguments.batch for seconds in clock(detector, image, boxes, arguments.repeats))
         print(f"  {name:40s}{best:7.1f} ms per car (median {median:.1f}), {1e3 / best:6.0f} cars per second")
 

@@ -20,7 +20,7 @@ from fgrecon.evaluation.kitti_devkit import REGIMES, match_detections, regime_me
 from fgrecon.evaluation.kitti_overlap import box_overlap
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_files import Objects, read_labels
-from fgrecon.perception.vehicles import VehicleDetector
+from fgrecon.perception.vehicles import YoloVehicleDetector
 
 
 def recall(labels: Objects, found: Objects, least: float) -> np.ndarray:
@@ -54,7 +54,7 @@ def main() -> None:
     cv2.setNumThreads(arguments.threads)
     files = sorted(arguments.images.glob("*.png"))
     labels, _ = read_labels(arguments.labels, [file.stem for file in files])
-    detector, found, times = VehicleDetector(), {}, []
+    detector, found, times = YoloVehicleDetector(), {}, []
     for file in files:
         image = read_image(file)
         started = time.perf_counter()

@@ -14,7 +14,7 @@ The keypoints are simulated with the mistakes of a real network; use your detect
 import numpy as np
 
 import fgrecon
-from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate, yaw_pose
+from fgrecon.simulation import KITTI_CAMERA, Vehicle, simulate, yaw_pose
 
 
 def main() -> None:

@@ -12,11 +12,8 @@ from numpy.typing import NDArray
 
 import fgrecon
 from factors import X, guarded_factor
-from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate, yaw_pose
-from fgrecon.solve.graph.graph import VehicleGraph, build
-from fgrecon.solve.graph.solver import minimise
-from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.vehicle.model import prepare
+from fgrecon.simulation import KITTI_CAMERA, Vehicle, simulate, yaw_pose
+from fgrecon.solve import Problem, VehicleGraph, build, minimise, prepare
 
 
 def distance_factor(metres: float, sigma: float) -> gtsam.CustomFactor:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 import fgrecon
-from fgrecon.simulation.vehicles import KITTI_CAMERA, yaw_pose
+from fgrecon.simulation import KITTI_CAMERA, yaw_pose
 
 CORNERS = [f"{x}_{y}_{z}" for x in ("front", "rear") for y in ("top", "bottom") for z in ("left", "right")]
 SIGNS = np.array([[x, y, z] for x in (1, -1) for y in (1, 0) for z in (1, -1)], dtype=float)

@@ -15,7 +15,7 @@ import sys
 import numpy as np
 
 import fgrecon
-from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate_track
+from fgrecon.simulation import KITTI_CAMERA, Vehicle, simulate_track
 from fgrecon.viz import TrackSight, Truth, record_track
 
 

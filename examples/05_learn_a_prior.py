@@ -14,10 +14,8 @@ mean, the basis vectors and the noise are common to all. As a factor graph:
 import numpy as np
 
 import fgrecon
-from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, yaw_pose
-from fgrecon.training.priors.compare import compare_priors
-from fgrecon.training.priors.learn import learn_prior
-from fgrecon.training.priors.nrsfm import NrsfmOptions
+from fgrecon.simulation import KITTI_CAMERA, Vehicle, yaw_pose
+from fgrecon.training import NrsfmOptions, compare_priors, learn_prior
 
 
 def main() -> None:

@@ -1,13 +1,16 @@
 """Pose and shape of a vehicle from a single image, by factor-graph optimisation on GTSAM.
 
-In three lines:
+From a photograph, and from keypoints:
 
     import fgrecon
+    for vehicle in fgrecon.reconstruct_image("street.jpg", camera=(721.5, 721.5, 609.6, 172.9)):
+        print(vehicle.result)
     result = fgrecon.reconstruct(keypoints, intrinsics, confidence=confidence, box=box)
     print(result.status, result.camera_T_object, result.wireframe)
 
-`reconstruct` has the arguments, `Reconstruction` what comes back, `Options` the settings. The factors of the graph are
-in the package `factors`.
+`reconstruct_image` takes networks of your own for boxes and keypoints (`VehicleDetector`, `KeypointDetector`),
+`reconstruct` keypoints of any origin. `Reconstruction` is what comes back, `Options` the settings, `fgrecon.errors` has
+the errors. The factors of the graph are in the package `factors`.
 """
 
 from __future__ import annotations
@@ -19,20 +22,25 @@ from factors.lazy import lazy_names
 from fgrecon._moved import MovedFinder
 
 if TYPE_CHECKING:  # imported when used
+    from fgrecon._version import __version__
     from fgrecon.core.box3d import Box3D
     from fgrecon.core.camera import Camera, Ground
     from fgrecon.core.category import Category
+    from fgrecon.core.detection import Detection
     from fgrecon.core.observation import Observation
     from fgrecon.core.options import BoxModel, Options
-    from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status
+    from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status, rotation_y
     from fgrecon.core.robust import RobustStrategy, StrategyName, strategy
     from fgrecon.core.shape_prior import ShapePrior, Surface
     from fgrecon.core.size_prior import SIZE_PRIORS, SizePrior
+    from fgrecon.core.track_reconstruction import JointStep, TrackReconstruction
     from fgrecon.io.catalogue import load_category, load_prior, save_prior
     from fgrecon.io.images import read_image
     from fgrecon.perception.from_image import FromImage, reconstruct_image
+    from fgrecon.perception.protocols import KeypointDetector, VehicleDetector
+    from fgrecon.perception.vehicles.detect import Vehicles
     from fgrecon.solve.pipeline import reconstruct
-    from fgrecon.solve.track import JointStep, TrackReconstruction, reconstruct_track
+    from fgrecon.solve.track import reconstruct_track
 
 __all__ = [
     "SIZE_PRIORS",
@@ -41,11 +49,13 @@ __all__ = [
     "BoxModel",
     "Camera",
     "Category",
+    "Detection",
     "FromImage",
     "GraphFactor",
     "Ground",
     "Iteration",
     "JointStep",
+    "KeypointDetector",
     "Observation",
     "Options",
     "Reconstruction",
@@ -56,12 +66,16 @@ __all__ = [
     "StrategyName",
     "Surface",
     "TrackReconstruction",
+    "VehicleDetector",
+    "Vehicles",
+    "__version__",
     "load_category",
     "load_prior",
     "read_image",
     "reconstruct",
     "reconstruct_image",
     "reconstruct_track",
+    "rotation_y",
     "save_prior",
     "strategy",
 ]

@@ -1,5 +1,19 @@
-"""The errors that fgrecon raises on purpose: all derive from `FgreconError`."""
+"""The errors that fgrecon raises on purpose, all derived from `FgreconError`, and its warning."""
 
-from fgrecon.core.errors import DegenerateProblemError, FactorCallbackError, FgreconError, InvalidInputError
+from fgrecon.core.errors import (
+    AssumedCameraWarning,
+    DegenerateProblemError,
+    FactorCallbackError,
+    FgreconError,
+    InvalidInputError,
+    MissingPackageError,
+)
 
-__all__ = ["DegenerateProblemError", "FactorCallbackError", "FgreconError", "InvalidInputError"]
+__all__ = [
+    "AssumedCameraWarning",
+    "DegenerateProblemError",
+    "FactorCallbackError",
+    "FgreconError",
+    "InvalidInputError",
+    "MissingPackageError",
+]

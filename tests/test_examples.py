@@ -83,3 +83,10 @@ def test_car_from_image(capsys):
     yaw, true_yaw = map(float, re.search(f"yaw {NUMBER} degrees, true {NUMBER}", output).groups())
     assert abs(yaw - true_yaw) < 5.0
     assert len(re.findall(r" (yes|no)$", output, re.MULTILINE)) == 14
+
+
+def test_own_network(capsys):
+    output = run("07", capsys)
+    assert output.startswith("Reconstruction: converged")
+    yaw, true_yaw = map(float, re.findall(f"rotation_y {NUMBER} degrees", output))
+    assert abs(yaw - true_yaw) < 5.0

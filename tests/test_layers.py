@@ -21,13 +21,13 @@ ROOMS = {
     "solve": {"factors", "core", "io", "solve/vehicle", "solve/proposals", "solve/graph"},
     "perception/keypoints": {"core", "io"},
     "perception/vehicles": {"core", "perception/keypoints"},
-    "perception": {"core", "io", "solve", "perception/keypoints", "perception/vehicles"},
-    "": {"factors", "core", "io", "solve", "perception"},  # the public face: fgrecon/__init__.py
-    "simulation": {"core", "solve/vehicle"},
-    "viz": {"core", "io", "solve", "perception/keypoints"},
+    "perception": {"factors", "core", "io", "solve", "perception/keypoints", "perception/vehicles"},
+    "": {"factors", "core", "io", "solve", "perception", "perception/vehicles"},  # the public face: fgrecon/__init__.py
+    "simulation": {"factors", "core", "solve/vehicle"},
+    "viz": {"core", "io", "perception/keypoints"},
     "evaluation": {"core", "io", "solve", "solve/vehicle", "solve/proposals", "perception", "perception/keypoints"},
-    "training": set(),
     "training/priors": {"core", "io", "solve/vehicle"},
+    "training": {"factors", "training/priors"},
     "training/keypoints": {
         *("factors", "core", "io", "io/annotations", "solve/vehicle", "simulation"),
         *("perception/keypoints", "perception/vehicles", "training/priors"),

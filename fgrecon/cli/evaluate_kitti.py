@@ -68,7 +68,7 @@ def kitti_command(
     from fgrecon.evaluation import kitti_images
     from fgrecon.io.catalogue import load_prior
     from fgrecon.io.kitti_files import read_image_set
-    from fgrecon.perception.keypoints.detect import Detector
+    from fgrecon.perception.keypoints.detect import KeypointCascade
 
     check_outputs(json_out, picture)
     check_delivery(save, connect)
@@ -76,7 +76,7 @@ def kitti_command(
     names = None if split is None else read_image_set(split)
     frames, problems = kitti_images.read_frames(images, labels, calib, names, boxes)
     setup = kitti_images.Setup(
-        detector=Detector(weights),
+        detector=KeypointCascade(weights),
         prior=load_prior(prior),
         ground=plane,
         size_prior=None if size_prior == "none" else parse_size(size_prior),

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from fgrecon.cli.track_report import image_numbers, truth_of
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.reconstruction import Reconstruction, Status
+from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.evaluation.methods import Method, SceneKnowledge
 from fgrecon.io.track_file import Track
-from fgrecon.solve.track import TrackReconstruction
 from fgrecon.viz import Recording, TrackSight, track_recording_of
 
 __all__ = ["recorded", "recordings"]

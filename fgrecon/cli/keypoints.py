@@ -21,7 +21,7 @@ from fgrecon.cli.common import (
 )
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
-    from fgrecon.perception.keypoints.detect import Detection
+    from fgrecon.perception.keypoints.detect import CascadeDetection
 
 __all__ = ["app"]
 
@@ -46,14 +46,14 @@ def detect_command(
     """Find the keypoints of cars. The JSON is what `fgrecon reconstruct` reads; confidences are probabilities."""
     from fgrecon.io.catalogue import load_category
     from fgrecon.io.images import read_image
-    from fgrecon.perception.keypoints.detect import Detector
+    from fgrecon.perception.keypoints.detect import KeypointCascade
 
     check_outputs(json_out, picture)
     pixels = read_image(image)
     named = chosen_boxes(image, pixels, box, boxes, detect=detect)
     names = [item.name for item in named]
     category = load_category("car14")
-    found = Detector(weights)(pixels, [item.corners for item in named])
+    found = KeypointCascade(weights)(pixels, [item.corners for item in named])
     if json_out != "-":
         _print_found(names, found, category.keypoints)
     if json_out is not None:
@@ -67,7 +67,7 @@ def detect_command(
         save_picture(picture, detection_sheet(pixels, found, names, category))
 
 
-def _instance(name: str, detection: Detection) -> dict[str, Any]:
+def _instance(name: str, detection: CascadeDetection) -> dict[str, Any]:
     """A vehicle as the keypoint file has it, with what `reconstruct` does not read beside it."""
     seen = detection.observation
     return {
@@ -82,7 +82,7 @@ def _instance(name: str, detection: Detection) -> dict[str, Any]:
     }
 
 
-def _print_found(names: list[str], found: list[Detection], keypoints: tuple[str, ...]) -> None:
+def _print_found(names: list[str], found: list[CascadeDetection], keypoints: tuple[str, ...]) -> None:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 

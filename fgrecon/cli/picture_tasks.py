@@ -10,16 +10,15 @@ from numpy.typing import NDArray
 
 from fgrecon.cli.batch import CameraSource, Task
 from fgrecon.cli.common import chosen_boxes
-from fgrecon.core.camera import Camera
+from fgrecon.core.camera import DEFAULT_FIELD_OF_VIEW, Camera
+from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import BoxModel
 from fgrecon.io.keypoint_file import Instance
-from fgrecon.perception.keypoints.detect import Detector, check_box
+from fgrecon.perception.keypoints.detect import KeypointCascade, check_box
+from fgrecon.perception.protocols import check_category
 
-__all__ = ["DEFAULT_FIELD_OF_VIEW", "default_camera", "is_image", "read_image_tasks", "refuse_image_options"]
-
-DEFAULT_FIELD_OF_VIEW = 60.0
-"""Horizontal field of view in degrees where nothing is known about the camera: distances are then rough."""
+__all__ = ["is_image", "read_image_tasks", "refuse_image_options"]
 
 _IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
 
@@ -29,16 +28,11 @@ def is_image(path: Path) -> bool:
     return path.suffix.lower() in _IMAGES
 
 
-def default_camera(width: int, height: int) -> Camera:
-    """A camera with the default field of view, looking straight at the middle of an image of that many pixels."""
-    focal = width / 2 / np.tan(np.radians(DEFAULT_FIELD_OF_VIEW) / 2)
-    return Camera.of([focal, focal, (width - 1) / 2, (height - 1) / 2])
-
-
 def read_image_tasks(
     path: Path,
     image: NDArray[np.uint8],
     source: CameraSource,
+    category: Category,
     *,
     box: Sequence[str] | None,
     boxes: Path | None,
@@ -52,6 +46,7 @@ def read_image_tasks(
         path: The image's file.
         image: (H, W, 3) its pixels.
         source: The command line's camera.
+        category: Category of the shape prior, which the network must have.
         box: Boxes as `x1,y1,x2,y2`.
         boxes: File of boxes, or None.
         detect: Whether the image is searched for cars instead.
@@ -67,16 +62,18 @@ def read_image_tasks(
     named = chosen_boxes(path, image, box, boxes, detect=detect)
     for item in named:
         check_box(item.corners, image, f"box {item.name}")
+    cascade = KeypointCascade(weights)
+    check_category(cascade, category)
     camera, offset = source.camera()
     warning = None
     if camera is None:
-        camera = default_camera(image.shape[1], image.shape[0])
+        camera = Camera.of_field_of_view(image.shape[1], image.shape[0])
         warning = (
             f"No camera is given: a horizontal field of view of {DEFAULT_FIELD_OF_VIEW:g} degrees is assumed, and "
             "distances are rough. Give --calib or --intrinsics."
         )
     complete = source.complete(camera, declared=False)
-    found = Detector(weights)(image, [item.corners for item in named])
+    found = cascade(image, [item.corners for item in named])
     tasks = []
     for item, detection in zip(named, found, strict=True):
         seen = detection.observation

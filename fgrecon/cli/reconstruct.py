@@ -103,7 +103,15 @@ def reconstruct_command(
     warning: str | None = None
     if pictured and photograph is not None:
         tasks, warning = picture_tasks.read_image_tasks(
-            keypoints, photograph, source, box=box, boxes=boxes, detect=detect, weights=weights, box_model=box_model
+            keypoints,
+            photograph,
+            source,
+            settings.prior.category,
+            box=box,
+            boxes=boxes,
+            detect=detect,
+            weights=weights,
+            box_model=box_model,
         )
     else:
         tasks, ignored = batch.read_tasks(keypoints, settings.prior.category, source)

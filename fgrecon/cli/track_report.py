@@ -19,11 +19,12 @@ from fgrecon.cli.batch import CameraSource, Settings, Task, read_tasks, run
 from fgrecon.cli.show import plain_camera, plain_ground, plain_size
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.io.images import read_image
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.track_file import Track, parse_track
 from fgrecon.simulation.vehicles import yaw_pose
-from fgrecon.solve.track import TrackReconstruction, reconstruct_track
+from fgrecon.solve.track import reconstruct_track
 from fgrecon.viz import Recording, Sight, TrackSight, Truth, contact_sheet, save_picture, track_recording_of
 
 __all__ = ["FORMAT", "Solved", "document", "draw", "image_numbers", "solve", "table", "truth_of"]

@@ -33,10 +33,10 @@ def detect_command(
     """
     from fgrecon.io.files import write_text
     from fgrecon.io.images import read_image
-    from fgrecon.perception.vehicles import VehicleDetector
+    from fgrecon.perception.vehicles import YoloVehicleDetector
 
     check_output(out)
-    detector = VehicleDetector()
+    detector = YoloVehicleDetector()
     lines = []
     for path in images:
         found = detector(read_image(path))

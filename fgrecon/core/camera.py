@@ -11,7 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["MIN_DEPTH", "Camera", "Ground"]
+__all__ = ["DEFAULT_FIELD_OF_VIEW", "MIN_DEPTH", "Camera", "Ground"]
+
+DEFAULT_FIELD_OF_VIEW = 60.0
+"""Horizontal field of view in degrees where nothing is known about the camera: distances are then rough."""
 
 MIN_DEPTH = 0.3
 """Nothing may be nearer to the camera than this, metres."""
@@ -75,6 +78,25 @@ class Camera:
             return cls(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), coefficients)
         fix = "Give the 3x3 camera matrix K, or fx, fy, cx, cy."
         return cls(as_finite("intrinsics", intrinsics, (3, 3), fix), coefficients)
+
+    @classmethod
+    def of_field_of_view(cls, width: int, height: int, degrees: float = DEFAULT_FIELD_OF_VIEW) -> Camera:
+        """A camera that looks straight at the middle of its image: what to assume where nothing is known.
+
+        Args:
+            width: Of the image, pixels.
+            height: Of the image, pixels.
+            degrees: Horizontal field of view.
+
+        Raises:
+            InvalidInputError: The image has no pixels, or the angle is not between 0 and 180 degrees.
+        """
+        if min(width, height) < 1:
+            raise InvalidInputError("image_size", (width, height), "Give a width and height of at least a pixel.")
+        if not 0.0 < degrees < 180.0:
+            raise InvalidInputError("field_of_view", degrees, "Give degrees above 0 and below 180.")
+        focal = width / 2 / np.tan(np.radians(degrees) / 2)
+        return replace(cls.of([focal, focal, (width - 1) / 2, (height - 1) / 2]), image_size=(width, height))
 
     def project(self, points: ArrayLike) -> NDArray[np.float64]:
         """Pixels (..., 2) of points (..., 3) in the camera frame, without distortion."""

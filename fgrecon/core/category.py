@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.brief import brief_repr
 from fgrecon.core.errors import InvalidInputError
 
 __all__ = ["DIMENSIONS", "Category", "Dimension", "Face"]
@@ -83,6 +84,8 @@ class Category:
     dimensions: tuple[Dimension, ...]
     ground_keypoints: tuple[int, ...]
     ground_ratio: float
+
+    __repr__ = brief_repr
 
     @property
     def size(self) -> int:

@@ -1,7 +1,7 @@
-"""Every error that fgrecon raises on purpose, in one place.
+"""Every error and warning that fgrecon raises on purpose, in one place.
 
-All derive from `FgreconError`. Errors about input derive from `InvalidInputError` (a `ValueError`) and name the field,
-the value and the fix; the command line turns them into exit code 2.
+All errors derive from `FgreconError`. Errors about input derive from `InvalidInputError` (a `ValueError`) and name the
+field, the value and the fix; the command line turns them into exit code 2.
 """
 
 from factors.errors import (
@@ -12,8 +12,26 @@ from factors.errors import (
 )
 
 __all__ = [
+    "AssumedCameraWarning",
     "DegenerateProblemError",
     "FactorCallbackError",
     "FgreconError",
     "InvalidInputError",
+    "MissingPackageError",
 ]
+
+
+class MissingPackageError(FgreconError, ImportError):
+    """Something was asked for that needs a package which is not installed.
+
+    Attributes:
+        package: Its name, as pip takes it.
+    """
+
+    def __init__(self, package: str, purpose: str) -> None:
+        self.package = package
+        super().__init__(f"{purpose} needs {package}, which is not installed here. Run: pip install {package}")
+
+
+class AssumedCameraWarning(UserWarning):
+    """No camera was given, and a field of view was assumed: distances are rough."""

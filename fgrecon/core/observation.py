@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.brief import brief_repr
 from fgrecon.core.checks import as_finite, as_shape
 from fgrecon.core.errors import InvalidInputError
 
@@ -34,6 +35,8 @@ class Observation:
     box: NDArray[np.float64] | None = None
     covariance: NDArray[np.float64] | None = None
     confidence_midpoint: float = 0.2
+
+    __repr__ = brief_repr
 
     def __post_init__(self) -> None:
         """Check shapes and values; a missing keypoint gets confidence 0.

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
-from enum import Enum, StrEnum
+from enum import StrEnum
+from pathlib import Path
 from typing import Any
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.brief import brief_repr
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.observation import Observation
+from fgrecon.core.plain import array, indices, numbers, pairs, plain, square
+from fgrecon.core.plotting import DEFAULT_BACKEND, as_html, plotting_backend
+from fgrecon.core.table import as_arrow, as_pandas
 
-__all__ = ["Alternative", "GraphFactor", "Iteration", "Reconstruction", "Status", "rotation_y"]
+__all__ = ["TRUSTED", "Alternative", "GraphFactor", "Iteration", "Reconstruction", "Status", "rotation_y"]
 
 FORMAT = "fgrecon.reconstruction/1"
+
+TRUSTED = 0.5
+"""Keypoints of at least this weight count as trusted where results are told in words."""
 
 
 class Status(StrEnum):
@@ -57,6 +66,8 @@ class Iteration:
     weights: NDArray[np.float64]
     energies: Mapping[str, float]
 
+    __repr__ = brief_repr
+
 
 @dataclass(frozen=True)
 class Alternative:
@@ -71,6 +82,8 @@ class Alternative:
     camera_T_object: NDArray[np.float64]
     coefficients: NDArray[np.float64]
     excess: float
+
+    __repr__ = brief_repr
 
 
 @dataclass(frozen=True)
@@ -148,11 +161,11 @@ class Reconstruction:
     alternatives: tuple[Alternative, ...]
     history: tuple[Iteration, ...]
     milliseconds: Mapping[str, float]
-    surface_vertices: NDArray[np.float64] | None = field(default=None, repr=False)
-    surface_faces: NDArray[np.int64] | None = field(default=None, repr=False)
-    faces: Mapping[str, tuple[int, ...]] = field(default_factory=dict, repr=False)
-    symmetric_pairs: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64), repr=False)
-    graph: tuple[GraphFactor, ...] = field(default=(), repr=False)
+    surface_vertices: NDArray[np.float64] | None = None
+    surface_faces: NDArray[np.int64] | None = None
+    faces: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
+    symmetric_pairs: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
+    graph: tuple[GraphFactor, ...] = ()
 
     @property
     def pose(self) -> gtsam.Pose3:
@@ -169,9 +182,75 @@ class Reconstruction:
         """(3,) object origin in the camera frame, metres."""
         return self.camera_T_object[:3, 3]
 
+    def __repr__(self) -> str:
+        """A few lines: how it ended, the pose and size in words, trusted keypoints and time."""
+        lines = [f"Reconstruction: {self.status.value}. {self.message}"]
+        if np.isfinite(self.camera_T_object).all():
+            (x, y, z), (length, width, height) = self.location, self.box_size
+            turn = np.degrees(self.rotation_y)
+            lines.append(f"  rotation_y {turn:.1f} degrees, location ({x:.2f}, {y:.2f}, {z:.2f}) m")
+            lines.append(f"  length {length:.2f} m, width {width:.2f} m, height {height:.2f} m")
+        trusted, time = np.count_nonzero(self.weights >= TRUSTED), sum(self.milliseconds.values())
+        lines.append(f"  {trusted} of {len(self.weights)} keypoints trusted, prior {self.prior}, {time:.0f} ms")
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """Picture and table for a notebook."""
+        return as_html(self)
+
+    def plot(
+        self,
+        image: NDArray[np.uint8] | str | Path | None = None,
+        *,
+        observation: Observation | None = None,
+        backend: str = DEFAULT_BACKEND,
+    ) -> Any:
+        """Draw the result: the wireframe over the image, in 3D and from above.
+
+        Args:
+            image: (H, W, 3) RGB photograph, or its file; without one there is a plain canvas.
+            observation: The keypoints that it was solved from, to be drawn as well.
+            backend: Name under which what draws is registered (`fgrecon.core.plotting`).
+
+        Returns:
+            A `matplotlib.figure.Figure`, by the backend of fgrecon.
+
+        Raises:
+            InvalidInputError: The image is none, or there is no backend of that name.
+            MissingPackageError: There is no backend at all.
+        """
+        return plotting_backend(backend).plot(self, image, observation=observation)
+
+    def to_row(self, name: str = "0", *, flat: bool = True) -> dict[str, Any]:
+        """The result as a row of a table.
+
+        Scalars: id, status, message, category, prior; rotation_y in radians; x, y, z of the origin in the camera frame
+        and length, width, height in metres; the standard deviations of the pose's rotation (largest axis, radians) and
+        translation (largest axis, metres), None where not determined.
+
+        Args:
+            name: The vehicle's id.
+            flat: Numbers and texts alone: `lambda_1` and so on, then `<keypoint>_x`, `_y`, `_z` (object frame, metres),
+                `_u`, `_v` (pixels), `_weight` and `_visibility`. Else lists: camera_T_object (16), coefficients,
+                keypoints (their names), wireframe (3 per keypoint), wireframe_uv (2 per keypoint), weights, visibility.
+        """
+        return {"id": name, **self._scalars(), **(self._flat() if flat else self._lists())}
+
+    def to_pandas(self, name: str = "0") -> Any:
+        """A `pandas.DataFrame` of one row: the columns of `to_row`, those of an exported CSV file.
+
+        Raises:
+            MissingPackageError: pandas is not installed.
+        """
+        return as_pandas([self.to_row(name)])
+
+    def to_arrow(self, name: str = "0") -> Any:
+        """A `pyarrow.Table` of one row, arrays as lists: the columns of an exported Parquet file."""
+        return as_arrow([self.to_row(name, flat=False)])
+
     def to_dict(self) -> dict[str, Any]:
         """Plain lists, numbers and strings for JSON; numbers keep every bit, NaN and infinity become strings."""
-        return {"format": FORMAT, **{f.name: _plain(getattr(self, f.name)) for f in fields(self)}}
+        return {"format": FORMAT, **{f.name: plain(getattr(self, f.name)) for f in fields(self)}}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Reconstruction:
@@ -182,38 +261,52 @@ class Reconstruction:
         """
         if data.get("format") != FORMAT:
             raise InvalidInputError("format", data.get("format"), f"Give a result written as {FORMAT}.")
-        missing = [f.name for f in fields(cls) if f.name not in data]
+        names = [f.name for f in fields(cls)]
+        missing = [name for name in names if name not in data]
         if missing:
             raise InvalidInputError("reconstruction", f"no field {missing[0]}", "Give a whole result.")
-        integers = {"edges", "surface_faces", "symmetric_pairs"}
-        plain = {"message", "category", "prior"}
-        values: dict[str, Any] = {}
-        for name in (f.name for f in fields(cls)):
-            value = data[name]
-            if name in plain or value is None:
-                values[name] = value
-            elif name in ("energies", "milliseconds"):
-                values[name] = {k: float(v) for k, v in value.items()}
-            elif name == "status":
-                values[name] = Status(value)
-            elif name == "keypoint_names":
-                values[name] = tuple(value)
-            elif name == "faces":
-                values[name] = {face: tuple(keypoints) for face, keypoints in value.items()}
-            elif name == "graph":
-                values[name] = tuple(GraphFactor(f["term"], f["label"], tuple(f["variables"])) for f in value)
-            elif name == "alternatives":
-                values[name] = tuple(_record(Alternative, item) for item in value)
-            elif name == "history":
-                values[name] = tuple(_record(Iteration, item) for item in value)
-            else:
-                values[name] = np.array(value, dtype=np.int64 if name in integers else np.float64)
-        for name in ("edges", "symmetric_pairs"):  # JSON's empty list tells no shape
-            values[name] = values[name].reshape(-1, 2)
-        if values["coefficients_covariance"] is not None:
-            count = len(values["coefficients"])
-            values["coefficients_covariance"] = values["coefficients_covariance"].reshape(count, count)
-        return cls(**values)
+        return cls(**{name: _read(name, data[name]) for name in names})
+
+    def _scalars(self) -> dict[str, Any]:
+        x, y, z = self.location.tolist()
+        length, width, height = self.box_size.tolist()
+        covariance = self.pose_covariance
+        parts = (None, None) if covariance is None else (covariance[:3, :3], covariance[3:, 3:])
+        rotation, translation = (None if p is None else float(np.sqrt(np.linalg.eigvalsh(p).max())) for p in parts)
+        return {
+            "status": self.status.value,
+            "message": self.message,
+            "category": self.category,
+            "prior": self.prior,
+            "rotation_y": self.rotation_y,
+            "x": x,
+            "y": y,
+            "z": z,
+            "length": length,
+            "width": width,
+            "height": height,
+            "sigma_rotation": rotation,
+            "sigma_translation": translation,
+        }
+
+    def _lists(self) -> dict[str, Any]:
+        return {
+            "camera_T_object": self.camera_T_object.ravel().tolist(),
+            "coefficients": self.coefficients.tolist(),
+            "keypoints": list(self.keypoint_names),
+            "wireframe": self.wireframe.ravel().tolist(),
+            "wireframe_uv": self.wireframe_uv.ravel().tolist(),
+            "weights": self.weights.tolist(),
+            "visibility": self.visibility.tolist(),
+        }
+
+    def _flat(self) -> dict[str, Any]:
+        row = {f"lambda_{j + 1}": value for j, value in enumerate(self.coefficients.tolist())}
+        columns = np.column_stack([self.wireframe, self.wireframe_uv, self.weights, self.visibility])
+        for name, values in zip(self.keypoint_names, columns.tolist(), strict=True):
+            suffixes = ("x", "y", "z", "u", "v", "weight", "visibility")
+            row |= {f"{name}_{suffix}": number for suffix, number in zip(suffixes, values, strict=True)}
+        return row
 
 
 def rotation_y(camera_T_object: NDArray[np.float64]) -> float:
@@ -222,33 +315,40 @@ def rotation_y(camera_T_object: NDArray[np.float64]) -> float:
     return float(np.arctan2(-forward[2], forward[0]))
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, Enum):
-        return value.value
-    if isinstance(value, float | np.floating):
-        return float(value) if np.isfinite(value) else str(float(value))
-    if isinstance(value, np.integer):
-        return int(value)
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, Alternative | GraphFactor | Iteration):
-        return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
-    return value
+def _read(name: str, value: Any) -> Any:
+    """A field of a reconstruction from plain values; what is not listed is an array of numbers."""
+    reader: Callable[[Any], Any] = _READERS.get(name, array)
+    return None if value is None else reader(value)
 
 
-def _record(kind: type[Any], data: Mapping[str, Any]) -> Any:
-    values: dict[str, Any] = {}
-    for f in fields(kind):
-        value = data[f.name]
-        if isinstance(value, list):
-            value = np.array(value, dtype=np.float64)
-        elif isinstance(value, Mapping):
-            value = {k: float(v) for k, v in value.items()}
-        elif f.name == "excess":
-            value = float(value)
-        values[f.name] = value
-    return kind(**values)
+def _alternative(data: Mapping[str, Any]) -> Alternative:
+    return Alternative(array(data["camera_T_object"]), array(data["coefficients"]), float(data["excess"]))
+
+
+def _iteration(data: Mapping[str, Any]) -> Iteration:
+    arrays = ("camera_T_object", "coefficients", "keypoints", "projections", "weights")
+    values: dict[str, Any] = {name: array(data[name]) for name in arrays}
+    return Iteration(data["stage"], data["irls"], data["step"], energies=numbers(data["energies"]), **values)
+
+
+def _graph_factor(data: Mapping[str, Any]) -> GraphFactor:
+    return GraphFactor(data["term"], data["label"], tuple(data["variables"]))
+
+
+_READERS: Mapping[str, Callable[[Any], Any]] = {
+    "status": Status,
+    "message": str,
+    "category": str,
+    "prior": str,
+    "keypoint_names": tuple,
+    "edges": pairs,
+    "symmetric_pairs": pairs,
+    "surface_faces": indices,
+    "coefficients_covariance": square,
+    "energies": numbers,
+    "milliseconds": numbers,
+    "alternatives": lambda items: tuple(map(_alternative, items)),
+    "history": lambda items: tuple(map(_iteration, items)),
+    "graph": lambda items: tuple(map(_graph_factor, items)),
+    "faces": lambda faces: {name: tuple(keypoints) for name, keypoints in faces.items()},
+}

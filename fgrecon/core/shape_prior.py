@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgrecon.core.brief import brief_repr
 from fgrecon.core.category import Category
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
@@ -34,6 +35,8 @@ class Surface:
     mean: NDArray[np.float64]
     basis: NDArray[np.float64]
     faces: NDArray[np.int32]
+
+    __repr__ = brief_repr
 
     def vertices(self, coefficients: ArrayLike) -> NDArray[np.float64]:
         """(V, 3) vertices at the coefficients (N,)."""
@@ -67,6 +70,8 @@ class ShapePrior:
     surface: Surface | None = None
     name: str = "unnamed"
     provenance: Mapping[str, str] = field(default_factory=dict)
+
+    __repr__ = brief_repr
 
     def __post_init__(self) -> None:
         """Check every array's shape and values.

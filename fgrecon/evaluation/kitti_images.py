@@ -27,7 +27,7 @@ from fgrecon.io.images import read_image
 from fgrecon.io.kitti_calibration import KittiCalibration, read_calibration
 from fgrecon.io.kitti_files import Objects, Problem, read_detections, read_labels
 from fgrecon.perception.from_image import FromImage, reconstruct_image
-from fgrecon.perception.keypoints.detect import Detector
+from fgrecon.perception.keypoints.detect import KeypointCascade
 
 __all__ = ["Car", "ImageFrame", "RegimeScore", "Setup", "document", "read_frames", "score_frame", "summarise"]
 
@@ -57,7 +57,7 @@ class ImageFrame:
 class Setup:
     """What every car is reconstructed with, and from which overlap on a detected box is a labelled car's."""
 
-    detector: Detector
+    detector: KeypointCascade
     prior: ShapePrior
     ground: Ground | None
     size_prior: SizePrior | None
@@ -184,9 +184,9 @@ def score_frame(frame: ImageFrame, setup: Setup) -> list[Car]:
     results = iter(
         reconstruct_image(
             image,
-            np.array(given).reshape(-1, 4),
             camera,
-            detector=setup.detector,
+            np.array(given).reshape(-1, 4),
+            keypoint_detector=setup.detector,
             prior=setup.prior,
             ground=setup.ground,
             size_prior=setup.size_prior,

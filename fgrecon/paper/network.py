@@ -24,7 +24,7 @@ from fgrecon.paper.numbers import PRINTED_APK, PRINTED_HAUSDORFF
 from fgrecon.paper.stages import StageEstimate, initial_state, noisy_azimuth, stages_of
 from fgrecon.paper.tables import APK_ALPHA, LABELS, Cell, Table
 from fgrecon.perception.from_image import reconstruct_detection
-from fgrecon.perception.keypoints.detect import Detector
+from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.solve.vehicle.model import prepare
 from fgrecon.training.keypoints.evaluate import GROUPS, Scored, adjusted, score_marks
 from fgrecon.training.keypoints.marks import read_street_marks
@@ -96,7 +96,7 @@ class NetworkScores:
         return np.array([group in GROUPS[regime] for group in self.groups], dtype=bool)
 
 
-def score_network(data: Path, seed: int = 0, detector: Detector | None = None) -> NetworkScores:
+def score_network(data: Path, seed: int = 0, detector: KeypointCascade | None = None) -> NetworkScores:
     """Run the network, pose and shape on the marked cars of KITTI's images.
 
     Args:
@@ -109,7 +109,7 @@ def score_network(data: Path, seed: int = 0, detector: Detector | None = None) -
     """
     training = data / "kitti_object" / "training"
     marks = read_street_marks(data / "hand_labels" / "kitti_object_keypoints14.json", training / "image_2")
-    scored = score_marks(Detector() if detector is None else detector, marks)
+    scored = score_marks(KeypointCascade() if detector is None else detector, marks)
     cameras = [_street_camera(item, data) for item in scored]
     labels, _ = read_labels(training / "label_2", sorted({_frame(item) for item in scored}))
     yaw = np.array([labels[_frame(item)].rotation_y[_index(item)] for item in scored])

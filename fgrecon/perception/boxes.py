@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.checks import as_finite
@@ -13,9 +14,10 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import BoxModel
 from fgrecon.io.boxes import NamedBox, read_boxes
 from fgrecon.perception.keypoints.detect import SMALLEST_BOX
-from fgrecon.perception.vehicles import VehicleDetector
+from fgrecon.perception.protocols import VehicleDetector, find_vehicles
+from fgrecon.perception.vehicles.detect import YoloVehicleDetector
 
-__all__ = ["boxes_of", "detected_boxes"]
+__all__ = ["boxes_of", "detected_boxes", "find_boxes"]
 
 
 def boxes_of(
@@ -51,13 +53,26 @@ def boxes_of(
 
 
 def detected_boxes(image: NDArray[Any]) -> list[NamedBox]:
-    """The cars that the detector of the package finds in an image (H, W, 3), by falling score.
-
-    Those under 8 pixels, in which there are no keypoints to be found, are left out.
+    """The cars that the detector of the package finds in an image (H, W, 3), by falling score: see `find_boxes`.
 
     Raises:
         InvalidInputError: The image is none, or this installation has no detector.
     """
-    boxes = VehicleDetector()(image).boxes
-    large = boxes[(boxes[:, 2:] - boxes[:, :2]).max(axis=1) >= SMALLEST_BOX]
-    return [NamedBox(str(number), box, BoxModel.SURFACE) for number, box in enumerate(large)]
+    return [NamedBox(str(number), box, BoxModel.SURFACE) for number, box in enumerate(find_boxes(image))]
+
+
+def find_boxes(image: NDArray[np.uint8], detector: VehicleDetector | None = None) -> NDArray[np.float64]:
+    """(N, 4) boxes of the vehicles in an image (H, W, 3), in the detector's order.
+
+    Those under 8 pixels, in which there are no keypoints to be found, are left out.
+
+    Args:
+        image: (H, W, 3) RGB.
+        detector: What finds them; None for the detector of the package.
+
+    Raises:
+        InvalidInputError: The image is none, the detector returns something else, or this installation has none.
+    """
+    boxes = find_vehicles(YoloVehicleDetector() if detector is None else detector, image).boxes
+    large: NDArray[np.bool_] = (boxes[:, 2:] - boxes[:, :2]).max(axis=1) >= SMALLEST_BOX
+    return boxes[large]

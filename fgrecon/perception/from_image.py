@@ -8,20 +8,28 @@ where another one wins, the car is solved again from there.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fgrecon.core.camera import Camera, Ground
-from fgrecon.core.errors import FgreconError
+from fgrecon.core.brief import brief_repr
+from fgrecon.core.camera import DEFAULT_FIELD_OF_VIEW, Camera, Ground
+from fgrecon.core.checks import as_finite
+from fgrecon.core.detection import Detection
+from fgrecon.core.errors import AssumedCameraWarning, FgreconError
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction, rotation_y
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
-from fgrecon.perception.keypoints.detect import Detection, Detector
+from fgrecon.io.catalogue import load_prior
+from fgrecon.io.images import read_image
+from fgrecon.perception.boxes import find_boxes
+from fgrecon.perception.keypoints.detect import as_rgb8, shipped_cascade
+from fgrecon.perception.protocols import KeypointDetector, VehicleDetector, find_keypoints
 from fgrecon.solve.pipeline import reconstruct
 
 __all__ = ["FromImage", "direction_penalty", "reconstruct_detection", "reconstruct_image"]
@@ -37,7 +45,7 @@ class FromImage:
     """One vehicle of an image.
 
     Attributes:
-        detection: What the network found.
+        detection: What the keypoint detector found.
         result: The reconstruction, or None where it was refused.
         error: With which error it was refused, or None.
     """
@@ -46,9 +54,13 @@ class FromImage:
     result: Reconstruction | None
     error: FgreconError | None
 
+    __repr__ = brief_repr
+
 
 def direction_penalty(detection: Detection, camera_T_object: ArrayLike) -> float:
-    """What a pose costs by the network's directions, nats: 0 for the most probable one."""
+    """What a pose costs by the detector's directions, nats: 0 for the most probable one, and where it gives none."""
+    if detection.azimuth is None:
+        return 0.0
     pose = np.asarray(camera_T_object, dtype=np.float64)
     x, _, z = -pose[:3, :3].T @ pose[:3, 3]
     bins = len(detection.azimuth)
@@ -65,7 +77,7 @@ def reconstruct_detection(
     """Pose and shape of a detected vehicle.
 
     Args:
-        detection: What the network found.
+        detection: What a keypoint detector found.
         camera: The camera that took the image.
         options: Settings.
         arguments: Further ones of `fgrecon.reconstruct`: prior, ground, size_prior.
@@ -75,6 +87,8 @@ def reconstruct_detection(
         DegenerateProblemError: The keypoints do not determine a pose.
     """
     first = reconstruct(detection.observation, camera, options=options, **arguments)
+    if detection.azimuth is None:
+        return first
     here = direction_penalty(detection, first.camera_T_object)
     other = [(a.excess + direction_penalty(detection, a.camera_T_object), a) for a in first.alternatives]
     better = min((pair for pair in other if pair[0] < here), key=lambda pair: pair[0], default=None)
@@ -86,41 +100,90 @@ def reconstruct_detection(
 
 
 def reconstruct_image(
-    image: NDArray[Any],
-    boxes: ArrayLike,
-    camera: Camera,
+    image: NDArray[Any] | str | Path,
+    camera: Camera | ArrayLike | None = None,
+    boxes: ArrayLike | None = None,
     *,
-    detector: Detector | None = None,
-    prior: ShapePrior | str = "car14",
-    ground: Ground | None = None,
+    vehicle_detector: VehicleDetector | None = None,
+    keypoint_detector: KeypointDetector | None = None,
+    prior: ShapePrior | str | Path = "car14",
+    ground: Ground | float | None = None,
     size_prior: SizePrior | str | None = None,
     options: Options | None = None,
+    detector: KeypointDetector | None = None,
 ) -> list[FromImage]:
-    """Pose and shape of the vehicles in an image. All boxes pass through the network in one batch.
+    """Pose and shape of the vehicles in an image.
 
     Args:
-        image: (H, W, 3) RGB, or grey; 8 or 16 bits.
-        boxes: (N, 4) x1, y1, x2, y2 in pixels.
-        camera: The camera that took it.
-        detector: The networks; None for those of the package.
-        prior: Shape prior or its name.
-        ground: Ground plane, or None.
-        size_prior: Fleet, or None.
-        options: Settings.
+        image: (H, W, 3) RGB, or grey; 8 or 16 bits; or the path of an image file.
+        camera: The camera that took it, or its matrix (3, 3), or (fx, fy, cx, cy). None assumes a horizontal field of
+            view of 60 degrees and warns: distances are then rough.
+        boxes: (N, 4) x1, y1, x2, y2 in pixels; None lets the vehicle detector find them.
+        vehicle_detector: Finds the boxes where none are given; None for that of the package.
+        keypoint_detector: Finds the keypoints; None for the networks of the package. All boxes go to it in one call.
+        prior: Shape prior, or its name, or the path of its file; of the category of the keypoint detector.
+        ground: Ground plane; a number is the height in metres of a level camera; None assumes nothing.
+        size_prior: Fleet (`kitti`, `apollo79`), or a size prior; None takes sizes from the shape prior.
+        options: Settings; the default takes confidences as probabilities.
+        detector: Old name of `keypoint_detector`, for one more release.
+
+    Returns:
+        The vehicles, in the order of the boxes; one that was refused has its error. Empty where there is none.
 
     Raises:
-        InvalidInputError: The image or a box cannot be used.
+        InvalidInputError: An argument cannot be used, detector and prior are of different categories, or a detector
+            returns something else than its protocol says (`fgrecon.perception.protocols`).
+
+    Warns:
+        AssumedCameraWarning: No camera is given.
     """
-    found: Sequence[Detection] = (Detector() if detector is None else detector)(image, boxes)
-    height, width = np.shape(image)[:2]
-    sized = camera if camera.image_size is not None else replace(camera, image_size=(width, height))
+    camera, boxes, keypoint_detector = _of_first_release(camera, boxes, keypoint_detector, detector)
+    shape_prior = load_prior(prior)
+    pixels = read_image(image) if isinstance(image, str | Path) else as_rgb8(image)
+    sized = _camera(camera, pixels)
+    corners = find_boxes(pixels, vehicle_detector) if boxes is None else _boxes(boxes)
+    networks = shipped_cascade() if keypoint_detector is None else keypoint_detector
     vehicles = []
-    for detection in found:
+    for detection in find_keypoints(networks, pixels, corners, shape_prior.category):
         try:
             result = reconstruct_detection(
-                detection, sized, options=options, prior=prior, ground=ground, size_prior=size_prior
+                detection, sized, options=options, prior=shape_prior, ground=ground, size_prior=size_prior
             )
             vehicles.append(FromImage(detection, result, None))
         except FgreconError as error:
             vehicles.append(FromImage(detection, None, error))
     return vehicles
+
+
+def _camera(given: Camera | ArrayLike | None, image: NDArray[np.uint8]) -> Camera:
+    """The camera, which knows the size of its image."""
+    height, width = image.shape[:2]
+    if given is None:
+        message = (
+            f"No camera is given: a horizontal field of view of {DEFAULT_FIELD_OF_VIEW:g} degrees is assumed, and "
+            "distances are rough. Give camera=."
+        )
+        warnings.warn(message, AssumedCameraWarning, stacklevel=3)
+        return Camera.of_field_of_view(width, height)
+    camera = Camera.of(given)
+    return camera if camera.image_size is not None else replace(camera, image_size=(width, height))
+
+
+def _boxes(given: ArrayLike) -> Array:
+    corners = np.asarray(given, dtype=np.float64)
+    return as_finite("boxes", corners.reshape(-1, 4) if corners.size % 4 == 0 else corners, (None, 4))
+
+
+def _of_first_release(camera: Any, boxes: Any, keypoint_detector: Any, detector: Any) -> tuple[Any, Any, Any]:
+    """Arguments in today's order and names: the first release had `(image, boxes, camera, *, detector)`."""
+    renamed = []
+    if isinstance(boxes, Camera):
+        renamed.append("(image, boxes, camera) is now (image, camera, boxes)")
+        camera, boxes = boxes, camera
+    if detector is not None:
+        renamed.append("detector= is now keypoint_detector=")
+        keypoint_detector = detector
+    for change in renamed:
+        message = f"reconstruct_image: {change}; the old way goes with the next release."
+        warnings.warn(message, DeprecationWarning, stacklevel=3)
+    return camera, boxes, keypoint_detector

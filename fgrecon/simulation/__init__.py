@@ -1,1 +1,39 @@
 """Vehicles, keypoints and images that the project makes itself, with known truth."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from factors.lazy import lazy_names
+
+if TYPE_CHECKING:  # imported when used
+    from fgrecon.simulation.demo import DemoScene, demo_scene
+    from fgrecon.simulation.keypoint_noise import HARD, HOURGLASS, NoiseModel
+    from fgrecon.simulation.vehicles import (
+        KITTI_CAMERA,
+        SimulatedTruth,
+        Vehicle,
+        kitti_like_pose,
+        simulate,
+        simulate_many,
+        simulate_track,
+        yaw_pose,
+    )
+
+__all__ = [
+    "HARD",
+    "HOURGLASS",
+    "KITTI_CAMERA",
+    "DemoScene",
+    "NoiseModel",
+    "SimulatedTruth",
+    "Vehicle",
+    "demo_scene",
+    "kitti_like_pose",
+    "simulate",
+    "simulate_many",
+    "simulate_track",
+    "yaw_pose",
+]
+
+__getattr__, __dir__ = lazy_names(__name__)

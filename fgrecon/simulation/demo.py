@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.brief import brief_repr
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.geometry import transform
 from fgrecon.core.observation import Observation
@@ -49,6 +50,8 @@ class DemoScene:
     ground: Ground
     observation: Observation
     truth: SimulatedTruth
+
+    __repr__ = brief_repr
 
 
 def demo_scene(prior: ShapePrior, seed: int = 0, noise: NoiseModel = HOURGLASS) -> DemoScene:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.brief import brief_repr
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 
@@ -64,6 +65,8 @@ class Picture:
     image: NDArray[np.uint8]
     depth: Array
     body: NDArray[np.int16]
+
+    __repr__ = brief_repr
 
 
 @dataclass(frozen=True)

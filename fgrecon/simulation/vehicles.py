@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgrecon.core.brief import brief_repr
 from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
@@ -56,6 +57,8 @@ class Vehicle:
     faces: NDArray[np.int32]
     coefficients: NDArray[np.float64] | None = None
 
+    __repr__ = brief_repr
+
     @classmethod
     def of_prior(cls, prior: ShapePrior, coefficients: ArrayLike) -> Vehicle:
         """The prior's shape at the coefficients (N,); the prior needs a surface."""
@@ -89,6 +92,8 @@ class SimulatedTruth:
     visible: NDArray[np.bool_]
     outlier: NDArray[np.bool_]
     box: NDArray[np.float64]
+
+    __repr__ = brief_repr
 
 
 def simulate(

@@ -33,6 +33,7 @@ from fgrecon.core.reconstruction import GraphFactor, Iteration, Reconstruction, 
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as named_size_prior
+from fgrecon.core.track_reconstruction import JointStep, TrackReconstruction
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph.adjust import EARLY_TOLERANCE, FINAL_TOLERANCE, SETTLED, ShapeEstimate
 from fgrecon.solve.graph.covariance import factorise, read_covariances
@@ -52,63 +53,6 @@ Array = NDArray[np.float64]
 
 _OF_A_FRAME = ("reprojection", "box", "cheirality", "ground")
 """Terms that every frame has of its own; the others are the shape's."""
-
-
-@dataclass(frozen=True)
-class JointStep:
-    """State of the whole track after one step of the joint optimisation.
-
-    Attributes:
-        irls: Index of the weight update, from 0.
-        step: Index of the solver's iteration within that update, from 0.
-        poses: (T, 4, 4) pose of every frame, maps object coordinates into the camera frame.
-        coefficients: (N,) shape coefficients lambda.
-        energies: Energy by term over all frames, nats.
-    """
-
-    irls: int
-    step: int
-    poses: Array
-    coefficients: Array
-    energies: Mapping[str, float]
-
-
-@dataclass(frozen=True)
-class TrackReconstruction:
-    """Poses of one vehicle over several images, and its one shape.
-
-    Attributes:
-        status: How it ended: `degenerate` or `failed` where that is so, else `ambiguous` where a frame is.
-        message: Why, in a sentence.
-        numbers: T indices of the observations that were solved, in order.
-        frames: T results, all with the same shape; energies and history hold the terms of the frame alone.
-        refused: Why the other observations were refused, by index.
-        energies: Energy by term over all frames, nats.
-        history: Every step of the joint optimisation, in order; the last steps of the frames' histories, stage `joint`,
-            are the same steps.
-        graph: The factors of the joint graph, those of the keypoints of one frame as one; empty without history.
-        milliseconds: Wall time by stage.
-    """
-
-    status: Status
-    message: str
-    numbers: tuple[int, ...]
-    frames: tuple[Reconstruction, ...]
-    refused: Mapping[int, str]
-    energies: Mapping[str, float]
-    history: tuple[JointStep, ...]
-    graph: tuple[GraphFactor, ...]
-    milliseconds: Mapping[str, float]
-
-    @property
-    def coefficients(self) -> Array:
-        """(N,) shape coefficients lambda."""
-        return self.frames[0].coefficients
-
-    @property
-    def box_size(self) -> Array:
-        """(3,) length, width and height, metres."""
-        return self.frames[0].box_size
 
 
 @dataclass

@@ -1,1 +1,19 @@
-"""Learning shape priors and networks."""
+"""Learning shape priors and networks.
+
+Networks are trained by `fgrecon keypoints train`; see `fgrecon.training.keypoints`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from factors.lazy import lazy_names
+
+if TYPE_CHECKING:  # imported when used
+    from fgrecon.training.priors.compare import PriorComparison, compare_priors
+    from fgrecon.training.priors.learn import LearntPrior, learn_prior
+    from fgrecon.training.priors.nrsfm_options import NrsfmOptions
+
+__all__ = ["LearntPrior", "NrsfmOptions", "PriorComparison", "compare_priors", "learn_prior"]
+
+__getattr__, __dir__ = lazy_names(__name__)

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.observation import Observation
-from fgrecon.core.reconstruction import Iteration, Reconstruction
-from fgrecon.solve.track import TrackReconstruction
+from fgrecon.core.reconstruction import TRUSTED, Iteration, Reconstruction
+from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR, Truth
 
 __all__ = [
@@ -23,7 +23,6 @@ __all__ = [
     "weight_updates",
 ]
 
-_TRUSTED = 0.5
 _SETTLED = 1e-2  # weights that change by less look settled to a reader
 
 
@@ -45,7 +44,7 @@ def median_residual(observation: Observation, projections: NDArray[np.float64], 
     across, down = (observation.keypoints - projections).T
     distances = np.hypot(across, down)
     usable = np.isfinite(distances)
-    trusted = usable & (weights >= _TRUSTED)
+    trusted = usable & (weights >= TRUSTED)
     chosen = np.sort(distances[trusted if trusted.any() else usable])
     count = len(chosen)  # numpy's median costs as much as all of the rest, and this is asked for at every update
     return float((chosen[(count - 1) // 2] + chosen[count // 2]) / 2) if count else float("nan")
@@ -56,7 +55,7 @@ def describe_update(steps: Sequence[Iteration], residual: float) -> str:
     first, last = steps[0], steps[-1]
     before, after = total_energy(first), total_energy(last)
     change = f"{after:.4g}" if len(steps) == 1 else f"{before:.4g} to {after:.4g} in {len(steps)} steps"
-    trusted = f"{np.count_nonzero(last.weights >= _TRUSTED)} of {len(last.weights)} trusted"
+    trusted = f"{np.count_nonzero(last.weights >= TRUSTED)} of {len(last.weights)} trusted"
     return f"{last.stage} {last.irls}: energy {change}; {trusted}, off by {residual:.1f} px"
 
 

@@ -13,7 +13,7 @@ from fgrecon.viz import style
 from fgrecon.viz.marks import unit
 
 if TYPE_CHECKING:
-    from fgrecon.perception.keypoints.detect import Detection
+    from fgrecon.perception.keypoints.detect import CascadeDetection
 
 __all__ = ["detection_sheet"]
 
@@ -22,7 +22,7 @@ _SHOWN = 0.3  # points of less confidence are rings without a name
 
 
 def detection_sheet(
-    image: NDArray[np.uint8], found: Sequence[Detection], names: Sequence[str], category: Category
+    image: NDArray[np.uint8], found: Sequence[CascadeDetection], names: Sequence[str], category: Category
 ) -> Any:
     """One cell per vehicle: filled dots are trusted keypoints, rings those that are hidden or unsure.
 
@@ -51,7 +51,7 @@ def detection_sheet(
     return figure
 
 
-def _draw(axes: Any, image: NDArray[np.uint8], detection: Detection, category: Category) -> None:
+def _draw(axes: Any, image: NDArray[np.uint8], detection: CascadeDetection, category: Category) -> None:
     crop, seen = detection.crop, detection.observation
     low, high = crop.centre - crop.side / 2, crop.centre + crop.side / 2
     height, width = image.shape[:2]

@@ -25,17 +25,20 @@ def unit(colour: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(colour, dtype=np.float64) / 255.0
 
 
-def draw_crop(axes: Any, image: NDArray[np.uint8] | None, camera: Camera, crop: Box) -> None:
-    """The part of the photograph within the crop, or a plain canvas with the image's border, in pixel coordinates."""
+def draw_crop(axes: Any, image: NDArray[np.uint8] | None, camera: Camera | None, crop: Box) -> None:
+    """The part of the photograph within the crop, or a plain canvas, in pixel coordinates.
+
+    The canvas has the border of the camera's image, where that is known.
+    """
     x1, y1, x2, y2 = crop
     axes.set_facecolor(unit(style.BACKGROUND))
-    width, height = resolution(camera, image)
-    if image is None:
+    if image is None and camera is not None:
+        width, height = resolution(camera, None)
         xs, ys = (-0.5, width - 0.5, width - 0.5, -0.5, -0.5), (-0.5, -0.5, height - 0.5, height - 0.5, -0.5)
         axes.plot(xs, ys, color=unit(style.HAIRLINE), linewidth=0.8, zorder=0)
-    else:
-        columns = slice(max(int(np.floor(x1)), 0), min(int(np.ceil(x2)) + 1, int(width)))
-        rows = slice(max(int(np.floor(y1)), 0), min(int(np.ceil(y2)) + 1, int(height)))
+    elif image is not None:
+        columns = slice(max(int(np.floor(x1)), 0), min(int(np.ceil(x2)) + 1, image.shape[1]))
+        rows = slice(max(int(np.floor(y1)), 0), min(int(np.ceil(y2)) + 1, image.shape[0]))
         part = image[rows, columns]
         if part.size:  # pixel centres lie at integer coordinates
             extent = (columns.start - 0.5, columns.stop - 0.5, rows.stop - 0.5, rows.start - 0.5)

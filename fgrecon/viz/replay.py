@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Iteration
-from fgrecon.solve.track import JointStep
+from fgrecon.core.track_reconstruction import JointStep
 from fgrecon.viz import entities
 from fgrecon.viz.columns import FIELDS
 

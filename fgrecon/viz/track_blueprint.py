@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from fgrecon.solve.track import TrackReconstruction
+from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.viz import entities
 from fgrecon.viz.blueprint import (
     error_measures,

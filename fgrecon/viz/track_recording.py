@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.solve.track import TrackReconstruction
+from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.viz import entities, style
 from fgrecon.viz.columns import Outbox, exact_column, fixed, strip_column
 from fgrecon.viz.describe import track_table

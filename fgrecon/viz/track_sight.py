@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
-from fgrecon.solve.track import TrackReconstruction
+from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.viz.geometry import image_points
 from fgrecon.viz.truth import Truth
 

@@ -1,6 +1,8 @@
 """Commands that start from an image, with a network that has learnt nothing: inputs, outputs, refusals."""
 
 import json
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from typer.testing import CliRunner
 
 from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.catalogue import load_prior, save_prior
 from fgrecon.io.images import write_png
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.weights import Stored, save_weights
@@ -62,6 +65,15 @@ def test_detected_keypoints_are_what_reconstruct_reads(street, weights):
     assert np.shape(instance["keypoints"]) == (14, 2)
     assert sum(instance["azimuth"]) == pytest.approx(1.0)
     assert run("reconstruct", out, "--intrinsics", "700,700,80,50").exit_code == 0
+
+
+def test_a_network_of_another_category_than_the_prior_is_refused(street, weights):
+    prior = load_prior("car14")
+    lorry = save_prior(replace(prior, category=replace(prior.category, name="lorry14")), street / "lorry.npz")
+    image = street / "image_2" / "000001.png"
+    done = run("reconstruct", image, "--box", "10,10,90,80", "--weights", weights, "--prior", lorry)
+    assert isinstance(done.exception, InvalidInputError)
+    assert re.search("got car14.*lorry14", str(done.exception))
 
 
 def test_an_image_is_reconstructed_with_a_warning_about_the_camera(street, weights):

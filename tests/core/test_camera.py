@@ -154,3 +154,18 @@ def test_unusable_ground_is_named(field, arguments):
     with pytest.raises(InvalidInputError) as caught:
         Ground(*arguments)
     assert caught.value.field == field
+
+
+def test_a_camera_of_a_field_of_view():
+    camera = Camera.of_field_of_view(800, 600, 90.0)
+    np.testing.assert_allclose(camera.matrix, [[400.0, 0, 399.5], [0, 400.0, 299.5], [0, 0, 1]])
+    assert camera.image_size == (800, 600)
+    left, right = camera.rays(np.array([[-0.5, 299.5], [799.5, 299.5]]))
+    assert np.degrees(np.arctan2(right[0], 1) - np.arctan2(left[0], 1)) == pytest.approx(90.0)
+    assert Camera.of_field_of_view(800, 600).matrix[0, 0] == pytest.approx(400 / np.tan(np.pi / 6))
+
+
+@pytest.mark.parametrize(("size", "degrees"), [((0, 600), 60.0), ((800, 600), 180.0), ((800, 600), 0.0)])
+def test_fields_of_view_that_are_none(size, degrees):
+    with pytest.raises(InvalidInputError):
+        Camera.of_field_of_view(*size, degrees)

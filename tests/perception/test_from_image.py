@@ -15,7 +15,7 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.perception import from_image
 from fgrecon.perception.from_image import direction_penalty, reconstruct_detection
 from fgrecon.perception.keypoints.crops import crop_of
-from fgrecon.perception.keypoints.detect import Detection
+from fgrecon.perception.keypoints.detect import CascadeDetection
 
 CAMERA = Camera.of([700.0, 700.0, 600.0, 180.0])
 FAST = Options(keep_history=False, box="off")
@@ -44,7 +44,7 @@ def detection(pose, confidence, azimuth):
     pixels = CAMERA.project(prior.mean @ pose[:3, :3].T + pose[:3, 3])
     box = np.concatenate([pixels.min(axis=0) - 5, pixels.max(axis=0) + 5])
     observation = Observation(pixels, confidence, box, np.broadcast_to(4.0 * np.eye(2), (14, 2, 2)))
-    return Detection(observation, seen_from(azimuth), confidence, confidence, crop_of(box, 96))
+    return CascadeDetection(observation, seen_from(azimuth), confidence, confidence, crop_of(box, 96))
 
 
 @pytest.mark.parametrize("turn", np.radians([-170, -60, 0, 45, 100]))

@@ -1,12 +1,16 @@
 """The detector's inputs and outputs, with a network that has learnt nothing."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from safetensors import safe_open
+from safetensors.torch import load, save
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
-from fgrecon.perception.keypoints.detect import Detector, as_rgb8
-from fgrecon.perception.keypoints.weights import Stored, save_weights
+from fgrecon.perception.keypoints.detect import KeypointCascade, as_rgb8
+from fgrecon.perception.keypoints.weights import Stored, load_weights, save_weights
 
 torch = pytest.importorskip("torch")
 
@@ -20,7 +24,7 @@ def detector(tmp_path_factory):
     torch.manual_seed(0)
     path = tmp_path_factory.mktemp("weights") / "w.safetensors"
     save_weights(path, Stored(KNet(SMALL).state_dict(), SMALL.to_dict(), ConfidenceCalibration(), {}))
-    return Detector(path)
+    return KeypointCascade(path)
 
 
 @pytest.fixture
@@ -78,4 +82,24 @@ def test_boxes_have_four_numbers(detector, image):
 
 def test_no_network_is_a_clear_error(tmp_path):
     with pytest.raises(InvalidInputError, match="weights"):
-        Detector(tmp_path / "absent.safetensors")
+        KeypointCascade(tmp_path / "absent.safetensors")
+
+
+def test_the_category_is_stored_with_the_weights(tmp_path):
+    network = KNet(SMALL).state_dict()
+    stored = Stored(network, SMALL.to_dict(), ConfidenceCalibration(), {}, category="car36")
+    path = save_weights(tmp_path / "w.safetensors", stored)
+    assert load_weights(path).category == "car36"
+    with pytest.raises(InvalidInputError, match=r"14 keypoints in .*Category car36 has 36"):
+        KeypointCascade(path)
+    assert KeypointCascade(save_weights(path, replace(stored, category="car14"))).category == "car14"
+
+
+def test_a_file_that_names_no_category_is_of_cars(tmp_path):
+    path = save_weights(
+        tmp_path / "w.safetensors", Stored(KNet(SMALL).state_dict(), SMALL.to_dict(), ConfidenceCalibration(), {})
+    )
+    with safe_open(str(path), framework="pt") as file:
+        about = {key: value for key, value in file.metadata().items() if key != "category"}
+    path.write_bytes(save(load(path.read_bytes()), about))
+    assert load_weights(path).category == "car14"

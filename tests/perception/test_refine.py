@@ -5,7 +5,7 @@ import pytest
 
 from fgrecon.io.catalogue import load_category
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration, decode
-from fgrecon.perception.keypoints.detect import Detector
+from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.keypoints.weights import Stored, load_weights, save_weights
 
 torch = pytest.importorskip("torch")
@@ -133,7 +133,7 @@ def test_a_cascade_from_a_file_moves_points_only_within_the_patches(tmp_path):
     assert load_weights(path).refine_settings == SMALL.to_dict()
     image = np.random.default_rng(0).integers(0, 255, (90, 140, 3)).astype(np.uint8)
     boxes = [[10, 10, 110, 80], [20, 5, 90, 85.0]]
-    alone, cascade = (Detector(path, refine=refine)(image, boxes) for refine in (False, True))
+    alone, cascade = (KeypointCascade(path, refine=refine)(image, boxes) for refine in (False, True))
     for a, b in zip(alone, cascade, strict=True):
         moved = np.linalg.norm(a.observation.keypoints - b.observation.keypoints, axis=1) * b.crop.scale * 2
         assert 0 < moved.max() < 34

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from safetensors import safe_open
 
 from fgrecon.core.metrics import orientation_error
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.io.catalogue import load_category, load_prior
 from fgrecon.perception.from_image import reconstruct_image
-from fgrecon.perception.keypoints.detect import Detector, detect_keypoints
+from fgrecon.perception.keypoints.detect import KeypointCascade, detect_keypoints
 from fgrecon.perception.keypoints.weights import load_weights, shipped
 from fgrecon.simulation.demo import demo_scene
 
@@ -19,7 +20,7 @@ def scenes():
 
 @pytest.fixture(scope="module")
 def detector():
-    return Detector()
+    return KeypointCascade()
 
 
 def test_the_file_is_small_and_says_what_it_is():
@@ -28,6 +29,8 @@ def test_the_file_is_small_and_says_what_it_is():
     stored = load_weights(shipped())
     assert stored.settings["keypoints"] == load_category("car14").size
     assert stored.provenance["data"]
+    with safe_open(str(shipped()), framework="pt") as file:
+        assert file.metadata()["category"] == stored.category == "car14"
 
 
 def test_keypoints_of_rendered_cars_are_found_and_hidden_ones_known(scenes, detector):
@@ -46,7 +49,11 @@ def test_keypoints_of_rendered_cars_are_found_and_hidden_ones_known(scenes, dete
 def test_rendered_cars_are_reconstructed_from_their_pixels(scenes, detector):
     for scene in scenes:
         (vehicle,) = reconstruct_image(
-            scene.picture.image, [scene.observation.box], scene.camera, detector=detector, ground=scene.ground
+            scene.picture.image,
+            scene.camera,
+            [scene.observation.box],
+            keypoint_detector=detector,
+            ground=scene.ground,
         )
         truth = rotation_y(scene.truth.camera_T_object)
         assert orientation_error([vehicle.result.rotation_y], [truth])[0] < 10.0

@@ -9,7 +9,7 @@ from fgrecon.evaluation.kitti_overlap import box_overlap
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_files import Objects, read_labels
-from fgrecon.perception.vehicles.detect import VehicleDetector, decode, shipped, suppress
+from fgrecon.perception.vehicles.detect import YoloVehicleDetector, decode, shipped, suppress
 from fgrecon.simulation.demo import demo_scene
 
 NOTHING, SURE = -50.0, 50.0
@@ -17,7 +17,7 @@ NOTHING, SURE = -50.0, 50.0
 
 @pytest.fixture(scope="module")
 def detector():
-    return VehicleDetector()
+    return YoloVehicleDetector()
 
 
 def maps(rows, columns):
@@ -105,7 +105,7 @@ def test_files_that_hold_no_network(tmp_path):
     (tmp_path / "text.onnx").write_text("text")
     for path in (tmp_path / "absent.onnx", tmp_path / "text.onnx"):
         with pytest.raises(InvalidInputError, match="weights"):
-            VehicleDetector(path)
+            YoloVehicleDetector(path)
 
 
 def test_cars_of_real_streets_are_found(detector, data):

@@ -10,8 +10,9 @@ import pytest
 
 import fgrecon
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate, yaw_pose
-from fgrecon.solve.track import TrackReconstruction, reconstruct_track
+from fgrecon.solve.track import reconstruct_track
 from fgrecon.viz import TrackSight, Truth, entities, record_track, replay
 from tests.viz.test_recording import chunks, same
 

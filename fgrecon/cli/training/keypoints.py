@@ -29,7 +29,7 @@ def evaluate_command(
     from fgrecon.cli.training.keypoints_report import after_adjustment, marks_document, print_marks
     from fgrecon.cli.training.keypoints_report import end_to_end as run_end_to_end
     from fgrecon.io.catalogue import load_category
-    from fgrecon.perception.keypoints.detect import Detector
+    from fgrecon.perception.keypoints.detect import KeypointCascade
     from fgrecon.training.keypoints.evaluate import score_marks
     from fgrecon.training.keypoints.marks import read_photograph_marks, read_street_marks
 
@@ -37,7 +37,7 @@ def evaluate_command(
     marks += read_street_marks(
         data / "hand_labels" / "kitti_object_keypoints14.json", data / "kitti_object" / "training" / "image_2"
     )
-    detector = Detector(weights)
+    detector = KeypointCascade(weights)
     scored: list[Scored] = score_marks(detector, marks)
     out = console(error=json_out == "-")
     names = load_category("car14").keypoints

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from fgrecon.cli.common import console
-from fgrecon.perception.keypoints.detect import Detector
+from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.keypoints.weights import Stored, load_weights, mean_state, save_weights
 from fgrecon.training.keypoints.evaluate import (
     GROUPS,
@@ -99,7 +99,7 @@ def after_adjustment(out: Console, scored: Sequence[Scored], data: Path) -> dict
     }
 
 
-def end_to_end(out: Console, detector: Detector, data: Path, count: int, seed: int) -> dict[str, Any]:
+def end_to_end(out: Console, detector: KeypointCascade, data: Path, count: int, seed: int) -> dict[str, Any]:
     """Directions of validation photographs after pose and shape adjustment, intrinsics given."""
     from fgrecon.core.options import Options
     from fgrecon.io.catalogue import load_prior
@@ -227,7 +227,7 @@ def run_training(
     save_weights(out, stored)
     log("Calibration")
     held = labelling.samples(photographs, source.validate)
-    fitted = calibrate(Detector(out, device=device), photographs, held, partner, seed=seed + 1)
+    fitted = calibrate(KeypointCascade(out, device=device), photographs, held, partner, seed=seed + 1)
     save_weights(out, replace(stored, calibration=fitted))
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.brief import brief_repr
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import FORMAT as ONE
@@ -37,6 +38,8 @@ class NamedResult:
     result: Reconstruction
     box: NDArray[np.float64] | None = None
     label_offset: NDArray[np.float64] | None = None
+
+    __repr__ = brief_repr
 
     @property
     def solved(self) -> bool:

@@ -1,10 +1,13 @@
-"""Keypoints from pixels: the networks, what trains them, and the labels that they make for one another.
+"""Keypoints from pixels: the networks at work.
 
-`labels` finds the shapes behind groups of photographs and projects first labels; `dataset` and `augment` make training
-samples; `knet` is the network and `train` trains it; `relabel` lets its predictions correct the labels in a factor
-graph; `detect` is the network at work. PyTorch is imported only by what needs it.
+`detect` runs them, `knet` and `refine` are the networks, `weights` their file; `crops` cuts out what they look at and
+`decode` reads positions off their maps. `fgrecon.training.keypoints` trains them. PyTorch is imported on use.
 """
 
-from fgrecon.perception.keypoints.detect import Detection, Detector, detect_keypoints
+from fgrecon.core.detection import Detection
+from fgrecon.core.renamed import renamed
+from fgrecon.perception.keypoints.detect import CascadeDetection, KeypointCascade, detect_keypoints
 
-__all__ = ["Detection", "Detector", "detect_keypoints"]
+__all__ = ["CascadeDetection", "Detection", "KeypointCascade", "detect_keypoints"]
+
+__getattr__ = renamed(__name__, {"Detector": "KeypointCascade"})

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgrecon.core.brief import brief_repr
+
 __all__ = ["FILL", "MARGIN", "Crop", "crop_of", "extract"]
 
 MARGIN = 1.2
@@ -29,6 +31,8 @@ class Crop:
     centre: NDArray[np.float64]
     side: float
     size: int
+
+    __repr__ = brief_repr
 
     @property
     def scale(self) -> float:

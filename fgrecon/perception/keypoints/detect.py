@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -12,8 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.checks import as_finite
+from fgrecon.core.detection import Detection
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
+from fgrecon.core.renamed import renamed
 from fgrecon.io.catalogue import load_category
 from fgrecon.perception.keypoints.crops import MARGIN, Crop, crop_of, extract
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration, Decoded, decode, softmax
@@ -22,12 +24,16 @@ from fgrecon.perception.keypoints.weights import load_weights, shipped
 __all__ = [
     "REACH",
     "SMALLEST_BOX",
+    "CascadeDetection",
     "Detection",
-    "Detector",
+    "KeypointCascade",
     "as_rgb8",
     "check_box",
     "detect_keypoints",
+    "shipped_cascade",
 ]
+
+__getattr__ = renamed(__name__, {"Detector": "KeypointCascade"})
 
 Array = NDArray[np.float64]
 
@@ -39,37 +45,40 @@ _EVEN = 0.5  # these confidences are probabilities: right as often as wrong at a
 SMALLEST_BOX = 8.0
 """Pixels of the longer side: a smaller vehicle has no keypoints to see."""
 
-_CATEGORY = "car14"
 _PATCHES = 4  # per keypoint
 _INSIDE = 0.2  # share of the box that must lie in the image
 
 
-@dataclass(frozen=True)
-class Detection:
-    """Keypoints of one vehicle.
+@dataclass(frozen=True, eq=False, repr=False)
+class CascadeDetection(Detection):
+    """What the networks say about one vehicle.
 
     Attributes:
         observation: Keypoints, confidences, covariances and box, pixels of the image. A confidence is the probability
             that the keypoint is visible and within 0.1 of the box's longer side of the truth; hidden keypoints have
             low ones.
-        azimuth: (A,) probability of each direction from the vehicle to the camera: bin a is centred at 2 pi a / A,
-            0 ahead of the vehicle, pi / 2 to its left.
+        azimuth: (A,) probability of each direction, as in `Detection`.
         visible: (K,) probability of each keypoint to be visible, wherever it is.
         mass: (K,) share of the likelihood near the position: how sure KNet's map is.
         crop: The part of the image that the network saw.
         likelihood: (K, H, W) likelihood maps over the crop, or None where they were not asked for.
     """
 
-    observation: Observation
-    azimuth: Array
-    visible: Array
-    mass: Array
-    crop: Crop
+    azimuth: Array = field()  # no defaults here: the networks always say it
+    visible: Array = field()
+    mass: Array = field()
+    crop: Crop = field()
     likelihood: Array | None = None
 
 
-class Detector:
-    """The networks, loaded once."""
+class KeypointCascade:
+    """The networks, loaded once: KNet finds the keypoints of a crop, the refinement networks look again from near.
+
+    Attributes:
+        category: Name of the category whose keypoints they find.
+        calibration: From their outputs to confidences and covariances.
+        provenance: Learnt from what (plain strings).
+    """
 
     def __init__(
         self, weights: str | Path | None = None, *, refine: bool = True, mirror: bool = True, device: str = "cpu"
@@ -95,8 +104,13 @@ class Detector:
         self.calibration: ConfidenceCalibration = stored.calibration
         self.device = device
         self.mirror = mirror
-        self._partner = load_category(_CATEGORY).mirror
+        self.category = stored.category
+        category = load_category(stored.category)
+        self._partner = category.mirror
         self.network: Any = KNet(KNetSettings(**stored.settings))
+        if self.network.settings.keypoints != category.size:
+            value = f"{self.network.settings.keypoints} keypoints in {path}"
+            raise InvalidInputError("weights", value, f"Category {category.name} has {category.size}.")
         try:
             self.network.load_state_dict(stored.state, strict=False)
         except RuntimeError as error:
@@ -113,7 +127,7 @@ class Detector:
 
     def __call__(
         self, image: NDArray[Any], boxes: ArrayLike, *, maps: bool = False, batch: int = 32
-    ) -> list[Detection]:
+    ) -> list[CascadeDetection]:
         """Keypoints of every box.
 
         Args:
@@ -130,7 +144,7 @@ class Detector:
         corners = as_finite("boxes", given.reshape(-1, 4) if given.size % 4 == 0 else given, (None, 4))
         for number, box in enumerate(corners):
             check_box(box, pixels, f"boxes[{number}]")
-        found: list[Detection] = []
+        found: list[CascadeDetection] = []
         for start in range(0, len(corners), batch):
             some = corners[start : start + batch]
             found += self.detect_batch([pixels] * len(some), some, maps=maps)
@@ -138,7 +152,7 @@ class Detector:
 
     def detect_batch(
         self, images: Sequence[NDArray[np.uint8]], boxes: NDArray[np.float64], *, maps: bool = False
-    ) -> list[Detection]:
+    ) -> list[CascadeDetection]:
         """Keypoints of one box (B, 4) in each of B RGB images (H, W, 3), in one batch; nothing is checked."""
         size = self.network.settings.crop
         crops = [crop_of(box, size) for box in boxes]
@@ -155,9 +169,8 @@ class Detector:
                 crop.to_image(decoded.points[row]), confidence[row], box, covariance, confidence_midpoint=_EVEN
             )
             seen = 0.5 * (1.0 + np.tanh(0.5 * visible[row]))
-            found.append(
-                Detection(observation, azimuth[row], seen, decoded.mass[row], crop, likelihood[row] if maps else None)
-            )
+            kept = likelihood[row] if maps else None
+            found.append(CascadeDetection(observation, azimuth[row], seen, decoded.mass[row], crop, kept))
         return found
 
     def _refine(self, images: Sequence[NDArray[np.uint8]], boxes: Array, likelihood: Array, first: Decoded) -> Decoded:
@@ -215,12 +228,17 @@ def detect_keypoints(image: NDArray[Any], boxes: ArrayLike) -> list[Observation]
     Raises:
         InvalidInputError: The image is none, a box is too small or outside, or the package has no network.
     """
-    return [detection.observation for detection in _shipped_detector()(image, boxes)]
+    return [detection.observation for detection in shipped_cascade()(image, boxes)]
 
 
 @lru_cache(maxsize=1)
-def _shipped_detector() -> Detector:
-    return Detector()
+def shipped_cascade() -> KeypointCascade:
+    """The networks that come with the package, loaded once and shared.
+
+    Raises:
+        InvalidInputError: This installation has none.
+    """
+    return KeypointCascade()
 
 
 def as_rgb8(image: NDArray[Any]) -> NDArray[np.uint8]:

@@ -18,6 +18,7 @@ __all__ = ["FORMAT", "Stored", "load_weights", "mean_state", "save_weights", "sh
 FORMAT = "fgrecon.keypoints/1"
 
 _NAME = "keypoints-car14.safetensors"
+_CATEGORY = "car14"  # of files that do not say
 _KNET, _REFINEMENT = "knet.", "refine."
 
 
@@ -33,6 +34,7 @@ class Stored:
         refinement: Tensors of the refinement networks, or None without them.
         refine_settings: Their sizes, or None.
         trust: How much their likelihoods count beside KNet's.
+        category: Name of the category whose keypoints it finds.
     """
 
     state: Mapping[str, Any]
@@ -42,6 +44,7 @@ class Stored:
     refinement: Mapping[str, Any] | None = None
     refine_settings: Mapping[str, int] | None = None
     trust: float = 0.5
+    category: str = _CATEGORY
 
 
 def mean_state(first: Mapping[str, Any], second: Mapping[str, Any], share: float) -> dict[str, Any]:
@@ -90,6 +93,7 @@ def save_weights(path: Path, stored: Stored) -> Path:
             tensors[name] = value.cpu().contiguous().clone()
     about = {
         "format": FORMAT,
+        "category": stored.category,
         "settings": json.dumps(dict(stored.settings)),
         "calibration": json.dumps(stored.calibration.to_dict()),
         "provenance": json.dumps(dict(stored.provenance)),
@@ -126,6 +130,7 @@ def load_weights(path: Path) -> Stored:
             refinement or None,
             json.loads(about["refinement"]),
             float(about["trust"]),
+            about.get("category", _CATEGORY),
         )
     except (SafetensorError, OSError, ValueError, KeyError) as error:
         if isinstance(error, InvalidInputError):

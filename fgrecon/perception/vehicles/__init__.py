@@ -1,8 +1,8 @@
-"""Cars in a photograph: their 2D boxes, where neither a person nor another program gives them.
+"""Cars in a photograph: their 2D boxes, where neither a person nor another program gives them."""
 
-`detect` is the network at work; `darknet` makes the file that it reads from the one that its authors published.
-"""
+from fgrecon.core.renamed import renamed
+from fgrecon.perception.vehicles.detect import Vehicles, YoloVehicleDetector
 
-from fgrecon.perception.vehicles.detect import VehicleDetector, Vehicles
+__all__ = ["Vehicles", "YoloVehicleDetector"]
 
-__all__ = ["VehicleDetector", "Vehicles"]
+__getattr__ = renamed(__name__, {"VehicleDetector": "YoloVehicleDetector"})

@@ -11,10 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.brief import brief_repr
+from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.renamed import renamed
 from fgrecon.perception.keypoints.detect import as_rgb8
 
-__all__ = ["HEADS", "INPUT", "Head", "VehicleDetector", "Vehicles", "decode", "shipped", "suppress"]
+__all__ = ["HEADS", "INPUT", "Head", "Vehicles", "YoloVehicleDetector", "decode", "shipped", "suppress"]
+
+__getattr__ = renamed(__name__, {"VehicleDetector": "YoloVehicleDetector"})
 
 Array = NDArray[np.float64]
 
@@ -54,7 +59,7 @@ _LEAST_SCORE = 0.3
 _OVERLAP = 0.45  # of two boxes of one car, intersection over union
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Vehicles:
     """What was found in an image, by falling score.
 
@@ -66,13 +71,29 @@ class Vehicles:
     boxes: Array
     scores: Array
 
+    __repr__ = brief_repr
+
+    def __post_init__(self) -> None:
+        """Check the arrays.
+
+        Raises:
+            InvalidInputError: A shape is wrong, a number is not finite, or a box has no size.
+        """
+        fix = "Give x1, y1, x2, y2 of each vehicle in pixels, x1 < x2 and y1 < y2."
+        boxes = as_finite("vehicles.boxes", self.boxes, (None, 4), fix)
+        empty = boxes[~(boxes[:, 2:] > boxes[:, :2]).all(axis=1)]
+        if len(empty):
+            raise InvalidInputError("vehicles.boxes", empty[0].tolist(), fix)
+        object.__setattr__(self, "boxes", boxes)
+        object.__setattr__(self, "scores", as_finite("vehicles.scores", self.scores, (len(boxes),)))
+
     def __len__(self) -> int:
         """Number of cars."""
         return len(self.boxes)
 
 
-class VehicleDetector:
-    """The network, loaded once. One thread at a time may use it."""
+class YoloVehicleDetector:
+    """YOLOv4-tiny, loaded once. One thread at a time may use it."""
 
     def __init__(self, weights: str | Path | None = None) -> None:
         """Load it.
@@ -113,7 +134,8 @@ class VehicleDetector:
         scores = np.concatenate([scores for _, scores in looks])
         kept = suppress(boxes, scores)
         inside = np.clip(boxes[kept], 0.0, [width - 1.0, height - 1.0] * 2)
-        return Vehicles(inside, scores[kept])
+        seen = (inside[:, 2:] > inside[:, :2]).all(axis=1)  # not beyond the border as a whole
+        return Vehicles(inside[seen], scores[kept][seen])
 
     def _look(self, pixels: NDArray[np.uint8], area: int, least_score: float) -> tuple[Array, Array]:
         """Boxes (M, 4) in pixels of the image and scores (M,), from the image scaled to about an area."""

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.perception.keypoints.crops import MARGIN
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration, logit
-from fgrecon.perception.keypoints.detect import REACH, Detector
+from fgrecon.perception.keypoints.detect import REACH, KeypointCascade
 from fgrecon.training.keypoints.augment import Street
 from fgrecon.training.keypoints.dataset import Photographs, azimuth_weights
 from fgrecon.training.keypoints.labels import SEEN
@@ -56,7 +56,7 @@ def reliability(confidence: ArrayLike, right: ArrayLike, bins: int = 10) -> Reli
 
 
 def calibrate(
-    detector: Detector,
+    detector: KeypointCascade,
     photographs: Photographs,
     chosen: NDArray[np.intp],
     partner: NDArray[np.intp],

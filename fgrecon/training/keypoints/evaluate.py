@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError
 from fgrecon.io.images import read_image
-from fgrecon.perception.keypoints.detect import REACH, Detection, Detector
+from fgrecon.perception.keypoints.detect import REACH, Detection, KeypointCascade
 from fgrecon.training.keypoints.calibrate import Reliability, reliability
 from fgrecon.training.keypoints.marks import Mark
 from fgrecon.training.keypoints.posed_cars import PosedCar
@@ -76,7 +76,7 @@ class Localisation:
     keypoints: Array
 
 
-def score_marks(detector: Detector, marks: Sequence[Mark]) -> list[Scored]:
+def score_marks(detector: KeypointCascade, marks: Sequence[Mark]) -> list[Scored]:
     """Run the network on every marked car."""
     scored = []
     images: dict[Any, NDArray[np.uint8]] = {}
@@ -154,7 +154,7 @@ class PosedScore:
 
 
 def azimuth_errors(
-    detector: Detector,
+    detector: KeypointCascade,
     cars: Sequence[PosedCar],
     solve: Callable[[Detection, Camera], Any],
     advance: Callable[[], None] = lambda: None,

@@ -14,7 +14,7 @@ from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.files import write_bytes
-from fgrecon.perception.keypoints.detect import Detector
+from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.training.keypoints.dataset import Photographs, prepare_photographs
 from fgrecon.training.keypoints.labels import Labels, ShapeFit, fit_shape, project_labels, unit_prior, unmodelled
 from fgrecon.training.keypoints.marks import read_given_marks
@@ -179,7 +179,7 @@ def first_labelling(source: Source, silhouettes: Path | None = None, progress: P
 def corrected(
     source: Source,
     first: Labelling,
-    detector: Detector,
+    detector: KeypointCascade,
     photographs: Photographs,
     silhouettes: Path | None = None,
     progress: Progress = no_progress,
@@ -259,7 +259,7 @@ def _outlines(silhouettes: Path | None, cars: Sequence[PosedCar]) -> list[Outlin
     return [None if silhouettes is None else read_outline(car.silhouette(silhouettes), car.size) for car in cars]
 
 
-def _find(cars: Sequence[PosedCar], detector: Detector, photographs: Photographs, progress: Progress) -> Found:
+def _find(cars: Sequence[PosedCar], detector: KeypointCascade, photographs: Photographs, progress: Progress) -> Found:
     """Keypoints in all prepared photographs, in pixels of the files."""
     keypoints = np.zeros((len(cars), detector.network.settings.keypoints, 2))
     confidence, covariance = np.zeros(keypoints.shape[:2]), np.zeros((*keypoints.shape, 2))

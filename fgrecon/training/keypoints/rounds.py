@@ -21,7 +21,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import write_text
 from fgrecon.io.json_fields import read_json
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
-from fgrecon.perception.keypoints.detect import Detector
+from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.keypoints.weights import Stored, load_weights, save_weights
 from fgrecon.training.keypoints.checkpoint import load_checkpoint
 from fgrecon.training.keypoints.dataset import Photographs, azimuth_weights
@@ -91,7 +91,7 @@ def train_in_rounds(
         else:
             log(f"Labels corrected by the network, round {number}")
             if number == 0:
-                detector = Detector(start, device=device)
+                detector = KeypointCascade(start, device=device)
             else:
                 detector = _as_detector(load_checkpoint(checkpoint), begun, folder, device)
             prepared = open_photographs(source, first, folder / "photographs", silhouettes, progress)
@@ -158,7 +158,7 @@ def _first(
     return labelling
 
 
-def _as_detector(content: dict[str, Any], begun: Stored | None, folder: Path, device: str) -> Detector:
+def _as_detector(content: dict[str, Any], begun: Stored | None, folder: Path, device: str) -> KeypointCascade:
     """The checkpoint's averaged network at work.
 
     Refinement networks and calibration are those that the training began with: patches around an estimate look the same
@@ -169,4 +169,4 @@ def _as_detector(content: dict[str, Any], begun: Stored | None, folder: Path, de
         save_weights(path, Stored(content["average"], content["settings"], ConfidenceCalibration(), {}))
     else:
         save_weights(path, replace(begun, state=content["average"], settings=content["settings"]))
-    return Detector(path, device=device)
+    return KeypointCascade(path, device=device)

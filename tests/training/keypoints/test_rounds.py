@@ -9,7 +9,7 @@ import pytest
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.images import write_png
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
-from fgrecon.perception.keypoints.detect import Detector
+from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.keypoints.weights import Stored, load_weights, save_weights
 from fgrecon.training.keypoints.calibrate import calibrate, reliability
 from fgrecon.training.keypoints.checkpoint import load_checkpoint
@@ -52,7 +52,9 @@ def source(tmp_path_factory):
 def detector(tmp_path_factory):
     torch.manual_seed(0)
     path = tmp_path_factory.mktemp("weights") / "w.safetensors"
-    return Detector(save_weights(path, Stored(KNet(SMALL).state_dict(), SMALL.to_dict(), ConfidenceCalibration(), {})))
+    return KeypointCascade(
+        save_weights(path, Stored(KNet(SMALL).state_dict(), SMALL.to_dict(), ConfidenceCalibration(), {}))
+    )
 
 
 @pytest.fixture(scope="module")

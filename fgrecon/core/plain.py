@@ -1,0 +1,60 @@
+"""Between arrays, enumerations and dataclasses and the plain values of JSON: numbers keep every bit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from math import isqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["array", "indices", "numbers", "pairs", "plain", "square"]
+
+
+def plain(value: Any) -> Any:
+    """Lists, numbers and texts for JSON; NaN and infinity become texts."""
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else str(float(value))
+    if isinstance(value, np.integer):
+        return int(value)
+    if isinstance(value, Mapping):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if is_dataclass(value):
+        return {f.name: plain(getattr(value, f.name)) for f in fields(value)}
+    return value
+
+
+def array(value: Any) -> NDArray[np.float64]:
+    """Numbers of any shape; NaN and infinity may be texts."""
+    return np.array(value, dtype=np.float64)
+
+
+def indices(value: Any) -> NDArray[np.int64]:
+    """Integers of any shape."""
+    return np.array(value, dtype=np.int64)
+
+
+def pairs(value: Any) -> NDArray[np.int64]:
+    """(P, 2) integers; JSON's empty list tells no shape."""
+    return indices(value).reshape(-1, 2)
+
+
+def square(value: Any) -> NDArray[np.float64]:
+    """(n, n) numbers; JSON's empty list tells no shape."""
+    entries = array(value)
+    side = isqrt(entries.size)
+    return entries.reshape(side, side)
+
+
+def numbers(value: Mapping[str, Any]) -> dict[str, float]:
+    """Numbers by name."""
+    return {key: float(number) for key, number in value.items()}
