@@ -213,10 +213,7 @@ def score_instances(
             location[i, r] = state.camera_T_object[:3, 3] - instance.label_offset
             box[i, r] = state.box_size
             placed = state.in_camera()
-            pixels = instance.camera.project(placed)
-            behind = placed[:, 2] <= 0.0
-            away = np.linalg.norm(pixels - instance.projections, axis=1) / extent
-            reprojection[i, r] = np.where(behind, np.inf, away)
+            reprojection[i, r] = _reprojection(instance, placed, extent)
             errors["shape"][i, r] = keypoint_error(state.keypoints, instance.keypoints).mean()
             errors["from_mean"][i, r] = hausdorff_distance(mean, state.keypoints)
             if "initialisation" in states:
@@ -243,6 +240,12 @@ def score_instances(
         failures=np.array(failures, dtype=np.str_),
         **errors,
     )
+
+
+def _reprojection(instance: SimulatedInstance, placed: Array, extent: float) -> Array:
+    """(K,) distance of a wireframe's pixels from the true ones as a share of the box; infinite behind the camera."""
+    away = np.linalg.norm(instance.camera.project(placed) - instance.projections, axis=1) / extent
+    return np.where(placed[:, 2] <= 0.0, np.inf, away)
 
 
 def _states(

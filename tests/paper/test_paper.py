@@ -9,6 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from fgrecon.cli.main import app
+from fgrecon.core.errors import InvalidInputError
 from fgrecon.evaluation import report
 from fgrecon.evaluation.bootstrap import Interval
 from fgrecon.io.kitti_files import Objects
@@ -287,6 +288,18 @@ def test_detections_with_poses_become_kitti_results():
     assert cars.alpha == pytest.approx([0.0, 0.3 - np.arctan2(1.0, 10.0)])
     assert cars.location[1].tolist() == [1.0, 1.65, 10.0]
     assert found.rotation_y.tolist() == [-10.0] * 3  # the detections are as before
+
+
+def test_hand_labels_without_a_car_or_of_an_unlabelled_one_are_refused(tmp_path, scene):
+    (tmp_path / "training" / "label_2").mkdir(parents=True)
+    (tmp_path / "training" / "label_2" / "000003.txt").write_text("")
+    path, size = tmp_path / "marks.json", scene.prior.category.size
+    mark = {"frame": "000003", "object_index": 2, "regime": "easy", "box_xyxy": [0, 0, 9, 9]}
+    mark |= {"keypoints_uv": [[1, 1]] * size, "visible": [True] * size}
+    for marks, field in (([], "marks.json"), ([mark], "object_index")):
+        path.write_text(json.dumps(marks))
+        with pytest.raises(InvalidInputError, match=field):
+            read_hand_labels(path, tmp_path, scene.prior.category)
 
 
 @pytest.mark.data

@@ -115,19 +115,8 @@ def relabel_shape(
     marked = marked | marked[prior.category.mirror]
     sure = np.zeros(len(cars), dtype=bool) if outlined is None else outlined
     shape = LinearShape(prior.mean, prior.basis, L(0), O(0))
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    if sure.any():
-        noise = gtsam.noiseModel.Isotropic.Sigma(prior.dimension, _OUTLINED_SIGMA)
-        graph.add(gtsam.PriorFactorVector(L(0), start.coefficients, noise))
-    else:
-        graph.add(factors.coefficients_prior(L(0), prior.dimension))
-    spread = np.full(prior.mean.shape, _OFFSET_SIGMA)
-    spread[marked if known is None else marked | ~known, 0] = _UNKNOWN_SIGMA
-    graph.add(factors.offsets_prior(O(0), spread))
-    graph.add(factors.symmetry_factor(shape, prior.category.symmetric_pairs, M(0), _SYMMETRY_SIGMA))
-    values.insert(L(0), start.coefficients)
-    values.insert(O(0), start.offsets.ravel())
-    values.insert(M(0), gtsam.OrientedPlane3(np.array([0.0, 0.0, 1.0, 0.0])))
+    free = marked if known is None else marked | ~known
+    graph, values = _shape_graph(prior, shape, start, free, outlined=bool(sure.any()))
     extent = np.array([max(car.size) for car in cars], dtype=np.float64)
     covariance = found.covariance + (_POINT_SIGMA * extent)[:, None, None, None] ** 2 * np.eye(2)
     covariance = (covariance + covariance.swapaxes(-1, -2)) / 2
@@ -158,11 +147,7 @@ def relabel_shape(
     )
     points = prior.keypoints(fit.coefficients, fit.offsets)
     projected = np.array([car.project(points) for car in corrected])
-    difference = found.keypoints - projected
-    distance = np.sqrt(np.einsum("mki,mkij,mkj->mk", difference, np.linalg.inv(covariance), difference))
-    # GTSAM's loss sees the distance times the root of the weight, as its noise models do.
-    agrees = _LOSS.weights(distance * np.sqrt(weights)) > 0.5
-    support = (weights * agrees).sum(axis=1) / np.maximum(weights.sum(axis=1), 1e-9)
+    support = _support(found.keypoints - projected, covariance, weights)
     turned = np.array([_angle(a.rotation, b.rotation) for a, b in zip(cars, corrected, strict=True)])
     trusted = (support >= _SUPPORT) & (turned < _DISAGREES)
     labels = projected.copy()
@@ -170,6 +155,43 @@ def relabel_shape(
         if trusted[number]:
             labels[number] = _own_labels(prior, fit, car, X(0, number), photographs[number])
     return Relabelled(fit, corrected, trusted, labels, marked)
+
+
+def _shape_graph(
+    prior: ShapePrior, shape: LinearShape, start: ShapeFit, free: NDArray[np.bool_], *, outlined: bool
+) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """The terms of the shape alone, and its first values.
+
+    Args:
+        prior: Model of the shapes.
+        shape: The shape in terms of the graph's variables.
+        start: The shape so far.
+        free: (K,) which keypoints may be anywhere along the car.
+        outlined: Whether silhouettes have found the shape so far.
+    """
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    if outlined:
+        noise = gtsam.noiseModel.Isotropic.Sigma(prior.dimension, _OUTLINED_SIGMA)
+        graph.add(gtsam.PriorFactorVector(L(0), start.coefficients, noise))
+    else:
+        graph.add(factors.coefficients_prior(L(0), prior.dimension))
+    spread = np.full(prior.mean.shape, _OFFSET_SIGMA)
+    spread[free, 0] = _UNKNOWN_SIGMA
+    graph.add(factors.offsets_prior(O(0), spread))
+    graph.add(factors.symmetry_factor(shape, prior.category.symmetric_pairs, M(0), _SYMMETRY_SIGMA))
+    values.insert(L(0), start.coefficients)
+    values.insert(O(0), start.offsets.ravel())
+    values.insert(M(0), gtsam.OrientedPlane3(np.array([0.0, 0.0, 1.0, 0.0])))
+    return graph, values
+
+
+def _support(difference: Array, covariance: Array, weights: Array) -> Array:
+    """(M,) share of the weights (M, K) of points that agree, by differences (M, K, 2), covariances (M, K, 2, 2)."""
+    distance = np.sqrt(np.einsum("mki,mkij,mkj->mk", difference, np.linalg.inv(covariance), difference))
+    # GTSAM's loss sees the distance times the root of the weight, as its noise models do.
+    agrees = _LOSS.weights(distance * np.sqrt(weights)) > 0.5
+    support: Array = (weights * agrees).sum(axis=1) / np.maximum(weights.sum(axis=1), 1e-9)
+    return support
 
 
 def without_bias(
