@@ -16,6 +16,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from fgrecon.cli.batch import CameraSource, Settings, Task, read_tasks, run
+from fgrecon.cli.show import details as result_details
 from fgrecon.cli.show import plain_camera, plain_ground, plain_size
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Reconstruction
@@ -26,7 +27,7 @@ from fgrecon.simulation.vehicles import yaw_pose
 from fgrecon.solve.track import TrackReconstruction, reconstruct_track
 from fgrecon.viz import Recording, Sight, TrackSight, Truth, contact_sheet, save_picture, track_recording_of
 
-__all__ = ["FORMAT", "Solved", "document", "draw", "image_numbers", "solve", "table", "truth_of"]
+__all__ = ["FORMAT", "Solved", "details", "document", "draw", "image_numbers", "solve", "table", "truth_of"]
 
 FORMAT = "fgrecon.track/1"
 
@@ -178,6 +179,12 @@ def _errors(results: Sequence[Reconstruction | None], truths: Sequence[Truth | N
         float(np.median([error["translation_m"] for error in yaws])),
         float(np.mean(sizes)) if sizes else float("nan"),
     )
+
+
+def details(track: Solved) -> list[str]:
+    """Lines about refused images, energies and times."""
+    refused = [f"  {track.tasks[index].instance.name} refused: {why}" for index, why in track.result.refused.items()]
+    return refused + result_details(track.result)
 
 
 def document(tracks: Sequence[Solved], settings: Settings) -> str:
