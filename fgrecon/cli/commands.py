@@ -47,7 +47,17 @@ def add_command(
                 print(f"fgrecon: {warning}", file=sys.stderr)  # noqa: T201
             return super().parse_args(ctx, current)
 
-    app.command(name, cls=Spelled)(grouped(command))
+        def collect_usage_pieces(self, ctx: Any) -> list[str]:
+            shown = [parameter for parameter in self.get_params(ctx) if not getattr(parameter, "hidden", False)]
+            pieces = [piece for parameter in shown for piece in parameter.get_usage_pieces(ctx)]
+            return [self.options_metavar, *pieces] if self.options_metavar else pieces
+
+    app.command(name, cls=Spelled, help=_flowing(inspect.getdoc(command) or ""))(grouped(command))
+
+
+def _flowing(text: str) -> str:
+    """Paragraphs without line breaks of their own, so that they fit any terminal."""
+    return "\n\n".join(" ".join(paragraph.split()) for paragraph in text.split("\n\n"))
 
 
 def current_spelling(

@@ -25,6 +25,7 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
 __all__ = ["app"]
 
 _FAILURES_SHOWN = 5
+_WIDE = 160  # columns of the terminal that the whole table needs
 
 app = typer.Typer(help="Compare fgrecon with other methods on data with known poses.", no_args_is_help=True)
 
@@ -42,7 +43,7 @@ def _methods() -> list[str]:
 
 def tracks_command(
     files: Annotated[
-        list[Path], typer.Argument(metavar="FILE...", help="Tracks with keypoints and labelled poses (JSON).")
+        list[Path], typer.Argument(metavar="FILE", help="Tracks with keypoints and labelled poses (JSON).")
     ],
     labelled: LabelledScene,
     delivery: Delivery,
@@ -88,7 +89,8 @@ def tracks_command(
     total = len(methods) * sum(len(track.frames) for track in tracks)
     with screen.bar() as advance:
         scores = score_tracks(tracks, methods, scene, counting(advance, "Frames", total))
-    screen.print(report.table(scores), f"+ground: {origin}. +size: {_in_words(scene.size)}.")
+    table = report.table(scores, narrow=screen.console.width < _WIDE)
+    screen.print(table, f"+ground: {origin}. +size: {_in_words(scene.size)}.")
     if not method and (missing := left_out()):
         screen.print(f"Not installed, so left out: {', '.join(missing)}. Run: pip install 'fgrecon[baselines]'")
     _print_failures(scores, screen)

@@ -51,7 +51,7 @@ def print_table(screen: Screen, outcomes: Sequence[Outcome]) -> None:
 
     A verbose screen has whole messages below, with energies and times.
     """
-    wide = screen.console.width >= _WIDE
+    wide = screen.console.width >= _WIDE and any(map(_clause, outcomes))
     table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True)
     for heading in _HEADINGS if wide else _HEADINGS[:-1]:
         text = heading in ("id", "status", "message")

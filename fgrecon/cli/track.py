@@ -18,7 +18,7 @@ __all__ = ["track_command"]
 
 def track_command(
     files: Annotated[
-        list[Path], typer.Argument(metavar="FILE...", help="Tracks, or keypoint files whose instances are one vehicle.")
+        list[Path], typer.Argument(metavar="FILE", help="Tracks, or keypoint files whose instances are one vehicle.")
     ],
     camera: CameraOptions,
     scene: SceneOptions,

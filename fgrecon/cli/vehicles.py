@@ -23,7 +23,7 @@ def _group() -> None:
 
 
 def detect_command(
-    images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Image files.")],
+    images: Annotated[list[Path], typer.Argument(metavar="IMAGE", help="Image files.")],
     terminal: Terminal,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="File to write.", show_default="the output")] = None,
 ) -> None:

@@ -33,7 +33,7 @@ def icra2017_command(
     folder: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[FOLDER]",
+            metavar="FOLDER",
             help="Folder of the release: meanShape.txt, basisVectors.txt, examples/.",
             show_default="DATA/icra2017",
         ),

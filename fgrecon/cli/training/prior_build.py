@@ -28,7 +28,7 @@ def build_command(
     data: DataOption = DATA,
     basis: Annotated[int, typer.Option(min=1, help="Number of basis vectors.")] = 5,
     exclude: Annotated[
-        list[str] | None, typer.Option(help="Name of a model to leave out; give it again for more.")
+        list[str] | None, typer.Option(metavar="NAME", help="Name of a model to leave out; give it again for more.")
     ] = None,
     leave_one_out: Annotated[
         bool, typer.Option("--leave-one-out", help="Hold out each model in turn and print how well it is expressed.")

@@ -78,7 +78,7 @@ def learn_command(
     files: Annotated[
         list[Path],
         typer.Argument(
-            metavar="FILE...",
+            metavar="FILE",
             help="Annotation files or folders: COCO .json, PASCAL3D+ .mat, .npz, or .csv (VeRi, 36 points).",
         ),
     ],
