@@ -154,7 +154,7 @@ def table(scores: Sequence[MethodScores], *, narrow: bool = False) -> Table:
     result = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True) if narrow else Table()
     for heading in compress(_HEADINGS, shown):
         justify: Literal["left", "right"] = "left" if heading in ("method", "prior") else "right"
-        result.add_column(heading, justify=justify, no_wrap=not narrow)
+        result.add_column(heading, justify=justify, no_wrap=not narrow or heading == "method")
     for entry in scores:
         result.add_row(*map(escape, compress(_cells(entry), shown)))
     return result

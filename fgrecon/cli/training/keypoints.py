@@ -14,7 +14,10 @@ from fgrecon.cli.options import DATA, DataOption, JsonOption, WeightsOption
 from fgrecon.cli.terminal import Terminal
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from fgrecon.training.keypoints.networks import Beginning, Plan
+    from fgrecon.training.keypoints.posed_cars import PosedCar
 
 __all__ = ["evaluate_command", "silhouettes_command", "train_command"]
 
@@ -69,16 +72,20 @@ def silhouettes_command(
 ) -> None:
     r"""Draw the silhouettes of the photographs' cars, for `train`. Needs the packages of fgrecon\[silhouettes].
 
-    The data folder has posed_cars.
+    The data folder has posed_cars. --verbose names every file.
     """
     from fgrecon.training.keypoints.posed_cars import read_posed_cars
     from fgrecon.training.keypoints.segment import draw_silhouettes, in_order
 
     screen = terminal.screen()
     cars = in_order(read_posed_cars(data / "posed_cars"), each)
-    count = draw_silhouettes(
-        cars, package, out, side=side, report=lambda some: iter(screen.watch(list(some), "Silhouettes"))
-    )
+
+    def shown(some: Iterator[PosedCar]) -> Iterator[PosedCar]:
+        for car in screen.watch(list(some), "Silhouettes"):
+            yield car
+            screen.detail(f"Wrote {car.silhouette(out)}.")
+
+    count = draw_silhouettes(cars, package, out, side=side, report=shown)
     screen.print(f"{count} drawn, {len(cars) - count} were there.")
     screen.wrote(out)
 
