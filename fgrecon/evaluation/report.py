@@ -151,7 +151,7 @@ def table(scores: Sequence[MethodScores], *, narrow: bool = False) -> Table:
     """
     left_out = ("failed", "prior") if narrow else ()
     shown = [heading not in left_out for heading in _HEADINGS]
-    result = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True) if narrow else Table()
+    result = Table(box=SIMPLE_HEAD, show_edge=False, padding=(0, 0)) if narrow else Table()
     for heading in compress(_HEADINGS, shown):
         justify: Literal["left", "right"] = "left" if heading in ("method", "prior") else "right"
         result.add_column(heading, justify=justify, no_wrap=not narrow or heading == "method")

@@ -8,11 +8,13 @@ from typer.testing import CliRunner
 
 from fgrecon.cli.main import app
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.perception.keypoints.weights import load_weights
+from fgrecon.perception.keypoints.decode import Calibration
+from fgrecon.perception.keypoints.weights import Stored, load_weights, save_weights
 from tests.training.keypoints.test_rounds import SMALL, source  # noqa: F401 - a fixture
 
 torch = pytest.importorskip("torch")
 
+from fgrecon.perception.keypoints.knet import KNet  # noqa: E402
 from fgrecon.perception.keypoints.refine import RefineSettings  # noqa: E402
 from fgrecon.training.keypoints import networks  # noqa: E402
 from fgrecon.training.keypoints.augment import Street  # noqa: E402
@@ -24,7 +26,7 @@ def train(source, monkeypatch, tmp_path):  # noqa: F811
     monkeypatch.setattr(networks, "read_source", lambda data, marks: source)
     monkeypatch.setattr(networks, "Training", partial(networks.Training, network=SMALL, **small))
     refined = RefineSettings(crop=64, width=4)
-    refine = partial(networks.RefineTraining, network=refined, batch=2, save_every=1, workers=0)
+    refine = partial(networks.RefineTraining, network=refined, batch=2, save_every=1)
     monkeypatch.setattr(networks, "RefineTraining", refine)
     monkeypatch.setattr(networks, "calibrate", partial(networks.calibrate, samples=6))
 
@@ -48,14 +50,19 @@ def test_networks_are_trained_shown_and_written(train, tmp_path):
     assert first.provenance["training"] == "2 steps of 2, labels corrected at [1], seed 0"
     assert first.provenance["start"] == "random weights"
 
-    on = train(
-        "on.safetensors", "--start", tmp_path / "first.safetensors", "--start-share", 1, "--work", tmp_path / "w"
-    )
-    assert on.exit_code == 0, on.output
-    second = load_weights(tmp_path / "on.safetensors")
-    assert second.provenance["start"].startswith("first.safetensors (of which 1 is left")
-    for name, value in first.state.items():  # nothing of what was learnt now is in them
-        np.testing.assert_allclose(second.state[name].float(), value.float(), atol=1e-3)
+
+def test_a_trained_network_can_go_on_and_be_kept(train, tmp_path):
+    torch.manual_seed(1)
+    start = tmp_path / "start.safetensors"
+    save_weights(start, Stored(KNet(SMALL).state_dict(), SMALL.to_dict(), Calibration(), {"start": "nothing"}))
+    done = train("on.safetensors", "--start", start, "--start-share", 1, "--relabel-at", 9, "--refine-steps", 0)
+    assert done.exit_code == 0, done.output
+    before, after = load_weights(start), load_weights(tmp_path / "on.safetensors")
+    told = "start.safetensors (of which 1 is left in the weights), itself from: nothing"
+    assert after.provenance["start"] == told
+    assert after.refinement is None
+    for name, value in before.state.items():  # nothing of what was learnt now is in them
+        np.testing.assert_allclose(after.state[name].float(), value.float(), atol=1e-3)
 
 
 def test_quiet(train):
