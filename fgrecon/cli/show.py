@@ -32,8 +32,7 @@ __all__ = [
     "draw",
     "draw_moving",
     "plain_camera",
-    "plain_ground",
-    "plain_size",
+    "plain_settings",
     "print_table",
     "recordings",
 ]
@@ -111,31 +110,34 @@ def _cells(outcome: Outcome) -> tuple[str, ...]:
 
 def document(path: Path, outcomes: Sequence[Outcome], settings: Settings) -> str:
     """The JSON text of a run: settings, and result or error of every vehicle."""
-    options = settings.options
     content = {
         "format": FORMAT,
         "fgrecon": metadata.version("fgrecon"),
         "file": str(path),
-        "settings": {
-            "prior": settings.prior.name,
-            "ground": plain_ground(settings.ground),
-            "size_prior": plain_size(settings.size_prior),
-            "strategy": options.strategy.name.value,
-            "box_model": options.box_model.value,
-            "joint": options.joint,
-            "free_offsets": options.free_offsets,
-        },
+        "settings": plain_settings(settings)
+        | {"joint": settings.options.joint, "free_offsets": settings.options.free_offsets},
         "instances": [_entry(outcome) for outcome in outcomes],
     }
     return json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n"
 
 
-def plain_ground(ground: Ground | None) -> dict[str, Any] | None:
+def plain_settings(settings: Settings) -> dict[str, Any]:
+    """What held for all vehicles of a run, for JSON."""
+    return {
+        "prior": settings.prior.name,
+        "ground": _plain_ground(settings.ground),
+        "size_prior": _plain_size(settings.size_prior),
+        "strategy": settings.options.strategy.name.value,
+        "box_model": settings.options.box_model.value,
+    }
+
+
+def _plain_ground(ground: Ground | None) -> dict[str, Any] | None:
     """A ground plane for JSON."""
     return None if ground is None else {"normal": ground.normal.tolist(), "distance": ground.distance}
 
 
-def plain_size(size: SizePrior | None) -> dict[str, Any] | None:
+def _plain_size(size: SizePrior | None) -> dict[str, Any] | None:
     """A size prior for JSON."""
     return None if size is None else {"name": size.name, "mean": size.mean.tolist(), "sigma": size.sigma.tolist()}
 

@@ -17,7 +17,7 @@ from rich.table import Table
 
 from fgrecon.cli.batch import CameraSource, Settings, Task, read_tasks, run
 from fgrecon.cli.show import details as result_details
-from fgrecon.cli.show import plain_camera, plain_ground, plain_size
+from fgrecon.cli.show import plain_camera, plain_settings
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.io.images import read_image
@@ -189,17 +189,10 @@ def details(track: Solved) -> list[str]:
 
 def document(tracks: Sequence[Solved], settings: Settings) -> str:
     """The JSON text of a run; its instances are the images of all tracks, as `fgrecon export` reads them."""
-    options = settings.options
     content = {
         "format": FORMAT,
         "fgrecon": metadata.version("fgrecon"),
-        "settings": {
-            "prior": settings.prior.name,
-            "ground": plain_ground(settings.ground),
-            "size_prior": plain_size(settings.size_prior),
-            "strategy": options.strategy.name.value,
-            "box_model": options.box_model.value,
-        },
+        "settings": plain_settings(settings),
         "tracks": [_entry(track) for track in tracks],
         "instances": [entry for track in tracks for entry in _instances(track)],
     }
