@@ -4,40 +4,63 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
+    from fgrecon.cli.terminal import Screen
     from fgrecon.core.camera import Ground
     from fgrecon.viz import Recording, Sight
 
-__all__ = [
-    "ConnectOption",
-    "SaveOption",
-    "SpawnOption",
-    "check_delivery",
-    "deliver",
-    "recordings_of",
-    "wants_recording",
-]
+__all__ = ["Delivery", "Viewer", "check_delivery", "deliver", "recordings_of"]
 
-SaveOption = Annotated[
-    Path | None, typer.Option(metavar="FILE.rrd", help="Record for the rerun viewer; several: FILE-ID.rrd each.")
-]
-ConnectOption = Annotated[
-    str | None, typer.Option(metavar="HOST:PORT", help="Send the recording to a rerun viewer that listens there.")
-]
-SpawnOption = Annotated[bool, typer.Option("--spawn", help="Show the recording in a new rerun viewer.")]
-
-
+_PANEL = "Recording"
 _AT_ONCE = 2  # encoding one takes longer than making the next
 
 
-def wants_recording(save: Path | None, connect: str | None, *, spawn: bool) -> bool:
-    """Whether any of the options is given."""
-    return save is not None or connect is not None or spawn
+@dataclass(frozen=True)
+class Viewer:
+    """The rerun viewer that a recording is sent to."""
+
+    connect: Annotated[
+        str | None,
+        typer.Option(
+            metavar="HOST:PORT", help="Send the recording to a rerun viewer that listens there.", rich_help_panel=_PANEL
+        ),
+    ] = None
+    spawn: Annotated[
+        bool, typer.Option("--spawn", help="Show the recording in a new rerun viewer.", rich_help_panel=_PANEL)
+    ] = False
+
+
+@dataclass(frozen=True)
+class Delivery(Viewer):
+    """Where recordings go."""
+
+    save: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.rrd",
+            help="Record for the rerun viewer; several: FILE-ID.rrd each.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+
+    @property
+    def wanted(self) -> bool:
+        """Whether any of the options is given."""
+        return self.save is not None or self.connect is not None or self.spawn
+
+    def check(self) -> None:
+        """Refuse before the work what could not be delivered after it; see `check_delivery`."""
+        check_delivery(self.save, self.connect)
+
+    def deliver(self, recordings: Sequence[tuple[str, Recording]], screen: Screen, *, several: bool) -> None:
+        """Write and send recordings, and say which files were written; see `deliver`."""
+        screen.wrote(*deliver(recordings, self.save, self.connect, spawn=self.spawn, several=several))
 
 
 def check_delivery(save: Path | None, connect: str | None) -> None:

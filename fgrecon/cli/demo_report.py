@@ -12,12 +12,13 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from fgrecon.core.category import Category
+from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Reconstruction, rotation_y
 from fgrecon.simulation.demo import DemoScene
 from fgrecon.viz import Truth
 from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR
 
-__all__ = ["FORMAT", "Stage", "document", "keypoint_file", "stages", "table", "true_values"]
+__all__ = ["FORMAT", "Stage", "document", "keypoint_file", "plain_observation", "stages", "table", "true_values"]
 
 FORMAT = "fgrecon.demo/1"
 
@@ -128,11 +129,17 @@ def _plain_pose(pose: NDArray[np.float64]) -> dict[str, Any]:
 
 def keypoint_file(scene: DemoScene, category: Category) -> dict[str, Any]:
     """The observation as `fgrecon reconstruct` reads it."""
-    seen = scene.observation
-    rows = np.column_stack([seen.keypoints, seen.confidence])
     return {
         "K": scene.camera.matrix.tolist(),
         "image_size": scene.camera.image_size,
+        **plain_observation(scene.observation, category),
+    }
+
+
+def plain_observation(seen: Observation, category: Category) -> dict[str, Any]:
+    """Box and keypoints by name of one instance of a keypoint file."""
+    rows = np.column_stack([seen.keypoints, seen.confidence])
+    return {
         "box": None if seen.box is None else seen.box.tolist(),
         "keypoints": {
             name: row.tolist() for name, row in zip(category.keypoints, rows, strict=True) if np.isfinite(row).all()

@@ -2,36 +2,32 @@
 
 from __future__ import annotations
 
-import contextlib
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli import evaluate_kitti
-from fgrecon.cli.common import GroundOption, JsonOption, PriorOption, check_outputs, console, ground_plane, write_json
-from fgrecon.cli.deliver import ConnectOption, SaveOption, SpawnOption, check_delivery, deliver, wants_recording
+from fgrecon.cli.commands import add_command
+from fgrecon.cli.common import check_outputs
+from fgrecon.cli.deliver import Delivery
+from fgrecon.cli.evaluate_kitti import kitti_command
+from fgrecon.cli.options import JsonOption, LabelledScene, MarkdownOption, fitting_names
+from fgrecon.cli.progress import counting
+from fgrecon.cli.terminal import Terminal
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Sequence
 
-    from rich.table import Table
-
+    from fgrecon.cli.terminal import Screen
     from fgrecon.core.size_prior import SizePrior
     from fgrecon.evaluation.run import MethodScores
 
-__all__ = ["KITTI_CAMERA_HEIGHT", "app"]
-
-KITTI_CAMERA_HEIGHT = 1.65
-"""Height of KITTI's cameras above the road, metres."""
+__all__ = ["app"]
 
 _FAILURES_SHOWN = 5
+_WIDE = 160  # columns of the terminal that the whole table needs
 
 app = typer.Typer(help="Compare fgrecon with other methods on data with known poses.", no_args_is_help=True)
-
-
-app.command("kitti")(evaluate_kitti.kitti_command)
 
 
 @app.callback()
@@ -39,99 +35,86 @@ def _group() -> None:
     """Compare fgrecon with other methods on data with known poses."""
 
 
-@app.command("tracks")
+def _methods() -> list[str]:
+    from fgrecon.evaluation.methods import METHODS
+
+    return list(METHODS)
+
+
 def tracks_command(
-    files: Annotated[list[Path], typer.Argument(help="Tracks with keypoints and labelled poses (JSON).")],
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE", help="Tracks with keypoints and labelled poses (JSON).")
+    ],
+    labelled: LabelledScene,
+    delivery: Delivery,
+    terminal: Terminal,
     method: Annotated[
         list[str] | None,
         typer.Option(
+            metavar="NAME",
             help="Run this method alone; give it again for more. With another robust strategy: fgrecon+size:paper.",
             show_default="all",
+            autocompletion=fitting_names(_methods),
         ),
     ] = None,
-    prior: PriorOption = "car14",
-    size_prior: Annotated[
-        str, typer.Option(help="Size of the fleet for the rows `+size`: kitti, apollo79 or length,width,height in m.")
-    ] = "kitti",
-    camera_height: Annotated[
-        float | None,
-        typer.Option(help="Height of a level camera for the row `+ground`, m.", show_default=str(KITTI_CAMERA_HEIGHT)),
-    ] = None,
-    ground: GroundOption = None,
     json_out: JsonOption = None,
-    markdown_out: Annotated[Path | None, typer.Option("--markdown", help="Write the table as Markdown.")] = None,
-    frames_out: Annotated[
-        Path | None, typer.Option("--per-frame", help="Write every frame's errors by method as JSON.")
-    ] = None,
-    save: SaveOption = None,
-    connect: ConnectOption = None,
-    spawn: SpawnOption = False,
-    progress: Annotated[
-        bool | None, typer.Option("--progress/--no-progress", help="Progress bar.", show_default="on a terminal")
+    markdown: MarkdownOption = None,
+    per_frame: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write every frame's errors by method as JSON.")
     ] = None,
 ) -> None:
     """Score poses on tracks: orientation error, AOP at 5, 15 and 30 degrees, translation error, time per stage.
 
-    A frame that a method fails on counts as 180 degrees and stays in N. Exit code 1: fgrecon failed on every frame (any
-    other method, where fgrecon does not run).
+    The part of a method's name after + says what it is told: +size the fleet's size, +ground the ground plane. A frame
+    that a method fails on counts as 180 degrees and stays in N; --verbose names all of them. Exit code 1: fgrecon
+    failed on every frame (any other method, where fgrecon does not run).
 
     A recording shows the last of fgrecon's own methods, frame by frame, with the labels and the errors; for it the
     frames are solved once more after they were scored.
     """
     from fgrecon.cli import evaluate_recording
-    from fgrecon.core.camera import Ground
-    from fgrecon.core.size_prior import size_prior as parse_size
     from fgrecon.evaluation import report
-    from fgrecon.evaluation.methods import SceneKnowledge, select
+    from fgrecon.evaluation.methods import left_out, select
     from fgrecon.evaluation.run import score_tracks
-    from fgrecon.io.catalogue import load_prior
-    from fgrecon.io.files import write_text
     from fgrecon.io.track_file import read_track
 
-    check_outputs(json_out, markdown_out, frames_out)
-    check_delivery(save, connect)
-    plane, origin = ground_plane(ground, camera_height) or (
-        Ground.level(KITTI_CAMERA_HEIGHT),
-        f"level camera {KITTI_CAMERA_HEIGHT} m above the ground (KITTI's)",
-    )
-    scene = SceneKnowledge(prior=load_prior(prior), ground=plane, size=parse_size(size_prior))
+    check_outputs(json_out, markdown, per_frame)
+    delivery.check()
+    screen = terminal.screen(json_out)
+    scene, (_, origin) = labelled.scene(), labelled.plane()
     methods = select(method or None)
-    recording = evaluate_recording.recorded(methods) if wants_recording(save, connect, spawn=spawn) else None
+    recording = evaluate_recording.recorded(methods) if delivery.wanted else None
     tracks = [read_track(file, scene.prior.category) for file in files]
 
-    frames = sum(len(track.frames) for track in tracks)
-    shown = sys.stderr.isatty() if progress is None else progress
-    with _bar(frames * len(methods), shown=shown) as advance:
-        scores = score_tracks(tracks, methods, scene, advance)
-
-    _show(report.table(scores), scores, f"+ground: {origin}. +size: {_in_words(scene.size)}.", error=json_out == "-")
-    if json_out is not None:
-        text = report.to_json(
-            report.document(scores, list(zip(map(str, files), tracks, strict=True)), scene, {"ground": origin})
-        )
-        write_json(json_out, text)
-    if markdown_out is not None:
-        write_text(markdown_out, report.markdown(scores))
-    if frames_out is not None:
-        write_text(frames_out, report.to_json(report.frames_document(scores)))
+    total = len(methods) * sum(len(track.frames) for track in tracks)
+    with screen.bar() as advance:
+        scores = score_tracks(tracks, methods, scene, counting(advance, "Frames", total))
+    table = report.table(scores, narrow=screen.console.width < _WIDE)
+    screen.print(table, f"+ground: {origin}. +size: {_in_words(scene.size)}.")
+    if not method and (missing := left_out()):
+        screen.print(f"Not installed, so left out: {', '.join(missing)}. Run: pip install 'fgrecon[baselines]'")
+    _print_failures(scores, screen)
+    named = list(zip(map(str, files), tracks, strict=True))
+    screen.write_json(report.to_json(report.document(scores, named, scene, {"ground": origin})))
+    screen.write_text(markdown, report.markdown(scores))
+    screen.write_text(per_frame, report.to_json(report.frames_document(scores)))
     if recording is not None:
         made = evaluate_recording.recordings(tracks, recording, scene)
-        deliver(made, save, connect, spawn=spawn, several=len(tracks) > 1)
+        delivery.deliver(made, screen, several=len(tracks) > 1)
     judged = [entry for entry in scores if entry.name.partition("+")[0] == "fgrecon"] or scores
-    if any(len(entry.failures) == len(entry.frames) for entry in judged):
+    if failed := [entry.name for entry in judged if len(entry.failures) == len(entry.frames)]:
+        screen.fail(f"{', '.join(failed)} failed on every frame.")
         raise typer.Exit(1)
 
 
-def _show(table: Table, scores: Sequence[MethodScores], told: str, *, error: bool) -> None:
-    """Print the table, what the methods were told, and which frames they failed on."""
-    out = console(error=error)
-    out.print(table)
-    out.print(told, markup=False)
+def _print_failures(scores: Sequence[MethodScores], screen: Screen) -> None:
+    """Which frames the methods failed on; the first ones, unless the user wants to know more."""
     for entry in scores:
-        for failure in entry.failures[:_FAILURES_SHOWN]:
-            out.print(f"{entry.name} failed on {failure.frame}: {failure.failure}", markup=False)
-        if len(entry.failures) > _FAILURES_SHOWN:
-            out.print(f"{entry.name} failed on {len(entry.failures) - _FAILURES_SHOWN} more: see --json.")
+        shown = entry.failures if screen.verbose else entry.failures[:_FAILURES_SHOWN]
+        for failure in shown:
+            screen.print(f"{entry.name} failed on {failure.frame}: {failure.failure}")
+        if len(entry.failures) > len(shown):
+            screen.print(f"{entry.name} failed on {len(entry.failures) - len(shown)} more: see --verbose or --json.")
 
 
 def _in_words(size: SizePrior) -> str:
@@ -139,13 +122,5 @@ def _in_words(size: SizePrior) -> str:
     return f"{size.name}, {length:g} m long, {width:g} m wide, {height:g} m high on average"
 
 
-@contextlib.contextmanager
-def _bar(total: int, *, shown: bool) -> Iterator[Callable[[str], None]]:
-    """A progress bar on the error stream, or nothing."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True, disable=not shown) as progress:
-        task = progress.add_task("", total=total)
-        yield lambda name: progress.update(task, advance=1, description=name)
+add_command(app, "tracks", tracks_command)
+add_command(app, "kitti", kitti_command)

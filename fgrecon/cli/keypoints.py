@@ -8,19 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fgrecon.cli.common import (
-    BoxesOption,
-    BoxOption,
-    DetectOption,
-    JsonOption,
-    WeightsOption,
-    check_outputs,
-    chosen_boxes,
-    console,
-    write_json,
-)
+from fgrecon.cli.commands import add_command
+from fgrecon.cli.common import check_outputs
+from fgrecon.cli.options import BoxOptions, JsonOption
+from fgrecon.cli.terminal import Terminal
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
+    from rich.table import Table
+
     from fgrecon.perception.keypoints.detect import CascadeDetection
 
 __all__ = ["app"]
@@ -33,38 +28,36 @@ def _group() -> None:
     """Find keypoints in images."""
 
 
-@app.command("detect")
 def detect_command(
-    image: Annotated[Path, typer.Argument(help="Image file.")],
-    box: BoxOption = None,
-    boxes: BoxesOption = None,
-    detect: DetectOption = False,
-    weights: WeightsOption = None,
+    image: Annotated[Path, typer.Argument(metavar="IMAGE", help="Image file.")],
+    boxes: BoxOptions,
+    terminal: Terminal,
     picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw what was found (png, jpg).")] = None,
     json_out: JsonOption = None,
 ) -> None:
-    """Find the keypoints of cars. The JSON is what `fgrecon reconstruct` reads; confidences are probabilities."""
+    """Find the keypoints of cars. The JSON is what `fgrecon reconstruct` reads; confidences are probabilities.
+
+    --verbose also tells how exact each position is and how probably the keypoint can be seen.
+    """
+    from fgrecon.cli.picture_tasks import find_keypoints
     from fgrecon.io.catalogue import load_category
     from fgrecon.io.images import read_image
-    from fgrecon.perception.keypoints.detect import KeypointCascade
 
     check_outputs(json_out, picture)
+    screen = terminal.screen(json_out)
     pixels = read_image(image)
-    named = chosen_boxes(image, pixels, box, boxes, detect=detect)
+    named = boxes.choose(image, pixels)
     names = [item.name for item in named]
     category = load_category("car14")
-    found = KeypointCascade(weights)(pixels, [item.corners for item in named])
-    if json_out != "-":
-        _print_found(names, found, category.keypoints)
-    if json_out is not None:
-        instances = [_instance(name, d) for name, d in zip(names, found, strict=True)]
-        text = json.dumps({"instances": instances}, indent=1) + "\n"
-        write_json(json_out, text)
+    found = find_keypoints(pixels, named, boxes.weights, screen, category)
+    screen.print(_table(names, found, category.keypoints, verbose=screen.verbose))
+    instances = [_instance(name, d) for name, d in zip(names, found, strict=True)]
+    screen.write_json(json.dumps({"instances": instances}, indent=1) + "\n")
     if picture is not None:
         from fgrecon.viz.detections import detection_sheet
         from fgrecon.viz.picture import save_picture
 
-        save_picture(picture, detection_sheet(pixels, found, names, category))
+        screen.wrote(save_picture(picture, detection_sheet(pixels, found, names, category)))
 
 
 def _instance(name: str, detection: CascadeDetection) -> dict[str, Any]:
@@ -82,15 +75,24 @@ def _instance(name: str, detection: CascadeDetection) -> dict[str, Any]:
     }
 
 
-def _print_found(names: list[str], found: list[CascadeDetection], keypoints: tuple[str, ...]) -> None:
+def _table(names: list[str], found: list[CascadeDetection], keypoints: tuple[str, ...], *, verbose: bool) -> Table:
+    import numpy as np
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for heading in ("id", "keypoint", "u", "v", "confidence"):
+    for heading in ("id", "keypoint", "u", "v", "confidence", *(("sigma px", "visible") if verbose else ())):
         table.add_column(heading, justify="left" if heading in ("id", "keypoint") else "right")
     for name, detection in zip(names, found, strict=True):
         seen = detection.observation
-        for keypoint, (u, v), sure in zip(keypoints, seen.keypoints, seen.confidence, strict=True):
-            table.add_row(name, keypoint, f"{u:.1f}", f"{v:.1f}", f"{sure:.2f}")
-    console(error=False).print(table)
+        covariance = np.full((len(keypoints), 2, 2), np.nan) if seen.covariance is None else seen.covariance
+        sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2.0)
+        for k, keypoint in enumerate(keypoints):
+            u, v = seen.keypoints[k]
+            cells = [f"{u:.1f}", f"{v:.1f}", f"{seen.confidence[k]:.2f}"]
+            cells += [f"{sigma[k]:.1f}", f"{detection.visible[k]:.2f}"] if verbose else []
+            table.add_row(name, keypoint, *cells)
+    return table
+
+
+add_command(app, "detect", detect_command)

@@ -13,10 +13,12 @@ from typing import Annotated
 import typer
 
 from fgrecon.cli import evaluate, keypoints, prior, vehicles
+from fgrecon.cli.commands import add_command
 from fgrecon.cli.demo import demo_command
 from fgrecon.cli.export import export_command
 from fgrecon.cli.reconstruct import reconstruct_command
 from fgrecon.cli.replay import replay_command
+from fgrecon.cli.sample import sample_command
 from fgrecon.cli.track import track_command
 from fgrecon.core.errors import FgreconError
 
@@ -29,16 +31,16 @@ app = typer.Typer(
     name="fgrecon",
     help="Pose and shape of a vehicle from a single image, by factor-graph optimisation.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
 
 
-app.command("demo")(demo_command)
-app.command("reconstruct")(reconstruct_command)
-app.command("track")(track_command)
-app.command("replay")(replay_command)
-app.command("export")(export_command)
+add_command(app, "demo", demo_command, once_flags={"--json": "-"})
+add_command(app, "sample", sample_command)
+add_command(app, "reconstruct", reconstruct_command)
+add_command(app, "track", track_command)
+add_command(app, "replay", replay_command, once_flags={"--json": "-"})
+add_command(app, "export", export_command)
 _GROUPS = {"evaluate": evaluate.app, "prior": prior.app, "keypoints": keypoints.app, "vehicles": vehicles.app}
 for _name, _group in _GROUPS.items():
     app.add_typer(_group, name=_name)

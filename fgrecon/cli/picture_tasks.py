@@ -9,17 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.cli.batch import CameraSource, Task
-from fgrecon.cli.common import chosen_boxes
+from fgrecon.cli.options import BoxOptions
+from fgrecon.cli.terminal import Screen
 from fgrecon.core.camera import DEFAULT_FIELD_OF_VIEW, Camera
 from fgrecon.core.category import Category
-from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import BoxModel
+from fgrecon.io.boxes import NamedBox
 from fgrecon.io.keypoint_file import Instance
-from fgrecon.perception.keypoints.detect import KeypointCascade, check_box
+from fgrecon.perception.keypoints.detect import CascadeDetection, KeypointCascade, check_box
 from fgrecon.perception.protocols import check_category
 
-__all__ = ["is_image", "read_image_tasks", "refuse_image_options"]
+__all__ = ["find_keypoints", "is_image", "read_image_tasks"]
 
+_BATCH = 32  # cars that the networks look at together
 _IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
 
 
@@ -28,17 +30,39 @@ def is_image(path: Path) -> bool:
     return path.suffix.lower() in _IMAGES
 
 
+def find_keypoints(
+    image: NDArray[np.uint8], named: Sequence[NamedBox], weights: Path | None, screen: Screen, category: Category
+) -> list[CascadeDetection]:
+    """The keypoints of the cars in some boxes of an image, a batch at a time.
+
+    Args:
+        image: (H, W, 3) pixels.
+        named: The boxes.
+        weights: Network, or None for the shipped one.
+        screen: Where progress is shown.
+        category: What the network must find keypoints of.
+
+    Raises:
+        InvalidInputError: A box cannot be used, there is no network, or it finds keypoints of another category.
+    """
+    for item in named:
+        check_box(item.corners, image, f"box {item.name}")
+    detector = KeypointCascade(weights)
+    check_category(detector, category)
+    found: list[CascadeDetection] = []
+    for start in screen.watch(range(0, len(named), _BATCH), f"Keypoints, {_BATCH} cars at a time"):
+        found += detector(image, [item.corners for item in named[start : start + _BATCH]], batch=_BATCH)
+    return found
+
+
 def read_image_tasks(
     path: Path,
     image: NDArray[np.uint8],
     source: CameraSource,
     category: Category,
-    *,
-    box: Sequence[str] | None,
-    boxes: Path | None,
-    detect: bool,
-    weights: Path | None,
+    boxes: BoxOptions,
     box_model: BoxModel | None,
+    screen: Screen,
 ) -> tuple[list[Task], str | None]:
     """The vehicles in the boxes of an image, with the keypoints that the networks find; all in one batch.
 
@@ -47,11 +71,9 @@ def read_image_tasks(
         image: (H, W, 3) its pixels.
         source: The command line's camera.
         category: Category of the shape prior, which the network must have.
-        box: Boxes as `x1,y1,x2,y2`.
-        boxes: File of boxes, or None.
-        detect: Whether the image is searched for cars instead.
-        weights: Network, or None for the shipped one.
+        boxes: Where the cars are, and the network.
         box_model: What the boxes enclose, or None for what their source says.
+        screen: Where progress is shown.
 
     Returns:
         The vehicles, and a warning where the camera had to be assumed.
@@ -59,11 +81,7 @@ def read_image_tasks(
     Raises:
         InvalidInputError: A box cannot be used, there is no car, or there is no network.
     """
-    named = chosen_boxes(path, image, box, boxes, detect=detect)
-    for item in named:
-        check_box(item.corners, image, f"box {item.name}")
-    cascade = KeypointCascade(weights)
-    check_category(cascade, category)
+    named = boxes.choose(path, image)
     camera, offset = source.camera()
     warning = None
     if camera is None:
@@ -73,7 +91,7 @@ def read_image_tasks(
             "distances are rough. Give --calib or --intrinsics."
         )
     complete = source.complete(camera, declared=False)
-    found = cascade(image, [item.corners for item in named])
+    found = find_keypoints(image, named, boxes.weights, screen, category)
     tasks = []
     for item, detection in zip(named, found, strict=True):
         seen = detection.observation
@@ -82,14 +100,3 @@ def read_image_tasks(
         )
         tasks.append(Task(instance, complete, offset, detection, item.model if box_model is None else box_model))
     return tasks, warning
-
-
-def refuse_image_options(box: Sequence[str] | None, boxes: Path | None, weights: Path | None, *, detect: bool) -> None:
-    """Refuse what means nothing for a keypoint file.
-
-    Raises:
-        InvalidInputError: Boxes, a network or --detect are given.
-    """
-    for field, value in (("box", box), ("boxes", boxes), ("weights", weights), ("detect", detect)):
-        if value:
-            raise InvalidInputError(field, str(value), "Give an image instead of keypoints, or leave this out.")

@@ -2,23 +2,34 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli.common import check_output
+from fgrecon.cli.commands import add_command
+from fgrecon.cli.common import check_output, check_outputs
+from fgrecon.cli.options import PRIORS, JsonOption, PriorArgument
+from fgrecon.cli.terminal import Quiet
+
+if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
+    from fgrecon.training.priors.compare import PriorComparison
 
 __all__ = ["app"]
 
 app = typer.Typer(help="Make shape priors, look at them and compare them.", no_args_is_help=True)
 
 
-@app.command("show")
 def show_command(
-    prior: Annotated[str, typer.Argument(help="Shape prior: a shipped name or an npz file.")],
-    out: Annotated[Path | None, typer.Option(help="Picture to write: .png, .jpg, .svg or .pdf.")] = None,
-    rrd: Annotated[Path | None, typer.Option(help="Recording for rerun in which each mode moves.")] = None,
+    prior: PriorArgument,
+    terminal: Quiet,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Draw mean and modes: .png, .jpg, .svg or .pdf.")
+    ] = None,
+    save: Annotated[
+        Path | None, typer.Option(metavar="FILE.rrd", help="Record for the rerun viewer how each mode moves.")
+    ] = None,
     modes: Annotated[
         int | None, typer.Option(min=0, help="How many modes to draw.", show_default="all of them")
     ] = None,
@@ -27,16 +38,14 @@ def show_command(
     import numpy as np
     from rich.table import Table
 
-    from fgrecon.cli.common import console
     from fgrecon.io.catalogue import load_prior
 
-    for path in (out, rrd):
-        if path is not None:
-            check_output(path)
+    check_output(picture)
+    check_output(save)
     loaded = load_prior(prior)
-    screen = console(error=False)
+    screen = terminal.screen()
     for field, value in loaded.describe().items():
-        screen.print(f"{field}: {value}", markup=False)
+        screen.print(f"{field.replace('_', ' ')}: {value}")
     box = ", ".join(f"{x:.2f}" for x in loaded.box_size(np.zeros(loaded.dimension)))
     screen.print(f"length, width, height of the mean: {box} m")
     table = Table(title="Mean keypoints (m: forward, down, left), what the basis leaves unexplained, and the modes")
@@ -49,34 +58,36 @@ def show_command(
         table.add_row(keypoint, *numbers, f"{100 * loaded.offset_sigma[k]:.1f}", *(f"{x:.1f}" for x in moves[:, k]))
     table.add_row("variance", "", "", "", "", *(f"{100 * x:.1f} %" for x in loaded.explained))
     screen.print(table)
-    if out is not None:
+    if picture is not None:
         from fgrecon.viz import save_picture
         from fgrecon.viz.prior_picture import prior_picture
 
-        save_picture(out, prior_picture(loaded, modes))
-        screen.print(f"picture: {out}")
-    if rrd is not None:
+        screen.wrote(save_picture(picture, prior_picture(loaded, modes)))
+    if save is not None:
         from fgrecon.viz.prior_recording import record_prior
 
-        record_prior(rrd, loaded)
-        screen.print(f"recording: {rrd}")
+        record_prior(save, loaded)
+        screen.wrote(save)
 
 
-@app.command("compare")
 def compare_command(
-    first: Annotated[str, typer.Argument(help="Shape prior: a shipped name or an npz file.")],
-    second: Annotated[str, typer.Argument(help="The one to compare it with.")],
+    first: PriorArgument,
+    second: Annotated[
+        str, typer.Argument(metavar="NAME|FILE", help="The one to compare it with.", autocompletion=PRIORS)
+    ],
+    terminal: Quiet,
+    json_out: JsonOption = None,
 ) -> None:
     """Compare two priors over the keypoints that both name, after the best similarity between their means."""
     from rich.table import Table
 
-    from fgrecon.cli.common import console
     from fgrecon.io.catalogue import load_prior
     from fgrecon.training.priors.compare import compare_priors
 
+    check_outputs(json_out)
     a, b = load_prior(first), load_prior(second)
     result = compare_priors(a, b)
-    screen = console(error=False)
+    screen = terminal.screen(json_out)
     table = Table(title=f"Mean of {a.name}, scaled by {result.scale:.3f}, less mean of {b.name} (cm)")
     for heading in ("keypoint", "forward", "down", "left", "distance"):
         table.add_column(heading, justify="left" if heading == "keypoint" else "right")
@@ -92,3 +103,27 @@ def compare_command(
         screen.print(
             f"angles between the subspaces: {angles} degrees; variance that each shares with the other: {shared}"
         )
+    screen.write_json(_document(a.name, b.name, result))
+
+
+def _document(first: str, second: str, result: PriorComparison) -> str:
+    """The comparison as JSON text; lengths in metres, angles in degrees."""
+    content = {
+        "format": "fgrecon.prior_comparison/1",
+        "first": first,
+        "second": second,
+        "scale": result.scale,
+        "rms": result.rms,
+        "percent_of_length": result.percent,
+        "keypoints": {
+            name: {"difference": difference.tolist(), "distance": float(distance)}
+            for name, difference, distance in zip(result.keypoints, result.differences, result.distances, strict=True)
+        },
+        "angles": [float(angle) for angle in result.angles],
+        "shared_variance": [float(share) for share in result.shared_variance],
+    }
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
+
+
+add_command(app, "show", show_command, renamed={"--out": "--picture", "--rrd": "--save"})
+add_command(app, "compare", compare_command)

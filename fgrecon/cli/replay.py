@@ -12,9 +12,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fgrecon.cli.common import check_outputs
+from fgrecon.cli.terminal import Verbosity
+
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from rich.table import Table
 
+    from fgrecon.cli.terminal import Screen
     from fgrecon.viz.replay import Replay
 
 __all__ = ["replay_command"]
@@ -24,8 +28,11 @@ _WEB_PORT = 9090
 
 def replay_command(
     recording: Annotated[Path, typer.Argument(metavar="FILE.rrd", help="Recording, as written by --save.")],
+    terminal: Verbosity,
     summary: Annotated[bool, typer.Option("--summary", help="Print stages, iterations and energies instead.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+    json_out: Annotated[
+        str | None, typer.Option("--json", metavar="FILE", help="Write that summary as JSON instead; - for the output.")
+    ] = None,
     web: Annotated[bool, typer.Option("--web", help="Serve the viewer to a browser instead of a window.")] = False,
     bind: Annotated[str, typer.Option(metavar="ADDRESS", help="Address that the viewer's servers listen on.")] = (
         "127.0.0.1"
@@ -34,22 +41,23 @@ def replay_command(
 ) -> None:
     """Play a recording in rerun's viewer.
 
-    The servers that it starts listen on this machine alone, unless --bind says otherwise.
+    The servers that it starts listen on this machine alone, unless --bind says otherwise. --summary --verbose prints
+    the whole log.
     """
     from fgrecon.viz.replay import read
 
-    if summary or as_json:
-        content = read(recording)
-        if as_json:
-            sys.stdout.write(json.dumps(_document(recording, content), allow_nan=False) + "\n")
-        else:
-            _print(content)
-        return
-    read(recording)  # a file that is none is refused here, in words, and not by the viewer
-    _become(_viewer(recording, bind, port, web=web))
+    check_outputs(json_out)
+    screen = terminal.screen(json_out)
+    content = read(recording)  # a file that is none is refused here, in words, and not by the viewer
+    if summary:
+        _print(content, screen)
+    if json_out is not None:
+        screen.write_json(json.dumps(_document(recording, content), allow_nan=False) + "\n")
+    if not summary and json_out is None:
+        _become(_viewer(recording, bind, port, screen, web=web))
 
 
-def _viewer(recording: Path, bind: str, port: int, *, web: bool) -> list[str]:
+def _viewer(recording: Path, bind: str, port: int, screen: Screen, *, web: bool) -> list[str]:
     """The viewer's command line; tells where to find it in a browser."""
     from urllib.parse import quote
 
@@ -61,7 +69,7 @@ def _viewer(recording: Path, bind: str, port: int, *, web: bool) -> list[str]:
     page = port or free_port(bind)
     host = "127.0.0.1" if bind in ("0.0.0.0", "::") else bind  # noqa: S104 - what a browser here can open
     source = quote(f"rerun+http://{host}:{server}/proxy", safe="")
-    typer.echo(f"Open http://{host}:{page}?url={source} in a browser; end with Ctrl-C.")
+    screen.print(f"Open http://{host}:{page}?url={source} in a browser; end with Ctrl-C.")
     ports = ("--port", str(server), "--web-viewer-port", str(page))
     return viewer_command(*ports, "--serve-web", str(recording), bind=bind)
 
@@ -72,15 +80,12 @@ def _become(command: list[str]) -> None:
     os.execv(command[0], command)  # noqa: S606 - our own command line
 
 
-def _print(content: Replay) -> None:
-    from fgrecon.cli.common import console
-
-    out = console(error=False)
-    out.print(_table(content))
+def _print(content: Replay, screen: Screen) -> None:
+    screen.print(_table(content))
     if len(content.frames) > 1:
-        out.print(f"{len(content.frames)} frames, {min(content.frames)} to {max(content.frames)}.", markup=False)
-    last = content.log[-1]
-    out.print(f"{last.level}: {last.text}", markup=False)
+        screen.print(f"{len(content.frames)} frames, {min(content.frames)} to {max(content.frames)}.")
+    for line in content.log if screen.verbose else content.log[-1:]:
+        screen.print(f"{line.level}: {line.text}")
 
 
 def _table(content: Replay) -> Table:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
@@ -11,25 +12,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from fgrecon.cli.batch import Outcome, Settings
 from fgrecon.cli.deliver import recordings_of
+from fgrecon.cli.terminal import Screen
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.size_prior import SizePrior
+from fgrecon.solve.track import TrackReconstruction
 from fgrecon.viz import Recording, Sight, animate, contact_sheet, picture, save_picture
 
 __all__ = [
     "FORMAT",
+    "details",
     "document",
     "draw",
     "draw_moving",
     "plain_camera",
-    "plain_ground",
-    "plain_size",
+    "plain_settings",
     "print_table",
     "recordings",
 ]
@@ -38,12 +41,16 @@ FORMAT = "fgrecon.reconstructions/1"
 
 _TRUSTED = 0.5  # weight from which a keypoint counts as trusted
 _HEADINGS = ("id", "status", "yaw °", "x, y, z m", "l, w, h m", "trusted", "message")
-_WIDE = 130  # columns of the terminal that leave the message some room
+_CLAUSE = 60  # characters of a message in the table
+_WIDE = 130  # columns of the terminal that leave it that room
 
 
-def print_table(console: Console, outcomes: Sequence[Outcome]) -> None:
-    """One row per vehicle, refused ones included; messages in the last column, or below where there is no room."""
-    wide = console.width >= _WIDE
+def print_table(screen: Screen, outcomes: Sequence[Outcome]) -> None:
+    """One row per vehicle, refused ones included; messages in the last column, or below where there is no room.
+
+    A verbose screen has whole messages below, with energies and times.
+    """
+    wide = screen.console.width >= _WIDE and any(map(_clause, outcomes))
     table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True)
     for heading in _HEADINGS if wide else _HEADINGS[:-1]:
         text = heading in ("id", "status", "message")
@@ -51,16 +58,44 @@ def print_table(console: Console, outcomes: Sequence[Outcome]) -> None:
     for outcome in outcomes:
         cells = _cells(outcome)
         table.add_row(*map(escape, cells if wide else cells[:-1]))
-    console.print(table)
-    if not wide:
-        for outcome in outcomes:
-            console.print(f"{outcome.name}: {_cells(outcome)[-1]}", markup=False)
+    screen.print(table)
+    for outcome in outcomes:
+        if screen.verbose:
+            screen.print(f"{outcome.name}: {_message(outcome)}", *details(outcome.result))
+        elif not wide and (clause := _clause(outcome)):
+            screen.print(f"{outcome.name}: {clause}")
+
+
+def details(result: Reconstruction | TrackReconstruction | None) -> list[str]:
+    """Lines about energies and times of a result."""
+    if result is None:
+        return []
+    energies = ", ".join(f"{term} {energy:.2f}" for term, energy in result.energies.items())
+    times = ", ".join(f"{stage} {ms:.1f}" for stage, ms in result.milliseconds.items())
+    return [f"  energies (nats): {energies}", f"  times (ms): {times}"]
+
+
+def _message(outcome: Outcome) -> str:
+    """The whole message, or why the vehicle was refused."""
+    return str(outcome.error) if outcome.result is None else outcome.result.message
+
+
+def _clause(outcome: Outcome) -> str:
+    """The message in a few words; nothing where there is nothing to tell."""
+    if outcome.result is not None and outcome.result.status is Status.CONVERGED:
+        return ""
+    error = outcome.error
+    if isinstance(error, InvalidInputError):
+        text = f"{error.field}: {error.value}"
+    else:
+        text = re.split(r" \(|[;:] |\.$|\. ", _message(outcome), maxsplit=1)[0]
+    return text if len(text) <= _CLAUSE else f"{text[: _CLAUSE - 1]}…"
 
 
 def _cells(outcome: Outcome) -> tuple[str, ...]:
     result = outcome.result
     if result is None:
-        return (outcome.name, "refused", "", "", "", "", str(outcome.error))
+        return (outcome.name, "refused", "", "", "", "", _clause(outcome))
     measured = np.isfinite(outcome.task.instance.keypoints[:, 0])
     return (
         outcome.name,
@@ -69,37 +104,40 @@ def _cells(outcome: Outcome) -> tuple[str, ...]:
         ", ".join(f"{number:.2f}" for number in result.location),
         ", ".join(f"{number:.2f}" for number in result.box_size),
         f"{np.count_nonzero(result.weights >= _TRUSTED)} of {np.count_nonzero(measured)}",
-        result.message,
+        _clause(outcome),
     )
 
 
 def document(path: Path, outcomes: Sequence[Outcome], settings: Settings) -> str:
     """The JSON text of a run: settings, and result or error of every vehicle."""
-    options = settings.options
     content = {
         "format": FORMAT,
         "fgrecon": metadata.version("fgrecon"),
         "file": str(path),
-        "settings": {
-            "prior": settings.prior.name,
-            "ground": plain_ground(settings.ground),
-            "size_prior": plain_size(settings.size_prior),
-            "strategy": options.strategy.name.value,
-            "box_model": options.box.model.value,
-            "joint": options.shape.joint,
-            "free_offsets": options.shape.free_offsets,
-        },
+        "settings": plain_settings(settings)
+        | {"joint": settings.options.shape.joint, "free_offsets": settings.options.shape.free_offsets},
         "instances": [_entry(outcome) for outcome in outcomes],
     }
     return json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n"
 
 
-def plain_ground(ground: Ground | None) -> dict[str, Any] | None:
+def plain_settings(settings: Settings) -> dict[str, Any]:
+    """What held for all vehicles of a run, for JSON."""
+    return {
+        "prior": settings.prior.name,
+        "ground": _plain_ground(settings.ground),
+        "size_prior": _plain_size(settings.size_prior),
+        "strategy": settings.options.strategy.name.value,
+        "box_model": settings.options.box.model.value,
+    }
+
+
+def _plain_ground(ground: Ground | None) -> dict[str, Any] | None:
     """A ground plane for JSON."""
     return None if ground is None else {"normal": ground.normal.tolist(), "distance": ground.distance}
 
 
-def plain_size(size: SizePrior | None) -> dict[str, Any] | None:
+def _plain_size(size: SizePrior | None) -> dict[str, Any] | None:
     """A size prior for JSON."""
     return None if size is None else {"name": size.name, "mean": size.mean.tolist(), "sigma": size.sigma.tolist()}
 
@@ -132,18 +170,24 @@ def _entry(outcome: Outcome) -> dict[str, Any]:
     return entry | {"error": told, "result": None}
 
 
-def draw(path: Path, outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None) -> None:
-    """Draw the results: one with its stages, several as a sheet; nothing where there is none."""
+def draw(path: Path, outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None) -> list[Path]:
+    """Draw the results: one with its stages, several as a sheet; nothing where there is none.
+
+    Returns:
+        The files written.
+    """
     sights = _sights(outcomes, image)
     if len(sights) == 1:
         only = sights[0]
-        save_picture(path, picture(only.reconstruction, only.observation, only.camera, image=image))
-    elif sights:
-        save_picture(path, contact_sheet(sights))
+        return [save_picture(path, picture(only.reconstruction, only.observation, only.camera, image=image))]
+    return [save_picture(path, contact_sheet(sights))] if sights else []
 
 
-def draw_moving(path: Path, outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None) -> None:
+def draw_moving(path: Path, outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None) -> list[Path]:
     """Animate the optimisation of the only result; nothing where there is none.
+
+    Returns:
+        The files written.
 
     Raises:
         InvalidInputError: There are several.
@@ -154,6 +198,7 @@ def draw_moving(path: Path, outcomes: Sequence[Outcome], image: NDArray[np.uint8
     for outcome in found:
         assert outcome.result is not None
         animate(path, outcome.result, outcome.task.observation, outcome.task.camera, image=image)
+    return [path] * len(found)
 
 
 def recordings(

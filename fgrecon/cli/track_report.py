@@ -16,7 +16,8 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from fgrecon.cli.batch import CameraSource, Settings, Task, read_tasks, run
-from fgrecon.cli.show import plain_camera, plain_ground, plain_size
+from fgrecon.cli.show import details as result_details
+from fgrecon.cli.show import plain_camera, plain_settings
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.track_reconstruction import TrackReconstruction
@@ -27,7 +28,7 @@ from fgrecon.simulation.vehicles import yaw_pose
 from fgrecon.solve.track import reconstruct_track
 from fgrecon.viz import Recording, Sight, TrackSight, Truth, contact_sheet, save_picture, track_recording_of
 
-__all__ = ["FORMAT", "Solved", "document", "draw", "image_numbers", "solve", "table", "truth_of"]
+__all__ = ["FORMAT", "Solved", "details", "document", "draw", "image_numbers", "solve", "table", "truth_of"]
 
 FORMAT = "fgrecon.track/1"
 
@@ -181,19 +182,18 @@ def _errors(results: Sequence[Reconstruction | None], truths: Sequence[Truth | N
     )
 
 
+def details(track: Solved) -> list[str]:
+    """Lines about refused images, energies and times."""
+    refused = [f"  {track.tasks[index].instance.name} refused: {why}" for index, why in track.result.refused.items()]
+    return refused + result_details(track.result)
+
+
 def document(tracks: Sequence[Solved], settings: Settings) -> str:
     """The JSON text of a run; its instances are the images of all tracks, as `fgrecon export` reads them."""
-    options = settings.options
     content = {
         "format": FORMAT,
         "fgrecon": metadata.version("fgrecon"),
-        "settings": {
-            "prior": settings.prior.name,
-            "ground": plain_ground(settings.ground),
-            "size_prior": plain_size(settings.size_prior),
-            "strategy": options.strategy.name.value,
-            "box_model": options.box.model.value,
-        },
+        "settings": plain_settings(settings),
         "tracks": [_entry(track) for track in tracks],
         "instances": [entry for track in tracks for entry in _instances(track)],
     }

@@ -8,7 +8,9 @@ from typing import Annotated
 
 import typer
 
-from fgrecon.cli.common import check_output, console
+from fgrecon.cli.commands import add_command
+from fgrecon.cli.common import check_output
+from fgrecon.cli.terminal import Terminal
 
 __all__ = ["app"]
 
@@ -20,32 +22,37 @@ def _group() -> None:
     """Find cars in images."""
 
 
-@app.command("detect")
 def detect_command(
-    images: Annotated[list[Path], typer.Argument(help="Image files.")],
-    out: Annotated[Path | None, typer.Option(help="File to write.", show_default="the output")] = None,
+    images: Annotated[list[Path], typer.Argument(metavar="IMAGE", help="Image files.")],
+    terminal: Terminal,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="File to write.", show_default="the output")] = None,
 ) -> None:
     """Find cars. The lines, `image class score x1 y1 x2 y2`, are what --boxes of other commands reads (score from 0.5).
 
-    Its boxes enclose the outline: give --box-model surface beside them, where --detect knows.
+    Its boxes enclose the outline: give --box-model surface beside them, where --detect knows. --verbose tells how many
+    cars each image has.
 
     Exit code 1: no car in any image.
     """
-    from fgrecon.io.files import write_text
     from fgrecon.io.images import read_image
     from fgrecon.perception.vehicles import YoloVehicleDetector
 
     check_output(out)
+    screen = terminal.screen(error=out is None)
     detector = YoloVehicleDetector()
-    lines = []
-    for path in images:
+    lines: list[str] = []
+    for path in screen.watch(images, "Images"):
         found = detector(read_image(path))
+        screen.detail(f"{path}: {len(found.boxes)} cars")
         for box, score in zip(found.boxes, found.scores, strict=True):
             lines.append(f"{path.name} 2 {score:.3f} {' '.join(f'{number:.2f}' for number in box)}\n")
     if out is None:
         sys.stdout.write("".join(lines))
     else:
-        write_text(out, "".join(lines))
+        screen.write_text(out, "".join(lines))
     if not lines:
-        console(error=True).print("No car was found.")
+        screen.fail("No car was found.")
         raise typer.Exit(1)
+
+
+add_command(app, "detect", detect_command)

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,7 @@ __all__ = [
     "Estimate",
     "Method",
     "SceneKnowledge",
+    "left_out",
     "named_strategy",
     "select",
 ]
@@ -95,6 +97,7 @@ class Method:
         summary: What it does, in a few words.
         bind: Makes the solver for a scene; slow imports happen here, outside the time that is measured.
         prior_name: Which shapes it fits, for the tables.
+        package: Python package that it needs and that fgrecon does without, or None.
         reconstruct: For recordings: solves as the solver does, but keeps the history and gives the whole result; None
             for a baseline, which has a pose alone.
     """
@@ -104,21 +107,37 @@ class Method:
     bind: Callable[[SceneKnowledge], Solver]
     prior_name: Callable[[SceneKnowledge], str]
     reconstruct: Callable[[SceneKnowledge, Observation, Camera], Reconstruction] | None = None
+    package: str | None = None
+
+    @property
+    def installed(self) -> bool:
+        """Whether everything is installed that it needs."""
+        return self.package is None or find_spec(self.package) is not None
+
+
+def left_out() -> tuple[str, ...]:
+    """Names of the methods that cannot run, since a package of theirs is not installed."""
+    return tuple(name for name, method in METHODS.items() if not method.installed)
 
 
 def select(names: Iterable[str] | None = None) -> tuple[Method, ...]:
-    """The methods of the given names in this order without repetitions, or all of them.
+    """The methods of the given names in this order without repetitions, or all of them that are installed.
 
     Raises:
-        InvalidInputError: There is no method, or no robust strategy, of a name.
+        InvalidInputError: There is no method, or no robust strategy, of a name, or a package of it is not installed.
     """
     chosen: dict[str, Method] = {}
-    for name in METHODS if names is None else names:
+    if names is None:
+        names = [name for name, method in METHODS.items() if method.installed]
+    for name in names:
         method, _, robust = name.partition(":")
         if method not in METHODS or (robust and not method.startswith(_OURS)):
             fix = f"Use one of {', '.join(METHODS)}; after {_OURS}... also a robust strategy, as in {_OURS}:paper."
             raise InvalidInputError("method", name, fix)
         chosen[name] = METHODS[method]
+        if not chosen[name].installed:
+            value = f"{name}: the package {chosen[name].package} is not installed"
+            raise InvalidInputError("method", value, "Run pip install 'fgrecon[baselines]'.")
         if robust:
             known = method.split("+")
             chosen[name] = _fgrecon(name, ground="ground" in known, size="size" in known, robust=named_strategy(robust))
@@ -212,7 +231,7 @@ def _pose(rotation: Any, translation: Any) -> NDArray[np.float64]:
     return camera_T_object
 
 
-def _baseline(name: str, summary: str, load: Callable[[], PnP], *, size: bool) -> Method:
+def _baseline(name: str, summary: str, load: Callable[[], PnP], package: str | None = None, *, size: bool) -> Method:
     def prior(scene: SceneKnowledge) -> ShapePrior:
         return scene.prior.for_fleet(scene.size) if size else scene.prior
 
@@ -229,7 +248,8 @@ def _baseline(name: str, summary: str, load: Callable[[], PnP], *, size: bool) -
 
         return solve
 
-    return Method(f"{name}+size" if size else name, summary, bind, lambda scene: f"mean shape of {prior(scene).name}")
+    told = f"{name}+size" if size else name
+    return Method(told, summary, bind, lambda scene: f"mean shape of {prior(scene).name}", package=package)
 
 
 def _fgrecon(name: str, *, ground: bool, size: bool, robust: RobustStrategy | None = None) -> Method:
@@ -269,16 +289,17 @@ def _fgrecon(name: str, *, ground: bool, size: bool, robust: RobustStrategy | No
     return Method(name, summary, bind, prior_name, partial(result_of, keep_history=True))
 
 
-_BASELINES: tuple[tuple[str, str, Callable[[], PnP]], ...] = (
-    ("epnp", "OpenCV EPnP on all points", _opencv("SOLVEPNP_EPNP", _use_all)),
-    ("sqpnp", "OpenCV SQPnP on all points", _opencv("SOLVEPNP_SQPNP", _use_all)),
+_BASELINES: tuple[tuple[str, str, Callable[[], PnP], str | None], ...] = (
+    ("epnp", "OpenCV EPnP on all points", _opencv("SOLVEPNP_EPNP", _use_all), None),
+    ("sqpnp", "OpenCV SQPnP on all points", _opencv("SOLVEPNP_SQPNP", _use_all), None),
     (
         "sqpnp_confident",
         f"OpenCV SQPnP on points of confidence > {CONFIDENT}",
         _opencv("SOLVEPNP_SQPNP", _use_confident),
+        None,
     ),
-    ("poselib_ransac", "PoseLib LO-RANSAC on all points", _poselib),
-    ("aspnp", "ASPnP on all points, without IRLS", _aspnp),
+    ("poselib_ransac", "PoseLib LO-RANSAC on all points", _poselib, "poselib"),
+    ("aspnp", "ASPnP on all points, without IRLS", _aspnp, None),
 )
 
 METHODS: Mapping[str, Method] = {

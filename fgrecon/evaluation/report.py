@@ -15,10 +15,12 @@ import os
 import platform
 from collections.abc import Mapping, Sequence
 from importlib import metadata
+from itertools import compress
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
@@ -140,13 +142,21 @@ def to_json(content: Mapping[str, Any]) -> str:
     return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def table(scores: Sequence[MethodScores]) -> Table:
-    """The table for the terminal."""
-    result = Table()
-    for heading in _HEADINGS:
-        result.add_column(heading, justify="left" if heading in ("method", "prior") else "right", no_wrap=True)
+def table(scores: Sequence[MethodScores], *, narrow: bool = False) -> Table:
+    """The table for the terminal.
+
+    Args:
+        scores: One entry per method.
+        narrow: Whether it has to fit into 80 columns: without prior and number of failures.
+    """
+    left_out = ("failed", "prior") if narrow else ()
+    shown = [heading not in left_out for heading in _HEADINGS]
+    result = Table(box=SIMPLE_HEAD, show_edge=False, padding=(0, 0)) if narrow else Table()
+    for heading in compress(_HEADINGS, shown):
+        justify: Literal["left", "right"] = "left" if heading in ("method", "prior") else "right"
+        result.add_column(heading, justify=justify, no_wrap=not narrow or heading == "method")
     for entry in scores:
-        result.add_row(*map(escape, _cells(entry)))
+        result.add_row(*map(escape, compress(_cells(entry), shown)))
     return result
 
 

@@ -29,6 +29,7 @@ from fgrecon.solve.vehicle.model import prepare
 from fgrecon.training.keypoints.evaluate import GROUPS, Scored, adjusted, score_marks
 from fgrecon.training.keypoints.marks import read_street_marks
 from fgrecon.training.keypoints.posed_cars import read_posed_cars
+from fgrecon.training.keypoints.progress import Progress, no_progress
 
 __all__ = ["NetworkScores", "adjust_marked", "network_parts", "network_table", "parts_note", "score_network"]
 
@@ -40,7 +41,9 @@ _STAGES = {"pose": "pose", "sequential": "shape", "joint": "joint"}  # stage of 
 _AZIMUTH_STREAM = 2  # apart from the simulated instances'
 
 
-def adjust_marked(scored: Sequence[Scored], data: Path, *, keep_history: bool = False) -> list[Reconstruction | None]:
+def adjust_marked(
+    scored: Sequence[Scored], data: Path, *, keep_history: bool = False, progress: Progress = no_progress
+) -> list[Reconstruction | None]:
     """Pose and shape of marked cars from the network's keypoints; None where they are refused.
 
     Cars on streets have KITTI's ground, fleet and kind of box; photographs their own camera and no more.
@@ -49,6 +52,7 @@ def adjust_marked(scored: Sequence[Scored], data: Path, *, keep_history: bool = 
         scored: Cars as the network found them.
         data: Folder of the data.
         keep_history: Whether to record every iteration.
+        progress: Shows how far it is.
     """
     prior, fleet, plane = load_prior("car14"), size_prior("kitti"), Ground.level(_CAMERA_HEIGHT)
     outline = Options(keep_history=keep_history)
@@ -57,7 +61,7 @@ def adjust_marked(scored: Sequence[Scored], data: Path, *, keep_history: bool = 
     if any(item.mark.group in GROUPS["photographs"] for item in scored):
         posed = {car.image.name: car.matrix for car in read_posed_cars(data / "posed_cars")}
     results: list[Reconstruction | None] = []
-    for item in scored:
+    for item in progress(scored, "Marked cars, adjusted"):
         alone = item.mark.group in GROUPS["photographs"]
         camera = Camera(posed[item.mark.name]) if alone else _street_camera(item, data)
         given = {"options": outline} if alone else street

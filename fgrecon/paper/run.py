@@ -2,32 +2,25 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
-from itertools import islice
-from multiprocessing import get_context
+from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from fgrecon.core.robust import StrategyName
-from fgrecon.evaluation import report
 from fgrecon.evaluation.kitti_devkit import evaluate
 from fgrecon.evaluation.kitti_overlap import Space
 from fgrecon.evaluation.methods import METHODS, SceneKnowledge, select
-from fgrecon.evaluation.run import MethodScores, score_tracks
 from fgrecon.io.kitti_files import Objects, count_defects, write_results
 from fgrecon.io.track_file import Track, read_track
 from fgrecon.paper.apollocar3d import CONSISTENT, FEWEST_MARKS, MarkedCars, read_apollocar3d
 from fgrecon.paper.claims import claims
 from fgrecon.paper.hand_labels import read_hand_labels
 from fgrecon.paper.keypoint_noise_fit import Residuals, read_vehicle, residuals
-from fgrecon.paper.known_shape import BASIS, KNOWN_SHAPE_OPTIONS, score_known_shapes
-from fgrecon.paper.network import NetworkScores, network_parts, network_table, parts_note, score_network
+from fgrecon.paper.known_shape import BASIS, KNOWN_SHAPE_OPTIONS, KnownShapeScores, score_known_shapes
+from fgrecon.paper.network import NetworkScores, network_parts, network_table, parts_note
+from fgrecon.paper.parts import KNOWN_SHAPE, delete_parts
 from fgrecon.paper.plots import (
     aop_plot,
     error_curves,
@@ -37,17 +30,17 @@ from fgrecon.paper.plots import (
     per_part_table,
     simulated_parts,
 )
-from fgrecon.paper.simulated import Fleet, SimulatedInstance, simulate_frame
+from fgrecon.paper.simulated import Fleet
 from fgrecon.paper.simulated_run import (
     CONDITIONS,
     ConditionResult,
     Validation,
     read_validation,
     run_conditions,
-    single_threaded,
     vehicles_of,
 )
-from fgrecon.paper.simulated_scores import Scores, row_solvers
+from fgrecon.paper.simulated_scores import Scores
+from fgrecon.paper.single_process import Measured, measure, some_instances
 from fgrecon.paper.tables import (
     Table,
     aop_table,
@@ -57,15 +50,13 @@ from fgrecon.paper.tables import (
     ms_table,
     stage_table,
 )
-from fgrecon.training.priors.apollo79 import load_apollo79
+from fgrecon.training.priors.apollo79 import Apollo79, load_apollo79
 
 __all__ = ["EvaluationSettings", "Page", "evaluate_paper"]
 
-_TIMED = 40
-_REAL_TRACKS = ("real_tracks", "Real tracks: network keypoints on KITTI tracking")
-_REAL_IMAGES = ("real_images", "Real images: keypoints marked by hand on KITTI cars")
-_NETWORK_IMAGES = ("network_images", "Real images: own network's keypoints on the same cars")
 _TRACK_FORMAT = "kitti_tracking_keypoints14"
+_SIMULATED_PARTS = "APK of each part on Hard (simulated)"
+_NETWORK_PARTS = "APK of each part on Hard (real images, own network)"
 _PARTS_NOTE = (
     "Percent of the detected Hard cars whose keypoint projects within 0.1 of the box's longer side of the truth."
 )
@@ -83,6 +74,7 @@ class EvaluationSettings:
         workers: Number of processes.
         every: Take every so many-th part of the simulated set; 1 for all.
         seed: Seed of everything random.
+        fresh: Work on everything again: stored parts are deleted once the data are read.
     """
 
     data: Path
@@ -91,6 +83,7 @@ class EvaluationSettings:
     workers: int
     every: int
     seed: int
+    fresh: bool = False
 
 
 @dataclass(frozen=True)
@@ -118,6 +111,30 @@ class Page:
     throughput: Mapping[str, float]
 
 
+@dataclass(frozen=True)
+class _Inputs:
+    """The data, read and checked."""
+
+    models: Apollo79
+    cars: MarkedCars
+    tracks: Sequence[Track]
+    images: Sequence[Track]
+    validation: Validation
+
+    @classmethod
+    def read(cls, settings: EvaluationSettings) -> _Inputs:
+        data, category = settings.data, settings.scene.prior.category
+        models = load_apollo79(data)
+        marks = data / "hand_labels" / "kitti_object_keypoints14.json"
+        return cls(
+            models=models,
+            cars=read_apollocar3d(data / "apollocar3d_val" / "annotations.json", models),
+            tracks=[read_track(path, category) for path in sorted((data / _TRACK_FORMAT).glob("*.json"))],
+            images=read_hand_labels(marks, data / "kitti_object", category),
+            validation=read_validation(data / "kitti_object"),
+        )
+
+
 def evaluate_paper(settings: EvaluationSettings, advance: Callable[[str, int, int], None] = lambda *_: None) -> Page:
     """Run everything.
 
@@ -126,53 +143,61 @@ def evaluate_paper(settings: EvaluationSettings, advance: Callable[[str, int, in
         advance: Told the step, how much of it is done, and how much there is.
 
     Raises:
-        InvalidInputError: Something of the data is missing or cannot be used.
+        InvalidInputError: Something of the data is missing or cannot be used, or the package of a baseline is not
+            installed. Nothing is deleted then.
     """
-    data, scene = settings.data, settings.scene
-    models = load_apollo79(data)
-    cars = read_apollocar3d(data / "apollocar3d_val" / "annotations.json", models)
-    category = scene.prior.category
-    tracks = [read_track(path, category) for path in sorted((data / _TRACK_FORMAT).glob("*.json"))]
-    images = read_hand_labels(data / "hand_labels" / "kitti_object_keypoints14.json", data / "kitti_object", category)
-    validation = read_validation(data / "kitti_object")
-
+    select(METHODS)
+    inputs = _Inputs.read(settings)
+    parts = settings.out / "parts"
+    if settings.fresh:
+        delete_parts(parts)
     outcomes = run_conditions(
-        validation,
+        inputs.validation,
         CONDITIONS,
-        scene,
-        models,
-        settings.out / "parts",
+        settings.scene,
+        inputs.models,
+        parts,
         seed=settings.seed,
         workers=settings.workers,
         every=settings.every,
         advance=advance,
     )
     known = score_known_shapes(
-        cars,
-        models,
-        folder=settings.out / "parts" / "known_shape",
+        inputs.cars,
+        inputs.models,
+        folder=parts / KNOWN_SHAPE,
         workers=settings.workers,
         advance=lambda done, total: advance("known shape", done, total),
     )
-    instances = _some_instances(validation, Fleet(vehicles_of(models), models.size, seed=settings.seed))
-    # In a process of its own with one thread: times would otherwise depend on what the linear algebra does in parallel.
-    with single_threaded(), ProcessPoolExecutor(1, get_context("spawn")) as alone:
-        by_hand = [alone.submit(_real_table, *_REAL_TRACKS, tracks, scene)]
-        by_hand += [alone.submit(_real_table, *_REAL_IMAGES, images, scene)]
-        timed = alone.submit(_times, instances, scene, settings.seed)
-        real = []
-        for done, future in enumerate(by_hand):
-            advance("real keypoints, run times", done, 5)
-            real.append(future.result())
-        times, load = timed.result(), os.getloadavg()[0]
-        advance("real keypoints, run times", 3, 5)
-        network = alone.submit(score_network, data, settings.seed).result()
-        advance("real keypoints, run times", 4, 5)
-        real.append(alone.submit(_real_table, *_NETWORK_IMAGES, _observed(images, network), scene).result())
-        advance("real keypoints, run times", 5, 5)
+    fleet = Fleet(vehicles_of(inputs.models), inputs.models.size, seed=settings.seed)
+    instances = some_instances(inputs.validation, fleet)
+    seen = measure(inputs.tracks, inputs.images, instances, settings.data, settings.scene, settings.seed, advance)
+    main, chain = outcomes["validation"], outcomes["chain"]
+    solved, seconds = sum(o.solved for o in outcomes.values()), sum(o.seconds for o in outcomes.values())
+    tables = _tables(inputs, settings, outcomes, known, seen)
+    return Page(
+        conditions=_conditions(settings, outcomes, inputs.validation),
+        claims=claims(main.scores, main.condition.rows, chain.scores, chain.condition.rows),
+        tables=tables,
+        plots=_plots(settings, main, known, seen.network, tables[0]),
+        problems=count_defects(inputs.validation.problems),
+        defects=tuple(map(str, inputs.validation.problems)),
+        failures=(*(f for o in outcomes.values() for f in o.scores.failures.tolist()), *known.failures),
+        throughput={"instances": solved, "seconds": seconds, "per_second": solved / max(seconds, 1e-9)},
+    )
 
+
+def _tables(
+    inputs: _Inputs,
+    settings: EvaluationSettings,
+    outcomes: Mapping[str, ConditionResult],
+    known: KnownShapeScores,
+    seen: Measured,
+) -> tuple[Table, ...]:
+    """Every table, Table I first."""
     main, rows = outcomes["validation"].scores, outcomes["validation"].condition.rows
     chain, chain_rows = outcomes["chain"].scores, outcomes["chain"].condition.rows
+    category = settings.scene.prior.category
     counted = main.regimes.sum(axis=0).tolist()
     found = (main.regimes & (main.detection >= 0)[:, None]).sum(axis=0).tolist()
     note = (
@@ -181,54 +206,39 @@ def evaluate_paper(settings: EvaluationSettings, advance: Callable[[str, int, in
         "half the 95 % bootstrap interval over images. Every row is told the fleet's mean size; the initialisation "
         "and fgrecon's stages are told the ground plane as well."
     )
-    table_1 = aop_table("table_1", "Table I: orientation precision (simulated keypoints)", main, rows, note)
     title_3 = "Table III: orientation error (simulated keypoints)"
-    table_3 = mae_table("table_3", title_3, main, rows, f"Over the {found[0]} / {found[1]} / {found[2]} detected cars.")
-    whole, parts = known_shape_tables(known, _known_note(cars))
-    simulated, on_images = simulated_parts(main, rows), network_parts(network)
-    parts_title = "APK of each part on Hard (real images, own network)"
-    tables = (
-        table_1,
+    detected = f"Over the {found[0]} / {found[1]} / {found[2]} detected cars."
+    on_images = network_parts(seen.network)
+    return (
+        aop_table("table_1", "Table I: orientation precision (simulated keypoints)", main, rows, note),
         stage_table(main, rows),
-        table_3,
-        ms_table(times, load),
-        per_part_table("per_part", "APK of each part on Hard (simulated)", _PARTS_NOTE, simulated, category),
-        network_table(network),
-        per_part_table("per_part_real", parts_title, parts_note(network), on_images, category),
+        mae_table("table_3", title_3, main, rows, detected),
+        ms_table(seen.times, seen.load),
+        per_part_table("per_part", _SIMULATED_PARTS, _PARTS_NOTE, simulated_parts(main, rows), category),
+        network_table(seen.network),
+        per_part_table("per_part_real", _NETWORK_PARTS, parts_note(seen.network), on_images, category),
         decoupling_table(main, rows, chain, chain_rows),
         *_variants(outcomes),
-        _kitti_table(validation, main, rows, settings.out),
-        whole,
-        parts,
-        *real,
+        _kitti_table(inputs.validation, main, rows, settings.out),
+        *known_shape_tables(known, _known_note(inputs.cars)),
+        *seen.real,
     )
-    plots = {
+
+
+def _plots(
+    settings: EvaluationSettings, main: ConditionResult, known: KnownShapeScores, network: NetworkScores, table_1: Table
+) -> dict[str, str]:
+    """SVG elements by caption."""
+    scores, rows, category = main.scores, main.condition.rows, settings.scene.prior.category
+    residuals = _network(settings.data, settings.scene)
+    return {
         "Hard cars within 5 degrees; grey: the paper's printed figures": aop_plot(table_1),
-        "Orientation error on Hard (simulated)": error_curves(main, rows, (*_SHOWN, "fgrecon+size", "joint")),
-        "APK of each part on Hard (simulated)": per_part_plot(simulated, category),
-        parts_title: per_part_plot(on_images, category),
+        "Orientation error on Hard (simulated)": error_curves(scores, rows, (*_SHOWN, "fgrecon+size", "joint")),
+        _SIMULATED_PARTS: per_part_plot(simulated_parts(scores, rows), category),
+        _NETWORK_PARTS: per_part_plot(network_parts(network), category),
         "Errors on real cars of known shape": known_shape_plot(known),
-        "Keypoints of the real network (solid) and simulated ones (dashed)": noise_plot(_network(data, scene), main),
+        "Keypoints of the real network (solid) and simulated ones (dashed)": noise_plot(residuals, scores),
     }
-    solved, seconds = sum(o.solved for o in outcomes.values()), sum(o.seconds for o in outcomes.values())
-    return Page(
-        conditions=_conditions(settings, outcomes, validation),
-        claims=claims(main, rows, chain, chain_rows),
-        tables=tables,
-        plots=plots,
-        problems=count_defects(validation.problems),
-        defects=tuple(map(str, validation.problems)),
-        failures=(*(f for o in outcomes.values() for f in o.scores.failures.tolist()), *known.failures),
-        throughput={"instances": solved, "seconds": seconds, "per_second": solved / max(seconds, 1e-9)},
-    )
-
-
-def _observed(tracks: Sequence[Track], network: NetworkScores) -> list[Track]:
-    """The tracks of one frame with what the network found in the place of the marks."""
-    return [
-        replace(track, frames=(replace(track.frames[0], observation=network.observations[track.name]),))
-        for track in tracks
-    ]
 
 
 def _network(data: Path, scene: SceneKnowledge) -> list[Residuals]:
@@ -305,49 +315,6 @@ def _variants(outcomes: Mapping[str, ConditionResult]) -> tuple[Table, Table, Ta
             printed=False,
         ),
     )
-
-
-def _real_table(key: str, title: str, tracks: Sequence[Track], scene: SceneKnowledge) -> Table:
-    strategies = [f"fgrecon+ground+size:{name.value}" for name in StrategyName if name is not StrategyName.MIXTURE]
-    scores = score_tracks(tracks, select([*METHODS, *strategies]), scene)
-    lines = tuple((entry.name, _real_cells(entry)) for entry in scores)
-    columns = ("mean °", "median °", "AOP 5° %", "AOP 15° %", "AOP 30° %", "median m", "failed", "ms")
-    note = f"{len(scores[0].frames)} instances; a failure counts as 180 degrees. Names say what a method was told."
-    return Table(key, title, note, columns, lines, decimals=2)
-
-
-def _real_cells(entry: MethodScores) -> tuple[float | None, ...]:
-    summary = report.summary(entry)
-    ms = sum(value for value in summary["ms"].values() if value is not None)
-    aop = tuple(summary["aop"].values())
-    return (summary["mae_deg"], summary["median_deg"], *aop, summary["median_translation_m"], len(entry.failures), ms)
-
-
-def _some_instances(validation: Validation, fleet: Fleet) -> list[SimulatedInstance]:
-    seen = (i for frame in validation.frames for i in simulate_frame(frame, fleet) if i.observation is not None)
-    return list(islice(seen, _TIMED))
-
-
-def _times(instances: Sequence[SimulatedInstance], scene: SceneKnowledge, seed: int) -> dict[str, list[float]]:
-    """Milliseconds of each stage, one instance after the other in this process."""
-    names = {"aspnp+size": "ASPnP", "aspnp_irls+size": "ASPnP + IRLS", "poselib_ransac+size": "PoseLib RANSAC"}
-    times: dict[str, list[float]] = {}
-    for row, name in names.items():
-        (solver,) = row_solvers((row,), scene, seed)
-        solver(instances[0])
-        times[name] = []
-        for instance in instances:
-            started = perf_counter()
-            solver(instance)
-            times[name].append(1e3 * (perf_counter() - started))
-    ours = select(["fgrecon+ground+size"])[0].bind(scene)
-    stages: dict[str, list[float]] = {"pose": [], "shape": []}
-    for done, instance in enumerate([instances[0], *instances]):
-        assert instance.observation is not None
-        for stage, ms in ours(instance.observation, instance.camera).milliseconds.items():
-            if done:
-                stages[stage].append(ms)
-    return {**times, "fgrecon, pose stage": stages["pose"], "fgrecon, shape stages": stages["shape"]}
 
 
 def _kitti_table(validation: Validation, scores: Scores, rows: Sequence[str], out: Path) -> Table:

@@ -20,7 +20,7 @@ def run(*arguments):
 def demo(tmp_path_factory):
     """Folder and output of one run."""
     folder = tmp_path_factory.mktemp("demo") / "out"
-    return folder, run("demo", "--out", folder, "--json")
+    return folder, run("demo", "--out", folder, "--json", "-")
 
 
 def test_the_result_is_close_to_the_truth(demo):
@@ -69,7 +69,7 @@ def test_what_went_in_can_be_reconstructed_again(demo):
 
 
 def test_another_seed_is_another_scene(demo, tmp_path):
-    done = run("demo", "--out", tmp_path, "--seed", 1, "--json")
+    done = run("demo", "--out", tmp_path, "--seed", 1, "--json", "-")
     assert json.loads(done.stdout)["truth"] != json.loads((demo[0] / "result.json").read_text())["truth"]
 
 

@@ -172,3 +172,16 @@ def test_kitti_with_detected_boxes_from_an_overlap_on(street, weights):
         out = street / f"{overlap}.json"
         kitti(street, weights, "--boxes", boxes, "--overlap", overlap, "--json", out)
         assert [car["failure"] for car in json.loads(out.read_text())["cars"]] == [failure]
+
+
+def test_kitti_is_looked_for_in_the_data_folder(street, weights, monkeypatch):
+    training = street / "data" / "kitti_object" / "training"
+    training.mkdir(parents=True)
+    for name in ("image_2", "label_2", "calib"):
+        (street / name).rename(training / name)
+    monkeypatch.setenv("FGRECON_DATA", str(street / "data"))
+    done = run("evaluate", "kitti", "--weights", weights, "--verbose")
+    assert done.exit_code == 0, done.output
+    assert "000001/1: " in done.stdout
+    moved = (training / "label_2").rename(street / "labels")
+    assert run("evaluate", "kitti", "--weights", weights, "--labels", moved, "-q").output == ""

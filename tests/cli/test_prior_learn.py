@@ -89,7 +89,7 @@ def test_a_category_that_is_no_car_needs_a_size(folder):
 def test_show_draws_and_records(folder):
     out, rrd = folder / "chair.png", folder / "chair.rrd"
     result = RUN.invoke(
-        app, ["show", str(folder / "chair.npz"), "--out", str(out), "--rrd", str(rrd)], catch_exceptions=False
+        app, ["show", str(folder / "chair.npz"), "--picture", str(out), "--save", str(rrd)], catch_exceptions=False
     )
     assert result.exit_code == 0
     assert "left_front_foot" in result.output

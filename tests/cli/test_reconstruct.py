@@ -239,6 +239,36 @@ def test_a_solver_that_fails_on_all_gives_exit_code_1(write, instance, monkeypat
     done = run(write(instance), INTRINSICS)
     assert done.exit_code == 1
     assert "made to fail" in done.stdout
+    quiet = run(write(instance), INTRINSICS, "--quiet")
+    assert quiet.exit_code == 1
+    assert quiet.output == "fgrecon: No vehicle could be reconstructed.\n"
+
+
+def test_the_table_has_a_few_words_and_verbose_has_all_of_them(write, monkeypatch):
+    long = "The solver was stopped early: " + "near a minimum, " * 9
+    degenerate = {"status": Status.DEGENERATE, "message": long}
+    monkeypatch.setattr(batch, "reconstruct", lambda *a, **k: replace(pipeline.reconstruct(*a, **k), **degenerate))
+    file = write([car() | {"id": "a"}, car() | {"id": "b", "box": [5, 5, 5, 9]}])
+    shown = run(file, INTRINSICS)
+    assert shown.exit_code == 0, shown.output
+    assert re.search(r"^a +degenerate .* The solver was stopped early *$", shown.stdout, re.MULTILINE)
+    assert re.search(r"^b +refused .*box: ", shown.stdout, re.MULTILINE)
+    assert max(map(len, shown.stdout.splitlines())) < 160
+    told = run(file, INTRINSICS, "-v")
+    assert f"a: {long}" in told.stdout
+    assert "energies (nats): reprojection" in told.stdout
+    assert "times (ms): pose" in told.stdout
+    assert "b: box: got" in told.stdout
+    documents = results(run(file, INTRINSICS, "--json", "-").stdout)
+    assert documents["a"]["result"]["message"] == long
+
+
+def test_every_file_is_said(write, tmp_path):
+    image = write_png(tmp_path / "i.png", np.zeros((375, 1242, 3), np.uint8))
+    names = {"--json": "r.json", "--picture": "p.png", "--save": "s.rrd"}
+    told = [part for option, name in names.items() for part in (option, tmp_path / name)]
+    done = run(write(car()), INTRINSICS, "--image", image, *told)
+    assert done.stdout.splitlines()[-3:] == [f"Wrote {tmp_path / name}." for name in names.values()]
 
 
 @pytest.mark.parametrize(

@@ -50,7 +50,7 @@ def test_results_of_a_track_are_exported(write, drive, tmp_path):
     assert [item.name for item in read_results(out)] == ["image:5", "image:7", "image:9"]
     done = run("export", out, tmp_path / "cars.csv")
     assert done.exit_code == 0
-    assert done.stdout.startswith("3 vehicles to ")
+    assert done.stdout.startswith("3 vehicles.\nWrote ")
     assert len((tmp_path / "cars.csv").read_text().splitlines()) == 4
 
 

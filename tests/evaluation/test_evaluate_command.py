@@ -1,16 +1,26 @@
 """`fgrecon evaluate tracks` from the outside: output, files, exit codes."""
 
+import io
 import json
 import subprocess
 import sys
 
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner
 
 from fgrecon.cli import main
+from fgrecon.core.camera import Ground
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.size_prior import SIZE_PRIORS
+from fgrecon.evaluation import methods, report
+from fgrecon.evaluation.methods import Scene, select
+from fgrecon.evaluation.run import score_tracks
+from fgrecon.io.catalogue import load_prior
+from fgrecon.io.track_file import read_track
 from fgrecon.viz import replay
 
+SCENE = Scene(load_prior("car14"), Ground.level(1.65), SIZE_PRIORS["kitti"])
 FAST = ["--method", "sqpnp", "--method", "sqpnp_confident+size"]
 
 
@@ -47,6 +57,28 @@ def test_json_on_the_output_stands_alone(track):
     assert settings["ground"]["distance_m"] == 1.5
     assert settings["size_prior"]["mean_m"] == [4.2, 1.7, 1.5]
     assert "sqpnp_confident+size" in result.stderr
+
+
+def test_what_is_not_installed_is_left_out_with_a_line(track, monkeypatch):
+    monkeypatch.setattr(methods, "find_spec", lambda package: None)
+    result = run(track)
+    assert result.exit_code == 0, result.output
+    assert "poselib_ransac, poselib_ransac+size. Run: pip install 'fgrecon[baselines]'" in result.stdout
+    assert "│ poselib" not in result.stdout
+    named = run(track, "--method", "poselib_ransac")
+    assert isinstance(named.exception, InvalidInputError)
+    assert "fgrecon[baselines]" in named.exception.fix
+
+
+def test_the_table_fits_a_narrow_terminal(track):
+    scores = score_tracks([read_track(track, load_prior("car14").category)], select(FAST[1::2]), SCENE)
+    console = Console(width=80, file=io.StringIO())
+    console.print(report.table(scores, narrow=True))
+    text = console.file.getvalue()
+    assert max(map(len, text.splitlines())) <= 80
+    assert "sqpnp_confident+size" in text
+    assert "…" not in text
+    assert text.count("100.0") == 6
 
 
 def test_a_plane_may_be_given(track):

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import typer
 
+from fgrecon.cli.commands import add_command
 from fgrecon.cli.paper.icra2017 import icra2017_command
 from fgrecon.cli.paper.paper import paper_command
 from fgrecon.cli.paper.shape import shape_command
@@ -16,6 +17,6 @@ __all__ = ["register"]
 def register(groups: Mapping[str, typer.Typer]) -> None:
     """Add the commands to the groups of `fgrecon`, by name."""
     evaluate = groups["evaluate"]
-    evaluate.command("icra2017")(icra2017_command)
-    evaluate.command("paper")(paper_command)
-    evaluate.command("shape")(shape_command)
+    add_command(evaluate, "icra2017", icra2017_command)
+    add_command(evaluate, "paper", paper_command)
+    add_command(evaluate, "shape", shape_command)

@@ -8,18 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fgrecon.cli.common import JsonOption, check_outputs, console, write_json
-from fgrecon.cli.deliver import (
-    ConnectOption,
-    SaveOption,
-    SpawnOption,
-    check_delivery,
-    deliver,
-    recordings_of,
-    wants_recording,
-)
+from fgrecon.cli.common import check_outputs
+from fgrecon.cli.deliver import Delivery, recordings_of
+from fgrecon.cli.options import DATA, DataOption, JsonOption
+from fgrecon.cli.terminal import Terminal
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
+    from rich.table import Table
+
     from fgrecon.paper.icra2017 import Icra2017Result
     from fgrecon.viz import Sight
 
@@ -32,35 +28,53 @@ _RELEASE_MS = {"pose": 0.33, "shape": 11.7}
 
 
 def icra2017_command(
-    folder: Annotated[Path, typer.Argument(help="Folder of the release: meanShape.txt, basisVectors.txt, examples/.")],
+    delivery: Delivery,
+    terminal: Terminal,
+    folder: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="FOLDER",
+            help="Folder of the release: meanShape.txt, basisVectors.txt, examples/.",
+            show_default="DATA/icra2017",
+        ),
+    ] = None,
+    data: DataOption = DATA,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for pictures, made where it does not exist: over the photographs and without them."),
+        typer.Option(
+            metavar="FOLDER",
+            help="For pictures, made where it does not exist: over the photographs and without them.",
+        ),
     ] = None,
-    save: SaveOption = None,
-    connect: ConnectOption = None,
-    spawn: SpawnOption = False,
     json_out: JsonOption = None,
     runs: Annotated[int, typer.Option(min=1, help="How often to time each image.")] = 5,
 ) -> None:
-    """Reconstruct both cars with the release's 36-point prior and compare with KITTI's labels."""
-    from fgrecon.paper.icra2017 import evaluate_icra2017
+    """Reconstruct both cars with the release's 36-point prior and compare with KITTI's labels.
+
+    --verbose tells energies and times.
+    """
+    from fgrecon.cli.show import details
+    from fgrecon.paper.icra2017 import EXAMPLES, GROUND, evaluate_icra2017
 
     check_outputs(json_out)
-    check_delivery(save, connect)
-    results = evaluate_icra2017(folder, runs=runs)
-    text = json.dumps(_document(results), indent=2, allow_nan=False) + "\n"
-    _print(results, error=json_out == "-")
-    write_json(json_out, text)
+    delivery.check()
+    screen = terminal.screen(json_out)
+    release = folder or data / "icra2017"
+    results = [
+        result
+        for name in screen.watch(EXAMPLES, "Images")
+        for result in evaluate_icra2017(release, runs=runs, names=[name])
+    ]
+    screen.print(_table(results))
+    for result in results:
+        screen.detail(f"{result.name}: {result.reconstruction.message}", *details(result.reconstruction))
+    screen.write_json(json.dumps(_document(results), indent=2, allow_nan=False) + "\n")
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-        for path in _draw(results, out):
-            typer.echo(str(path), err=json_out == "-")
-    if wants_recording(save, connect, spawn=spawn):
-        from fgrecon.paper.icra2017 import GROUND
-
+        screen.wrote(*_draw(results, out))
+    if delivery.wanted:
         sights = [_sight(result, result.name, photograph=True) for result in results]
-        deliver(recordings_of(sights, GROUND), save, connect, spawn=spawn, several=True)
+        delivery.deliver(recordings_of(sights, GROUND), screen, several=True)
 
 
 def _document(results: list[Icra2017Result]) -> dict[str, Any]:
@@ -88,7 +102,7 @@ def _document(results: list[Icra2017Result]) -> dict[str, Any]:
     }
 
 
-def _print(results: list[Icra2017Result], *, error: bool) -> None:
+def _table(results: list[Icra2017Result]) -> Table:
     from rich.table import Table
 
     table = Table(title="The authors' two images (36 points, 42 basis vectors)")
@@ -100,7 +114,7 @@ def _print(results: list[Icra2017Result], *, error: bool) -> None:
         times = (f"{result.milliseconds[stage]:.1f}" for stage in ("pose", "shape"))
         status = result.reconstruction.status.value
         table.add_row(result.name, *(f"{number:.2f}" for number in errors), *times, status)
-    console(error=error).print(table)
+    return table
 
 
 def _sight(result: Icra2017Result, title: str, *, photograph: bool) -> Sight:

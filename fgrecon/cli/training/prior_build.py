@@ -7,8 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fgrecon.cli.common import check_output
+from fgrecon.cli.options import DATA, DataOption
+from fgrecon.cli.terminal import Terminal
+
 if TYPE_CHECKING:  # the command line must start fast: what a command needs is imported when it runs
-    from rich.console import Console
+    from rich.table import Table
 
     from fgrecon.training.priors.apollo79 import LeaveOneOut
 
@@ -18,14 +22,13 @@ _COUNTS = (0, 1, 2, 3, 5, 8, 10)
 
 
 def build_command(
-    out: Annotated[Path, typer.Argument(help="The npz file to write.")] = Path("car14.npz"),
-    data: Annotated[
-        Path,
-        typer.Option(envvar="FGRECON_DATA", help="Folder with apollo79/apollo79_car14.npz, or that file."),
-    ] = Path("../shared/data"),
+    terminal: Terminal,
+    old_out: Annotated[Path | None, typer.Argument(hidden=True)] = None,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The npz file to write.")] = Path("car14.npz"),
+    data: DataOption = DATA,
     basis: Annotated[int, typer.Option(min=1, help="Number of basis vectors.")] = 5,
     exclude: Annotated[
-        list[str] | None, typer.Option(help="Name of a model to leave out; give it again for more.")
+        list[str] | None, typer.Option(metavar="NAME", help="Name of a model to leave out; give it again for more.")
     ] = None,
     leave_one_out: Annotated[
         bool, typer.Option("--leave-one-out", help="Hold out each model in turn and print how well it is expressed.")
@@ -33,25 +36,30 @@ def build_command(
 ) -> None:
     """Make the default prior of 14 keypoints and a surface from the 79 car models of ApolloCar3D.
 
-    Without options it makes the shipped file again, bit for bit.
+    Without options it makes the shipped file again, bit for bit. --verbose tells all that is known about it.
     """
-    from rich.console import Console
-
     from fgrecon.io.catalogue import save_prior
     from fgrecon.training.priors import apollo79
 
+    screen = terminal.screen()
+    if old_out is not None:
+        screen.warn(f"say --out {old_out}; the file without --out goes with the next release.")
+        out = old_out
+    check_output(out)
     models = apollo79.load_apollo79(data)
     prior = apollo79.rounded(apollo79.apollo79_prior(models, basis, exclude or ()))
-    save_prior(prior, out)
-    console = Console(highlight=False, soft_wrap=True)
+    screen.print(f"{prior.name}: {prior.provenance['source']}")
+    screen.detail(*(f"{field}: {value}" for field, value in prior.provenance.items() if field != "source"))
     share = ", ".join(f"{100 * part:.1f}" for part in prior.explained)
-    console.print(f"{out}: {prior.provenance['source']}")
-    console.print(f"variance explained: {share} %, together {100 * prior.explained.sum():.1f} %")
+    screen.print(f"variance explained: {share} %, together {100 * prior.explained.sum():.1f} %")
     if leave_one_out:
-        _print_leave_one_out(console, apollo79.leave_one_out(models, _COUNTS))
+        with screen.bar() as advance:
+            rows = apollo79.leave_one_out(models, _COUNTS, lambda done, total: advance("Models held out", done, total))
+        screen.print(_leave_one_out_table(rows))
+    screen.wrote(save_prior(prior, out))
 
 
-def _print_leave_one_out(console: Console, results: list[LeaveOneOut]) -> None:
+def _leave_one_out_table(results: list[LeaveOneOut]) -> Table:
     from rich.table import Table
 
     table = Table(title="Cars held out one by one, expressed by the others' first vectors")
@@ -60,4 +68,4 @@ def _print_leave_one_out(console: Console, results: list[LeaveOneOut]) -> None:
     for row in results:
         lengths = (row.keypoint_rms, row.keypoint_median, row.vertex_rms)
         table.add_row(str(row.basis), f"{100 * row.explained:.1f}", *(f"{100 * length:.1f}" for length in lengths))
-    console.print(table)
+    return table

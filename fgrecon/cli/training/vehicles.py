@@ -7,18 +7,20 @@ from typing import Annotated
 
 import typer
 
-from fgrecon.cli.common import check_output, console
+from fgrecon.cli.common import check_output
+from fgrecon.cli.terminal import Quiet
 
 __all__ = ["convert_command"]
 
 
 def convert_command(
-    cfg: Annotated[Path, typer.Option(help="yolov4-tiny.cfg of Darknet.")],
-    weights: Annotated[Path, typer.Option(help="yolov4-tiny.weights of Darknet.")],
-    out: Annotated[Path, typer.Option(help="ONNX file to write.")],
+    cfg: Annotated[Path, typer.Option(metavar="FILE", help="yolov4-tiny.cfg of Darknet.")],
+    weights: Annotated[Path, typer.Option(metavar="FILE", help="yolov4-tiny.weights of Darknet.")],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="ONNX file to write.")],
+    terminal: Quiet,
 ) -> None:
-    """Make the detector's file from Darknet's two. Needs the package `onnx`."""
+    r"""Make the detector's file from Darknet's two. Needs the packages of fgrecon\[training]."""
     from fgrecon.training.keypoints.darknet import convert
 
     check_output(out)
-    console(error=False).print(f"Wrote {convert(cfg, weights, out)}.", markup=False)
+    terminal.screen().wrote(convert(cfg, weights, out))

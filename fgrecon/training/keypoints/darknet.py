@@ -70,7 +70,7 @@ def convert(cfg: Path, weights: Path, out: Path) -> Path:
         import onnx
         from onnx import helper
     except ImportError as error:
-        raise InvalidInputError("onnx", "not installed", "Run `pip install onnx`.") from error
+        raise InvalidInputError("onnx", "not installed", "Run pip install 'fgrecon[training]'.") from error
     layers = read_layers(cfg)
     if not layers or layers[0][0] not in ("net", "network"):
         raise InvalidInputError("cfg", str(cfg), _FIX)

@@ -16,6 +16,7 @@ from fgrecon.perception.keypoints.detect import REACH, Detection, KeypointCascad
 from fgrecon.training.keypoints.calibrate import Reliability, reliability
 from fgrecon.training.keypoints.marks import Mark
 from fgrecon.training.keypoints.posed_cars import PosedCar
+from fgrecon.training.keypoints.progress import Progress, no_progress
 
 __all__ = [
     "GROUPS",
@@ -76,11 +77,11 @@ class Localisation:
     keypoints: Array
 
 
-def score_marks(detector: KeypointCascade, marks: Sequence[Mark]) -> list[Scored]:
-    """Run the network on every marked car."""
+def score_marks(detector: KeypointCascade, marks: Sequence[Mark], progress: Progress = no_progress) -> list[Scored]:
+    """Run the network on every marked car; `progress` shows how far it is."""
     scored = []
     images: dict[Any, NDArray[np.uint8]] = {}
-    for mark in marks:
+    for mark in progress(marks, "Marked cars"):
         if mark.image not in images:
             images = {mark.image: read_image(mark.image)}  # the cars of an image come one after the other
         (detection,) = detector(images[mark.image], [mark.box])
@@ -157,7 +158,7 @@ def azimuth_errors(
     detector: KeypointCascade,
     cars: Sequence[PosedCar],
     solve: Callable[[Detection, Camera], Any],
-    advance: Callable[[], None] = lambda: None,
+    progress: Progress = no_progress,
 ) -> PosedScore:
     """Reconstruct photographs, intrinsics given, and compare the direction from the car to the camera.
 
@@ -165,10 +166,10 @@ def azimuth_errors(
         detector: The network.
         cars: Photographs with measured poses.
         solve: Makes a result with `camera_T_object` from a detection and a camera.
-        advance: Called after each photograph.
+        progress: Shows how far it is.
     """
     errors = np.full(len(cars), 180.0)
-    for row, car in enumerate(cars):
+    for row, car in progress(list(enumerate(cars)), "Photographs"):
         image = read_image(car.image)
         camera = replace(Camera(car.matrix), image_size=None)  # the photograph's edges are the car's
         (detection,) = detector(image, [car.box])
@@ -176,8 +177,6 @@ def azimuth_errors(
             pose = solve(detection, camera).camera_T_object
         except FgreconError:
             continue
-        finally:
-            advance()
         x, _, z = -pose[:3, :3].T @ pose[:3, 3]
         turn = np.degrees(np.arctan2(z, x) - car.azimuth)
         errors[row] = abs((turn + 180.0) % 360.0 - 180.0)

@@ -27,7 +27,7 @@ __all__ = ["assemble", "draw_silhouettes", "in_order", "resized"]
 _MODEL = "/models/medium"
 _TRAINED_SIDE = 1024
 _MIDDLE, _SPREAD = 128.0, 256.0  # of the network's pixel values
-_INSTALL = "Run `pip install onnx onnxruntime`."
+_INSTALL = "Run pip install 'fgrecon[silhouettes]'."
 _FIX = "Give the unpacked folder of the npm package @imgly/background-removal-data 1.4.5."
 
 

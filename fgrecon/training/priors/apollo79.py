@@ -7,7 +7,7 @@ one topology). They are under ApolloScape's terms and are not part of fgrecon; t
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -197,12 +197,15 @@ class LeaveOneOut:
     vertex_rms: float
 
 
-def leave_one_out(models: Apollo79, counts: Sequence[int]) -> list[LeaveOneOut]:
+def leave_one_out(
+    models: Apollo79, counts: Sequence[int], advance: Callable[[int, int], None] = lambda *_: None
+) -> list[LeaveOneOut]:
     """Hold out each model in turn, learn the symmetric prior from the others, and express the one held out.
 
     Args:
         models: The models.
         counts: Numbers of basis vectors to report.
+        advance: Told how many models are done, and how many there are.
     """
     category = load_category("car14")
     keep = _kept(models, ())
@@ -220,6 +223,7 @@ def leave_one_out(models: Apollo79, counts: Sequence[int]) -> list[LeaveOneOut]:
             keypoint[row, i] = np.linalg.norm(residual[0], axis=1)
             if part.surface is not None:
                 vertex[row, i] = np.linalg.norm(part.surface.vertices(coefficients[0]) - samples.vertices[i], axis=1)
+        advance(i + 1, len(keep))
     return [
         LeaveOneOut(
             basis=count,

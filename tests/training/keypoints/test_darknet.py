@@ -154,7 +154,7 @@ def test_weights_of_another_length(files, tmp_path):
 
 def test_without_the_package_it_says_what_to_install(files, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnx", None)
-    with pytest.raises(InvalidInputError, match="pip install onnx"):
+    with pytest.raises(InvalidInputError, match=r"pip install 'fgrecon\[training\]'"):
         convert(*files, tmp_path / "small.onnx")
 
 

@@ -15,7 +15,7 @@ def run(*arguments):
 @pytest.mark.data
 def test_build_makes_the_shipped_prior(data, tmp_path):
     out = tmp_path / "car14.npz"
-    result = run("build", out, "--data", data)
+    result = run("build", "--out", out, "--data", data)
     assert result.exit_code == 0, result.output
     assert "54.2, 29.7, 4.5, 2.9, 2.0 %, together 93.3 %" in result.stdout
     made, shipped = load_prior(out), load_prior("car14")
@@ -27,7 +27,7 @@ def test_build_makes_the_shipped_prior(data, tmp_path):
 def test_build_options(data, tmp_path):
     out = tmp_path / "car14.npz"
     named = ["--exclude", "aodi-a6", "--exclude", "lingmu-swift"]
-    result = run("build", out, "--data", data, "--basis", 3, *named)
+    result = run("build", "--out", out, "--data", data, "--basis", 3, *named)
     assert result.exit_code == 0, result.output
     prior = load_prior(out)
     assert prior.dimension == 3
@@ -37,14 +37,14 @@ def test_build_options(data, tmp_path):
 @pytest.mark.data
 @pytest.mark.slow
 def test_build_with_leave_one_out(data, tmp_path):
-    result = run("build", tmp_path / "car14.npz", "--data", data, "--leave-one-out")
+    result = run("build", "--out", tmp_path / "car14.npz", "--data", data, "--leave-one-out")
     assert result.exit_code == 0, result.output
     rows = [line.replace("│", "").split() for line in result.stdout.splitlines() if line.startswith("│")]
     assert rows[4] == ["5", "93.3", "6.1", "4.9", "5.4"]
 
 
 def test_errors(tmp_path):
-    result = run("build", tmp_path / "car14.npz", "--data", tmp_path)
+    result = run("build", "--out", tmp_path / "car14.npz", "--data", tmp_path)
     assert isinstance(result.exception, InvalidInputError)
     assert "apollo79_car14" in str(result.exception)
     assert run("build", "--basis", 0).exit_code == 2

@@ -1,0 +1,235 @@
+"""Options of several commands, each declared once: alone, or in a group that a command takes as one parameter.
+
+See `fgrecon.cli.commands` for how a group becomes options.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fgrecon.cli.common import chosen_boxes, ground_plane
+from fgrecon.core.robust import StrategyName
+
+if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from fgrecon.cli.batch import CameraSource, Settings
+    from fgrecon.core.camera import Ground
+    from fgrecon.core.options import Options
+    from fgrecon.evaluation.methods import SceneKnowledge
+    from fgrecon.io.boxes import NamedBox
+
+__all__ = [
+    "BOX_MODEL_HELP",
+    "KITTI_CAMERA_HEIGHT",
+    "BoxOptions",
+    "CameraOptions",
+    "DataOption",
+    "JsonOption",
+    "LabelledScene",
+    "MarkdownOption",
+    "SceneOptions",
+    "WeightsOption",
+    "fitting_names",
+]
+
+KITTI_CAMERA_HEIGHT = 1.65
+"""Height of KITTI's cameras above the road, metres."""
+
+BOX_MODEL_HELP = "What 2D boxes enclose: the outline or the 3D box; off: they are no evidence."
+
+
+def fitting_names(names: Callable[[], list[str]]) -> Callable[[str], list[str]]:
+    """A shell completion from names that are looked up when the shell asks; paths are left to the shell."""
+
+    def complete(incomplete: str) -> list[str]:
+        return [name for name in names() if name.startswith(incomplete)]
+
+    return complete
+
+
+def _priors() -> list[str]:
+    from fgrecon.io.catalogue import shipped_priors
+
+    return list(shipped_priors())
+
+
+def _fleets() -> list[str]:
+    from fgrecon.core.size_prior import SIZE_PRIORS
+
+    return list(SIZE_PRIORS)
+
+
+PRIORS, FLEETS = fitting_names(_priors), fitting_names(_fleets)
+
+CalibOption = Annotated[Path | None, typer.Option(metavar="FILE", help="KITTI calibration file; its P2 is the camera.")]
+PriorOption = Annotated[
+    str, typer.Option(help="Shape prior: a shipped name or an npz file.", autocompletion=PRIORS, metavar="NAME|FILE")
+]
+PriorArgument = Annotated[
+    str, typer.Argument(help="Shape prior: a shipped name or an npz file.", autocompletion=PRIORS, metavar="NAME|FILE")
+]
+GroundOption = Annotated[
+    str | None,
+    typer.Option(metavar="NX,NY,NZ,D", help="Ground plane instead: normal pointing down, camera height in m."),
+]
+WeightsOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Keypoint network.", show_default="the shipped one")
+]
+JsonOption = Annotated[
+    str | None, typer.Option("--json", metavar="FILE", help="Write the results as JSON; - for the output.")
+]
+MarkdownOption = Annotated[
+    Path | None, typer.Option("--markdown", metavar="FILE", help="Write the tables as Markdown.")
+]
+DataOption = Annotated[Path, typer.Option(metavar="FOLDER", envvar="FGRECON_DATA", help="Folder of the data.")]
+DATA = Path("../shared/data")
+"""Where the data lie if nobody says."""
+
+
+@dataclass(frozen=True)
+class CameraOptions:
+    """The camera, where the input does not say."""
+
+    calib: CalibOption = None
+    intrinsics: Annotated[
+        str | None, typer.Option(metavar="FX,FY,CX,CY", help="Camera in pixels.", show_default="from the file")
+    ] = None
+    distortion: Annotated[
+        str | None, typer.Option(metavar="K1,K2,P1,P2,...", help="OpenCV's distortion coefficients.")
+    ] = None
+
+    def source(self, image: NDArray[Any] | None = None) -> CameraSource:
+        """The camera as the commands use it.
+
+        Args:
+            image: (H, W, 3) photograph, which tells the image's size.
+        """
+        from fgrecon.cli.batch import CameraSource
+
+        return CameraSource(self.calib, self.intrinsics, self.distortion, image)
+
+
+@dataclass(frozen=True)
+class SceneOptions:
+    """What is known about the vehicles, and how keypoints are weighted."""
+
+    prior: PriorOption = "car14"
+    camera_height: Annotated[
+        float | None,
+        typer.Option(help="Height of a level camera above the ground, m.", show_default="no ground plane"),
+    ] = None
+    ground: GroundOption = None
+    size_prior: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FLEET",
+            help="How large vehicles are: kitti, apollo79, or length,width,height[,their spreads] in m.",
+            show_default="as in the shape prior",
+            autocompletion=FLEETS,
+        ),
+    ] = None
+    strategy: Annotated[StrategyName, typer.Option(help="Robust strategy.")] = StrategyName.MIXTURE
+
+    def settings(self, options: Options) -> Settings:
+        """What holds for every vehicle of a run.
+
+        Raises:
+            InvalidInputError: A value names nothing, or both a plane and a height are given.
+        """
+        from fgrecon.cli.batch import Settings
+
+        return Settings.of(self.prior, self.ground, self.camera_height, self.size_prior, options)
+
+
+@dataclass(frozen=True)
+class LabelledScene:
+    """What methods are told on data with known poses."""
+
+    prior: PriorOption = "car14"
+    size_prior: Annotated[
+        str,
+        typer.Option(
+            metavar="FLEET",
+            help="Size of the fleet: kitti, apollo79 or length,width,height in m.",
+            autocompletion=FLEETS,
+        ),
+    ] = "kitti"
+    camera_height: Annotated[
+        float | None,
+        typer.Option(help="Height of a level camera above the ground, m.", show_default=str(KITTI_CAMERA_HEIGHT)),
+    ] = None
+    ground: GroundOption = None
+
+    def plane(self) -> tuple[Ground, str]:
+        """The ground plane, and in words where it comes from.
+
+        Raises:
+            InvalidInputError: Both a plane and a height are given, or one is not a plane.
+        """
+        from fgrecon.core.camera import Ground
+
+        return ground_plane(self.ground, self.camera_height) or (
+            Ground.level(KITTI_CAMERA_HEIGHT),
+            f"level camera {KITTI_CAMERA_HEIGHT} m above the ground (KITTI's)",
+        )
+
+    def scene(self) -> SceneKnowledge:
+        """The scene as methods are bound to it.
+
+        Raises:
+            InvalidInputError: A value names nothing.
+        """
+        from fgrecon.core.size_prior import size_prior
+        from fgrecon.evaluation.methods import SceneKnowledge
+        from fgrecon.io.catalogue import load_prior
+
+        return SceneKnowledge(prior=load_prior(self.prior), ground=self.plane()[0], size=size_prior(self.size_prior))
+
+
+@dataclass(frozen=True)
+class BoxOptions:
+    """Where the cars of an image are, and the network that finds their keypoints."""
+
+    box: Annotated[
+        list[str] | None,
+        typer.Option("--box", metavar="X1,Y1,X2,Y2", help="2D box of a car, pixels; repeat for more."),
+    ] = None
+    boxes: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="File of boxes: KITTI labels or detections, or COCO JSON.")
+    ] = None
+    detect: Annotated[bool, typer.Option("--detect", help="Find the cars in the image with the shipped detector.")] = (
+        False
+    )
+    weights: WeightsOption = None
+
+    def choose(self, path: Path, image: NDArray[Any]) -> list[NamedBox]:
+        """The cars of an image.
+
+        Args:
+            path: The image's file.
+            image: (H, W, 3) its pixels.
+
+        Raises:
+            InvalidInputError: Not exactly one of the ways is given, a box is none, or there is no car.
+        """
+        return chosen_boxes(path, image, self.box, self.boxes, detect=self.detect)
+
+    def refuse(self) -> None:
+        """Refuse what means nothing for a keypoint file.
+
+        Raises:
+            InvalidInputError: Something is given.
+        """
+        from fgrecon.core.errors import InvalidInputError
+
+        given = (("box", self.box), ("boxes", self.boxes), ("weights", self.weights), ("detect", self.detect))
+        for field, value in given:
+            if value:
+                raise InvalidInputError(field, str(value), "Give an image instead of keypoints, or leave this out.")

@@ -1,0 +1,121 @@
+"""`fgrecon sample`: small inputs for the other commands, from simulation."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fgrecon.cli.terminal import Quiet
+
+if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
+    from numpy.typing import NDArray
+
+    from fgrecon.core.category import Category
+    from fgrecon.simulation.sample import SeenCar, Street
+
+__all__ = ["sample_command"]
+
+
+def sample_command(
+    terminal: Quiet,
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Where to write; made where it does not exist.")] = Path(
+        "sample"
+    ),
+    seed: Annotated[int, typer.Option(min=0, help="Of cars, places, keypoints and scenery.")] = 0,
+) -> None:
+    """Make small inputs to try the other commands with: a rendered street of three cars, and a track of one.
+
+    Writes street.png, its calibration calib.txt (KITTI's format), the cars' keypoints as a network would report them in
+    cars.json and their boxes in boxes.txt; and TRACK.json, one car in eight images with its true poses.
+    """
+    from fgrecon.io.catalogue import load_prior
+    from fgrecon.io.images import write_png
+    from fgrecon.simulation.sample import GROUND, sample_street, sample_track
+
+    screen = terminal.screen()
+    prior = load_prior("car14")
+    out.mkdir(parents=True, exist_ok=True)
+    street, track = sample_street(prior, seed), sample_track(prior, seed=seed)
+    screen.wrote(write_png(out / "street.png", street.image))
+    screen.write_text(out / "calib.txt", _calibration(_projection(street)))
+    screen.write_text(out / "cars.json", _json(_keypoint_file(street, prior.category)))
+    screen.write_text(out / "boxes.txt", _boxes(street, "street.png"))
+    screen.write_text(out / "TRACK.json", _json(_track_file(street, track, prior.category)))
+    screen.print(
+        f"Try: fgrecon reconstruct {out / 'cars.json'} --camera-height {GROUND.distance:g} --image "
+        f"{out / 'street.png'} --picture {out / 'cars.png'}"
+    )
+
+
+def _json(content: dict[str, Any]) -> str:
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
+
+
+def _projection(street: Street) -> NDArray[Any]:
+    """(3, 4) K [I | t] of the camera, t from the frame of the labels."""
+    import numpy as np
+
+    from fgrecon.simulation.sample import LABEL_OFFSET
+
+    matrix = street.camera.matrix
+    return np.column_stack([matrix, matrix @ LABEL_OFFSET])
+
+
+def _calibration(projection: NDArray[Any]) -> str:
+    """A calibration file as KITTI's object set has them; all four cameras are the one that there is."""
+    numbers = " ".join(f"{number:.12e}" for number in projection.ravel())
+    return "".join(f"P{camera}: {numbers}\n" for camera in range(4))
+
+
+def _keypoint_file(street: Street, category: Category) -> dict[str, Any]:
+    """What `fgrecon reconstruct` reads."""
+    from fgrecon.cli.demo_report import plain_observation
+
+    return {
+        "K": street.camera.matrix.tolist(),
+        "image_size": street.camera.image_size,
+        "instances": [
+            {"id": f"car-{number}", **plain_observation(car.observation, category)}
+            for number, car in enumerate(street.cars, start=1)
+        ],
+    }
+
+
+def _boxes(street: Street, image: str) -> str:
+    """The cars' boxes as detections."""
+    boxes = [car.observation.box for car in street.cars]
+    return "".join(f"{image} 2 0.990 {' '.join(f'{x:.2f}' for x in box)}\n" for box in boxes if box is not None)
+
+
+def _track_file(street: Street, track: list[SeenCar], category: Category) -> dict[str, Any]:
+    """What `fgrecon track` and `fgrecon evaluate tracks` read; see `fgrecon.io.track_file`."""
+    return {
+        "K": street.camera.matrix.tolist(),
+        "P2": _projection(street).tolist(),
+        "keypoint_names": list(category.keypoints),
+        "frames": [_frame(number, car, category) for number, car in enumerate(track)],
+    }
+
+
+def _frame(number: int, car: SeenCar, category: Category) -> dict[str, Any]:
+    import numpy as np
+
+    from fgrecon.core.reconstruction import rotation_y
+    from fgrecon.simulation.sample import LABEL_OFFSET
+
+    seen, pose = car.observation, car.truth.camera_T_object
+    size = np.tensordot(category.dimension_operator, car.truth.vehicle.keypoints, axes=2)
+    return {
+        "frame": number,
+        "box_xyxy": None if seen.box is None else seen.box.tolist(),
+        "keypoints_uv": [uv.tolist() if np.isfinite(uv).all() else [None, None] for uv in seen.keypoints],
+        "confidence": seen.confidence.tolist(),
+        "gt": {
+            "location": (pose[:3, 3] - LABEL_OFFSET).tolist(),
+            "rotation_y": rotation_y(pose),
+            **dict(zip(("length", "width", "height"), size.tolist(), strict=True)),
+        },
+    }

@@ -1,0 +1,169 @@
+"""The terminal: how much a command says there, and where; progress; the files that it wrote."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+import typer
+
+from fgrecon.cli.progress import Advance, progress_bar, watched
+
+if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
+    from rich.console import Console, RenderableType
+
+__all__ = ["Quiet", "Screen", "Terminal", "Verbosity"]
+
+_WIDTH = 180
+_PANEL = "Terminal"
+
+Thing = TypeVar("Thing")
+
+
+class Screen:
+    """What a command says.
+
+    Attributes:
+        verbose: Whether the user wants to know more.
+    """
+
+    def __init__(
+        self, json_out: str | None = None, *, error: bool, quiet: bool, verbose: bool, progress: bool | None
+    ) -> None:
+        """Choose the streams: where the output carries data, all words go to the error stream.
+
+        Args:
+            json_out: What `--json` names.
+            error: Whether the output carries other data.
+            quiet: Say nothing but errors.
+            verbose: Say more.
+            progress: Whether progress is shown; None shows it on a terminal.
+        """
+        self.verbose = verbose and not quiet
+        self._json, self._error, self._quiet, self._progress = json_out, error or json_out == "-", quiet, progress
+
+    @cached_property
+    def console(self) -> Console:
+        """Where tables go."""
+        return _console(error=self._error, quiet=self._quiet)
+
+    @cached_property
+    def errors(self) -> Console:
+        """The error stream, for what is not part of the result."""
+        return _console(error=True, quiet=self._quiet)
+
+    @property
+    def bars(self) -> bool:
+        """Whether progress is shown."""
+        return not self._quiet and (self.errors.is_terminal if self._progress is None else self._progress)
+
+    def print(self, *things: RenderableType) -> None:
+        """Print tables, or lines as they are."""
+        for thing in things:
+            self.console.print(thing, markup=False)
+
+    def detail(self, *things: RenderableType) -> None:
+        """Print what only --verbose shows."""
+        if self.verbose:
+            self.print(*things)
+
+    def note(self, line: str) -> None:
+        """Print a line about the work to the error stream."""
+        self.errors.print(line, markup=False)
+
+    def warn(self, line: str) -> None:
+        """Print a warning to the error stream."""
+        self.note(f"Warning: {line}")
+
+    def fail(self, line: str) -> None:
+        """Print why the work failed, even with --quiet."""
+        print(f"fgrecon: {line}", file=sys.stderr)  # noqa: T201
+
+    def wrote(self, *paths: str | Path) -> None:
+        """Say which files were written."""
+        for path in paths:
+            self.print(f"Wrote {path}.")
+
+    def write_text(self, path: Path | None, text: str) -> None:
+        """Write a file, whole or not at all, and say so; nothing without a path.
+
+        Raises:
+            InvalidInputError: The file cannot be written.
+        """
+        from fgrecon.io.files import write_text
+
+        if path is not None:
+            self.wrote(write_text(path, text))
+
+    def write_json(self, text: str) -> None:
+        """Write the text of --json to its file, or for `-` to the output; nothing where it is not given.
+
+        Raises:
+            InvalidInputError: The file cannot be written.
+        """
+        if self._json == "-":
+            sys.stdout.write(text)
+        elif self._json is not None:
+            self.write_text(Path(self._json), text)
+
+    def watch(self, things: Sequence[Thing], heading: str) -> Iterable[Thing]:
+        """Go through some things and show how far that has come."""
+        return watched(things, heading, self.errors, shown=self.bars)
+
+    def bar(self, *, per_minute: bool = False) -> AbstractContextManager[Advance]:
+        """Bars for work that tells how far it has come; see `fgrecon.cli.progress`."""
+        return progress_bar(self.errors, shown=self.bars, per_minute=per_minute)
+
+
+@dataclass(frozen=True)
+class Quiet:
+    """How much a short command says."""
+
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.", rich_help_panel=_PANEL)] = (
+        False
+    )
+
+    def screen(self, json_out: str | None = None, *, error: bool = False) -> Screen:
+        """Where the command says it; see `Screen`."""
+        return Screen(json_out, error=error, quiet=self.quiet, verbose=False, progress=False)
+
+
+@dataclass(frozen=True)
+class Verbosity(Quiet):
+    """How much a command says that can say more."""
+
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Say more.", rich_help_panel=_PANEL)] = False
+
+    def screen(self, json_out: str | None = None, *, error: bool = False) -> Screen:
+        """Where the command says it; see `Screen`."""
+        return Screen(json_out, error=error, quiet=self.quiet, verbose=self.verbose, progress=False)
+
+
+@dataclass(frozen=True)
+class Terminal(Verbosity):
+    """How much a command says whose work may take long."""
+
+    progress: Annotated[
+        bool | None,
+        typer.Option(
+            "--progress/--no-progress", help="Show progress.", show_default="on a terminal", rich_help_panel=_PANEL
+        ),
+    ] = None
+
+    def screen(self, json_out: str | None = None, *, error: bool = False) -> Screen:
+        """Where the command says it; see `Screen`."""
+        return Screen(json_out, error=error, quiet=self.quiet, verbose=self.verbose, progress=self.progress)
+
+
+def _console(*, error: bool, quiet: bool) -> Console:
+    from rich.console import Console
+
+    made = Console(stderr=error, highlight=False, soft_wrap=True, quiet=quiet)
+    if not made.is_terminal:
+        made.width = _WIDTH  # a pipe has no width, and 80 columns would cut the numbers off
+    return made

@@ -1,0 +1,121 @@
+"""Small inputs to try everything with: a street with some cars, and one car over several images. All simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.observation import Observation
+from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.simulation.keypoint_noise import HOURGLASS
+from fgrecon.simulation.render import Body, render
+from fgrecon.simulation.scenery import BODY_COLOURS, car_paint, road, with_shadow
+from fgrecon.simulation.vehicles import KITTI_CAMERA, SimulatedTruth, Vehicle, simulate, yaw_pose
+
+__all__ = ["GROUND", "LABEL_OFFSET", "SeenCar", "Street", "sample_street", "sample_track"]
+
+GROUND = Ground.level(1.65)
+"""The road under KITTI's camera."""
+
+LABEL_OFFSET = np.array([0.06, -0.0004, 0.0027])
+"""A labelled point in the camera's frame is X + offset, metres; as in KITTI's calibrations."""
+
+_LAMBDA = 1.2
+"""Coefficients are kept within this, for cars that look like some."""
+_AHEAD, _ONCOMING = -np.pi / 2, np.pi / 2
+_PARKED = ((_ONCOMING + 0.35, -3.4, 11.0), (_AHEAD - 0.3, 2.9, 13.5), (_ONCOMING + 0.1, -10.5, 17.5))
+"""Yaw in radians, x and z in metres of the street's cars."""
+_FIRST, _STEP = np.array([-3.6, 0.0, 21.0]), np.array([0.02, 0.0, -1.3])
+"""Where the track's car is at first, and how far it moves from one image to the next; metres."""
+
+
+@dataclass(frozen=True)
+class SeenCar:
+    """A car as a network would report it, and the truth behind that."""
+
+    observation: Observation
+    truth: SimulatedTruth
+
+
+@dataclass(frozen=True)
+class Street:
+    """A picture of cars.
+
+    Attributes:
+        image: (H, W, 3) RGB.
+        camera: Its camera.
+        cars: The cars.
+    """
+
+    image: NDArray[np.uint8]
+    camera: Camera
+    cars: tuple[SeenCar, ...]
+
+
+def sample_street(prior: ShapePrior, seed: int = 0) -> Street:
+    """Render three cars beside a road, none before another. The same seed gives the same bits.
+
+    Args:
+        prior: A prior with a surface.
+        seed: Of shapes, places, keypoints and scenery.
+
+    Raises:
+        InvalidInputError: The prior has no surface.
+    """
+    rng = np.random.default_rng(seed)
+    poses = []
+    for yaw, x, z in _PARKED:
+        away = rng.uniform(-0.3, 0.3, 2)
+        poses.append(yaw_pose(yaw + rng.uniform(-0.1, 0.1), np.array([x + away[0], GROUND.distance, z + away[1]])))
+    vehicles = [_vehicle(prior, rng) for _ in poses]
+    cars = tuple(_seen(vehicle, pose, rng) for vehicle, pose in zip(vehicles, poses, strict=True))
+    colours = rng.permutation(list(BODY_COLOURS.values()))
+    return Street(_picture(prior, vehicles, poses, colours, seed), KITTI_CAMERA, cars)
+
+
+def sample_track(prior: ShapePrior, frames: int = 8, seed: int = 0) -> list[SeenCar]:
+    """One car that comes nearer, in every image once more observed. The same seed gives the same bits.
+
+    Args:
+        prior: A prior with a surface.
+        frames: Number of images, at most 10.
+        seed: Of shape and keypoints.
+
+    Raises:
+        InvalidInputError: The prior has no surface.
+    """
+    rng = np.random.default_rng([seed, 1])
+    vehicle, turn = _vehicle(prior, rng), rng.uniform(-0.1, 0.1)
+    places = [_FIRST + number * _STEP + [0.0, GROUND.distance, 0.0] for number in range(frames)]
+    return [_seen(vehicle, yaw_pose(_ONCOMING + turn, place), rng) for place in places]
+
+
+def _vehicle(prior: ShapePrior, rng: np.random.Generator) -> Vehicle:
+    return Vehicle.of_prior(prior, np.clip(rng.standard_normal(prior.dimension), -_LAMBDA, _LAMBDA))
+
+
+def _seen(vehicle: Vehicle, camera_T_object: NDArray[np.float64], rng: np.random.Generator) -> SeenCar:
+    return SeenCar(*simulate(vehicle, KITTI_CAMERA, camera_T_object, rng, HOURGLASS))
+
+
+def _picture(
+    prior: ShapePrior,
+    vehicles: Sequence[Vehicle],
+    poses: Sequence[NDArray[np.float64]],
+    colours: NDArray[np.float64],
+    seed: int,
+) -> NDArray[np.uint8]:
+    assert KITTI_CAMERA.image_size is not None
+    background = road(KITTI_CAMERA, GROUND, KITTI_CAMERA.image_size, seed)
+    bodies = []
+    for vehicle, pose, colour in zip(vehicles, poses, colours, strict=False):
+        length, width = np.ptp(vehicle.vertices[:, [0, 2]], axis=0)
+        background = with_shadow(background, KITTI_CAMERA, pose, length, width)
+        red, green, blue = colour.tolist()
+        paint = car_paint(vehicle.keypoints, prior.category.keypoints, (red, green, blue))
+        bodies.append(Body(vehicle.vertices, vehicle.faces, paint, pose))
+    return render(bodies, KITTI_CAMERA, background).image

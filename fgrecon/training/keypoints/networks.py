@@ -1,0 +1,181 @@
+"""Everything that `fgrecon keypoints train` makes: KNet in rounds, the refinement networks, the calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+from fgrecon.perception.keypoints.decode import ConfidenceCalibration
+from fgrecon.perception.keypoints.detect import KeypointCascade
+from fgrecon.perception.keypoints.weights import Stored, load_weights, mean_state, save_weights
+from fgrecon.training.keypoints.calibrate import calibrate
+from fgrecon.training.keypoints.dataset import Photographs, azimuth_weights
+from fgrecon.training.keypoints.labelling import Labelling, Source, read_source
+from fgrecon.training.keypoints.rounds import train_in_rounds
+from fgrecon.training.keypoints.train import Training
+from fgrecon.training.keypoints.train_refine import RefineTraining, train_refinement
+from fgrecon.training.keypoints.trainer import TrainingProgress
+
+__all__ = ["Beginning", "Display", "Plan", "train_networks"]
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """What a training begins with.
+
+    Attributes:
+        imagenet: Weights of the encoder (torch), or None for random ones.
+        start: A trained network to go on from instead, which corrects the first labels as well.
+        start_share: Share of that network in the resulting weights, 0 to 1.
+        silhouettes: Folder of silhouettes for the first labels, or None.
+        marks: Keypoints marked by hand in photographs that are learnt from (JSON), or None.
+    """
+
+    imagenet: Path | None = None
+    start: Path | None = None
+    start_share: float = 0.5
+    silhouettes: Path | None = None
+    marks: Path | None = None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How much is trained, and where.
+
+    Attributes:
+        steps: Gradient steps of KNet.
+        batch: Samples per step.
+        relabel_at: Steps at which the labels are corrected, in rising order.
+        refine_steps: Gradient steps of the refinement networks; 0 for none.
+        seed: Seed of everything random.
+        device: Torch's name of the device.
+        workers: Processes that make samples.
+    """
+
+    steps: int
+    batch: int
+    relabel_at: tuple[int, ...]
+    refine_steps: int
+    seed: int = 0
+    device: str = "cpu"
+    workers: int = 1
+
+
+class Display(Protocol):
+    """Shows how a training goes."""
+
+    def log(self, line: str) -> None:
+        """What begins."""
+
+    def report(self, progress: TrainingProgress) -> None:
+        """How far it is, and how good."""
+
+    def progress(self, things: Sequence[Any], heading: str) -> Iterable[Any]:
+        """Go through some things and show how far that has come."""
+
+
+def train_networks(data: Path, work: Path, out: Path, beginning: Beginning, plan: Plan, display: Display) -> None:
+    """Train the networks and write them; an interrupted training goes on from what is in its folder.
+
+    Args:
+        data: Data folder, with posed_cars, apollo79 and hand_labels.
+        work: Folder for everything in between.
+        out: The file to write (safetensors).
+        beginning: What it begins with.
+        plan: How much is trained.
+        display: Shows how it goes.
+
+    Raises:
+        InvalidInputError: Something of the data cannot be used, or the folder's training began otherwise.
+    """
+    import torch
+
+    source = read_source(data, beginning.marks)
+    partner = source.prior.category.mirror
+    imagenet = beginning.imagenet
+    begun = None if beginning.start is None else load_weights(beginning.start)
+    how = Training(steps=plan.steps, batch=plan.batch, seed=plan.seed, workers=plan.workers)
+    network, labelling, photographs = train_in_rounds(
+        source,
+        work,
+        how,
+        plan.relabel_at,
+        imagenet=None if imagenet is None else torch.load(imagenet, map_location="cpu", weights_only=True),
+        start=beginning.start,
+        silhouettes=beginning.silhouettes,
+        device=plan.device,
+        report=display.report,
+        log=display.log,
+        progress=display.progress,
+    )
+    state = network.state_dict()
+    if begun is not None:
+        state = mean_state(begun.state, state, beginning.start_share)
+    provenance = _provenance(source, labelling, beginning, begun, plan)
+    stored = Stored(state, how.network.to_dict(), ConfidenceCalibration(), provenance)
+    if plan.refine_steps:
+        display.log("Refinement networks")
+        path = work / "refine.pt"
+        stored = _refined(stored, source, labelling, photographs, path, begun, beginning.start_share, plan, display)
+    save_weights(out, stored)
+    display.log("Calibration")
+    held = labelling.samples(photographs, source.validate)
+    fitted = calibrate(KeypointCascade(out, device=plan.device), photographs, held, partner, seed=plan.seed + 1)
+    save_weights(out, replace(stored, calibration=fitted))
+
+
+def _refined(
+    stored: Stored,
+    source: Source,
+    labelling: Labelling,
+    photographs: Photographs,
+    checkpoint: Path,
+    begun: Stored | None,
+    start_share: float,
+    plan: Plan,
+    display: Display,
+) -> Stored:
+    """The network with refinement networks."""
+    chosen = labelling.samples(photographs, source.learn)
+    refining = RefineTraining(steps=plan.refine_steps, seed=plan.seed)
+    refining = replace(refining, street=refining.street.moving(source.prior.category))
+    before = None if begun is None else begun.refinement
+    refinement = train_refinement(
+        photographs,
+        chosen,
+        azimuth_weights(photographs.azimuth, chosen),
+        source.prior.category.mirror,
+        checkpoint,
+        refining,
+        start=before,
+        device=plan.device,
+        report=display.report,
+    )
+    refined = refinement.state_dict()
+    if before is not None:
+        refined = mean_state(before, refined, start_share)
+    return replace(stored, refinement=refined, refine_settings=refining.network.to_dict())
+
+
+def _provenance(
+    source: Source, labelling: Labelling, beginning: Beginning, begun: Stored | None, plan: Plan
+) -> dict[str, str]:
+    """What a network was learnt from, and how, in words."""
+    return {
+        "data": f"{len(source.learn)} photographs of posed cars; shapes from 79 car models"
+        + (f"; {int(labelling.outlined.sum())} silhouettes" if beginning.silhouettes else "")
+        + (f"; {source.marked} keypoints marked by hand" if beginning.marks else ""),
+        "start": _began(beginning, begun),
+        "training": f"{plan.steps} steps of {plan.batch}, labels corrected at {list(plan.relabel_at)}, "
+        f"seed {plan.seed}",
+    }
+
+
+def _began(beginning: Beginning, begun: Stored | None) -> str:
+    """What a training began with, in words."""
+    if beginning.start is not None and begun is not None:
+        origin, share = begun.provenance.get("start", "unknown"), beginning.start_share
+        return f"{beginning.start.name} (of which {share:g} is left in the weights), itself from: {origin}"
+    return "random weights" if beginning.imagenet is None else "EfficientNet-lite0, ImageNet"

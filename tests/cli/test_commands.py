@@ -1,0 +1,145 @@
+"""Groups of options, old spellings, and what holds for every command: help, completion, quiet and verbose."""
+
+import os
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from typing import Annotated
+
+import pytest
+import typer
+from rich.text import Text
+from typer.main import get_command
+from typer.testing import CliRunner
+
+from fgrecon.cli.commands import add_command, current_spelling
+from fgrecon.cli.main import app
+
+ROOT = get_command(app)
+
+
+def commands(group=ROOT, path=()):
+    """Path and command of everything that can be run."""
+    for name, command in group.commands.items():
+        if hasattr(command, "commands"):
+            yield from commands(command, (*path, name))
+        else:
+            yield (*path, name), command
+
+
+COMMANDS = dict(commands())
+
+
+@dataclass(frozen=True)
+class Pair:
+    left: Annotated[int, typer.Option(help="One.")]
+    right: Annotated[int, typer.Option("--right", "-r", help="Other.")] = 2
+
+
+def test_a_group_becomes_its_fields():
+    seen = []
+    made = typer.Typer()
+
+    @made.callback()
+    def root():
+        """A command line."""
+
+    def command(pair: Pair, name: Annotated[str, typer.Argument()], last: bool = False):
+        """Add."""
+        seen.append((pair, name, last))
+
+    add_command(made, "add", command)
+    assert CliRunner().invoke(made, ["add", "x", "--left", "1", "-r", "3", "--last"]).exit_code == 0
+    assert seen == [(Pair(1, 3), "x", True)]
+    assert CliRunner().invoke(made, ["add", "x"]).exit_code == 2  # --left has no default
+
+
+@pytest.mark.parametrize(
+    ("given", "current", "warnings"),
+    [
+        (["car14", "--out", "a.png"], ["car14", "--picture", "a.png"], 1),
+        (["--out=a.png", "--rrd", "b.rrd"], ["--picture=a.png", "--save", "b.rrd"], 2),
+        (["--picture", "a.png", "--", "--out"], ["--picture", "a.png", "--", "--out"], 0),
+        (["--json"], ["--json", "-"], 1),
+        (["--json", "--seed", "1"], ["--json", "-", "--seed", "1"], 1),
+        (["--json", "run.rrd"], ["--json", "-", "run.rrd"], 1),
+        (["--json", "-"], ["--json", "-"], 0),
+        (["--json", "run.json"], ["--json", "run.json"], 0),
+    ],
+)
+def test_old_spellings(given, current, warnings):
+    found, told = current_spelling(given, {"--out": "--picture", "--rrd": "--save"}, {"--json": "-"})
+    assert found == current
+    assert len(told) == warnings
+
+
+def test_an_old_spelling_works_with_a_warning_and_is_not_in_the_help(tmp_path):
+    done = CliRunner().invoke(app, ["prior", "show", "car14", "--out", str(tmp_path / "p.png")])
+    assert done.exit_code == 0, done.output
+    assert done.stderr == "fgrecon: --out is now called --picture; the old name goes with the next release.\n"
+    assert (tmp_path / "p.png").exists()
+    assert "--out" not in CliRunner().invoke(app, ["prior", "show", "--help"], terminal_width=200).stdout
+
+
+@pytest.mark.parametrize("path", COMMANDS, ids=" ".join)
+def test_the_help_shows_all_that_was_written(path):
+    """Brackets are markup to rich, which drops what it takes for a tag."""
+    texts = [COMMANDS[path].help, *(getattr(p, "help", None) for p in COMMANDS[path].params)]
+    for text in filter(None, texts):
+        assert Text.from_markup(text).plain == text.replace("\\[", "["), text
+
+
+def test_the_extra_of_silhouettes_is_named():
+    shown = CliRunner().invoke(app, ["keypoints", "silhouettes", "--help"], terminal_width=200).stdout
+    assert "fgrecon[silhouettes]" in shown
+
+
+@pytest.mark.parametrize("path", COMMANDS, ids=" ".join)
+def test_the_words_are_the_same_everywhere(path):
+    options = {name: p for p in COMMANDS[path].params for name in p.opts}
+    assert "--quiet" in options
+    assert "-q" in options
+    assert {"--rrd", "--csv", "--md"}.isdisjoint(options)
+    if "--json" in options:
+        assert options["--json"].metavar == "FILE"
+    if "--save" in options:
+        assert options["--save"].metavar == "FILE.rrd"
+    if "--data" in options:
+        assert options["--data"].envvar == "FGRECON_DATA"
+    if "--verbose" in options:
+        assert "--verbose" in COMMANDS[path].help
+
+
+def complete(words):
+    """What bash is offered for the last word."""
+    environment = {**os.environ, "_FGRECON_COMPLETE": "complete_bash", "COMP_WORDS": words}
+    environment["COMP_CWORD"] = str(len(words.split(" ")) - 1)
+    code = "import sys; sys.argv[0] = 'fgrecon'; from fgrecon.cli.main import main; main()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
+    return done.stdout.split()
+
+
+def test_the_shell_completes_names():
+    assert "car14" in complete("fgrecon prior show car")
+    assert complete("fgrecon reconstruct cars.json --size-prior k") == ["kitti"]
+    assert "sqpnp+size" in complete("fgrecon evaluate tracks t.json --method sq")
+    assert "gnc" in complete("fgrecon reconstruct cars.json --strategy g")
+
+
+def test_the_help_imports_nothing_heavy():
+    heavy = {"torch", "cv2", "gtsam", "rerun", "matplotlib", "scipy"}
+    code = f"import sys; from fgrecon.cli import main; print(*{heavy} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == ""
+
+
+def test_progress_is_shown_when_asked_for_and_never_when_quiet(tmp_path):
+    assert CliRunner().invoke(app, ["sample", "--out", str(tmp_path), "--quiet"]).output == ""
+    told = ["evaluate", "tracks", str(tmp_path / "TRACK.json"), "--method", "epnp", "--json", str(tmp_path / "r.json")]
+    shown = CliRunner().invoke(app, [*told, "--progress"], env={"TERM": "xterm", "FORCE_COLOR": "1"})
+    assert re.search(r"Frames.*8/8", shown.stderr), shown.stderr
+    assert "Frames" not in CliRunner().invoke(app, told).stderr
+    quiet = CliRunner().invoke(app, [*told, "--progress", "--quiet"])
+    assert quiet.output == ""
+    assert (tmp_path / "r.json").exists()

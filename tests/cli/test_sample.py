@@ -1,0 +1,62 @@
+"""`fgrecon sample`: what it writes is what the other commands read."""
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from fgrecon.cli.main import app
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, [*map(str, arguments)])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sample") / "made"
+    done = run("sample", "--out", folder)
+    assert done.exit_code == 0, done.output
+    names = ("street.png", "calib.txt", "cars.json", "boxes.txt", "TRACK.json")
+    assert [line for line in done.stdout.splitlines() if line.startswith("Wrote")] == [
+        f"Wrote {folder / name}." for name in names
+    ]
+    return folder
+
+
+def test_the_same_seed_gives_the_same_bytes(folder, tmp_path):
+    assert run("sample", "--out", tmp_path / "again", "-q").output == ""
+    assert run("sample", "--out", tmp_path / "other", "--seed", 1).exit_code == 0
+    for path in folder.iterdir():
+        assert (tmp_path / "again" / path.name).read_bytes() == path.read_bytes()
+    assert (tmp_path / "other" / "cars.json").read_bytes() != (folder / "cars.json").read_bytes()
+
+
+def test_cars_are_reconstructed_where_they_were_put(folder, tmp_path):
+    told = ("--camera-height", 1.65, "--image", folder / "street.png", "--picture", tmp_path / "cars.png")
+    done = run("reconstruct", folder / "cars.json", "--calib", folder / "calib.txt", *told, "--json", "-")
+    assert done.exit_code == 0, done.output
+    assert f"Wrote {tmp_path / 'cars.png'}." in done.stderr
+    cars = json.loads(done.stdout)["instances"]
+    assert [car["id"] for car in cars] == ["car-1", "car-2", "car-3"]
+    assert [round(car["location"][0]) for car in cars] == pytest.approx([-3.4, 2.9, -10.5], abs=1.0)
+    assert cars[0]["location"][0] - cars[0]["location_in_label_frame"][0] == pytest.approx(0.06)
+
+
+def test_the_picture_is_read_with_the_boxes(folder, tmp_path):
+    out = tmp_path / "found.json"
+    done = run("keypoints", "detect", folder / "street.png", "--boxes", folder / "boxes.txt", "--json", out)
+    assert done.exit_code == 0, done.output
+    assert len(json.loads(out.read_text())["instances"]) == 3
+    assert run("reconstruct", out, "--calib", folder / "calib.txt", "-q").output == ""
+
+
+def test_the_track(folder):
+    done = run("track", folder / "TRACK.json", "--size-prior", "kitti", "--verbose")
+    assert done.exit_code == 0, done.output
+    assert "converged" in done.stdout
+    assert "energies (nats): reprojection" in done.stdout
+    scored = run("evaluate", "tracks", folder / "TRACK.json", "--method", "fgrecon+ground+size", "--json", "-")
+    (method,) = json.loads(scored.stdout)["methods"].values()
+    assert method["n"] == 8
+    assert method["aop"]["15"] == 100.0
