@@ -14,15 +14,12 @@ from fgrecon.cli.options import DATA, KITTI_CAMERA_HEIGHT, DataOption, JsonOptio
 from fgrecon.cli.progress import counting
 from fgrecon.cli.terminal import Terminal
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from fgrecon.cli.terminal import Screen
     from fgrecon.core.camera import Ground
     from fgrecon.core.shape_prior import ShapePrior
     from fgrecon.paper.ablation import StrategyScore
-    from fgrecon.paper.shape import (
-        SimulatedView,  # the command line must start fast: what the commands need is imported when they run
-        StageScore,
-    )
+    from fgrecon.paper.shape import SimulatedView, StageScore
     from fgrecon.training.priors.apollo79 import Apollo79
 
 __all__ = ["shape_command"]
