@@ -123,7 +123,10 @@ def icra2017(data: Path, folder: Path) -> str:
     found = loaded(["evaluate", "icra2017", data / "icra2017"], folder)
     images, release = found["images"], found["release"]
     rows = [
-        [name, *(f"{source[name][what]:.2f}" for source in (images, release) for what in ("orientation_deg", "centre_m"))]
+        [
+            name,
+            *(f"{source[name][what]:.2f}" for source in (images, release) for what in ("orientation_deg", "centre_m")),
+        ]
         for name in images
     ]
     return table(["image", "orientation °", "box centre m", "release: orientation °", "release: centre m"], rows)
@@ -176,7 +179,9 @@ def main() -> None:
     for name in arguments.names or MADE:
         with tempfile.TemporaryDirectory() as folder:
             text = MADE[name](arguments.data, Path(folder))
-        head = f"<!-- Made by `python docs/measure.py {name} --data DATA`, fgrecon {metadata.version('fgrecon')}. -->\n\n"
+        head = (
+            f"<!-- Made by `python docs/measure.py {name} --data DATA`, fgrecon {metadata.version('fgrecon')}. -->\n\n"
+        )
         (TABLES / f"{name}.md").write_text(head + text, encoding="utf-8")
         print(TABLES / f"{name}.md", flush=True)
 
