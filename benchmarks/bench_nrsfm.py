@@ -228,7 +228,7 @@ def main() -> None:
     arguments = parser.parse_args()
     parts = arguments.part or list(TITLES)
     for part in parts:
-        print(f"\n## {TITLES[part]}\n", flush=True)
+        print(f"\n### {TITLES[part]}\n", flush=True)
         if part == "small":
             small(arguments.data, arguments.repeats)
         elif part == "all":

@@ -2,7 +2,8 @@
 
     python docs/measure.py --data DATA [NAME...]
 
-Names: tracks, together, kitti, icra2017, shape, priors_in_use, priors; without one all are made (a quarter of an hour).
+Names: tracks, together, kitti, icra2017, shape, priors_in_use, priors; without one all are made (half an hour on one
+core).
 Every figure that the documentation quotes without another source stands in one of these tables.
 """
 
@@ -22,7 +23,7 @@ import numpy as np
 
 from fgrecon.core.metrics import orientation_error
 from fgrecon.io.catalogue import load_category
-from fgrecon.io.track_file import Frame, read_track
+from fgrecon.io.track_file import GroundTruth, read_track
 
 TABLES = Path(__file__).parent / "tables"
 TOLD = {"+size": ["--size-prior", "kitti"], "+ground+size": ["--size-prior", "kitti", "--camera-height", "1.65"]}
@@ -73,7 +74,7 @@ def tracks(data: Path, folder: Path) -> str:
 def together(data: Path, folder: Path) -> str:
     """The images of each track solved with one shape, beside the same images one by one."""
     category = load_category("car14")
-    truth = {frame.name: frame for file in track_files(data) for frame in read_track(file, category).frames}
+    truth = {frame.name: frame.truth for file in track_files(data) for frame in read_track(file, category).frames}
     rows = []
     for name, told in TOLD.items():
         options = [*told, "--box-model", "cuboid"]
@@ -85,9 +86,8 @@ def together(data: Path, folder: Path) -> str:
     return table(["solved", "images", "mean yaw °", "mean position m", "mean of length, width, height cm"], rows)
 
 
-def _errors(car: Mapping[str, Any], frame: Frame) -> tuple[float, float, float]:
+def _errors(car: Mapping[str, Any], label: GroundTruth) -> tuple[float, float, float]:
     """Errors of yaw in degrees, of position and of size in metres."""
-    label = frame.truth
     assert label.box_size is not None
     yaw = float(orientation_error([car["rotation_y"]], [label.rotation_y])[0])
     metres = float(np.linalg.norm(np.subtract(car["location_in_label_frame"], label.location)))
@@ -161,7 +161,7 @@ def priors(data: Path, folder: Path) -> str:
     """What priors learnt from 2D annotations are like, by `benchmarks/bench_nrsfm.py`."""
     del folder
     command = [sys.executable, "-m", "benchmarks.bench_nrsfm", "--data", str(data), "--repeats", "3"]
-    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout.lstrip()
 
 
 MADE: Mapping[str, Callable[[Path, Path], str]] = {
