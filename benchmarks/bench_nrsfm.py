@@ -41,6 +41,13 @@ VARIANTS = {
     "3 vectors": replace(DEFAULT, basis=3),
     "8 vectors": replace(DEFAULT, basis=8),
 }
+TITLES = {
+    "small": "300 images",
+    "all": "All images",
+    "heldout": "Held-out keypoints, 300 images, % of the visible points' extent",
+    "points36": "36 points, 300 images",
+    "variance": "Share of the variance of ten vectors, 300 images",
+}
 CAD12 = [0, 1, 2, 3, 4, 5, 6, 7, 10, 11, 12, 13]
 """Places in car14 of the 12 keypoints of cad_keypoints12, which has no mirrors."""
 
@@ -79,7 +86,7 @@ def small(data: Path, subsets: int) -> None:
     """300 images, several choices of them, every variant."""
     annotations = veri14(data)
     cars, cad = apollo(data), np.load(data / "cad_keypoints12/pca_3d_cad.npy")[..., 3:]
-    print("| variant | mean error, % of apollo79 | % of cad12 | held-out car, cm | sigma, cm | CPU s |")
+    heads("variant", "mean error, % of apollo79", "% of cad12", "held-out car, cm", "noise, cm", "CPU s")
     for variant in VARIANTS:
         rows = []
         for seed in range(subsets):
@@ -106,22 +113,27 @@ def every(data: Path, seeds: int) -> None:
     """All images with at least eight annotated keypoints."""
     annotations = veri14(data)
     cars, cad = apollo(data), np.load(data / "cad_keypoints12/pca_3d_cad.npy")[..., 3:]
+    differences = {}
+    heads("variant", "mean error, % of apollo79", "% of cad12", "held-out car, cm", "CPU s")
     for variant in ("default", "perspective removed"):
         for seed in range(seeds):
             learnt, seconds = learn(annotations, variant, seed)
-            _, error, difference = mean_error(learnt.prior, cars)
+            _, error, differences[variant] = mean_error(learnt.prior, cars)
             expressed = 100 * expression_error(learnt.prior, cars).mean()
             print(
                 f"| {variant}, {int(learnt.nrsfm.used.sum())} images, seed {seed} | {error:.2f} "
-                f"| {cad12_error(learnt.prior, cad):.2f} | {expressed:.1f} | {seconds:.0f} s |",
+                f"| {cad12_error(learnt.prior, cad):.2f} | {expressed:.1f} | {seconds:.0f} |",
                 flush=True,
             )
-        print(per_keypoint(annotations.category, difference))
+    print("\nLearnt less mean of apollo79, cm (forward, down, left), left keypoints:\n")
+    for variant, difference in differences.items():
+        print(f"- {variant}: {per_keypoint(annotations.category, difference)}")
 
 
 def heldout(data: Path, repeats: int) -> None:
     """A tenth of the keypoints hidden at random, predicted in percent of the visible ones' larger extent."""
-    annotations = veri14(data)
+    annotations, medians = veri14(data), ""
+    heads("variant", "points", "median", "75 %", "90 %", "mean", "beyond 15 %, %")
     for variant in ("default", "perspective removed", "plain and Gaussian (Torresani)", "rigid"):
         errors, places = [], []
         for seed in range(repeats):
@@ -144,7 +156,8 @@ def heldout(data: Path, repeats: int) -> None:
         )
         if variant == "default":
             names = annotations.category.keypoints
-            print("; ".join(f"{names[k]} {np.median(error[place == k]):.1f}" for k in range(len(names))))
+            medians = "; ".join(f"{names[k]} {np.median(error[place == k]):.1f}" for k in range(len(names)))
+    print(f"\nMedian per keypoint, default: {medians}.")
 
 
 def points36(data: Path, subsets: int) -> None:
@@ -152,7 +165,8 @@ def points36(data: Path, subsets: int) -> None:
     category = load_category("car36")
     annotations = load_annotations([data / "veri_keypoints36/label_train.csv"], category)
     reference, cars = import_icra2017(data / "icra2017"), np.load(data / "apollo79/apollo79_car36.npz")["keypoints"]
-    print(f"authors' mean against apollo79: {mean_error(reference, cars)[1]:.2f} %")
+    print(f"The authors' mean against apollo79: {mean_error(reference, cars)[1]:.2f} %.\n")
+    heads("variant", "% of icra2017", "each axis scaled", "% of apollo79", "held-out car, cm", "nearness", "CPU s")
     for variant in ("default", "perspective removed"):
         for seed in range(subsets):
             chosen = annotations.select(spread(annotations, 300, np.random.default_rng(seed)))
@@ -161,7 +175,7 @@ def points36(data: Path, subsets: int) -> None:
             print(
                 f"| {variant}, seed {seed} | {own.percent:.2f} | {axis_scaled(learnt.prior, reference):.2f} "
                 f"| {mean_error(learnt.prior, cars)[1]:.2f} | {100 * expression_error(learnt.prior, cars).mean():.1f} "
-                f"| {learnt.nrsfm.nearness:.3f} | {seconds:.1f} s |",
+                f"| {learnt.nrsfm.nearness:.3f} | {seconds:.1f} |",
                 flush=True,
             )
 
@@ -177,6 +191,7 @@ def axis_scaled(prior: ShapePrior, reference: ShapePrior) -> float:
 def variance(data: Path) -> None:
     """Share of the variance of 10 learnt vectors, per data set; and of the 3D shapes themselves."""
     car14, car36 = veri14(data), load_annotations([data / "veri_keypoints36/label_train.csv"], load_category("car36"))
+    heads("learnt from", "vectors 1 to 10, %", "first five, % of all", "of the ten")
     for name, marked in (("veri_keypoints14", car14), ("veri_keypoints36", car36)):
         chosen = marked.select(spread(marked, 300, np.random.default_rng(0)))
         for perspective in (False, True):
@@ -187,6 +202,11 @@ def variance(data: Path) -> None:
             kind = f"{name}{', perspective removed' if perspective else ''}"
             five = share[:5].sum()
             print(f"| {kind} | {shares} | {100 * five:.2f} | {100 * five / share.sum():.2f} |", flush=True)
+
+
+def heads(*names: str) -> None:
+    """The first two lines of a Markdown table; its first column is text."""
+    print(f"| {' | '.join(names)} |\n| --- |{' ---: |' * (len(names) - 1)}")
 
 
 def veri14(data: Path) -> Annotations:
@@ -203,12 +223,12 @@ def main() -> None:
     """Run the parts that are asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    parser.add_argument("--part", action="append", choices=["small", "all", "heldout", "points36", "variance"])
+    parser.add_argument("--part", action="append", choices=list(TITLES))
     parser.add_argument("--repeats", type=int, default=4, help="choices of images, or seeds")
     arguments = parser.parse_args()
-    parts = arguments.part or ["small", "all", "heldout", "points36", "variance"]
+    parts = arguments.part or list(TITLES)
     for part in parts:
-        print(f"## {part}", flush=True)
+        print(f"\n### {TITLES[part]}\n", flush=True)
         if part == "small":
             small(arguments.data, arguments.repeats)
         elif part == "all":

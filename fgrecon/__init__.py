@@ -28,7 +28,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.core.category import Category
     from fgrecon.core.detection import Detection
     from fgrecon.core.observation import Observation
-    from fgrecon.core.options import BoxModel, Options
+    from fgrecon.core.options import BoxModel, BoxOptions, KeypointOptions, Options, SearchOptions, ShapeOptions
     from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status, rotation_y
     from fgrecon.core.robust import RobustStrategy, StrategyName, strategy
     from fgrecon.core.shape_prior import ShapePrior, Surface
@@ -47,6 +47,7 @@ __all__ = [
     "Alternative",
     "Box3D",
     "BoxModel",
+    "BoxOptions",
     "Camera",
     "Category",
     "Detection",
@@ -56,10 +57,13 @@ __all__ = [
     "Iteration",
     "JointStep",
     "KeypointDetector",
+    "KeypointOptions",
     "Observation",
     "Options",
     "Reconstruction",
     "RobustStrategy",
+    "SearchOptions",
+    "ShapeOptions",
     "ShapePrior",
     "SizePrior",
     "Status",

@@ -1,0 +1,96 @@
+"""What the documentation says about the code is so: commands, options, rooms, states, links and figures."""
+
+import ast
+import re
+import shlex
+
+import pytest
+import typer
+
+import fgrecon
+from fgrecon.cli import main
+from tests.conftest import REPOSITORY
+from tests.docs.pages import PAGES, blocks, commands, name_of, rows
+from tests.test_layers import ROOMS
+
+TABLES = REPOSITORY / "docs/tables"
+
+
+def leaf(words):
+    """The command that words name, and the words that are left."""
+    command = typer.main.get_command(main.app)
+    while words and words[0] in getattr(command, "commands", {}):
+        command, words = command.commands[words[0]], words[1:]
+    return command, words
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_every_command_and_option_exists(page):
+    for line in commands(page.read_text(encoding="utf-8")):
+        command, rest = leaf(shlex.split(line)[1:])
+        assert not getattr(command, "commands", {}) or rest[0].startswith("--"), line
+        known = {
+            "--help",
+            *(name for parameter in command.params for name in (*parameter.opts, *parameter.secondary_opts)),
+        }
+        assert {word for word in rest if re.match("--?[a-z]", word)} <= known | {"--install-completion"}, line
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if "docs" not in p.parts[-3:]], ids=name_of)
+def test_links_lead_somewhere(page):
+    links = re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text(encoding="utf-8"))
+    assert [link for link in links if not link.startswith("http") and not (page.parent / link).exists()] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_python_is_python(page):
+    for block in blocks(page.read_text(encoding="utf-8"), "python"):
+        ast.parse(block)
+
+
+def test_the_rooms_are_those_that_are_checked():
+    found = rows((REPOSITORY / "docs/architecture.md").read_text(encoding="utf-8"))
+    start = next(i for i, row in enumerate(found) if row[0] == "room") + 2
+    table = {row[0].strip("`"): set(re.findall(r"`([^`]+)`", row[2])) for row in found[start : start + len(ROOMS)]}
+    table[""] = table.pop("(public names)")
+    assert table == ROOMS
+
+
+def test_the_options_shown_are_the_defaults():
+    known = {}
+    (block,) = blocks((REPOSITORY / "docs/options.md").read_text(encoding="utf-8"), "python")
+    exec(block, known)
+    assert known["options"] == fgrecon.Options()
+
+
+def test_every_status_is_explained():
+    text = (REPOSITORY / "docs/result.md").read_text(encoding="utf-8")
+    status = [row[0].strip("`") for row in rows(text.partition("## Status")[2].partition("\n## ")[0])[2:]]
+    assert status == [str(status) for status in fgrecon.Status]
+
+
+def test_every_field_of_the_result_table_exists():
+    text = (REPOSITORY / "docs/result.md").read_text(encoding="utf-8").partition("## Status")[0]
+    named = {name for row in rows(text)[2:] for name in re.findall(r"`(\w+)`", row[0])}
+    assert len(named) > 20
+    fields = {*fgrecon.Reconstruction.__dataclass_fields__, "rotation_y", "location"}
+    assert named <= fields
+
+
+@pytest.mark.parametrize("table", sorted(TABLES.glob("*.md")), ids=lambda path: path.stem)
+def test_a_table_says_how_it_was_made(table):
+    source = ast.parse((REPOSITORY / "docs/measure.py").read_text(encoding="utf-8"))
+    made = {node.name for node in source.body if isinstance(node, ast.FunctionDef)}
+    head = table.read_text(encoding="utf-8").splitlines()[0]
+    assert head.startswith(f"<!-- Made by `python docs/measure.py {table.stem} --data DATA`, fgrecon ")
+    assert table.stem in made
+
+
+def test_the_figures_of_the_readme_are_those_of_the_tables():
+    made = [
+        set(row) for name in ("tracks", "kitti") for row in rows((TABLES / f"{name}.md").read_text(encoding="utf-8"))
+    ]
+    text = (REPOSITORY / "README.md").read_text(encoding="utf-8").partition("## Accuracy")[2].partition("\n## ")[0]
+    shown = [row for row in rows(text) if row[0] not in ("method", "boxes") and not row[0].startswith("---")]
+    assert len(shown) >= 6
+    assert [row for row in shown if not any(set(row) <= cells for cells in made)] == []
