@@ -81,8 +81,8 @@ def current_spelling(
         current.append(argument)
         if position < end and argument in once_flags and not _is_value(arguments[position + 1 : end]):
             current.append(once_flags[argument])
-            told = f"{argument} {once_flags[argument]}"
-            warnings.append(f"{argument} takes a file now: say {told}; without one it goes with the next release.")
+            usage = f"{argument} {once_flags[argument]}"
+            warnings.append(f"{argument} takes a file now: say {usage}; without one it goes with the next release.")
     return current, warnings
 
 

@@ -103,7 +103,7 @@ def kitti_command(
         error = car.failure or f"{car.degrees:.1f} degrees, {car.metres:.2f} m"
         screen.detail(f"{car.frame}/{car.index}: {error}")
     screen.print(*map(str, problems))
-    told = {
+    given = {
         "images": len(frames),
         "boxes": "labels" if boxes.boxes is None else boxes.boxes.name,
         "overlap": boxes.overlap,
@@ -112,7 +112,7 @@ def kitti_command(
         "box_model": boxes.box_model.value,
         "network": setup.detector.provenance,
     }
-    screen.write_json(json.dumps(kitti_images.document(cars, told), indent=1) + "\n")
+    screen.write_json(json.dumps(kitti_images.document(cars, given), indent=1) + "\n")
     wanted = picture is not None or delivery.wanted
     sights = _sights(cars, {frame.name: frame.image for frame in frames}) if wanted else []
     if picture is not None and sights:
@@ -132,11 +132,11 @@ def _setup(boxes: KittiBoxes, labelled: LabelledScene, weights: Path | None) -> 
     from fgrecon.core.size_prior import size_prior
     from fgrecon.evaluation.kitti_images import Setup
     from fgrecon.io.catalogue import load_prior
-    from fgrecon.perception.keypoints.detect import Detector
+    from fgrecon.perception.keypoints.detect import KeypointCascade
 
     plane, origin = labelled.plane()
     setup = Setup(
-        detector=Detector(weights),
+        detector=KeypointCascade(weights),
         prior=load_prior(labelled.prior),
         ground=plane,
         size_prior=None if labelled.size_prior == "none" else size_prior(labelled.size_prior),

@@ -10,7 +10,7 @@ import typer
 
 from fgrecon.cli.commands import add_command
 from fgrecon.cli.common import check_outputs
-from fgrecon.cli.options import BoxOptions, JsonOption
+from fgrecon.cli.options import JsonOption, VehicleBoxes
 from fgrecon.cli.terminal import Terminal
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
@@ -30,7 +30,7 @@ def _group() -> None:
 
 def detect_command(
     image: Annotated[Path, typer.Argument(metavar="IMAGE", help="Image file.")],
-    boxes: BoxOptions,
+    boxes: VehicleBoxes,
     terminal: Terminal,
     picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw what was found (png, jpg).")] = None,
     json_out: JsonOption = None,

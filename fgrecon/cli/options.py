@@ -28,13 +28,13 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
 __all__ = [
     "BOX_MODEL_HELP",
     "KITTI_CAMERA_HEIGHT",
-    "BoxOptions",
     "CameraOptions",
     "DataOption",
     "JsonOption",
     "LabelledScene",
     "MarkdownOption",
     "SceneOptions",
+    "VehicleBoxes",
     "WeightsOption",
     "fitting_names",
 ]
@@ -194,7 +194,7 @@ class LabelledScene:
 
 
 @dataclass(frozen=True)
-class BoxOptions:
+class VehicleBoxes:
     """Where the cars of an image are, and the network that finds their keypoints."""
 
     box: Annotated[

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.cli.batch import CameraSource, Task
-from fgrecon.cli.options import BoxOptions
+from fgrecon.cli.options import VehicleBoxes
 from fgrecon.cli.terminal import Screen
 from fgrecon.core.camera import DEFAULT_FIELD_OF_VIEW, Camera
 from fgrecon.core.category import Category
@@ -60,7 +60,7 @@ def read_image_tasks(
     image: NDArray[np.uint8],
     source: CameraSource,
     category: Category,
-    boxes: BoxOptions,
+    boxes: VehicleBoxes,
     box_model: BoxModel | None,
     screen: Screen,
 ) -> tuple[list[Task], str | None]:

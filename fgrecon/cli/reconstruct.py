@@ -10,7 +10,7 @@ import typer
 
 from fgrecon.cli.common import check_outputs
 from fgrecon.cli.deliver import Delivery
-from fgrecon.cli.options import BOX_MODEL_HELP, BoxOptions, CameraOptions, JsonOption, SceneOptions
+from fgrecon.cli.options import BOX_MODEL_HELP, CameraOptions, JsonOption, SceneOptions, VehicleBoxes
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import BoxModel
@@ -91,7 +91,7 @@ def reconstruct_command(
     camera: CameraOptions,
     scene: SceneOptions,
     solving: Solving,
-    boxes: BoxOptions,
+    boxes: VehicleBoxes,
     drawings: Drawings,
     delivery: Delivery,
     terminal: Terminal,

@@ -14,7 +14,7 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
     from numpy.typing import NDArray
 
     from fgrecon.core.category import Category
-    from fgrecon.simulation.sample import SeenCar, Street
+    from fgrecon.simulation.sample import SampleStreet, SeenCar
 
 __all__ = ["sample_command"]
 
@@ -54,7 +54,7 @@ def _json(content: dict[str, Any]) -> str:
     return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 
-def _projection(street: Street) -> NDArray[Any]:
+def _projection(street: SampleStreet) -> NDArray[Any]:
     """(3, 4) K [I | t] of the camera, t from the frame of the labels."""
     import numpy as np
 
@@ -70,7 +70,7 @@ def _calibration(projection: NDArray[Any]) -> str:
     return "".join(f"P{camera}: {numbers}\n" for camera in range(4))
 
 
-def _keypoint_file(street: Street, category: Category) -> dict[str, Any]:
+def _keypoint_file(street: SampleStreet, category: Category) -> dict[str, Any]:
     """What `fgrecon reconstruct` reads."""
     from fgrecon.cli.demo_report import plain_observation
 
@@ -84,13 +84,13 @@ def _keypoint_file(street: Street, category: Category) -> dict[str, Any]:
     }
 
 
-def _boxes(street: Street, image: str) -> str:
+def _boxes(street: SampleStreet, image: str) -> str:
     """The cars' boxes as detections."""
     boxes = [car.observation.box for car in street.cars]
     return "".join(f"{image} 2 0.990 {' '.join(f'{x:.2f}' for x in box)}\n" for box in boxes if box is not None)
 
 
-def _track_file(street: Street, track: list[SeenCar], category: Category) -> dict[str, Any]:
+def _track_file(street: SampleStreet, track: list[SeenCar], category: Category) -> dict[str, Any]:
     """What `fgrecon track` and `fgrecon evaluate tracks` read; see `fgrecon.io.track_file`."""
     return {
         "K": street.camera.matrix.tolist(),

@@ -163,9 +163,9 @@ def table(tracks: Sequence[Solved]) -> Table:
 def _error_cells(track: Solved) -> list[str]:
     if track.sight.truths is None:
         return ["", "", ""]
-    together = _errors(track.result.frames, track.truths)
+    joint = _errors(track.result.frames, track.truths)
     alone = _errors(track.alone, track.truths)
-    return [f"{a:.2f} ({b:.2f})" if np.isfinite(a) else "" for a, b in zip(together, alone, strict=True)]
+    return [f"{a:.2f} ({b:.2f})" if np.isfinite(a) else "" for a, b in zip(joint, alone, strict=True)]
 
 
 def _errors(results: Sequence[Reconstruction | None], truths: Sequence[Truth | None]) -> tuple[float, float, float]:

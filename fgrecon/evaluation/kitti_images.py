@@ -25,7 +25,7 @@ from fgrecon.core.size_prior import SizePrior
 from fgrecon.evaluation.kitti_devkit import MINIMUM_OVERLAP, REGIMES, match_detections, regime_members
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_calibration import KittiCalibration, read_calibration
-from fgrecon.io.kitti_files import Objects, Problem, read_detections, read_labels
+from fgrecon.io.kitti_files import Fault, Objects, read_detections, read_labels
 from fgrecon.perception.from_image import FromImage, reconstruct_image
 from fgrecon.perception.keypoints.detect import KeypointCascade
 
@@ -123,7 +123,7 @@ class RegimeScore:
 
 def read_frames(
     images: Path, labels: Path, calib: Path, names: Sequence[str] | None = None, detections: Path | None = None
-) -> tuple[list[ImageFrame], list[Problem]]:
+) -> tuple[list[ImageFrame], list[Fault]]:
     """The frames that have an image.
 
     Args:

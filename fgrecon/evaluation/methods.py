@@ -248,8 +248,8 @@ def _baseline(name: str, summary: str, load: Callable[[], PnP], package: str | N
 
         return solve
 
-    told = f"{name}+size" if size else name
-    return Method(told, summary, bind, lambda scene: f"mean shape of {prior(scene).name}", package=package)
+    full_name = f"{name}+size" if size else name
+    return Method(full_name, summary, bind, lambda scene: f"mean shape of {prior(scene).name}", package=package)
 
 
 def _fgrecon(name: str, *, ground: bool, size: bool, robust: RobustStrategy | None = None) -> Method:

@@ -1,7 +1,7 @@
 """KITTI's label, result, image set and detection files, with every defect named and counted.
 
 A line of a label file (object set) is `type truncated occluded alpha x1 y1 x2 y2 h w l x y z rotation_y`; results add a
-score as the 16th column. Nothing is skipped silently: whatever cannot be used becomes a `Problem`, which the readers
+score as the 16th column. Nothing is skipped silently: whatever cannot be used becomes a `Fault`, which the readers
 return beside what could be read.
 """
 
@@ -25,8 +25,8 @@ __all__ = [
     "LABEL_COLUMNS",
     "Defect",
     "DetectionLine",
+    "Fault",
     "Objects",
-    "Problem",
     "count_defects",
     "format_results",
     "parse_detection",
@@ -64,7 +64,7 @@ class Defect(StrEnum):
 
 
 @dataclass(frozen=True)
-class Problem:
+class Fault:
     """One defect: what, where (file and line, or frame), and what was found there."""
 
     defect: Defect
@@ -85,7 +85,7 @@ class DetectionLine(NamedTuple):
     box: list[float]
 
 
-def count_defects(problems: Iterable[Problem]) -> dict[str, int]:
+def count_defects(problems: Iterable[Fault]) -> dict[str, int]:
     """How often each defect occurs, by its name."""
     counts = Counter(problem.defect for problem in problems)
     return {str(defect): counts[defect] for defect in Defect if counts[defect]}
@@ -184,7 +184,7 @@ def _finite(words: Sequence[str], line: str) -> list[float]:
     return numbers
 
 
-def parse_objects(text: str, place: str, *, scored: bool = False) -> tuple[Objects, list[Problem]]:
+def parse_objects(text: str, place: str, *, scored: bool = False) -> tuple[Objects, list[Fault]]:
     """Read the lines of a label file, or of a result file.
 
     Args:
@@ -202,12 +202,12 @@ def parse_objects(text: str, place: str, *, scored: bool = False) -> tuple[Objec
         try:
             kind, numbers = parse_object(line, scored=scored)
         except ValueError as error:
-            problems.append(Problem(Defect.MALFORMED_LINE, f"{place}:{number}", str(error)))
+            problems.append(Fault(Defect.MALFORMED_LINE, f"{place}:{number}", str(error)))
             continue
         kinds.append(kind)
         rows.append(numbers)
     if not kinds and not problems:
-        problems.append(Problem(Defect.EMPTY_FILE, place, "no line"))
+        problems.append(Fault(Defect.EMPTY_FILE, place, "no line"))
     return Objects.of_rows(kinds, np.array(rows)), problems
 
 
@@ -226,43 +226,43 @@ def read_image_set(path: Path) -> tuple[str, ...]:
     return frames
 
 
-def read_labels(folder: Path, frames: Sequence[str]) -> tuple[dict[str, Objects], list[Problem]]:
+def read_labels(folder: Path, frames: Sequence[str]) -> tuple[dict[str, Objects], list[Fault]]:
     """Labels of the frames that have a file `<frame>.txt`; the others are problems."""
     return _read_files(folder, frames, scored=False)
 
 
-def read_results(folder: Path, frames: Sequence[str]) -> tuple[dict[str, Objects], list[Problem]]:
+def read_results(folder: Path, frames: Sequence[str]) -> tuple[dict[str, Objects], list[Fault]]:
     """Results (16 columns) of the frames that have a file `<frame>.txt`.
 
     Frames without a file and files of other frames are problems; so are empty files, which count as no detection.
     """
     objects, problems = _read_files(folder, frames, scored=True)
     unknown = sorted({path.stem for path in folder.glob("*.txt")} - set(frames))
-    problems += [Problem(Defect.UNKNOWN_FRAME, str(folder / f"{name}.txt"), "not in the image set") for name in unknown]
+    problems += [Fault(Defect.UNKNOWN_FRAME, str(folder / f"{name}.txt"), "not in the image set") for name in unknown]
     return objects, problems
 
 
-def _read_files(folder: Path, frames: Sequence[str], *, scored: bool) -> tuple[dict[str, Objects], list[Problem]]:
+def _read_files(folder: Path, frames: Sequence[str], *, scored: bool) -> tuple[dict[str, Objects], list[Fault]]:
     if not folder.is_dir():
         raise InvalidInputError("folder", str(folder), "Give a folder with one text file a frame.")
     found: dict[str, Objects] = {}
-    problems: list[Problem] = []
+    problems: list[Fault] = []
     for frame in frames:
         path = folder / f"{frame}.txt"
         try:
             text = path.read_text(encoding="utf-8")
         except FileNotFoundError:
-            problems.append(Problem(Defect.MISSING_FRAME, frame, f"no file {path}"))
+            problems.append(Fault(Defect.MISSING_FRAME, frame, f"no file {path}"))
             continue
         except (OSError, UnicodeDecodeError) as error:
-            problems.append(Problem(Defect.UNREADABLE_FILE, str(path), str(error)))
+            problems.append(Fault(Defect.UNREADABLE_FILE, str(path), str(error)))
             continue
         found[frame], defects = parse_objects(text, str(path), scored=scored)
         problems += defects
     return found, problems
 
 
-def read_detections(path: Path, frames: Sequence[str]) -> tuple[dict[str, Objects], list[Problem]]:
+def read_detections(path: Path, frames: Sequence[str]) -> tuple[dict[str, Objects], list[Fault]]:
     """2D detections from one file with lines `image class score x1 y1 x2 y2` (`DETECTION_CLASSES`).
 
     Returns:
@@ -272,7 +272,7 @@ def read_detections(path: Path, frames: Sequence[str]) -> tuple[dict[str, Object
         InvalidInputError: The file cannot be read.
     """
     rows: dict[str, list[DetectionLine]] = {frame: [] for frame in frames}
-    problems: list[Problem] = []
+    problems: list[Fault] = []
     strangers: Counter[str] = Counter()
     for number, line in enumerate(_read(path).splitlines(), start=1):
         if not line.strip():
@@ -282,15 +282,15 @@ def read_detections(path: Path, frames: Sequence[str]) -> tuple[dict[str, Object
             if detection.label not in DETECTION_CLASSES:
                 raise ValueError(f"class {detection.label} in '{line}' is none of {', '.join(DETECTION_CLASSES)}")
         except ValueError as error:
-            problems.append(Problem(Defect.MALFORMED_LINE, f"{path}:{number}", str(error)))
+            problems.append(Fault(Defect.MALFORMED_LINE, f"{path}:{number}", str(error)))
             continue
         frame = Path(detection.image).stem
         if frame in rows:
             rows[frame].append(detection)
         else:
             strangers[frame] += 1
-    problems += [Problem(Defect.UNKNOWN_FRAME, f, f"{n} detections in {path}") for f, n in sorted(strangers.items())]
-    problems += [Problem(Defect.MISSING_FRAME, f, f"no detection in {path}") for f, found in rows.items() if not found]
+    problems += [Fault(Defect.UNKNOWN_FRAME, f, f"{n} detections in {path}") for f, n in sorted(strangers.items())]
+    problems += [Fault(Defect.MISSING_FRAME, f, f"no detection in {path}") for f, found in rows.items() if not found]
     return {frame: _detected(found) for frame, found in rows.items()}, problems
 
 

@@ -19,7 +19,7 @@ from fgrecon.core.robust import StrategyName
 from fgrecon.evaluation.methods import SceneKnowledge
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.kitti_calibration import read_calibration
-from fgrecon.io.kitti_files import Objects, Problem, read_detections, read_image_set, read_labels
+from fgrecon.io.kitti_files import Fault, Objects, read_detections, read_image_set, read_labels
 from fgrecon.paper.simulated import Fleet, KittiFrame, simulate_frame
 from fgrecon.paper.simulated_scores import CHAIN_ROWS, MAIN_ROWS, RowSolver, Scores, row_solvers, score_instances
 from fgrecon.simulation.keypoint_noise import HOURGLASS
@@ -75,7 +75,7 @@ class Validation:
     """
 
     frames: tuple[KittiFrame, ...]
-    problems: tuple[Problem, ...]
+    problems: tuple[Fault, ...]
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from fgrecon.simulation.render import Body, render
 from fgrecon.simulation.scenery import BODY_COLOURS, car_paint, road, with_shadow
 from fgrecon.simulation.vehicles import KITTI_CAMERA, SimulatedTruth, Vehicle, simulate, yaw_pose
 
-__all__ = ["GROUND", "LABEL_OFFSET", "SeenCar", "Street", "sample_street", "sample_track"]
+__all__ = ["GROUND", "LABEL_OFFSET", "SampleStreet", "SeenCar", "sample_street", "sample_track"]
 
 GROUND = Ground.level(1.65)
 """The road under KITTI's camera."""
@@ -42,7 +42,7 @@ class SeenCar:
 
 
 @dataclass(frozen=True)
-class Street:
+class SampleStreet:
     """A picture of cars.
 
     Attributes:
@@ -56,7 +56,7 @@ class Street:
     cars: tuple[SeenCar, ...]
 
 
-def sample_street(prior: ShapePrior, seed: int = 0) -> Street:
+def sample_street(prior: ShapePrior, seed: int = 0) -> SampleStreet:
     """Render three cars beside a road, none before another. The same seed gives the same bits.
 
     Args:
@@ -74,7 +74,7 @@ def sample_street(prior: ShapePrior, seed: int = 0) -> Street:
     vehicles = [_vehicle(prior, rng) for _ in poses]
     cars = tuple(_seen(vehicle, pose, rng) for vehicle, pose in zip(vehicles, poses, strict=True))
     colours = rng.permutation(list(BODY_COLOURS.values()))
-    return Street(_picture(prior, vehicles, poses, colours, seed), KITTI_CAMERA, cars)
+    return SampleStreet(_picture(prior, vehicles, poses, colours, seed), KITTI_CAMERA, cars)
 
 
 def sample_track(prior: ShapePrior, frames: int = 8, seed: int = 0) -> list[SeenCar]:

@@ -14,13 +14,13 @@ from fgrecon.core.camera import Ground
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.evaluation import methods, report
-from fgrecon.evaluation.methods import Scene, select
+from fgrecon.evaluation.methods import SceneKnowledge, select
 from fgrecon.evaluation.run import score_tracks
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.track_file import read_track
 from fgrecon.viz import replay
 
-SCENE = Scene(load_prior("car14"), Ground.level(1.65), SIZE_PRIORS["kitti"])
+SCENE = SceneKnowledge(load_prior("car14"), Ground.level(1.65), SIZE_PRIORS["kitti"])
 FAST = ["--method", "sqpnp", "--method", "sqpnp_confident+size"]
 
 

@@ -20,7 +20,7 @@ from fgrecon.perception.keypoints import CascadeDetection, KeypointCascade
 from fgrecon.perception.vehicles import YoloVehicleDetector
 from tests.cars import CAMERA, observe, yaw_pose
 
-FAST = Options(keep_history=False, box_model="off")
+FAST = Options(keep_history=False, box="off")
 POSE = yaw_pose(0.8)
 IMAGE = np.zeros((375, 1242, 3), dtype=np.uint8)
 

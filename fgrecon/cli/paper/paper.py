@@ -48,11 +48,11 @@ def paper_command(
     settings = EvaluationSettings(data, out, scene, workers or os.cpu_count() or 1, every, seed, fresh)
     with screen.bar() as advance:
         page = evaluate_paper(settings, advance)
-    told = report.settings(scene, {})
-    told |= {"data": str(data), "workers": settings.workers, "every": every, "seed": seed}
+    parameters = report.settings(scene, {})
+    parameters |= {"data": str(data), "workers": settings.workers, "every": every, "seed": seed}
     screen.print(*page.claims)
     screen.detail(*page.defects, *page.failures)
     screen.write_text(out / "evaluation.md", paper_page.markdown(page))
-    screen.write_text(out / "evaluation.json", report.to_json(paper_page.document(page, told)))
+    screen.write_text(out / "evaluation.json", report.to_json(paper_page.document(page, parameters)))
     screen.write_text(out / "evaluation.html", paper_page.html(page))
     screen.wrote(out / "kitti_results")

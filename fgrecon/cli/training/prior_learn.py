@@ -22,7 +22,7 @@ __all__ = ["learn_command"]
 
 
 @dataclass(frozen=True)
-class Annotations:
+class AnnotationOptions:
     """Which annotated images are learnt from."""
 
     images: Annotated[
@@ -82,7 +82,7 @@ def learn_command(
             help="Annotation files or folders: COCO .json, PASCAL3D+ .mat, .npz, or .csv (VeRi, 36 points).",
         ),
     ],
-    annotations: Annotations,
+    annotations: AnnotationOptions,
     learning: Learning,
     terminal: Terminal,
     category: Annotated[

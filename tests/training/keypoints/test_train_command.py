@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from fgrecon.cli.main import app
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.perception.keypoints.decode import Calibration
+from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.weights import Stored, load_weights, save_weights
 from tests.training.keypoints.test_rounds import SMALL, source  # noqa: F401 - a fixture
 
@@ -54,7 +54,9 @@ def test_networks_are_trained_shown_and_written(train, tmp_path):
 def test_a_trained_network_can_go_on_and_be_kept(train, tmp_path):
     torch.manual_seed(1)
     start = tmp_path / "start.safetensors"
-    save_weights(start, Stored(KNet(SMALL).state_dict(), SMALL.to_dict(), Calibration(), {"start": "nothing"}))
+    save_weights(
+        start, Stored(KNet(SMALL).state_dict(), SMALL.to_dict(), ConfidenceCalibration(), {"start": "nothing"})
+    )
     done = train("on.safetensors", "--start", start, "--start-share", 1, "--relabel-at", 9, "--refine-steps", 0)
     assert done.exit_code == 0, done.output
     before, after = load_weights(start), load_weights(tmp_path / "on.safetensors")
