@@ -13,6 +13,7 @@ HEAVY = ("torch", "rerun", "cv2", "matplotlib", "poselib")
     [
         ("fgrecon", (*HEAVY, "typer", "rich", "gtsam", "scipy")),
         ("fgrecon.cli.main", (*HEAVY, "rich.table")),
+        ("fgrecon.core.reconstruction", (*HEAVY, "typer", "rich", "gtsam", "scipy")),
         ("fgrecon.solve.pipeline", (*HEAVY, "typer", "rich", "scipy")),
         ("factors", ("fgrecon", "gtsam")),
     ],

@@ -6,9 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +17,9 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.plain import array, indices, numbers, pairs, plain, square
 from fgrecon.core.plotting import DEFAULT_BACKEND, as_html, plotting_backend
 from fgrecon.core.table import as_arrow, as_pandas
+
+if TYPE_CHECKING:
+    import gtsam
 
 __all__ = ["TRUSTED", "Alternative", "GraphFactor", "Iteration", "Reconstruction", "Status", "rotation_y"]
 
@@ -170,6 +172,8 @@ class Reconstruction:
     @property
     def pose(self) -> gtsam.Pose3:
         """`camera_T_object` as a GTSAM pose."""
+        import gtsam  # on use: data alone need it not
+
         return gtsam.Pose3(self.camera_T_object)
 
     @property
