@@ -261,10 +261,28 @@ def test_starts_from_elsewhere(seen, initial):
     assert np.degrees(rotation_angle(result.camera_T_object, seen[1])) < 5
 
 
+def test_a_wrong_guess_is_trusted(seen):
+    result = solve(seen[0], initial=0.7 + np.pi)
+    assert np.degrees(rotation_angle(result.camera_T_object, seen[1])) > 60
+
+
+def test_a_3d_box_is_a_start(prior):
+    """Points that are too unsure for ASPnP and one azimuth far off: only the box leads to the car."""
+    truth = yaw_pose(np.radians(170))
+    unsure = replace(observe(prior, truth, noise=2.0), confidence=np.full(14, 0.1))
+    box = Box3D(np.array(truth[:3, 3]), np.radians(165))
+    for initial, found in ((box, True), (None, False)):
+        result = reconstruct(unsure, CAMERA, initial=initial, options=make_options(azimuths=1))
+        assert (np.degrees(rotation_angle(result.camera_T_object, truth)) < 6) == found
+
+
 def test_a_level_camera_is_a_height(seen):
     a, b = (solve(seen[0], ground=ground) for ground in (1.65, Ground(np.array([0.0, 1.0, 0.0]), 1.65)))
     assert_same(untimed(a), untimed(b))
-    assert abs(a.location[1] - 1.65) < abs(solve(seen[0]).location[1] - 1.65) + 0.05
+    high, unknown = solve(seen[0], ground=1.95), solve(seen[0])
+    assert "ground" in a.energies
+    assert "ground" not in unknown.energies
+    assert high.location[1] > a.location[1] + 0.05
 
 
 def test_a_detectors_covariance_counts(seen):

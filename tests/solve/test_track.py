@@ -128,10 +128,13 @@ def test_one_image_gives_what_it_gives_alone(car):
 def test_without_history_nothing_is_kept(car):
     _, seen = drive(car, np.random.default_rng(2), count=2)
     track = reconstruct_track(seen, KITTI_CAMERA, options=fgrecon.Options(keep_history=False))
+    kept = reconstruct_track(seen, KITTI_CAMERA)
     assert track.history == ()
     assert track.graph == ()
     assert all(frame.history == () for frame in track.frames)
-    assert sum(track.energies.values()) > 0
+    assert len(kept.history) > 2
+    assert track.coefficients.tobytes() == kept.coefficients.tobytes()
+    assert track.energies == kept.energies
 
 
 def test_what_cannot_be_solved_is_refused(car):

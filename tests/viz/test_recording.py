@@ -78,7 +78,7 @@ def test_every_plotted_scalar_equals_the_history(example: Example, recording: Pa
         entities.WEIGHTS,
         entities.COEFFICIENTS,
     }
-    with pytest.raises(KeyError):
+    with pytest.raises(KeyError, match="unknown"):
         energy["unknown"]
 
 
@@ -252,8 +252,7 @@ def test_every_recording_has_all_views_zoomed_to_its_own_vehicle(example: Exampl
     assert set(views.values()) == {1}
     assert len(bounds) == 2  # of the image and of the factor graph
     there = layout("there.rrd", moved)[1]
-    assert bounds[-1] == there[-1] or bounds[0] == there[0]
-    assert bounds != there
+    assert [a == b for a, b in zip(bounds, there, strict=True)].count(True) == 1  # the factor graph's alone stay
 
 
 def test_a_failed_result_without_history_still_records(example: Example, tmp_path: Path) -> None:
