@@ -24,6 +24,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -83,7 +84,7 @@ def run_tests(folder: Path, tests: Sequence[str], seconds: float, failures: int)
         )
     except subprocess.TimeoutExpired:
         return -1, [f"no end within {seconds:.0f} s"], ""
-    failed = re.findall(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
+    failed = re.findall(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", done.stdout, re.MULTILINE)
     return done.returncode, failed, done.stdout + done.stderr
 
 
@@ -106,17 +107,16 @@ def judge(folder: Path, mutation: Mutation, seconds: float) -> list[str]:
 
 
 def run(chosen: Sequence[Mutation], seconds: float, console: Console) -> int:
-    """Try the mutations; the number that survive."""
-    table = Table("mutation", "ends as", "first failing test", "s")
+    """Try the mutations and print how each ends; the number that survive."""
     survivors = 0
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with tempfile.TemporaryDirectory() as name, Progress(*columns, console=console) as progress:
+    with tempfile.TemporaryDirectory() as name, Progress(*columns, console=console, transient=True) as progress:
         folder = Path(name)
         copy_to(folder)
         task = progress.add_task("without any", total=len(chosen) + 1)
-        code, failed, output = run_tests(
-            folder, sorted({test for m in chosen for test in m.tests}), 2 * seconds, len(MUTATIONS)
-        )
+        guards = {test for mutation in chosen for test in mutation.tests}
+        whole = [test for test in guards if test.partition("::")[0] not in guards - {test}]
+        code, failed, output = run_tests(folder, sorted(whole), len(chosen) * seconds, len(guards))
         if code != 0:
             raise OutdatedError(f"the tests do not pass without any mutation: {failed}\n{output}")
         progress.advance(task)
@@ -126,12 +126,12 @@ def run(chosen: Sequence[Mutation], seconds: float, console: Console) -> int:
             failed = judge(folder, mutation, seconds)
             killed = len(failed) >= mutation.red
             survivors += not killed
-            ending = "[green]killed" if killed else "[red]survived"
-            told = failed[0] if failed else mutation.what
+            ending = "[green]killed  [/]" if killed else "[red]survived[/]"
+            first = escape(failed[0]) if failed else "no test fails"
             more = f" and {len(failed) - 1} more" if len(failed) > 1 else ""
-            table.add_row(mutation.name, ending, told + more, f"{time.monotonic() - started:.0f}")
+            took = f"{time.monotonic() - started:3.0f} s"
+            progress.console.print(f"{ending} {took}  {mutation.name}: {first}{more}", soft_wrap=True, highlight=False)
             progress.advance(task)
-    console.print(table)
     console.print(f"{len(chosen) - survivors} of {len(chosen)} killed")
     return survivors
 
@@ -154,7 +154,7 @@ def main() -> int:
     try:
         return int(run(chosen, arguments.seconds, console) > 0)
     except OutdatedError as error:
-        console.print(f"[red]{error}", soft_wrap=True, markup=True)
+        console.print(str(error), style="red", soft_wrap=True, markup=False)
         return 2
 
 
