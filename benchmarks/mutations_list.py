@@ -36,6 +36,7 @@ ADJUST = "fgrecon/solve/graph/adjust.py"
 STATE = "fgrecon/solve/graph/state.py"
 TRACK = "fgrecon/solve/track.py"
 PIPELINE = "fgrecon/solve/pipeline.py"
+RESULT = "fgrecon/solve/result.py"
 VISIBILITY = "fgrecon/solve/vehicle/visibility.py"
 
 TEST_SEARCH = "tests/solve/proposals/test_search.py"
@@ -46,6 +47,7 @@ TEST_ADJUST = "tests/solve/graph/test_adjust.py"
 TEST_WEIGHTS = "tests/solve/graph/test_weights.py"
 TEST_TRACK = "tests/solve/test_track.py"
 TEST_PIPELINE = "tests/solve/test_pipeline.py"
+TEST_STATUS = "tests/solve/test_status.py"
 TEST_RECOVERY = "tests/solve/test_recovery.py"
 TEST_VISIBILITY = "tests/solve/vehicle/test_visibility.py"
 TEST_DEFAULTS = "tests/core/test_defaults.py"
@@ -198,6 +200,27 @@ DISCARDED = (
         (TEST_WEIGHTS,),
     ),
     Mutation(
+        "graph-anneals-not",
+        "graduated non-convexity is at its end from the first update on",
+        ADJUST,
+        (("graph, values, update / max(updates - 1, 1))", "graph, values, 1.0)"),),
+        (TEST_ADJUST + "::test_every_update_starts_where_the_last_one_ended_and_goes_down",),
+    ),
+    Mutation(
+        "one-update-only",
+        "the weights are updated once, however many updates are asked for",
+        ADJUST,
+        (("updates = max(problem.options.strategy.updates, 1)", "updates = 1"),),
+        (TEST_WEIGHTS,),
+    ),
+    Mutation(
+        "visibility-never-updated",
+        "the graph keeps the visibility of the pose search",
+        STATE,
+        (("    state.visibility = energy.visibility(state.pose.matrix()[None])[0]\n", ""),),
+        (TEST_ADJUST + "::test_every_update_starts_where_the_last_one_ended_and_goes_down",),
+    ),
+    Mutation(
         "algorithm1-weights-never-updated",
         "Algorithm 1 keeps the weights of Eq. 4",
         "fgrecon/solve/proposals/irls.py",
@@ -293,6 +316,27 @@ WRONG_ANSWERS = (
             ),
         ),
         ("tests/solve/graph/test_covariance.py",),
+    ),
+    Mutation(
+        "covariance-weighs-twice",
+        "the covariance counts the m-estimator's weight in the noise and in the loss",
+        PIPELINE,
+        (("weights = graph_weights(problem.energy, shape.weights, shape.visibility)", "weights = shape.weights"),),
+        ("tests/solve/graph/test_covariance.py",),
+    ),
+    Mutation(
+        "ambiguity-margin-ignored",
+        "another pose makes a result ambiguous within 3 nats, whatever the options say",
+        RESULT,
+        (("if a.excess <= options.ambiguity_margin", "if a.excess <= 3.0"),),
+        (TEST_STATUS,),
+    ),
+    Mutation(
+        "visibility-from-behind",
+        "the result tells what a camera on the other side would see",
+        RESULT,
+        (("centre = -camera_T_object", "centre = camera_T_object"),),
+        (TEST_PIPELINE + "::test_the_parts_of_a_result_fit_together",),
     ),
     Mutation(
         "box-distortion-ignored",

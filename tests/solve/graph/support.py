@@ -56,7 +56,7 @@ def weights_of(problem, estimate):
     return estimate.weights, box
 
 
-def weights_at(problem, pose, coefficients, *, previous=None):
+def weights_at(problem, pose, coefficients, *, previous=None, progress=1.0):
     """Weights of keypoints and box edges at a pose and lambda, by loops of their own, and the visibility there."""
     observation, prior, term = problem.observation, problem.model.prior, problem.energy.keypoints
     pixels = project(prior.keypoints(coefficients), pose, problem.camera.matrix)
@@ -66,7 +66,7 @@ def weights_at(problem, pose, coefficients, *, previous=None):
             away = pixels[k] - observation.keypoints[k]
             squared[k] = away @ np.linalg.solve(covariance, away)
     visibility = problem.model.visibility.lookup(pose)
-    weights = term.strategy.weights(squared, term.evidence, visibility, previous=previous)
+    weights = term.strategy.weights(squared, term.evidence, visibility, previous=previous, progress=progress)
     box = problem.energy.box
     if box is None:
         return weights, np.ones(4), visibility

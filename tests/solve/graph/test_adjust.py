@@ -55,7 +55,7 @@ def test_stages(settings):
     assert last.energies == result.energies
 
 
-@pytest.mark.parametrize(("seed", "strategy"), [(3, "mixture"), (4, "huber"), (5, "paper")])
+@pytest.mark.parametrize(("seed", "strategy"), [(3, "mixture"), (4, "huber"), (5, "paper"), (6, "gnc")])
 def test_every_update_starts_where_the_last_one_ended_and_goes_down(seed, strategy):
     """Each update's weights are those at the end of the last one, and its steps those of a solve from there."""
     # Without planarity pose and lambda are all there is: the state is what the history holds.
@@ -66,11 +66,12 @@ def test_every_update_starts_where_the_last_one_ended_and_goes_down(seed, strate
     assert list(dict.fromkeys(stage for stage, _ in by_update)) == ["shape", "joint"]
     assert len(by_update) > 4
     pose, coefficients, weights = start.camera_T_object, start.coefficients, start.weights
-    for (stage, _), steps in by_update.items():
+    for (stage, update), steps in by_update.items():
         assert [iteration.step for iteration in steps] == list(range(len(steps)))
         vehicle = VehicleGraph(problem, gtsam.Pose3(start.camera_T_object), pose_free=stage == "joint")
         values = vehicle.values(gtsam.Pose3(pose), coefficients, np.zeros((14, 3)))
-        weights, box_weights, visibility = weights_at(problem, pose, coefficients, previous=weights)
+        progress = update / (problem.options.strategy.updates - 1)
+        weights, box_weights, visibility = weights_at(problem, pose, coefficients, previous=weights, progress=progress)
         np.testing.assert_allclose(steps[0].weights, weights, atol=1e-12)
         graph = build(vehicle.terms(graph_weights(problem.energy, weights, visibility), box_weights))
         path = minimise(graph, values, relative_tolerance=EARLY_TOLERANCE, record=True).path
