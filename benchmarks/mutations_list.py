@@ -173,6 +173,13 @@ DISCARDED = (
         red=5,
     ),
     Mutation(
+        "never-unfinished",
+        "a solve that is stopped short of its minimum counts as converged",
+        "fgrecon/solve/graph/solver.py",
+        (("converged = decrease <= max(relative_tolerance * error, _NEGLIGIBLE)", "converged = True"),),
+        ("tests/solve/graph/test_solver.py",),
+    ),
+    Mutation(
         "joint-pose-thrown-away",
         "the pose of the joint stage is not taken over",
         ADJUST,
@@ -289,6 +296,13 @@ WRONG_ANSWERS = (
         "the search does not start from the minima of ASPnP",
         PROPOSALS,
         (("    parts.append(_from_aspnp(problem))\n", ""),),
+        (TEST_PROPOSALS,),
+    ),
+    Mutation(
+        "aspnp-unweighted",
+        "ASPnP trusts every keypoint alike",
+        PROPOSALS,
+        (("found = aspnp(prior.mean[used], rays, weights[used])", "found = aspnp(prior.mean[used], rays)"),),
         (TEST_PROPOSALS,),
     ),
     Mutation(
