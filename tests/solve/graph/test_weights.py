@@ -7,6 +7,7 @@ from fgrecon.core.observation import Observation
 from fgrecon.solve.graph.adjust import SETTLED, adjust_shape
 from fgrecon.solve.proposals.adjust import adjust_pose
 from fgrecon.solve.proposals.problem import Problem
+from fgrecon.solve.proposals.terms import Hypotheses
 from tests.solve.graph.support import problem_of, weights_at
 
 
@@ -21,6 +22,20 @@ def test_the_weights_belong_to_the_result(seed, strategy):
     np.testing.assert_allclose(result.weights, again, atol=3 * SETTLED)
     np.testing.assert_allclose(result.box_weights, box_weights, atol=SETTLED)
     np.testing.assert_allclose(result.visibility, visibility, atol=SETTLED)
+
+
+@pytest.mark.parametrize("strategy", ["mixture", "huber"])
+def test_the_energies_are_those_of_the_pose_search(strategy):
+    """Terms that both stages have are told alike; only the ground's has another constant."""
+    problem, start = problem_of(1, strategy=strategy)
+    result = adjust_shape(problem, start)
+    pose = result.pose.matrix()[None]
+    search = problem.energy.energies(Hypotheses(pose[:, :3, :3], pose[:, :3, 3], result.coefficients[None]))
+    shared = set(search) - {"ground"}
+    assert shared == {"reprojection", "box", "dimensions", "coefficients"}
+    for name in shared:
+        assert result.energies[name] == pytest.approx(search[name][0], rel=1e-9)
+    assert set(result.energies) == set(search) | {"cheirality", "planarity", "rectangularity", "laplacian"}
 
 
 @pytest.mark.parametrize("edge", range(4))
