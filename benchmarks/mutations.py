@@ -26,7 +26,6 @@ from pathlib import Path
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 from benchmarks.mutations_list import MUTATIONS, Mutation
 
@@ -145,10 +144,8 @@ def main() -> int:
     arguments = parser.parse_args()
     console = Console()
     if arguments.list:
-        table = Table("mutation", "what it does", "file")
         for mutation in MUTATIONS:
-            table.add_row(mutation.name, mutation.what, mutation.file)
-        console.print(table)
+            console.print(f"{mutation.name}: {mutation.what} ({mutation.file})", soft_wrap=True, highlight=False)
         return 0
     chosen = [m for m in MUTATIONS if arguments.only is None or m.name in arguments.only]
     try:
