@@ -90,5 +90,5 @@ def test_too_few_points_are_refused(scene, name):
     exact = observe(scene.prior.mean, Camera(K), pose_of(0.4, [0.0, 1.65, 8.0]))
     keypoints = exact.keypoints.copy()
     keypoints[3:] = np.nan
-    with pytest.raises(FgreconError):
+    with pytest.raises(FgreconError, match="keypoints: got 3 measured"):
         METHODS[name].bind(scene)(replace(exact, keypoints=keypoints), Camera(K))

@@ -72,8 +72,10 @@ def test_the_mirror_image_has_the_mirrored_keypoints(scenes, detector):
     assert np.median(distance) < 0.03
 
 
-def test_one_call_from_image_to_observations(scenes):
+def test_one_call_from_image_to_observations(scenes, detector):
     scene = scenes[0]
     (seen,) = detect_keypoints(scene.picture.image, [scene.observation.box])
-    assert seen.keypoints.shape == (14, 2)
+    (found,) = detector(scene.picture.image, [scene.observation.box])
+    for name in ("keypoints", "confidence", "covariance"):
+        np.testing.assert_array_equal(getattr(seen, name), getattr(found.observation, name))
     np.testing.assert_allclose(seen.box, scene.observation.box)

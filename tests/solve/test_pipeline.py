@@ -14,6 +14,7 @@ from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior, save_prior
 from fgrecon.io.track_file import read_track
 from fgrecon.solve.pipeline import reconstruct
+from fgrecon.solve.vehicle.visibility import clearance, probability
 from tests.cars import CAMERA, MATRIX, observe, rotation_angle, yaw_pose
 from tests.core.test_reconstruction import assert_same
 from tests.settings import options as make_options
@@ -89,6 +90,10 @@ def test_the_parts_of_a_result_fit_together(prior, seen):
     np.testing.assert_allclose(result.box_size, prior.box_size(result.coefficients, result.offsets))
     sigma0 = np.hypot(KeypointOptions().sigma_relative * observation.extent, KeypointOptions().sigma_pixels)
     np.testing.assert_allclose(result.sigmas * np.sqrt(result.weights), sigma0)
+    camera = np.linalg.inv(pose)[:3, 3]
+    behind = clearance(result.surface_vertices, result.surface_faces, result.wireframe, camera)
+    np.testing.assert_allclose(result.visibility, probability(behind), atol=1e-9)
+    assert (result.visibility[observation.confidence > 0.5] > 0.5).all()
     stages = list(dict.fromkeys(iteration.stage for iteration in result.history))
     assert stages == ["initialisation", "pose", "shape", "joint"]
     np.testing.assert_array_equal(result.history[-1].camera_T_object, pose)
@@ -261,10 +266,28 @@ def test_starts_from_elsewhere(seen, initial):
     assert np.degrees(rotation_angle(result.camera_T_object, seen[1])) < 5
 
 
+def test_a_wrong_guess_is_trusted(seen):
+    result = solve(seen[0], initial=0.7 + np.pi)
+    assert np.degrees(rotation_angle(result.camera_T_object, seen[1])) > 60
+
+
+def test_a_3d_box_is_a_start(prior):
+    """Points that are too unsure for ASPnP and one azimuth far off: only the box leads to the car."""
+    truth = yaw_pose(np.radians(170))
+    unsure = replace(observe(prior, truth, noise=2.0), confidence=np.full(14, 0.1))
+    box = Box3D(np.array(truth[:3, 3]), np.radians(165))
+    for initial, found in ((box, True), (None, False)):
+        result = reconstruct(unsure, CAMERA, initial=initial, options=make_options(azimuths=1))
+        assert (np.degrees(rotation_angle(result.camera_T_object, truth)) < 6) == found
+
+
 def test_a_level_camera_is_a_height(seen):
     a, b = (solve(seen[0], ground=ground) for ground in (1.65, Ground(np.array([0.0, 1.0, 0.0]), 1.65)))
     assert_same(untimed(a), untimed(b))
-    assert abs(a.location[1] - 1.65) < abs(solve(seen[0]).location[1] - 1.65) + 0.05
+    high, unknown = solve(seen[0], ground=1.95), solve(seen[0])
+    assert "ground" in a.energies
+    assert "ground" not in unknown.energies
+    assert high.location[1] > a.location[1] + 0.05
 
 
 def test_a_detectors_covariance_counts(seen):
@@ -282,18 +305,3 @@ def test_a_detectors_covariance_counts(seen):
         after = solve(replace(observation, keypoints=shifted), covariance=covariance).wireframe_uv
         moves.append(np.abs(after - before).max())
     assert moves[1] < 0.5 * moves[0]
-
-
-def test_statuses(prior):
-    """Five points of one side of a car seen from behind leave front and back open; a whole car is clear."""
-    observation = observe(prior, yaw_pose(np.radians(90)))
-    pixels = observation.keypoints.copy()
-    pixels[np.setdiff1d(np.arange(14), [0, 2, 4, 10, 12])] = np.nan
-    two = reconstruct(pixels, CAMERA, confidence=np.full(14, 0.9), ground=1.65)
-    assert two.status is Status.AMBIGUOUS
-    assert two.alternatives[0].excess <= Options().ambiguity_margin
-    assert "nats worse" in two.message
-    assert solve(observation).status is Status.CONVERGED
-    loose = reconstruct(observation.keypoints, CAMERA, options=make_options(sigma_pixels=500.0, box_model="off"))
-    assert loose.status is Status.DEGENERATE
-    assert "degrees only" in loose.message

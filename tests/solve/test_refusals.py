@@ -118,6 +118,10 @@ cameras = st.tuples(st.floats(1e-2, 1e6), st.floats(1e-2, 1e6), st.floats(-1e5, 
 lenses = st.none() | arrays(np.float64, 5, elements=st.floats(-2, 2))
 
 
+ends = []
+"""How the examples below ended."""
+
+
 @given(
     pixels=pixels,
     scale=scales,
@@ -133,9 +137,7 @@ lenses = st.none() | arrays(np.float64, 5, elements=st.floats(-2, 2))
     vectors=st.integers(0, 5),
 )
 @settings(deadline=None, derandomize=True, max_examples=80, suppress_health_check=[HealthCheck.too_slow])
-def test_garbage_neither_kills_nor_fools(
-    pixels, scale, shift, confidence, box, camera, lens, ground, size, strategy, offsets, vectors
-):
+def reconstruct_garbage(pixels, scale, shift, confidence, box, camera, lens, ground, size, strategy, offsets, vectors):
     """Whatever finite numbers come in: a result without NaN, or an error with a type. Warnings count as errors."""
     options = make_options(strategy=strategy, free_offsets=offsets, basis_vectors=vectors)
     try:
@@ -149,14 +151,24 @@ def test_garbage_neither_kills_nor_fools(
             size_prior=size,
             options=options,
         )
-    except FgreconError:
+    except FgreconError as error:
+        ends.append(type(error))
         return
+    ends.append(result.status)
     for array in (result.camera_T_object, result.coefficients, result.wireframe, result.weights, result.visibility):
         assert np.isfinite(array).all()
     assert ((result.weights >= 0) & (result.weights <= 1)).all()
     pose = result.camera_T_object
     np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-6)
-    assert result.status in Status
+    if result.status in (Status.CONVERGED, Status.AMBIGUOUS):  # then the orientation is known
+        assert np.linalg.eigvalsh(result.pose_covariance[:3, :3])[-1] <= np.radians(30) ** 2
+
+
+def test_garbage_neither_kills_nor_fools():
+    ends.clear()
+    reconstruct_garbage()
+    assert ends.count(InvalidInputError) > 5
+    assert sum(isinstance(end, Status) for end in ends) > 5  # not all are refused at the door
 
 
 _CHILD = """

@@ -15,7 +15,7 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.proposals.adjust import adjust_pose
 from fgrecon.solve.proposals.problem import keypoint_covariances
 from fgrecon.solve.proposals.terms import Hypotheses
-from tests.cars import observe, pose_problem, yaw_pose
+from tests.cars import observe, pose_problem, project, yaw_pose
 from tests.settings import options as make_options
 from tests.solve.graph.energy import Energy
 
@@ -54,6 +54,24 @@ def weights_of(problem, estimate):
     box = problem.energy.box
     box = np.ones(4) if box is None else box.weights(box.residuals(here))[0]
     return estimate.weights, box
+
+
+def weights_at(problem, pose, coefficients, *, previous=None, progress=1.0):
+    """Weights of keypoints and box edges at a pose and lambda, by loops of their own, and the visibility there."""
+    observation, prior, term = problem.observation, problem.model.prior, problem.energy.keypoints
+    pixels = project(prior.keypoints(coefficients), pose, problem.camera.matrix)
+    squared = np.zeros(len(pixels))
+    for k, covariance in enumerate(keypoint_covariances(observation, problem.options.keypoints)):
+        if observation.measured[k]:
+            away = pixels[k] - observation.keypoints[k]
+            squared[k] = away @ np.linalg.solve(covariance, away)
+    visibility = problem.model.visibility.lookup(pose)
+    weights = term.strategy.weights(squared, term.evidence, visibility, previous=previous, progress=progress)
+    box = problem.energy.box
+    if box is None:
+        return weights, np.ones(4), visibility
+    edges = energy_of(problem, weights, np.ones(4), pose, joint=False)._box(pose, coefficients)
+    return weights, np.where(box.used, np.exp(-0.5 * edges**2) / (np.exp(-0.5 * edges**2) + box.outlier), 0), visibility
 
 
 def energy_of(problem, weights, box_weights, camera_T_object, *, joint):

@@ -8,6 +8,7 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph.adjust import adjust_shape
 from fgrecon.solve.graph.covariance import covariances
 from fgrecon.solve.graph.graph import VehicleGraph, build
+from fgrecon.solve.pipeline import reconstruct
 from tests.solve.graph.support import energy_of, problem_of, unsymmetric, vector
 
 SCENES = {
@@ -76,4 +77,19 @@ def test_the_frame_is_the_objects_own():
     worst = np.linalg.eigh(R @ found.pose[3:, 3:] @ R.T)[1][:, -1]
     ray = result.pose.translation() / np.linalg.norm(result.pose.translation())
     assert abs(worst @ ray) > 0.98
-    assert isinstance(result.pose, gtsam.Pose3)
+
+
+@pytest.mark.parametrize("strategy", ["mixture", "cauchy", "tukey"])
+def test_what_is_told_is_that_of_the_weighted_keypoints(strategy):
+    """End to end, also where the graph holds an m-estimator: each keypoint counts by its final weight, and once."""
+    problem, _ = problem_of(4, strategy=strategy, box_model="off")
+    told = reconstruct(
+        problem.observation, problem.camera, ground=problem.ground, size_prior="kitti", options=problem.options
+    )
+    vehicle = VehicleGraph(problem, gtsam.Pose3(told.camera_T_object), pose_free=True)
+    values = vehicle.values(gtsam.Pose3(told.camera_T_object), told.coefficients, told.offsets)
+    energy = energy_of(problem, told.weights, np.ones(4), told.camera_T_object, joint=True)
+    jacobian = energy.jacobian(vector(energy, vehicle, values))
+    whole = np.linalg.inv(jacobian.T @ jacobian)
+    np.testing.assert_allclose(told.pose_covariance, whole[:6, :6], atol=0.02 * np.abs(whole[:6, :6]).max())
+    np.testing.assert_allclose(told.coefficients_covariance, whole[6:11, 6:11], atol=0.02)

@@ -1,5 +1,7 @@
 """The factor graph against the same energy written out independently, and solved by other solvers."""
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 import pytest
@@ -172,6 +174,17 @@ def test_edges_of_no_weight_say_nothing():
     some = vehicle.terms(estimate.weights, np.array([1.0, 0.0, 0.5, 1e-9]))["box"][0]
     assert len(some.unwhitenedError(values)) == 2
     assert "box" not in vehicle.terms(estimate.weights, np.zeros(4))
+
+
+def test_edges_on_the_images_border_say_nothing():
+    problem, estimate = problem_of(1)
+    box = replace(problem.energy.box, used=np.array([True, False, True, True]))
+    cut = replace(problem, energy=replace(problem.energy, box=box))
+    pose = gtsam.Pose3(estimate.camera_T_object)
+    whole, part = (VehicleGraph(p, pose, pose_free=True) for p in (problem, cut))
+    values = whole.values(pose, estimate.coefficients, NO_OFFSETS)
+    residuals = [v.terms(estimate.weights, np.ones(4))["box"][0].unwhitenedError(values) for v in (whole, part)]
+    np.testing.assert_array_equal(residuals[1], residuals[0][[0, 2, 3]])
 
 
 def test_values_are_read_back():

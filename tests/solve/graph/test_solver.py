@@ -65,7 +65,10 @@ def test_every_iterate_is_recorded():
 
 def test_the_limit_of_iterations_holds():
     graph, start = curved()
-    assert minimise(graph, start, max_iterations=3).iterations <= 3
+    stopped = minimise(graph, start, max_iterations=3)
+    assert stopped.iterations == 3
+    assert not stopped.converged
+    assert minimise(graph, start, max_iterations=100).converged
 
 
 def test_nothing_to_solve_is_solved():

@@ -12,6 +12,7 @@ from fgrecon.core.robust import StrategyName
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.proposals.adjust import adjust_pose
+from fgrecon.solve.proposals.aspnp import aspnp
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.terms import Hypotheses
 from fgrecon.solve.vehicle.model import prepare
@@ -118,14 +119,35 @@ def test_a_guess_is_trusted(prior):
     assert away.energy > near.energy
 
 
+@pytest.mark.parametrize("degrees", [90, 150, 180, -120])
+def test_pnp_is_a_start(prior, degrees):
+    """With a single start azimuth, far from the truth, the pose is still found: from a minimum of ASPnP."""
+    truth = yaw_pose(np.radians(degrees))
+    honest = observe(prior, truth, noise=1.0)
+    confidence = np.where(honest.confidence > 0.5, np.linspace(0.2, 0.95, 14), 0.02)
+    observation = Observation(honest.keypoints, confidence, honest.box)
+    estimate = adjust(prior, observation, azimuths=1)
+    assert np.degrees(rotation_angle(estimate.camera_T_object, truth)) < 5
+    evidence = Problem.of(observation, CAMERA, prepare(prior), None, Options()).energy.keypoints.evidence
+    used = np.flatnonzero(evidence.right > 0.3)
+    found = aspnp(prior.mean[used], CAMERA.rays(observation.keypoints[used])[:, :2], evidence.right[used])
+    starts = [solution.camera_T_object for solution in found]
+    assert any(np.allclose(estimate.history[0].camera_T_object, start, atol=1e-9) for start in starts)
+
+
 def test_a_3d_box_is_one_more_start(prior):
-    """It never makes the result worse, and is found where the 2D search is given nothing to go by."""
-    truth = yaw_pose(0.7)
+    """It never makes the result worse, and is found where the search is given nothing else to go by."""
+    truth = yaw_pose(np.radians(170))
     observation = observe(prior, truth, noise=2.0)
-    box = Box3D(np.array(truth[:3, 3]), 0.7, np.array([4.5, 1.8, 1.6]))
-    with_box, without = (adjust(prior, observation, initial=initial, azimuths=1) for initial in (box, None))
+    box = Box3D(np.array(truth[:3, 3]), np.radians(165), np.array([4.5, 1.8, 1.6]))
+    with_box, without = (adjust(prior, observation, initial=initial) for initial in (box, None))
     assert with_box.energy <= without.energy + 0.05
-    assert np.degrees(rotation_angle(with_box.camera_T_object, truth)) < 5
+    unsure = Observation(observation.keypoints, np.full(14, 0.1), observation.box)  # ASPnP takes surer points alone
+    with_box, without = (adjust(prior, unsure, initial=initial, azimuths=1) for initial in (box, None))
+    np.testing.assert_allclose(with_box.history[0].camera_T_object[:3, 3], box.location)
+    assert np.degrees(rotation_angle(with_box.camera_T_object, truth)) < 6
+    assert np.degrees(rotation_angle(without.camera_T_object, truth)) > 60
+    assert with_box.energy < without.energy
 
 
 def test_three_points_are_enough(prior):
@@ -133,7 +155,8 @@ def test_three_points_are_enough(prior):
     pixels = observation.keypoints.copy()
     pixels[np.setdiff1d(np.arange(14), [0, 2, 10])] = np.nan
     estimate = adjust(prior, Observation(pixels, observation.confidence, observation.box), ground=GROUND)
-    assert np.isfinite(estimate.camera_T_object).all()
+    assert np.degrees(rotation_angle(estimate.camera_T_object, yaw_pose(0.7))) < 5
+    np.testing.assert_allclose(estimate.camera_T_object[:3, 3], yaw_pose(0.7)[:3, 3], atol=0.3)
     assert (estimate.weights[np.isnan(pixels[:, 0])] == 0).all()
 
 

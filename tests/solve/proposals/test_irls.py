@@ -11,7 +11,8 @@ from fgrecon.core.options import Options
 from fgrecon.core.robust import RobustStrategy, StrategyName
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.proposals.irls import algorithm1, refine_pose
-from tests.cars import observe, pose_problem, rotation_angle, yaw_pose
+from fgrecon.solve.proposals.problem import keypoint_covariances
+from tests.cars import observe, pose_problem, project, rotation_angle, yaw_pose
 
 PAPER = RobustStrategy(StrategyName.PAPER)
 
@@ -59,6 +60,22 @@ def test_weights_of_wrong_points_fall_and_the_pose_improves(prior):
     literal = RobustStrategy(StrategyName.PAPER_LITERAL)
     printed = algorithm1(problem_of(prior, spoiled, literal))
     assert errors[-1] < rotation_angle(printed.poses[-1], truth)
+
+
+@pytest.mark.parametrize("name", [StrategyName.PAPER, StrategyName.PAPER_LITERAL])
+def test_every_update_is_equation_5_at_the_pose_before(prior, name):
+    """Residuals and visibility are those of the pose before; the first weights know of no pose."""
+    robust = RobustStrategy(name)
+    observation = observe(prior, yaw_pose(-0.7), noise=3.0)
+    problem = problem_of(prior, observation, robust)
+    evidence = problem.energy.keypoints.evidence
+    result = algorithm1(problem)
+    np.testing.assert_allclose(result.weights[0], 0.5 * evidence.right + 0.5 * 0.5)
+    sigma2 = keypoint_covariances(observation, problem.options.keypoints)[0, 0, 0]
+    for pose, before, after in zip(result.poses[:-1], result.weights[:-1], result.weights[1:], strict=True):
+        squared = np.square(project(prior.mean, pose) - observation.keypoints).sum(axis=1) / sigma2
+        visibility = problem.model.visibility.lookup(pose)
+        np.testing.assert_allclose(after, robust.weights(squared, evidence, visibility, previous=before), atol=1e-9)
 
 
 @pytest.mark.parametrize("updates", [0, 1, 5])

@@ -6,10 +6,11 @@ import pytest
 from fgrecon.core.camera import Ground
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
+from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.proposals.search import search
 from fgrecon.solve.proposals.starts import at_azimuths, from_pose, view_box
-from fgrecon.solve.proposals.terms import Hypotheses
+from fgrecon.solve.proposals.terms import Hypotheses, Quadratic, coefficient_term
 from tests.cars import CAMERA, observe, pose_energy, rotation_angle, yaw_pose
 from tests.settings import options
 
@@ -140,7 +141,8 @@ def test_starts_behind_the_camera_lose(prior):
     assert np.isfinite(best.energy).all()
     assert np.degrees(rotation_angle(best.hypotheses.rotation[0], truth)) < 3
     alone = search(problem, behind, 10, {})
-    assert len(alone.energy) == 2
+    assert (alone.energy == np.inf).all()
+    assert {m.tobytes() for m in alone.hypotheses.matrices()} == {m.tobytes() for m in behind.matrices()}
 
 
 def test_energies_by_term_add_up(noisy):
@@ -149,3 +151,22 @@ def test_energies_by_term_add_up(noisy):
     parts = problem.energies(starts)
     assert set(parts) == {"reprojection", "box", "ground", "coefficients"}
     np.testing.assert_allclose(sum(parts.values()), total, rtol=1e-12)
+
+
+def test_the_search_minimises_every_term(prior):
+    """Energy, gradient and matrix are the sums over keypoints, box, size, ground and the coefficients' prior."""
+    observation = observe(prior, yaw_pose(0.8), noise=3.0)
+    problem, model = pose_energy(prior, observation, ground=GROUND, size=SIZE_PRIORS["kitti"])
+    starts = starts_of(observation, model, GROUND)
+    h = Hypotheses(starts.rotation, starts.translation, np.random.default_rng(0).normal(size=(len(starts), 5)))
+    parts = [Quadratic(len(h), 11) for _ in range(5)]
+    problem.keypoints.add(parts[0], h, problem.visibility(h.matrices()), 1.0)
+    for part, term in zip(parts[1:4], (problem.box, problem.size, problem.ground), strict=True):
+        term.add(part, h)
+    coefficient_term(parts[4], h)
+    total, _ = problem.evaluate(h)
+    for name in ("energy", "gradient", "matrix"):
+        assert all(np.abs(getattr(part, name)).max() > 1e-3 for part in parts)
+        np.testing.assert_allclose(getattr(total, name), sum(getattr(part, name) for part in parts), rtol=1e-9)
+    assert set(problem.energies(h)) == {"reprojection", "box", "dimensions", "ground", "coefficients"}
+    np.testing.assert_allclose(sum(problem.energies(h).values()), total.energy, rtol=1e-12)

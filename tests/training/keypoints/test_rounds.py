@@ -85,6 +85,7 @@ def test_a_finished_training_is_not_done_again(trained, source):
 
 def test_every_report_has_a_score_that_changes_nothing(trained, source, tmp_path):
     _, _, reports, (network, _, _) = trained
+    assert reports
     assert all(0.0 <= report.score <= 1.0 for report in reports)
     reports, headings = [], []
 
@@ -230,6 +231,10 @@ def test_calibration_runs_on_held_out_samples(trained, source, detector):
     photographs = trained[3][2]
     fitted = calibrate(detector, photographs, source.validate, source.prior.category.mirror, samples=6)
     assert all(np.isfinite(value) for value in fitted.to_dict().values())
+    assert fitted != Calibration()
+    again = calibrate(detector, photographs, source.validate, source.prior.category.mirror, samples=6)
+    other = calibrate(detector, photographs, source.validate, source.prior.category.mirror, samples=6, seed=2)
+    assert again == fitted != other
 
 
 def test_reliability_sorts_points_by_confidence():
