@@ -222,40 +222,6 @@ def test_drawn_geometry_is_the_history(example: Example, recording: Path) -> Non
     assert np.array_equal(surface, example.reconstruction.surface_vertices.astype(np.float32))
 
 
-<<<<<<< HEAD
-=======
-def test_layout_is_stored_in_the_file(recording: Path) -> None:
-    from rerun.chunk import RrdReader
-
-    assert len(RrdReader(recording).blueprints()) == 1
-    assert len(RrdReader(recording).recordings()) == 1
-
-
-def test_every_recording_has_all_views_zoomed_to_its_own_vehicle(example: Example, tmp_path: Path) -> None:
-    from rerun.chunk import RrdReader
-
-    def layout(name: str, observation: Observation) -> tuple[dict[str, int], list]:
-        reader = RrdReader(record(tmp_path / name, example.reconstruction, observation, example.camera))
-        (store,) = reader.blueprints()
-        batches = [chunk.to_record_batch() for chunk in reader.stream(store=store)]
-
-        def values(component: str) -> list:
-            return [row for b in batches if component in b.schema.names for row in b.column(component).to_pylist()]
-
-        assert len(values("EyeControls3D:position")) == 1
-        return Counter(name for (name,) in values("ViewBlueprint:display_name")), values("VisualBounds2D:range")
-
-    moved = replace(example.observation, box=example.observation.box + 300.0)
-    views, bounds = layout("here.rrd", example.observation)
-    assert views == layout("again.rrd", example.observation)[0]
-    assert {"Weights", "Shape", "Log", "Result", "Scene: camera frame, metres"} < set(views)
-    assert set(views.values()) == {1}
-    assert len(bounds) == 2  # of the image and of the factor graph
-    there = layout("there.rrd", moved)[1]
-    assert [a == b for a, b in zip(bounds, there, strict=True)].count(True) == 1  # the factor graph's alone stay
-
-
->>>>>>> refs/heads/mut
 def test_a_failed_result_without_history_still_records(example: Example, tmp_path: Path) -> None:
     failed = replace(
         example.reconstruction,

@@ -231,7 +231,7 @@ def test_calibration_runs_on_held_out_samples(trained, source, detector):
     photographs = trained[3][2]
     fitted = calibrate(detector, photographs, source.validate, source.prior.category.mirror, samples=6)
     assert all(np.isfinite(value) for value in fitted.to_dict().values())
-    assert fitted != Calibration()
+    assert fitted != ConfidenceCalibration()
     again = calibrate(detector, photographs, source.validate, source.prior.category.mirror, samples=6)
     other = calibrate(detector, photographs, source.validate, source.prior.category.mirror, samples=6, seed=2)
     assert again == fitted != other
