@@ -11,32 +11,16 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.options import BoxOptions, KeypointOptions, Options
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.size_prior import SIZE_PRIORS
-from fgrecon.io.catalogue import load_prior, save_prior
+from fgrecon.io.catalogue import save_prior
 from fgrecon.io.track_file import read_track
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.vehicle.visibility import clearance, probability
 from tests.cars import CAMERA, MATRIX, observe, rotation_angle, yaw_pose
 from tests.core.test_reconstruction import assert_same
 from tests.settings import options as make_options
+from tests.solve.conftest import solve
 
 TRACKS = "kitti_tracking_keypoints14/*.json"
-
-
-@pytest.fixture(scope="module")
-def prior():
-    return load_prior("car14")
-
-
-@pytest.fixture(scope="module")
-def seen(prior):
-    """A car with 2 px of noise and its true pose."""
-    truth = yaw_pose(0.7)
-    return observe(prior, truth, [0.4, -0.8, 0.2, 0.5, -0.3], noise=2.0), truth
-
-
-def solve(observation, intrinsics=CAMERA, **more):
-    arguments = {"confidence": observation.confidence, "box": observation.box, **more}
-    return reconstruct(observation.keypoints, intrinsics, **arguments)
 
 
 def untimed(result):
