@@ -86,7 +86,7 @@ class Drawings:
 
 def reconstruct_command(
     file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="Keypoints (JSON, format in the README), a track, or an image.")
+        Path, typer.Argument(metavar="FILE", help="Keypoints (JSON), a track, or an image.")
     ],
     camera: CameraOptions,
     scene: SceneOptions,

@@ -124,7 +124,7 @@ def reconstruct_image(
         prior: Shape prior, or its name, or the path of its file; of the category of the keypoint detector.
         ground: Ground plane; a number is the height in metres of a level camera; None assumes nothing.
         size_prior: Fleet (`kitti`, `apollo79`), or a size prior; None takes sizes from the shape prior.
-        options: Settings; the default takes confidences as probabilities.
+        options: Settings.
         detector: Old name of `keypoint_detector`, for one more release.
 
     Returns:
