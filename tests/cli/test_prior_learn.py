@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from fgrecon.cli.prior import app
+from fgrecon.cli.main import app
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior
 from tests.training.priors.nrsfm_data import CHAIR, draw_world
@@ -26,7 +26,7 @@ def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("chair")
     (folder / "chair.json").write_text(json.dumps(CHAIR))
     np.savez(folder / "marks.npz", keypoints=draw_world(0, count=80, missing=0.2).keypoints)
-    result = RUN.invoke(app, learn(folder, "chair.npz"), catch_exceptions=False)
+    result = RUN.invoke(app, ["prior", *learn(folder, "chair.npz")], catch_exceptions=False)
     assert result.exit_code == 0, result.output
     return folder
 
@@ -51,14 +51,14 @@ def test_learn_writes_a_prior_and_says_what_it_found(folder):
     assert prior.category.name == "chair"
     assert prior.dimension == 2
     assert "marks.npz" in prior.provenance["source"]
-    text = RUN.invoke(app, learn(folder, "again.npz", "--images", "60", "--perspective")).output
+    text = RUN.invoke(app, ["prior", *learn(folder, "again.npz", "--images", "60", "--perspective")]).output
     assert "60 of 60 images" in text
     assert "variance explained" in text
     assert "perspective" in load_prior(folder / "again.npz").provenance["method"]
 
 
 def test_the_same_command_writes_the_same_bytes(folder):
-    RUN.invoke(app, learn(folder, "other.npz", "--name", "chair"), catch_exceptions=False)
+    RUN.invoke(app, ["prior", *learn(folder, "other.npz", "--name", "chair")], catch_exceptions=False)
     assert (folder / "other.npz").read_bytes() == (folder / "chair.npz").read_bytes()
 
 
@@ -74,7 +74,7 @@ def test_the_same_command_writes_the_same_bytes(folder):
 )
 def test_bad_options_are_refused_before_the_work(folder, more, field):
     with pytest.raises(InvalidInputError) as caught:
-        RUN.invoke(app, learn(folder, "refused.npz", *more), catch_exceptions=False)
+        RUN.invoke(app, ["prior", *learn(folder, "refused.npz", *more)], catch_exceptions=False)
     assert caught.value.field == field
     assert not (folder / "refused.npz").exists()
 
@@ -83,13 +83,15 @@ def test_a_category_that_is_no_car_needs_a_size(folder):
     arguments = learn(folder, "x.npz")
     at = arguments.index("--size-prior")
     with pytest.raises(InvalidInputError, match="length,width,height"):
-        RUN.invoke(app, arguments[:at] + arguments[at + 2 :], catch_exceptions=False)
+        RUN.invoke(app, ["prior", *arguments[:at], *arguments[at + 2 :]], catch_exceptions=False)
 
 
 def test_show_draws_and_records(folder):
     out, rrd = folder / "chair.png", folder / "chair.rrd"
     result = RUN.invoke(
-        app, ["show", str(folder / "chair.npz"), "--picture", str(out), "--save", str(rrd)], catch_exceptions=False
+        app,
+        ["prior", "show", str(folder / "chair.npz"), "--picture", str(out), "--save", str(rrd)],
+        catch_exceptions=False,
     )
     assert result.exit_code == 0
     assert "left_front_foot" in result.output
@@ -110,10 +112,10 @@ def test_show_draws_and_records(folder):
 
 def test_compare(folder):
     path = str(folder / "chair.npz")
-    result = RUN.invoke(app, ["compare", path, path], catch_exceptions=False)
+    result = RUN.invoke(app, ["prior", "compare", path, path], catch_exceptions=False)
     assert "0.00 % of the length" in result.output
     with pytest.raises(InvalidInputError, match="in common"):
-        RUN.invoke(app, ["compare", path, "car14"], catch_exceptions=False)
+        RUN.invoke(app, ["prior", "compare", path, "car14"], catch_exceptions=False)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="sends SIGINT")
@@ -121,17 +123,19 @@ def test_interrupting_leaves_no_file(folder):
     """The work is far from done when the signal comes; nothing of the output may be there afterwards."""
     np.savez(folder / "many.npz", keypoints=draw_world(1, count=3000, missing=0.2).keypoints)
     arguments = [a.replace("marks.npz", "many.npz") for a in learn(folder, "stopped.npz", "--restarts", "50")]
-    code = "import sys; print('ready', flush=True); from fgrecon.cli.main import main; main()"
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    process = subprocess.Popen(
-        [sys.executable, "-c", code, "prior", *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        env=environment,
+    code = (  # a shell that runs the tests in the background has them ignore the signal: the child must not
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); print('ready', flush=True)\n"
+        "from fgrecon.cli.main import main; main()"
     )
-    assert process.stdout.readline() == b"ready\n"
-    time.sleep(4)
-    process.send_signal(signal.SIGINT)
-    process.communicate(timeout=60)
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    command = [sys.executable, "-c", code, "prior", *arguments]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment) as process:
+        assert process.stdout.readline() == b"ready\n"
+        time.sleep(4)
+        process.send_signal(signal.SIGINT)
+        try:
+            process.communicate(timeout=60)
+        finally:
+            process.kill()
     assert process.returncode not in (0, None)
     assert not list(folder.glob("*stopped*"))
