@@ -85,9 +85,7 @@ class Drawings:
 
 
 def reconstruct_command(
-    file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="Keypoints (JSON), a track, or an image.")
-    ],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Keypoints (JSON), a track, or an image.")],
     camera: CameraOptions,
     scene: SceneOptions,
     solving: Solving,
