@@ -1,4 +1,4 @@
-# fgrecon's command line: docker build -t fgrecon . && docker run --rm -v "$PWD:/work" fgrecon demo --out /work/demo
+# fgrecon's command line: docker build -t fgrecon . && docker run --rm -v "$PWD:/data" fgrecon demo --out /data/demo
 FROM python:3.11-slim
 
 COPY . /src
@@ -7,6 +7,6 @@ RUN pip install --no-cache-dir --constraint /src/constraints.txt /src \
     && useradd --create-home fgrecon
 
 USER fgrecon
-WORKDIR /work
+WORKDIR /data
 ENTRYPOINT ["fgrecon"]
 CMD ["--help"]
