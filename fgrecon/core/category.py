@@ -115,8 +115,12 @@ class Category:
             operator[row, list(dimension.minus)] -= direction / len(dimension.minus)
         return operator
 
-    def index(self, keypoint: str) -> int:
+    def index(self, keypoint: str, field: str = "keypoint") -> int:
         """Index of a keypoint by its name.
+
+        Args:
+            keypoint: The name.
+            field: What an error calls it.
 
         Raises:
             InvalidInputError: The category has no such keypoint.
@@ -124,7 +128,8 @@ class Category:
         try:
             return self.keypoints.index(keypoint)
         except ValueError:
-            raise InvalidInputError("keypoint", keypoint, f"Use one of {', '.join(self.keypoints)}.") from None
+            fix = f"Use the keypoints of {self.name}: {', '.join(self.keypoints)}."
+            raise InvalidInputError(field, keypoint, fix) from None
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Category:

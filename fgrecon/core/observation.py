@@ -75,6 +75,27 @@ class Observation:
             _check_covariances(covariance[~missing])
             set_(self, "covariance", np.where(missing[:, None, None], np.eye(2), covariance))
 
+    @classmethod
+    def of(
+        cls,
+        keypoints: NDArray[np.float64],
+        confidence: NDArray[np.float64] | None = None,
+        box: NDArray[np.float64] | None = None,
+        covariance: NDArray[np.float64] | None = None,
+        confidence_midpoint: float | None = None,
+    ) -> Observation:
+        """An observation of which not everything is known.
+
+        Without confidences each point is as likely right as wrong, which visibility and residuals then settle; without
+        their midpoint it is the class's.
+
+        Raises:
+            InvalidInputError: As the constructor.
+        """
+        midpoint = cls.confidence_midpoint if confidence_midpoint is None else confidence_midpoint
+        trust = np.full(len(keypoints), midpoint) if confidence is None else confidence
+        return cls(keypoints, trust, box, covariance, midpoint)
+
     @property
     def measured(self) -> NDArray[np.bool_]:
         """(K,) whether a keypoint has a measurement."""

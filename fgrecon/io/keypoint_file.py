@@ -86,9 +86,7 @@ class Instance:
         Raises:
             InvalidInputError: A number cannot be used.
         """
-        midpoint = Observation.confidence_midpoint if self.confidence_midpoint is None else self.confidence_midpoint
-        confidence = np.full(len(self.keypoints), midpoint) if self.confidence is None else self.confidence
-        return Observation(self.keypoints, confidence, self.box, self.covariance, midpoint)
+        return Observation.of(self.keypoints, self.confidence, self.box, self.covariance, self.confidence_midpoint)
 
 
 @dataclass(frozen=True)
@@ -193,14 +191,11 @@ def _per_keypoint(fields: Fields, field: str, category: Category, shape: tuple[i
             fix = f"Give one for each of the {category.size} keypoints of {category.name}, or give them by name."
             raise InvalidInputError(place, f"{len(given)} elements", fix)
         return fields.numbers(field, (category.size, *shape), missing=True)
-    unknown = [name for name in given if name not in category.keypoints]
-    if unknown:
-        fix = f"Use the keypoints of {category.name}: {', '.join(category.keypoints)}."
-        raise InvalidInputError(place, unknown[0], fix)
+    places = [category.index(name, place) for name in given]
     array = np.full((category.size, *shape), np.nan)
-    for name, value in given.items():
+    for index, (name, value) in zip(places, given.items(), strict=True):
         if value is not None:
-            array[category.index(name)] = numbers(value, shape, f"{place}.{name}", missing=True)
+            array[index] = numbers(value, shape, f"{place}.{name}", missing=True)
     return array
 
 

@@ -147,23 +147,21 @@ def observe(
         for field, value in given.items():
             if value is not None:
                 raise InvalidInputError(field, "given twice", "The observation has it: give it there.")
+        as_shape("keypoints", keypoints.keypoints, (category.size, 2), _fix(category))
         seen = keypoints
-        as_shape("keypoints", seen.keypoints, (category.size, 2), _fix(category))
+        if options.confidence_midpoint is not None:
+            seen = replace(seen, confidence_midpoint=options.confidence_midpoint)
     else:
         if isinstance(keypoints, Mapping):
             keypoints, confidence = _by_name(keypoints, category, confidence)
         pixels = as_shape("keypoints", keypoints, (category.size, 2), _fix(category))
-        seen = Observation(
+        seen = Observation.of(
             pixels,
-            np.zeros(category.size) if confidence is None else as_shape("confidence", confidence, (category.size,)),
+            None if confidence is None else as_shape("confidence", confidence, (category.size,)),
             None if box is None else np.asarray(box),
             None if covariance is None else as_shape("covariance", covariance, (category.size, 2, 2)),
+            options.confidence_midpoint,
         )
-    if options.confidence_midpoint is not None:
-        seen = replace(seen, confidence_midpoint=options.confidence_midpoint)
-    if confidence is None and not isinstance(keypoints, Observation):
-        # Each point is as likely right as wrong, which the visibility and the residuals then settle.
-        seen = replace(seen, confidence=np.full(category.size, seen.confidence_midpoint))
     if camera.distortion is None:
         return seen
     ideal_box = None if seen.box is None else camera.undistort(seen.box.reshape(2, 2)).ravel()
@@ -181,15 +179,13 @@ def _by_name(
     rows = np.full((category.size, 3), np.nan)
     widths = set()
     for name, value in keypoints.items():
-        if name not in category.keypoints:
-            fix = f"Use the keypoints of {category.name}: {', '.join(category.keypoints)}."
-            raise InvalidInputError("keypoints", name, fix)
+        index = category.index(name, "keypoints")
         row = as_shape(f"keypoints.{name}", value, (None,), "Give (u, v) or (u, v, confidence).")
         widths.add(len(row))
         if widths not in ({2}, {3}):
             fix = "Give (u, v) for every keypoint, or (u, v, confidence) for every one."
             raise InvalidInputError(f"keypoints.{name}", f"{len(row)} numbers", fix)
-        rows[category.index(name), : len(row)] = row
+        rows[index, : len(row)] = row
     if widths != {3}:
         return rows[:, :2], confidence
     if confidence is not None:

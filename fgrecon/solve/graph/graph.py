@@ -143,7 +143,8 @@ class VehicleGraph:
         strategy = self.problem.options.strategy
         if strategy.loss is None or weight <= 0.0:
             return None
-        return RobustLoss(strategy.robust_loss.loss, strategy.robust_loss.constant * weight**0.5)
+        loss = strategy.robust_loss
+        return RobustLoss(loss.loss, loss.constant * weight**0.5)
 
     def _static_terms(self, *, shape_terms: bool) -> dict[str, list[gtsam.NonlinearFactor]]:
         """The factors that no weight changes."""
