@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 import fgrecon
 from factors import X, guarded_factor
 from fgrecon.simulation import KITTI_CAMERA, Vehicle, simulate, yaw_pose
-from fgrecon.solve import Problem, VehicleGraph, build, minimise, prepare
 
 
 def distance_factor(metres: float, sigma: float) -> gtsam.CustomFactor:
@@ -34,18 +33,13 @@ def main() -> None:
     prior = fgrecon.load_prior("car14")
     true_pose = yaw_pose(yaw=1.9, location=np.array([4.0, 1.65, 25.0]))
     seen, _ = simulate(Vehicle.sample(prior, rng), KITTI_CAMERA, true_pose, rng)
-    camera_only = fgrecon.reconstruct(seen.keypoints, KITTI_CAMERA, confidence=seen.confidence, box=seen.box)
+    camera_only = fgrecon.reconstruct(seen, KITTI_CAMERA)
+    radar = distance_factor(float(np.linalg.norm(true_pose[:3, 3])), sigma=0.1)
+    with_radar = fgrecon.reconstruct(seen, KITTI_CAMERA, extra_factors=[radar])
 
-    # The same graph at the same weights, with one factor more.
-    problem = Problem.of(seen, KITTI_CAMERA, prepare(prior), ground=None, options=fgrecon.Options(box="off"))
-    vehicle = VehicleGraph(problem, camera_only.pose, pose_free=True)
-    graph = build(vehicle.terms(camera_only.weights, box_weights=np.ones(4)))
-    graph.add(distance_factor(float(np.linalg.norm(true_pose[:3, 3])), sigma=0.1))
-    start = vehicle.values(camera_only.pose, camera_only.coefficients, camera_only.offsets)
-    pose, _, _ = vehicle.read(minimise(graph, start).values)
-
-    for name, location in (("camera only", camera_only.location), ("with the radar", pose.translation())):
-        print(f"{name:15s} position {location.round(2)} m, off by {np.linalg.norm(location - true_pose[:3, 3]):.2f} m")
+    for name, result in (("camera only", camera_only), ("with the radar", with_radar)):
+        off = np.linalg.norm(result.location - true_pose[:3, 3])
+        print(f"{name:15s} position {result.location.round(2)} m, off by {off:.2f} m")
 
 
 if __name__ == "__main__":

@@ -23,8 +23,11 @@ from factors.errors import InvalidInputError
 from factors.guard import Evaluation, guarded_factor
 from factors.kernel import ProjectionKernel
 from factors.noise import Noise
+from factors.projection import pixel_jacobian
 
-__all__ = ["box_factor"]
+__all__ = ["box_factor", "extents_by_points", "soft_extents"]
+
+_OUTWARD = np.array([-1.0, -1.0, 1.0, 1.0])
 
 
 def box_factor(
@@ -60,6 +63,63 @@ def box_factor(
     return guarded_factor("box", noise, kernel.keys, kernel.dims, len(used), callback)
 
 
+def soft_extents(pixels: NDArray[np.float64], softness: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Soft extents of projected points, for any number of poses.
+
+    Args:
+        pixels: (..., P, 2) pixels.
+        softness: Pixels over which one point hands over to the next.
+
+    Returns:
+        (..., 4) extents x1, y1, x2, y2, and (..., 4, P) their derivative by the pixels of their axis.
+    """
+    upright = np.swapaxes(pixels, -1, -2)
+    outward = np.concatenate([-upright, upright], axis=-2)  # (..., 4, P): x1, y1, x2, y2
+    # Beyond 40 softnesses a weight is below the rounding of the sum; numbers near the smallest float are slow.
+    weight = np.exp(np.maximum((outward - outward.max(axis=-1, keepdims=True)) / softness, -40.0))
+    weight /= weight.sum(axis=-1, keepdims=True)
+    extent = (weight * outward).sum(axis=-1)
+    share = weight * (1.0 + (outward - extent[..., None]) / softness)
+    return extent * _OUTWARD, share
+
+
+def extents_by_points(
+    camera_matrix: NDArray[np.float64],
+    camera: NDArray[np.float64],
+    rotation: NDArray[np.float64],
+    points: NDArray[np.float64],
+    share: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Derivatives of the extents by pose and points.
+
+    Points come last in memory, and sums over them are one product: with g_p the derivative of an edge by the object
+    point X_p, sum_p g_p (X_p, 1)' holds that by the translation, and in its antisymmetric part X_p x g_p, that by the
+    turn.
+
+    Args:
+        camera_matrix: (3, 3) intrinsics.
+        camera: (..., P, 3) points in the camera frame.
+        rotation: (..., 3, 3) of camera_T_object.
+        points: (..., P, 3) points in the object frame.
+        share: (..., 4, P) derivative of the edges by the pixels of their axis.
+
+    Returns:
+        (..., 4, 3) by a turn about the object's axes; (..., 4, 3) by a shift along them; (..., 4, 3, P) by each point.
+    """
+    leading, size = camera.shape[:-2], camera.shape[-2]
+    gradient = np.ascontiguousarray(np.moveaxis(pixel_jacobian(camera_matrix, camera), -3, -1))  # (..., 2, 3, P)
+    gradient = np.swapaxes(rotation, -1, -2)[..., None, :, :] @ gradient
+    by_point = (share.reshape(*leading, 2, 2, 1, size) * gradient[..., None, :, :, :]).reshape(*leading, 4, 3, size)
+    homogeneous = np.ones((*leading, 1, size, 4))
+    homogeneous[..., 0, :, :3] = points
+    moment = by_point @ homogeneous
+    turn = np.empty((*leading, 4, 3))
+    turn[..., 0] = moment[..., 2, 1] - moment[..., 1, 2]
+    turn[..., 1] = moment[..., 0, 2] - moment[..., 2, 0]
+    turn[..., 2] = moment[..., 1, 0] - moment[..., 0, 1]
+    return turn, moment[..., 3], by_point
+
+
 @dataclass(frozen=True, slots=True)
 class _Box:
     kernel: ProjectionKernel
@@ -68,15 +128,13 @@ class _Box:
     softness: float
 
     def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
-        projection = self.kernel.evaluate(values, want_jacobian)
-        upright = projection.pixels.T
-        outward = np.concatenate([-upright, upright])[self.used]  # (E, P)
-        weight = np.exp((outward - outward.max(axis=1, keepdims=True)) / self.softness)
-        weight /= weight.sum(axis=1, keepdims=True)
-        extent = (weight * outward).sum(axis=1)
-        residual = np.where(self.used < 2, -extent, extent) - self.box
-        if not want_jacobian or projection.jacobian is None:
+        at, shape = self.kernel.evaluate(values), self.kernel.shape
+        extents, share = soft_extents(at.pixels, self.softness)
+        residual = extents[self.used] - self.box
+        if not want_jacobian:
             return residual, None
-        share = weight * (1.0 + (outward - extent[:, None]) / self.softness)
-        by_axis = projection.jacobian.transpose(1, 0, 2)[self.used % 2]  # (E, P, D)
-        return residual, (share[:, None] @ by_axis)[:, 0]
+        turn, shift, by_point = extents_by_points(self.kernel.camera_matrix, at.camera, at.rotation, at.points, share)
+        blocks = [] if self.kernel.pose_key is None else [turn, shift]
+        if shape.keys:
+            blocks.append(shape.chain(by_point.transpose(0, 2, 1).reshape(4, -1)))
+        return residual, np.concatenate(blocks, axis=1)[self.used]

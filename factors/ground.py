@@ -17,10 +17,7 @@ from factors.checks import finite_array, unit_vector
 from factors.guard import Evaluation, guarded_factor
 from factors.noise import Noise
 
-__all__ = ["ground_height_factor", "upright_factor"]
-
-# d(R e_y) / d omega = -R [e_y]_x
-_NEGATIVE_SKEW_Y = -np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
+__all__ = ["ground_height_factor", "ground_rows", "upright_factor"]
 
 
 def ground_height_factor(pose_key: int, normal: ArrayLike, distance: float, noise: Noise) -> gtsam.CustomFactor:
@@ -57,6 +54,31 @@ def upright_factor(pose_key: int, normal: ArrayLike, noise: Noise) -> gtsam.Cust
     return guarded_factor("upright", noise, (pose_key,), (6,), 3, _Upright(pose_key, unit_vector("normal", normal)))
 
 
+def ground_rows(
+    normal: NDArray[np.float64], distance: float, rotation: NDArray[np.float64], translation: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Height and lean over the ground, for any number of poses.
+
+    Args:
+        normal: (3,) unit normal of the ground in the camera frame.
+        distance: Height of the camera, metres.
+        rotation: (..., 3, 3) of camera_T_object.
+        translation: (..., 3) of camera_T_object, metres.
+
+    Returns:
+        (..., 4) residual: height in metres, lean; and (..., 4, 3) its derivative by a turn about the object's axes:
+        d(R exp(w) e_y) = R (w x e_y) = R (-w_z, 0, w_x). By the translation that of the height is the normal, that of
+        the lean zero.
+    """
+    residual = np.empty((*translation.shape[:-1], 4))
+    residual[..., 0] = translation @ normal - distance
+    residual[..., 1:] = rotation[..., 1] - normal
+    by_turn = np.zeros((*translation.shape[:-1], 4, 3))
+    by_turn[..., 1:, 0] = rotation[..., 2]
+    by_turn[..., 1:, 2] = -rotation[..., 0]
+    return residual, by_turn
+
+
 @dataclass(frozen=True, slots=True)
 class _Height:
     pose_key: int
@@ -64,13 +86,11 @@ class _Height:
     distance: float
 
     def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
-        camera_T_object = values.atPose3(self.pose_key).matrix()
-        residual = np.array([self.normal @ camera_T_object[:3, 3] - self.distance])
+        pose = values.atPose3(self.pose_key).matrix()
+        residual, by_turn = ground_rows(self.normal, self.distance, pose[:3, :3], pose[:3, 3])
         if not want_jacobian:
-            return residual, None
-        jacobian = np.zeros((1, 6))
-        jacobian[0, 3:] = self.normal @ camera_T_object[:3, :3]
-        return residual, jacobian
+            return residual[:1], None
+        return residual[:1], np.concatenate([by_turn[0], self.normal @ pose[:3, :3]])[None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,10 +99,8 @@ class _Upright:
     normal: NDArray[np.float64]
 
     def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
-        R = values.atPose3(self.pose_key).matrix()[:3, :3]
-        residual = R[:, 1] - self.normal
+        pose = values.atPose3(self.pose_key).matrix()
+        residual, by_turn = ground_rows(self.normal, 0.0, pose[:3, :3], pose[:3, 3])
         if not want_jacobian:
-            return residual, None
-        jacobian = np.zeros((3, 6))
-        jacobian[:, :3] = R @ _NEGATIVE_SKEW_Y
-        return residual, jacobian
+            return residual[1:], None
+        return residual[1:], np.hstack([by_turn[1:], np.zeros((3, 3))])

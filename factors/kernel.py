@@ -4,11 +4,7 @@ What costs in a Python factor is numpy's overhead per call, not the arithmetic. 
 all keypoints at once, with all their Jacobians, and thin factors read their rows; each keypoint keeps a factor, and
 with it a robust weight, of its own.
 
-With q = K (R X + t) the homogeneous pixel, P = K R and u = q_0 / q_2, v = q_1 / q_2,
-
-    du/dX      = (P_0 - u P_2) / q_2,          dv/dX      = (P_1 - v P_2) / q_2
-    du/domega  = du/dX (-[X]_x),               du/dv      = du/dX         (right perturbation, rotation first)
-    du/dlambda = du/dX basis_i,                du/doffset = du/dX
+The equations are those of `factors.projection`, which the search for proposals evaluates for many poses at once.
 """
 
 from __future__ import annotations
@@ -22,15 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from factors.checks import finite_array
 from factors.errors import InvalidInputError
+from factors.projection import MIN_DEPTH, by_pose, pixel_jacobian, project
 from factors.shape import LinearShape
 
 __all__ = ["MIN_DEPTH", "Projection", "ProjectionKernel"]
-
-MIN_DEPTH = 1e-3
-"""Depth in metres below which a point counts as behind the camera; the projection is evaluated at this depth there."""
-
-# Linear map from X to the nine entries of -[X]_x, row by row.
-_NEGATIVE_SKEW = -np.cross(np.eye(3)[:, None], np.eye(3)).transpose(2, 1, 0).reshape(9, 3)
 
 
 @dataclass(slots=True)
@@ -40,12 +31,18 @@ class Projection:
     Attributes:
         pixels: (K, 2) pixels; finite also for points behind the camera, where they mean nothing.
         depths: (K,) depths in the camera frame, metres; positive in front.
+        camera: (K, 3) points in the camera frame, metres, at least `MIN_DEPTH` deep.
+        points: (K, 3) points in the object frame, metres.
+        rotation: (3, 3) of camera_T_object.
         jacobian: (K, 2, D) derivative of the pixels with respect to the kernel's variables in the order of its keys;
             None until it is asked for.
     """
 
     pixels: NDArray[np.float64]
     depths: NDArray[np.float64]
+    camera: NDArray[np.float64]
+    points: NDArray[np.float64]
+    rotation: NDArray[np.float64]
     jacobian: NDArray[np.float64] | None = None
 
 
@@ -65,10 +62,8 @@ class ProjectionKernel:
     """
 
     __slots__ = (
-        "_directions",
-        "_directions_at",
-        "_homogeneous",
-        "_points",
+        "_basis",
+        "_pose",
         "_projection",
         "_stamp",
         "camera_matrix",
@@ -97,63 +92,53 @@ class ProjectionKernel:
         self.pose_key: int | None = pose if isinstance(pose, int) else None
         self.keys: tuple[int, ...] = shape.keys if self.pose_key is None else (self.pose_key, *shape.keys)
         self.dims: tuple[int, ...] = shape.dims if self.pose_key is None else (6, *shape.dims)
-        # How q moves per unit of the pose and of lambda, before (pose variable) or after (pose fixed) P is applied:
-        # (3, columns, K), keypoints last so that every operation below runs along contiguous memory.
         basis = shape.basis if shape.coefficients_key is not None else shape.basis[:0]
-        directions = basis.transpose(2, 0, 1)
-        if isinstance(pose, int):
-            self._homogeneous = np.empty((3, 4))
-            axes = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, shape.size))
-            directions = np.concatenate([np.zeros((3, 3, shape.size)), axes, directions], axis=1)
-        else:
-            self._homogeneous = K @ finite_array("pose", pose.matrix(), (4, 4))[:3]
-            directions = np.tensordot(self._homogeneous[:, :3], directions, axes=1)
-        self._directions = np.ascontiguousarray(directions)
-        self._directions_at: NDArray[np.float64] | None = None
-        self._points: NDArray[np.float64] | None = None
+        self._basis = np.ascontiguousarray(basis.transpose(1, 2, 0))
+        self._pose: NDArray[np.float64] | None = None
+        if not isinstance(pose, int):
+            self._pose = finite_array("pose", pose.matrix(), (4, 4))
         self._stamp: bytes | None = None
-        self._projection = Projection(np.empty((0, 2)), np.empty(0))
+        self._projection: Projection | None = None
 
     def evaluate(self, values: gtsam.Values, jacobian: bool = False) -> Projection:
         """The projection of all keypoints at the values, with its Jacobian where that is wanted."""
         points = self.shape.points(values)
+        last = self._projection
         if self.pose_key is None:
-            if points is not self._points:
-                self._project(points)
+            assert self._pose is not None
+            if last is None or points is not last.points:
+                last = self._project(points, self._pose)
         else:
             camera_T_object = values.atPose3(self.pose_key).matrix()
             stamp = camera_T_object.tobytes()
-            if points is not self._points or stamp != self._stamp:
-                self._homogeneous = self.camera_matrix @ camera_T_object[:3]
-                self._project(points)
+            if last is None or points is not last.points or stamp != self._stamp:
+                last = self._project(points, camera_T_object)
                 self._stamp = stamp
-        if jacobian and self._projection.jacobian is None:
-            self._projection.jacobian = self._differentiate(points)
-        return self._projection
+        if jacobian and last.jacobian is None:
+            last.jacobian = self._differentiate(last)
+        self._projection = last
+        return last
 
-    def _project(self, points: NDArray[np.float64]) -> None:
-        q = self._homogeneous[:, :3] @ points.T + self._homogeneous[:, 3:]
-        pixels = (q[:2] / np.maximum(q[2], MIN_DEPTH)).T
-        self._projection = Projection(np.ascontiguousarray(pixels), q[2])
-        self._points = points
+    def _project(self, points: NDArray[np.float64], camera_T_object: NDArray[np.float64]) -> Projection:
+        rotation = camera_T_object[:3, :3]
+        pixels, camera, depths = project(self.camera_matrix, rotation, camera_T_object[:3, 3], points)
+        return Projection(pixels, depths, camera, points, rotation)
 
-    def _differentiate(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        directions, P = self._directions, self._homogeneous[:, :3]
-        count, columns = len(points), directions.shape[1]
+    def _differentiate(self, at: Projection) -> NDArray[np.float64]:
+        by_camera = pixel_jacobian(self.camera_matrix, at.camera)
+        by_turn, by_object = by_pose(at.points, at.rotation, by_camera)
+        blocks = [by_object @ self._basis] if self.shape.coefficients_key is not None else []
         if self.pose_key is not None:
-            if self._directions_at is not points:
-                directions[:, :3] = (_NEGATIVE_SKEW @ points.T).reshape(3, 3, count)
-                self._directions_at = points
-            directions = (P @ directions.reshape(3, -1)).reshape(3, columns, count)
-        pixels = self._projection.pixels.T[:, None]
-        depths = np.maximum(self._projection.depths, MIN_DEPTH)
+            blocks = [by_turn, by_object, *blocks]
+        if self.shape.offsets_key is None:
+            return np.concatenate(blocks, axis=-1)
+        count = len(at.points)
+        columns = sum(block.shape[-1] for block in blocks)
         jacobian = np.zeros((count, 2, sum(self.dims)))
-        moved = directions[:2] - pixels * directions[2]
-        np.divide(moved, depths, out=jacobian.transpose(1, 2, 0)[:, :columns])
-        if self.shape.offsets_key is not None:
-            # A keypoint moves with its own three offsets alone: the diagonal blocks of the last 3K columns.
-            keypoint, row, column = jacobian.strides
-            at = jacobian[:, :, columns:]
-            diagonal = as_strided(at, (count, 2, 3), (keypoint + 3 * column, row, column))
-            diagonal[...] = ((P[:2, :, None] - pixels * P[2, :, None]) / depths).transpose(2, 0, 1)
+        if blocks:
+            np.concatenate(blocks, axis=-1, out=jacobian[:, :, :columns])
+        # A keypoint moves with its own three offsets alone: the diagonal blocks of the last 3K columns.
+        keypoint, row, column = jacobian.strides
+        diagonal = as_strided(jacobian[:, :, columns:], (count, 2, 3), (keypoint + 3 * column, row, column))
+        diagonal[...] = by_object
         return jacobian

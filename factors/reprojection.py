@@ -3,10 +3,11 @@
     r_i = pi(K (R X_i(lambda, offsets) + t)) - x_i
 
 The kernel decides what is a variable: pose and shape together, the shape at a fixed pose, or the pose of a fixed shape.
-There is one thin factor per keypoint, whose weight and residual can be read back from the graph; or one stacked factor,
-several times faster, that does the same (`stacked_reprojection_factor`). GTSAM hands a copy of all values to every
-callback of an optimisation, so that thin factors also grow dearer with the number of frames in the graph; stacked ones
-hardly do. A keypoint that was not found, or has no weight, gets no factor.
+All keypoints of a frame are one stacked factor, whose noise model carries their weights row by row
+(`stacked_reprojection_factor`); or each has a thin factor of its own, as GTSAM's robust noise models want it, which
+weigh the norm of a whole factor. GTSAM hands a copy of all values to every callback of an optimisation, so that thin
+factors grow dearer with the number of frames in the graph; stacked ones hardly do. A keypoint that was not found, or
+has no weight, is left out.
 """
 
 from __future__ import annotations
@@ -80,13 +81,16 @@ def stacked_reprojection_factor(
     covariances: ArrayLike | None = None,
     robust: RobustLoss | None = None,
 ) -> gtsam.CustomFactor:
-    """Reprojection errors of all keypoints in one factor, each with its own weight and robust loss.
+    """Reprojection errors of all keypoints in one factor, each with its own weight.
 
     The same energy and the same linear system as `reprojection_factors` with `factors.noise.keypoint_noise`, at the
-    price of one callback: residuals are whitened here, and the factor's own noise model is of unit variance. GTSAM's
+    price of one callback. The weights are in the factor's noise model: sigma / sqrt(w_i) for both rows of a keypoint,
+    or blocks Sigma_i / w_i where the keypoints have covariances. To change them build the factor again.
+
+    With a robust loss the rows are whitened by the callback instead, and the noise model is of unit variance: GTSAM's
     robust noise models report the loss when asked for the error, and a residual weighted by rho'(s) / s when asked to
-    linearise; this factor does so for every keypoint. With a loss ``unwhitenedError`` therefore gives sqrt(2 rho(s_i))
-    in the direction of each residual.
+    linearise; this factor then does so for every keypoint, and ``unwhitenedError`` gives sqrt(2 rho(s_i)) in the
+    direction of each residual.
 
     Args:
         kernel: Projects all keypoints.
@@ -97,7 +101,7 @@ def stacked_reprojection_factor(
         robust: Robust loss around every keypoint, or None.
 
     Returns:
-        A factor with 2 whitened rows (u, v) for each of the M keypoints that remain.
+        A factor with 2 rows (u, v) for each of the M keypoints that remain: pixels, or whitened with a robust loss.
 
     Raises:
         InvalidInputError: An array has the wrong shape, a weight is negative, sigma is not positive, or a covariance is
@@ -112,8 +116,28 @@ def stacked_reprojection_factor(
     used = np.flatnonzero(~np.isnan(array).any(axis=1) & (roots[:, 0] > 0))
     if not len(used):
         raise DegenerateProblemError("weights", "no keypoint with a pixel and a weight", "Give some weight.")
-    callback = _StackedReprojection(kernel, used, finite_array("pixels", array[used], (None, 2)), roots[used], robust)
-    return guarded_factor("stacked reprojection", 1.0, kernel.keys, kernel.dims, 2 * len(used), callback)
+    seen = finite_array("pixels", array[used], (None, 2))
+    if robust is None:
+        noise: Noise = _stacked_noise(roots[used])
+        callback: _StackedReprojection | _RobustReprojection = _StackedReprojection(kernel, used, seen)
+    else:
+        noise, callback = 1.0, _RobustReprojection(kernel, used, seen, roots[used], robust)
+    return guarded_factor("stacked reprojection", noise, kernel.keys, kernel.dims, 2 * len(used), callback)
+
+
+def _stacked_noise(whiteners: NDArray[np.float64]) -> gtsam.noiseModel.Gaussian:
+    """Noise model of all rows from whiteners (M, 3) as `keypoint_whiteners` gives them."""
+    if not whiteners[:, 1].any() and (whiteners[:, 0] == whiteners[:, 2]).all():
+        return gtsam.noiseModel.Diagonal.Sigmas(np.repeat(1.0 / whiteners[:, 0], 2))
+    matrix = np.zeros((2 * len(whiteners), 2 * len(whiteners)))
+    first = np.arange(0, len(matrix), 2)
+    # GTSAM wants the upper triangle: the transposed inverse of the other square root of the same information.
+    a, b, c = whiteners.T
+    information = np.sqrt(a * a + b * b)
+    matrix[first, first] = information
+    matrix[first, first + 1] = b * c / information
+    matrix[first + 1, first + 1] = np.sqrt(np.maximum(c * c - (b * c / information) ** 2, 0.0))
+    return gtsam.noiseModel.Gaussian.SqrtInformation(matrix)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,30 +155,38 @@ class _Reprojection:
 
 @dataclass(frozen=True, slots=True)
 class _StackedReprojection:
+    kernel: ProjectionKernel
+    keypoints: NDArray[np.intp]
+    pixels: NDArray[np.float64]
+
+    def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
+        projection = self.kernel.evaluate(values, want_jacobian)
+        residual = (projection.pixels[self.keypoints] - self.pixels).ravel()
+        if not want_jacobian or projection.jacobian is None:
+            return residual, None
+        return residual, projection.jacobian[self.keypoints].reshape(residual.size, -1)
+
+
+@dataclass(frozen=True, slots=True)
+class _RobustReprojection:
     """Whiteners are lower triangular, [[a, 0], [b, c]], one row (a, b, c) for each of the M keypoints."""
 
     kernel: ProjectionKernel
     keypoints: NDArray[np.intp]
     pixels: NDArray[np.float64]
     whiteners: NDArray[np.float64]
-    robust: RobustLoss | None
+    robust: RobustLoss
 
     def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
         projection = self.kernel.evaluate(values, want_jacobian)
         whitened = _whiten(projection.pixels[self.keypoints] - self.pixels, self.whiteners)
-        if self.robust is not None:
-            distances = np.sqrt(np.square(whitened).sum(axis=1, keepdims=True))
+        distances = np.sqrt(np.square(whitened).sum(axis=1, keepdims=True))
         if not want_jacobian or projection.jacobian is None:
-            if self.robust is not None:
-                whitened *= np.sqrt(2.0 * self.robust.losses(distances)) / np.maximum(distances, _TINY)
+            whitened *= np.sqrt(2.0 * self.robust.losses(distances)) / np.maximum(distances, _TINY)
             return whitened.ravel(), None
-        whiteners = self.whiteners
-        if self.robust is not None:
-            roots = np.sqrt(self.robust.weights(distances))
-            whitened *= roots
-            whiteners = whiteners * roots
-        jacobian = _whiten(projection.jacobian[self.keypoints], whiteners[:, :, None])
-        return whitened.ravel(), jacobian.reshape(whitened.size, -1)
+        roots = np.sqrt(self.robust.weights(distances))
+        jacobian = _whiten(projection.jacobian[self.keypoints], (self.whiteners * roots)[:, :, None])
+        return (whitened * roots).ravel(), jacobian.reshape(whitened.size, -1)
 
 
 def _whiten(pairs: NDArray[np.float64], whiteners: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -35,7 +35,7 @@ _MEMBERS = {
     "keypoints": "crops decode detect knet refine weights",
     "pose": "adjust aspnp irls problem search starts terms",
     "priors": "apollo79 canonical_frame compare em_ppca factorisation learn nrsfm nrsfm_options pca ppca",
-    "shape": "adjust covariance graph solver state structure",
+    "shape": "adjust covariance graph solver structure",
     "vehicles": "detect",
 }
 _ELSEWHERE = {

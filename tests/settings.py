@@ -2,11 +2,11 @@
 
 from fgrecon.core.options import BoxOptions, KeypointOptions, Options, SearchOptions, ShapeOptions
 
-GROUPS = {"keypoints": KeypointOptions, "box": BoxOptions, "search": SearchOptions, "shape": ShapeOptions}
+GROUPS = {"keypoints": KeypointOptions, "box": BoxOptions, "shape": ShapeOptions, "search": SearchOptions}
 
 
 def options(**settings):
-    """`Options` with each setting in its group; those of the box are named `box_...`."""
+    """`Options` with each setting in its group, the graph's before the search's; those of the box are `box_...`."""
     grouped = {}
     for name, value in settings.items():
         if name.startswith("box_"):

@@ -34,12 +34,13 @@ class Solving:
     box_model: Annotated[
         BoxModel | None, typer.Option(help=BOX_MODEL_HELP, show_default="surface; cuboid for KITTI's boxes")
     ] = None
-    joint: Annotated[bool, typer.Option("--joint/--no-joint", help="Let pose and shape move together at the end.")] = (
-        True
-    )
+    joint: Annotated[bool, typer.Option("--joint/--no-joint", help="Let pose and shape move together.")] = True
     free_offsets: Annotated[
-        bool, typer.Option("--free-offsets", help="Let every keypoint leave the shape prior by a small offset.")
-    ] = False
+        bool,
+        typer.Option(
+            "--free-offsets/--no-free-offsets", help="Let every keypoint leave the shape prior by a small offset."
+        ),
+    ] = True
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from factors.projection import cross, pixel_jacobian
+
 __all__ = ["MIRROR", "cross", "exponential", "pixel_jacobian", "transform"]
 
 Array = NDArray[np.float64]
@@ -21,28 +23,6 @@ def exponential(rotation: Array) -> Array:
     skew = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*rotation.shape[:-1], 3, 3)
     safe = np.maximum(angle, 1e-8)
     result: Array = np.eye(3) + np.sin(safe) / safe * skew + (1.0 - np.cos(safe)) / safe**2 * (skew @ skew)
-    return result
-
-
-def pixel_jacobian(matrix: Array, camera: Array) -> Array:
-    """(..., 2, 3) derivative of the pixel with respect to the camera point (..., 3)."""
-    inverse = 1.0 / camera[..., 2]
-    x, y = camera[..., 0] * inverse, camera[..., 1] * inverse
-    result = np.zeros((*camera.shape[:-1], 2, 3))
-    result[..., 0, 0] = matrix[0, 0] * inverse
-    result[..., 0, 1] = matrix[0, 1] * inverse
-    result[..., 1, 1] = matrix[1, 1] * inverse
-    result[..., 0, 2] = -(matrix[0, 0] * x + matrix[0, 1] * y) * inverse
-    result[..., 1, 2] = -matrix[1, 1] * y * inverse
-    return result
-
-
-def cross(a: Array, b: Array) -> Array:
-    """Cross product along the last axis, without the overhead of numpy's general one."""
-    result = np.empty(np.broadcast_shapes(a.shape, b.shape))
-    result[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
-    result[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
-    result[..., 2] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
     return result
 
 

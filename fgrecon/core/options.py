@@ -70,9 +70,12 @@ class SearchOptions:
 
     Attributes:
         azimuths: Start azimuths, evenly spaced.
+        basis_vectors: Move the first so many of the basis vectors that the factor graph has; with none the search
+            places the mean shape.
     """
 
     azimuths: int = count(24, least=1, most=360)
+    basis_vectors: int = count(0, least=0)
 
     def __post_init__(self) -> None:
         """Check the settings (`InvalidInputError`)."""
@@ -84,8 +87,9 @@ class ShapeOptions:
     """The factor graph of pose and shape.
 
     Attributes:
-        joint: Let pose and shape move together after the shape stage; else the pose stage's pose stays.
-        free_offsets: Let each keypoint leave the subspace by a small offset with its own Gaussian prior.
+        joint: Let pose and shape move together; else the proposal's pose stays.
+        free_offsets: Let each keypoint leave the subspace by a small offset with its own Gaussian prior, the two of a
+            pair by the same where symmetry is on.
         basis_vectors: Use the first so many basis vectors; None uses all.
         planarity_sigma: Distance of a keypoint from its face's plane, 1 sigma, metres.
         symmetry_sigma: Distance of a keypoint from its twin's mirror image, 1 sigma, metres.
@@ -94,25 +98,32 @@ class ShapeOptions:
         laplacian_sigma: Deviation of a keypoint from its place among its neighbours, 1 sigma, metres.
         literal_laplacian: Take the paper's Laplacian literally: weights not normalised, residuals not relative to the
             mean shape's (`factors.laplacian` says what that does).
+        common_error: Share of an image's errors (their variance) that all images of one vehicle have in common: a
+            detector mistakes the same car in the same way, and boxes are off alike. T images count for the shape as
+            T / (1 + (T - 1) common_error) independent ones.
         plane_penalty: Weight mu of the penalty mu (1 - n'n)^2 on a plane's normal, square metres; None has unit normals
             by construction.
     """
 
     joint: bool = flag(default=True)
-    free_offsets: bool = flag(default=False)
+    free_offsets: bool = flag(default=True)
     basis_vectors: int | None = count(None, least=0)
     planarity_sigma: float = number(0.03, least=1e-6)
-    symmetry_sigma: float = number(0.03, least=1e-6)
-    rectangularity_sigma: float = number(0.05, least=1e-6)
+    symmetry_sigma: float = number(0.01, least=1e-6)
+    rectangularity_sigma: float = number(0.01, least=1e-6)
     parallel_sigma: float = number(0.03, least=1e-6)
     laplacian_sigma: float = number(0.5, least=1e-6)
     literal_laplacian: bool = flag(default=False)
+    common_error: float = number(1.0, least=0.0, most=1.0)
     plane_penalty: float | None = number(None, least=1e-12)
 
     def __post_init__(self) -> None:
         """Check the settings (`InvalidInputError`)."""
         check_settings(self, "options.shape")
 
+
+OFF = ("laplacian", "planarity")
+"""Energy terms that are off by default (`docs/method.md` has what they cost)."""
 
 _KINDS: dict[str, Any] = {
     "keypoints": KeypointOptions,
@@ -143,8 +154,8 @@ class Options:
         box: What the 2D box says.
         search: The search for poses.
         shape: The factor graph of pose and shape.
-        disabled_terms: Names of energy terms to leave out (ablation), of `Options.TERMS`. The size of a single vehicle
-            is in the prior, not a term.
+        disabled_terms: Names of energy terms to leave out, of `Options.TERMS`: by default those that did not help on
+            cars of known shape. The size of a single vehicle is in the prior, not a term.
         ambiguity_margin: Energy (nats) within which another pose makes the result ambiguous.
         keep_history: Record every iteration.
         confidence_midpoint: Deprecated: what a confidence means belongs to the `Observation`, which this overrules.
@@ -178,7 +189,7 @@ class Options:
         box: BoxOptions | BoxModel | str | None = None,
         search: SearchOptions | None = None,
         shape: ShapeOptions | None = None,
-        disabled_terms: Iterable[str] = (),
+        disabled_terms: Iterable[str] = OFF,
         ambiguity_margin: float = 3.0,
         keep_history: bool = True,
         confidence_midpoint: float | None = None,

@@ -139,6 +139,8 @@ class Reconstruction:
         faces: The category's planar faces: indices of the keypoints around each, by name.
         symmetric_pairs: (P, 2) pairs (left, right) of mirrored keypoints.
         graph: The factors of the graph at the result; empty where no history is kept.
+        graph_iterations: Iterations that the graph's solver took from the proposal that led to the result.
+        graph_gain: Nats that they took off its energy; NaN where the strategy defines none.
     """
 
     status: Status
@@ -168,6 +170,8 @@ class Reconstruction:
     faces: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     symmetric_pairs: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
     graph: tuple[GraphFactor, ...] = ()
+    graph_iterations: int = 0
+    graph_gain: float = float("nan")
 
     @property
     def pose(self) -> gtsam.Pose3:
@@ -265,7 +269,8 @@ class Reconstruction:
         """
         if data.get("format") != FORMAT:
             raise InvalidInputError("format", data.get("format"), f"Give a result written as {FORMAT}.")
-        names = [f.name for f in fields(cls)]
+        later = ("graph_iterations", "graph_gain")  # files of the first release have them not
+        names = [f.name for f in fields(cls) if f.name in data or f.name not in later]
         missing = [name for name in names if name not in data]
         if missing:
             raise InvalidInputError("reconstruction", f"no field {missing[0]}", "Give a whole result.")
@@ -341,6 +346,8 @@ def _graph_factor(data: Mapping[str, Any]) -> GraphFactor:
 
 _READERS: Mapping[str, Callable[[Any], Any]] = {
     "status": Status,
+    "graph_iterations": int,
+    "graph_gain": float,
     "message": str,
     "category": str,
     "prior": str,

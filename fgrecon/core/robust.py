@@ -126,6 +126,11 @@ class RobustStrategy:
         return self.name is StrategyName.GNC
 
     @property
+    def descends(self) -> bool:
+        """Whether weights at a state belong to an energy there, which a solve under them lowers."""
+        return not self.is_paper and self.updates > 0
+
+    @property
     def loss(self) -> str | None:
         """Name of the m-estimator that the factor graph puts around each keypoint, or None where weights say it all."""
         return self.name.value if self.name in _LOSSES else None

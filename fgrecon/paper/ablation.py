@@ -29,6 +29,7 @@ from fgrecon.training.priors.apollo79 import DUPLICATE, Apollo79
 from fgrecon.training.priors.pca import SurfaceSamples, pca_prior
 
 __all__ = [
+    "DEFAULT",
     "STRATEGIES",
     "StrategyScore",
     "ablate",
@@ -36,6 +37,9 @@ __all__ = [
     "unsymmetrised_prior",
     "variants",
 ]
+
+DEFAULT = "default"
+"""Name of the settings that the others are compared with."""
 
 BIAS = 0.08
 """Standard deviation in metres per axis of what the unsymmetrised prior gets wrong: every training shape, and all of
@@ -88,12 +92,18 @@ def unsymmetrised_prior(models: Apollo79, exclude: Sequence[str], basis: int = 5
 
 
 def variants(options: Options) -> dict[str, Options]:
-    """Settings by name: all terms, each term switched off, the paper's Laplacian taken literally."""
-    off = {f"without {term}": frozenset([term]) for term in Options.TERMS}
+    """Settings by name: as they are, each term switched the other way, no free offsets, the Laplacian as printed."""
+    disabled = options.disabled_terms
+    switched = {
+        f"with {term}" if term in disabled else f"without {term}": replace(options, disabled_terms=disabled ^ {term})
+        for term in Options.TERMS
+    }
+    literal = replace(options, shape=replace(options.shape, literal_laplacian=True))
     return {
-        "all terms": options,
-        **{name: replace(options, disabled_terms=options.disabled_terms | terms) for name, terms in off.items()},
-        "literal Laplacian": replace(options, shape=replace(options.shape, literal_laplacian=True)),
+        DEFAULT: options,
+        **switched,
+        "without free offsets": replace(options, shape=replace(options.shape, free_offsets=False)),
+        "with the Laplacian as printed": replace(literal, disabled_terms=disabled - {"laplacian"}),
     }
 
 

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Ground
 from fgrecon.core.metrics import orientation_error
-from fgrecon.core.options import BoxModel, BoxOptions, KeypointOptions, Options
+from fgrecon.core.options import BoxModel, BoxOptions, KeypointOptions, Options, SearchOptions, ShapeOptions
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.robust import StrategyName
 from fgrecon.core.shape_prior import ShapePrior
@@ -85,6 +85,9 @@ def settings() -> Options:
         strategy=StrategyName.HUBER,
         keypoints=KeypointOptions(sigma_relative=0.0),
         box=BoxOptions(BoxModel.CUBOID, sigma_relative=0.0, sigma_pixels=2.0),
+        # 42 vectors leave nothing for offsets, and this prior is not symmetric. The search moves them as well.
+        search=SearchOptions(basis_vectors=42),
+        shape=ShapeOptions(free_offsets=False, symmetry_sigma=0.03, rectangularity_sigma=0.05),
         disabled_terms=["laplacian"],
     )
 

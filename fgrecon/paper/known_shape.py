@@ -21,13 +21,14 @@ from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.geometry import transform
 from fgrecon.core.metrics import FAILURE_DEGREES, keypoint_error, rotation_error
 from fgrecon.core.options import BoxModel, KeypointOptions, Options
+from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.files import write_bytes
 from fgrecon.paper.apollocar3d import MarkedCar, MarkedCars, marking_offsets
 from fgrecon.paper.simulated_run import single_threaded
-from fgrecon.paper.stages import stages_of
+from fgrecon.paper.stages import solved_stages
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.vehicle.conditioning import given_size
 from fgrecon.training.priors.apollo79 import Apollo79, apollo79_prior, apollo79_size_relation
@@ -41,12 +42,9 @@ BASIS = 14
 """Basis vectors of the priors: five, as shipped, leave 2.4 degrees and 4.4 % of the distance where eight leave 2.2 and
 4.0 and fourteen 2.2 and 3.8; what comes after these is finer than the marks."""
 
-KNOWN_SHAPE_OPTIONS = Options(
-    keypoints=KeypointOptions(sigma_relative=0.015), box=BoxModel.OFF, disabled_terms=["laplacian"], keep_history=True
-)
+KNOWN_SHAPE_OPTIONS = Options(keypoints=KeypointOptions(sigma_relative=0.015), box=BoxModel.OFF, keep_history=True)
 """Marks are sharper than a network's points (1.9 % of the box about the labelled model, of which a part is the labels'
-own error). The boxes are 2 to 3 % too large, and on some cars far off. The Laplacian term pulls every car towards the
-mean shape's proportions: it costs 0.2 degrees and 0.3 cm, and 1 cm where the size is known."""
+own error). The boxes are 2 to 3 % too large, and on some cars far off."""
 
 _SIZE_SIGMA = 0.02  # of each dimension: bumpers and lamps differ between cars of one length
 _STAGES = ("pose", "shape", "joint")
@@ -231,10 +229,12 @@ def _sqpnp(car: MarkedCar, camera: Camera, prior: ShapePrior) -> list[tuple[Arra
 
 def _stages(car: MarkedCar, camera: Camera, prior: ShapePrior) -> list[tuple[Array, Array]]:
     marked = np.isfinite(car.keypoints[:, 0]).astype(np.float64)
-    result = reconstruct(
-        car.keypoints, camera, confidence=marked, box=car.box, prior=prior, options=KNOWN_SHAPE_OPTIONS
-    )
-    return [(state.camera_T_object, state.keypoints) for state in stages_of(result, prior.category).values()]
+
+    def solve(options: Options) -> Reconstruction:
+        return reconstruct(car.keypoints, camera, confidence=marked, box=car.box, prior=prior, options=options)
+
+    found = solved_stages(solve, KNOWN_SHAPE_OPTIONS, prior.category)
+    return [(found[stage].camera_T_object, found[stage].keypoints) for stage in _STAGES]
 
 
 def _errors(car: MarkedCar, camera_T_object: Array, shape: Array) -> tuple[float, float, float]:

@@ -13,7 +13,7 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.metrics import hausdorff_distance, orientation_error
 from fgrecon.core.observation import Observation
-from fgrecon.core.options import BoxModel, BoxOptions, Options
+from fgrecon.core.options import BoxModel, BoxOptions, Options, ShapeOptions
 from fgrecon.core.reconstruction import Reconstruction, rotation_y
 from fgrecon.core.size_prior import size_prior
 from fgrecon.evaluation.bootstrap import mean_interval
@@ -42,7 +42,12 @@ _AZIMUTH_STREAM = 2  # apart from the simulated instances'
 
 
 def adjust_marked(
-    scored: Sequence[Scored], data: Path, *, keep_history: bool = False, progress: Progress = no_progress
+    scored: Sequence[Scored],
+    data: Path,
+    *,
+    keep_history: bool = False,
+    joint: bool = True,
+    progress: Progress = no_progress,
 ) -> list[Reconstruction | None]:
     """Pose and shape of marked cars from the network's keypoints; None where they are refused.
 
@@ -52,10 +57,11 @@ def adjust_marked(
         scored: Cars as the network found them.
         data: Folder of the data.
         keep_history: Whether to record every iteration.
+        joint: Whether pose and shape move together; else the shape is solved at the proposal's pose.
         progress: Shows how far it is.
     """
     prior, fleet, plane = load_prior("car14"), size_prior("kitti"), Ground.level(_CAMERA_HEIGHT)
-    outline = Options(keep_history=keep_history)
+    outline = Options(keep_history=keep_history, shape=ShapeOptions(joint=joint))
     street = {"options": replace(outline, box=BoxOptions(BoxModel.CUBOID)), "ground": plane, "size_prior": fleet}
     posed = {}
     if any(item.mark.group in GROUPS["photographs"] for item in scored):
@@ -120,10 +126,11 @@ def score_network(data: Path, seed: int = 0, detector: KeypointCascade | None = 
     states: list[dict[str, StageEstimate]] = []
     model, plane = prepare(load_prior("car14"), size_prior("kitti")), Ground.level(_CAMERA_HEIGHT)
     found = adjust_marked(scored, data, keep_history=True)
-    for item, camera, true, result in zip(scored, cameras, yaw.tolist(), found, strict=True):
+    fixed = adjust_marked(scored, data, keep_history=True, joint=False)
+    for item, camera, true, result, at_pose in zip(scored, cameras, yaw.tolist(), found, fixed, strict=True):
         azimuth = noisy_azimuth(true, np.random.default_rng([seed, int(_frame(item)), _index(item), _AZIMUTH_STREAM]))
         start = {"initialisation": initial_state(item.mark.box, camera, model, plane, azimuth)}
-        after = {} if result is None else stages_of(result, model.prior.category)
+        after = {} if result is None or at_pose is None else stages_of(result, at_pose, model.prior.category)
         states.append(start | {row: after[stage] for row, stage in _STAGES.items() if after})
     rows = ("initialisation", *_STAGES)
     away = {"network": np.array([item.error for item in scored])}

@@ -24,7 +24,8 @@ from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.catalogue import load_category
 from fgrecon.simulation.keypoint_noise import HOURGLASS, NoiseModel
 from fgrecon.simulation.vehicles import KITTI_CAMERA, SimulatedTruth, Vehicle, kitti_like_pose, simulate
-from fgrecon.solve.graph.adjust import ShapeEstimate, adjust_shape
+from fgrecon.solve.graph.adjust import adjust
+from fgrecon.solve.graph.graph import Seen
 from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.vehicle.model import VehicleModel, prepare
@@ -62,6 +63,7 @@ class StageScore:
         keypoint_rms: Root mean square of the distances, metres.
         reprojection: Median reprojection error of the inliers, pixels.
         orientation: Median orientation error, degrees.
+        squares: Mean squared distance of the 3D keypoints of each view, square metres.
     """
 
     keypoint: float
@@ -69,6 +71,7 @@ class StageScore:
     keypoint_rms: float
     reprojection: float
     orientation: float
+    squares: tuple[float, ...]
 
 
 def held_out(models: Apollo79, count: int = 20, seed: int = 0) -> tuple[str, ...]:
@@ -172,24 +175,22 @@ def _states(
     mean, true_pose = prior.mean, view.truth.camera_T_object
     problem = Problem.of(observation, KITTI_CAMERA, model, ground, options)
 
-    def keypoints(shape: ShapeEstimate) -> Array:
-        return prior.keypoints(shape.coefficients, shape.offsets)
+    def solved(setting: Problem, start: PoseEstimate) -> tuple[Array, Array]:
+        state = adjust([Seen(setting)], [start]).optimum.state
+        return state.poses[0].matrix(), prior.keypoints(*state.shapes[0])
 
-    at_truth = adjust_shape(problem, _known_pose(problem, true_pose))
     try:
         start = adjust_pose(problem)
     except FgreconError:
         start = _known_pose(problem, np.eye(4))
-    fixed = adjust_shape(problem, start)
-    moving = replace(options, shape=replace(options.shape, joint=True))
-    joint = adjust_shape(replace(problem, options=moving), start)
+    moving = replace(problem, options=replace(options, shape=replace(options.shape, joint=True)))
     return {
         "mean, true pose": (true_pose, mean),
-        "shape, true pose": (true_pose, keypoints(at_truth)),
+        "shape, true pose": solved(problem, _known_pose(problem, true_pose)),
         "mean, estimated pose": (start.camera_T_object, mean),
         "pose stage": (start.camera_T_object, prior.keypoints(start.coefficients)),
-        "shape, pose fixed": (start.camera_T_object, keypoints(fixed)),
-        "joint": (joint.pose.matrix(), keypoints(joint)),
+        "shape, pose fixed": solved(problem, start),
+        "joint": solved(moving, start),
     }
 
 
@@ -228,4 +229,5 @@ def _summary(parts: Sequence[tuple[Array, Array, Array, float]]) -> StageScore:
         keypoint_rms=float(np.sqrt(np.square(distance).mean())),
         reprojection=float(np.median(reprojection)),
         orientation=float(np.median([part[3] for part in parts])),
+        squares=tuple(float(np.square(part[0]).mean()) for part in parts),
     )

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ __all__ = [
     "algorithm1_state",
     "initial_state",
     "noisy_azimuth",
+    "solved_stages",
     "stages",
     "stages_of",
 ]
@@ -40,8 +42,6 @@ degrees."""
 
 AZIMUTH_GROSS = 0.075
 """Share of these azimuths that are anywhere on the circle."""
-
-_STAGES = ("pose", "shape", "joint")
 
 
 @dataclass(frozen=True)
@@ -79,34 +79,45 @@ def stages(
         InvalidInputError: Something given cannot be used.
         DegenerateProblemError: The keypoints do not determine a pose.
     """
+
+    def solve(settings: Options) -> Reconstruction:
+        return reconstruct(
+            observation, camera, prior=scene.prior, ground=ground, size_prior=scene.size, options=settings
+        )
+
+    return solved_stages(solve, options, scene.prior.category)
+
+
+def solved_stages(
+    solve: Callable[[Options], Reconstruction], options: Options, category: Category
+) -> dict[str, StageEstimate]:
+    """The states after each stage: `pose`, `shape` (pose fixed) and `joint`, which by default are two solves.
+
+    Args:
+        solve: Solves with the settings that it is given.
+        options: Settings; they must keep the history.
+        category: The vehicle's category.
+    """
     if not options.keep_history:
         raise ValueError("The stages are read from the history: keep it.")
-    result = reconstruct(
-        observation,
-        camera,
-        prior=scene.prior,
-        ground=ground,
-        size_prior=scene.size,
-        options=options,
-    )
-    return stages_of(result, scene.prior.category)
+    result = solve(options)
+    if any(step.stage == "shape" for step in result.history):  # the paper's own scheme has all three
+        return stages_of(result, result, category)
+    return stages_of(result, solve(replace(options, shape=replace(options.shape, joint=False))), category)
 
 
-def stages_of(result: Reconstruction, category: Category) -> dict[str, StageEstimate]:
-    """The states that the history of a result holds: `pose`, `shape` and `joint`, the last being the result.
-
-    A stage without a step of its own ends where the one before did.
-    """
-    states: dict[str, StageEstimate] = {}
-    for stage in _STAGES:
-        steps = [step for step in result.history if step.stage == stage]
+def stages_of(result: Reconstruction, fixed: Reconstruction, category: Category) -> dict[str, StageEstimate]:
+    """The states `pose`, `shape` and `joint` from the histories of a result and of one with `joint=False`."""
+    states = {}
+    for stage, source in (("pose", result), ("shape", fixed)):
+        steps = [step for step in source.history if step.stage == stage]
         if steps:
             last = steps[-1]
             size = np.tensordot(category.dimension_operator, last.keypoints, axes=2)
             states[stage] = StageEstimate(last.camera_T_object, last.keypoints, size)
-        elif states:
-            states[stage] = next(reversed(states.values()))
-    states[_STAGES[-1]] = StageEstimate(result.camera_T_object, result.wireframe, result.box_size)
+        elif states:  # no step of its own: it ends where the one before did
+            states[stage] = states["pose"]
+    states["joint"] = StageEstimate(result.camera_T_object, result.wireframe, result.box_size)
     return states
 
 

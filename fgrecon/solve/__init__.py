@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 from factors.lazy import lazy_names
 
 if TYPE_CHECKING:  # imported when used
-    from fgrecon.solve.graph.adjust import adjust_shape
-    from fgrecon.solve.graph.graph import VehicleGraph, build
+    from fgrecon.solve.graph.adjust import adjust
+    from fgrecon.solve.graph.graph import Graph, Seen, State
+    from fgrecon.solve.graph.optimise import optimise
     from fgrecon.solve.graph.solver import minimise
     from fgrecon.solve.proposals.adjust import adjust_pose
     from fgrecon.solve.proposals.problem import Problem
     from fgrecon.solve.vehicle.model import prepare
 
-__all__ = ["Problem", "VehicleGraph", "adjust_pose", "adjust_shape", "build", "minimise", "prepare"]
+__all__ = ["Graph", "Problem", "Seen", "State", "adjust", "adjust_pose", "minimise", "optimise", "prepare"]
 
 __getattr__, __dir__ = lazy_names(__name__)

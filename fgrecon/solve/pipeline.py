@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,20 +18,20 @@ from fgrecon.core.checks import as_finite, as_shape
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
-from fgrecon.core.reconstruction import GraphFactor, Reconstruction
+from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as named_size_prior
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.graph.adjust import ShapeEstimate, adjust_shape
-from fgrecon.solve.graph.covariance import Covariances, covariances
-from fgrecon.solve.graph.graph import VehicleGraph, build
-from fgrecon.solve.graph.state import graph_weights
-from fgrecon.solve.graph.structure import graph_factors
+from fgrecon.solve.graph.adjust import adjust
+from fgrecon.solve.graph.graph import Seen
 from fgrecon.solve.proposals.adjust import adjust_pose
 from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.result import build_result
+from fgrecon.solve.result import results
 from fgrecon.solve.vehicle.model import prepare
+
+if TYPE_CHECKING:
+    import gtsam
 
 __all__ = ["ground_plane", "observe", "reconstruct"]
 
@@ -50,6 +51,7 @@ def reconstruct(
     size_prior: SizePrior | str | None = None,
     initial: Box3D | float | None = None,
     options: Options | None = None,
+    extra_factors: Sequence[gtsam.NonlinearFactor] = (),
 ) -> Reconstruction:
     """Recover the pose and the shape of one vehicle from its keypoints in one image.
 
@@ -67,6 +69,9 @@ def reconstruct(
             shape as well (`fgrecon.solve.vehicle.conditioning`). None takes sizes from the shape prior.
         initial: 3D box to start from as well, or a guess of rotation_y in radians to trust within 45 degrees.
         options: Settings.
+        extra_factors: Factors of one's own on the pose X(0, 0), lambda L(0) and, with free offsets, O(0)
+            (`factors.keys`; `factors.guarded_factor` makes one from a callback). They are in every solve of the graph,
+            in the covariances and in the history as term `extra`, but not in the search for proposals.
 
     Returns:
         The reconstruction; its `status` tells how far to trust it.
@@ -92,21 +97,10 @@ def reconstruct(
     problem = Problem.of(observation, camera, model, plane, options)
     pose = adjust_pose(problem, start)
     posed = perf_counter()
-    shape = adjust_shape(problem, pose)
-    shaped = perf_counter()
-    uncertainty, graph = _final_graph(problem, shape)
-    milliseconds = {"pose": (posed - started) * 1e3, "shape": (shaped - posed) * 1e3}
-    return build_result(problem, pose, shape, uncertainty, graph, milliseconds)
-
-
-def _final_graph(problem: Problem, shape: ShapeEstimate) -> tuple[Covariances | None, tuple[GraphFactor, ...]]:
-    """Covariances and structure of the joint graph at the result, whichever stage came last."""
-    vehicle = VehicleGraph(problem, shape.pose, pose_free=True)
-    values = vehicle.values(shape.pose, shape.coefficients, shape.offsets)
-    weights = graph_weights(problem.energy, shape.weights, shape.visibility)
-    terms = vehicle.terms(weights, shape.box_weights)
-    graph = graph_factors(vehicle, terms, weights) if problem.options.keep_history else ()
-    return covariances(vehicle, build(terms), values), graph
+    seen = [Seen(problem)]
+    adjusted = adjust(seen, [pose], extra_factors)
+    milliseconds = {"pose": (posed - started) * 1e3, "shape": (perf_counter() - posed) * 1e3}
+    return results(seen, [pose], adjusted, milliseconds, extra_factors)[0]
 
 
 def ground_plane(ground: Ground | float | None) -> Ground | None:

@@ -2,50 +2,95 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import gtsam
 import numpy as np
+from numpy.typing import NDArray
 
 from fgrecon.core.options import Options
-from fgrecon.core.reconstruction import GraphFactor, Reconstruction, Status, rotation_y
-from fgrecon.solve.graph.adjust import ShapeEstimate
-from fgrecon.solve.graph.covariance import Covariances
+from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status, rotation_y
+from fgrecon.solve.graph.adjust import Adjusted
+from fgrecon.solve.graph.covariance import Covariances, factorise, read_covariances
+from fgrecon.solve.graph.graph import Graph, Seen
+from fgrecon.solve.graph.history import iterations
+from fgrecon.solve.graph.observation import ObservationPart
+from fgrecon.solve.graph.optimise import Optimum
+from fgrecon.solve.graph.structure import graph_factors
 from fgrecon.solve.proposals.adjust import PoseEstimate
-from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
+from fgrecon.solve.proposals.problem import keypoint_covariances
 from fgrecon.solve.vehicle.visibility import clearance, occluder, probability
 
-__all__ = ["build_result"]
+__all__ = ["results"]
 
 _LOOSE = np.deg2rad(30.0)  # a rotation known no better than this is not determined
 
 
-def build_result(
-    problem: Problem,
-    pose: PoseEstimate,
-    shape: ShapeEstimate,
-    uncertainty: Covariances | None,
-    graph: tuple[GraphFactor, ...],
+def results(
+    seen: Sequence[Seen],
+    starts: Sequence[PoseEstimate],
+    adjusted: Adjusted,
     milliseconds: dict[str, float],
-) -> Reconstruction:
-    """Everything about the result that is told to the user.
+    extra: Sequence[gtsam.NonlinearFactor] = (),
+) -> list[Reconstruction]:
+    """The result of each observation.
 
     Args:
-        problem: What was solved.
-        pose: Result of the pose stage.
-        shape: Result of the shape stage.
-        uncertainty: Covariances at the result, or None where the graph does not determine them.
-        graph: The factors at the result, or none where they are not wanted.
+        seen: The observations.
+        starts: Their proposals.
+        adjusted: Where the graph's optimisation ended.
         milliseconds: Wall time by stage.
+        extra: Factors of the caller's own.
     """
-    prior = problem.model.prior
-    camera_T_object = shape.pose.matrix()
-    wireframe = prior.keypoints(shape.coefficients, shape.offsets)
+    graph, optimum = adjusted.graph, adjusted.optimum
+    if not seen[0].problem.options.shape.joint:  # covariances count pose and shape together, whichever came last
+        graph = Graph(seen, optimum.state, pose_free=True, extra=extra)
+    weights = optimum.state.weights
+    values = graph.values(optimum.state)
+    marginals = factorise(graph.build(weights), values) if optimum.failure is None else None
+    alone = len(seen) == 1
+    keep = seen[0].problem.options.keep_history
+    structure = graph_factors(graph, weights) if keep and alone and optimum.failure is None else ()
+    found = []
+    for i, (part, start) in enumerate(zip(graph.observations, starts, strict=True)):
+        if optimum.failure is not None:
+            energies = {}
+        elif alone:
+            energies = optimum.energies
+        else:
+            energies = part.energies(values, weights[i])
+        history = start.history + iterations(adjusted.stages, i, alone=alone)
+        uncertainty = read_covariances(part, weights[i], values, marginals)
+        found.append(
+            _result(part, optimum, i, adjusted.alternatives[i], uncertainty, energies, history, structure, milliseconds)
+        )
+    return found
+
+
+def _result(
+    part: ObservationPart,
+    optimum: Optimum,
+    index: int,
+    alternatives: tuple[Alternative, ...],
+    uncertainty: Covariances | None,
+    energies: dict[str, float],
+    history: tuple[Iteration, ...],
+    structure: tuple[GraphFactor, ...],
+    milliseconds: dict[str, float],
+) -> Reconstruction:
+    problem, prior = part.problem, part.problem.model.prior
+    weights = optimum.state.weights[index]
+    coefficients, offsets = optimum.state.shapes[part.vehicle.number]
+    camera_T_object = optimum.state.poses[index].matrix()
+    wireframe = prior.keypoints(coefficients, offsets)
     in_camera = wireframe @ camera_T_object[:3, :3].T + camera_T_object[:3, 3]
     surface = occluder(prior)
-    vertices = surface.vertices(shape.coefficients)
+    vertices = surface.vertices(coefficients)
     centre = -camera_T_object[:3, :3].T @ camera_T_object[:3, 3]
-    status, message = _status(pose, uncertainty, problem.options, shape)
+    status, message = _status(camera_T_object, alternatives, uncertainty, problem.options, optimum)
     sigma = np.sqrt(np.sqrt(np.linalg.det(keypoint_covariances(problem.observation, problem.options.keypoints))))
     with np.errstate(divide="ignore"):
-        sigmas = sigma / np.sqrt(shape.weights)
+        sigmas = sigma / np.sqrt(weights.keypoints)
     return Reconstruction(
         status=status,
         message=message,
@@ -53,45 +98,51 @@ def build_result(
         prior=prior.name,
         keypoint_names=prior.category.keypoints,
         camera_T_object=camera_T_object,
-        coefficients=shape.coefficients,
-        offsets=shape.offsets,
+        coefficients=coefficients,
+        offsets=offsets,
         wireframe=wireframe,
         wireframe_uv=problem.camera.distort(problem.camera.project(in_camera)),
         edges=np.array(prior.category.edges, dtype=np.int64).reshape(-1, 2),
-        box_size=prior.box_size(shape.coefficients, shape.offsets),
-        weights=shape.weights,
+        box_size=prior.box_size(coefficients, offsets),
+        weights=weights.keypoints,
         sigmas=sigmas,
         visibility=probability(clearance(vertices, surface.faces, wireframe, centre)),
         pose_covariance=None if uncertainty is None else uncertainty.pose,
         coefficients_covariance=None if uncertainty is None else uncertainty.coefficients,
         keypoint_covariance=None if uncertainty is None else uncertainty.keypoints,
-        energies=shape.energies,
-        alternatives=pose.alternatives,
-        history=pose.history + shape.history,
+        energies=energies,
+        alternatives=alternatives,
+        history=history,
         milliseconds=milliseconds,
         surface_vertices=None if prior.surface is None else vertices,
         surface_faces=None if prior.surface is None else surface.faces.astype(np.int64),
         faces={face.name: face.keypoints for face in prior.category.faces},
         symmetric_pairs=np.array(prior.category.symmetric_pairs, dtype=np.int64).reshape(-1, 2),
-        graph=graph,
+        graph=structure,
+        graph_iterations=optimum.iterations,
+        graph_gain=optimum.gain,
     )
 
 
 def _status(
-    pose: PoseEstimate, uncertainty: Covariances | None, options: Options, shape: ShapeEstimate
+    camera_T_object: NDArray[np.float64],
+    alternatives: tuple[Alternative, ...],
+    uncertainty: Covariances | None,
+    options: Options,
+    optimum: Optimum,
 ) -> tuple[Status, str]:
-    if shape.failure is not None:
-        return Status.FAILED, f"The shape stage failed ({shape.failure}); this is the state before."
+    if optimum.failure is not None:
+        return Status.FAILED, f"The shape stage failed ({optimum.failure}); this is the state before."
     if uncertainty is None:
         return Status.DEGENERATE, "The keypoints with any weight leave pose or shape undetermined."
-    if shape.unfinished is not None:
-        return Status.DEGENERATE, f"The solver was stopped {shape.unfinished}: near a minimum, not at one."
+    if optimum.unfinished is not None:
+        return Status.DEGENERATE, f"The solver was stopped {optimum.unfinished}: near a minimum, not at one."
     turn = float(np.sqrt(np.linalg.eigvalsh(uncertainty.pose[:3, :3])[-1]))
     if turn > _LOOSE:
         return Status.DEGENERATE, f"The orientation is known to {np.rad2deg(turn):.0f} degrees only (1 sigma)."
-    close = [a for a in pose.alternatives if a.excess <= options.ambiguity_margin]
+    close = [a for a in alternatives if a.excess <= options.ambiguity_margin]
     if close:
-        turn = rotation_y(close[0].camera_T_object) - rotation_y(pose.camera_T_object)
+        turn = rotation_y(close[0].camera_T_object) - rotation_y(camera_T_object)
         degrees = abs(np.rad2deg((turn + np.pi) % (2.0 * np.pi) - np.pi))
         return Status.AMBIGUOUS, f"A pose turned by {degrees:.0f} degrees is only {close[0].excess:.1f} nats worse."
-    return Status.CONVERGED, "The pose search and the shape stage found one pose and a minimum there."
+    return Status.CONVERGED, "The pose search and the graph found one pose and a minimum there."

@@ -16,56 +16,34 @@ images outweigh the prior where they agree. Nothing is assumed about motion: ima
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
+from typing import TYPE_CHECKING
 
-import gtsam
-import numpy as np
-from numpy.typing import NDArray
-
-from factors import check_in_front
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
-from fgrecon.core.reconstruction import GraphFactor, Iteration, Reconstruction, Status
+from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as named_size_prior
 from fgrecon.core.track_reconstruction import JointStep, TrackReconstruction
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.graph.adjust import EARLY_TOLERANCE, FINAL_TOLERANCE, SETTLED, ShapeEstimate
-from fgrecon.solve.graph.covariance import factorise, read_covariances
-from fgrecon.solve.graph.graph import Terms, VehicleGraph
-from fgrecon.solve.graph.solver import minimise
-from fgrecon.solve.graph.state import State, graph_weights, iteration, reweigh, robust_energies
+from fgrecon.solve.graph.adjust import adjust
+from fgrecon.solve.graph.graph import Seen
+from fgrecon.solve.graph.history import joint_steps
 from fgrecon.solve.graph.structure import graph_factors
 from fgrecon.solve.pipeline import ground_plane, observe
 from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
 from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.result import build_result
+from fgrecon.solve.result import results
 from fgrecon.solve.vehicle.model import prepare
 
+if TYPE_CHECKING:
+    import gtsam
+
 __all__ = ["JointStep", "TrackReconstruction", "reconstruct_track"]
-
-Array = NDArray[np.float64]
-
-_OF_A_FRAME = ("reprojection", "box", "cheirality", "ground")
-"""Terms that every frame has of its own; the others are the shape's."""
-
-
-@dataclass
-class _Frame:
-    """One image on its way through the joint optimisation."""
-
-    number: int
-    problem: Problem
-    start: PoseEstimate
-    graph: VehicleGraph
-    state: State
-    terms: Terms
-    history: list[Iteration]
 
 
 def reconstruct_track(
@@ -76,6 +54,8 @@ def reconstruct_track(
     ground: Ground | float | None = None,
     size_prior: SizePrior | str | None = None,
     options: Options | None = None,
+    extra_factors: Sequence[gtsam.NonlinearFactor] = (),
+    in_order: bool = True,
 ) -> TrackReconstruction:
     """Recover the poses and the one shape of a vehicle that several images show.
 
@@ -87,6 +67,10 @@ def reconstruct_track(
         size_prior: Fleet (`kitti`, `apollo79`), or a size prior; one so tight that it is a single vehicle's tells its
             shape as well (`fgrecon.solve.vehicle.conditioning`). None takes sizes from the shape prior.
         options: Settings; `joint` must be set.
+        extra_factors: Factors of one's own on the poses X(0, t), t the index of the observation, lambda L(0) and, with
+            free offsets, O(0); see `fgrecon.reconstruct`.
+        in_order: Whether the images were taken one after the other: then the vehicle is seldom turned round from one to
+            the next, and an image that takes its front for its rear is outvoted by its neighbours.
 
     Returns:
         The result; images without a pose are in `refused`.
@@ -107,161 +91,40 @@ def reconstruct_track(
         raise InvalidInputError("cameras", f"{len(each)} for {len(observations)} images", "Give one for each image.")
 
     started = perf_counter()
-    frames: list[_Frame] = []
+    seen: list[Seen] = []
+    starts: list[PoseEstimate] = []
     refused: dict[int, str] = {}
     for number, (given, camera) in enumerate(zip(observations, each, strict=True)):
         if given is None:
             refused[number] = "no keypoints"
             continue
-        seen = observe(given, camera, shape_prior, options)
+        observation = observe(given, camera, shape_prior, options)
         try:
-            problem = Problem.of(seen, camera, model, plane, options)
-            start = adjust_pose(problem)
+            problem = Problem.of(observation, camera, model, plane, options)
+            starts.append(adjust_pose(problem))
         except DegenerateProblemError as error:
             refused[number] = str(error)
             continue
-        frames.append(_frame(number, problem, start, first=not frames))
-    if not frames:
+        seen.append(Seen(problem, image=number))
+    if not seen:
         raise DegenerateProblemError("observations", "no pose in any image", "Give more, or better spread, keypoints.")
     posed = perf_counter()
-    history: list[JointStep] = []
-    values, failure = _solve(frames, options, history)
+    adjusted = adjust(seen, starts, extra_factors, in_order=in_order)
     milliseconds = {"pose": (posed - started) * 1e3, "joint": (perf_counter() - posed) * 1e3}
-    return _result(frames, refused, values, history, failure, milliseconds)
-
-
-def _frame(number: int, problem: Problem, start: PoseEstimate, *, first: bool) -> _Frame:
-    pose = gtsam.Pose3(start.camera_T_object)
-    graph = VehicleGraph(problem, pose, pose_free=True, frame=number, shape_terms=first)
-    offsets = np.zeros((len(start.weights), 3))
-    state = State(pose, start.coefficients, offsets, start.weights, start.visibility, np.ones(4))
-    return _Frame(number, problem, start, graph, state, {}, list(start.history))
-
-
-def _start(frames: list[_Frame]) -> gtsam.Values:
-    """All poses, and the mean of the shapes that the images were found with."""
-    coefficients = np.mean([frame.start.coefficients for frame in frames], axis=0)
-    first = frames[0]
-    values = first.graph.values(first.state.pose, coefficients, first.state.offsets)
-    for frame in frames[1:]:
-        assert frame.graph.pose_key is not None
-        values.insert(frame.graph.pose_key, frame.state.pose)
-    return values
-
-
-def _solve(frames: list[_Frame], options: Options, history: list[JointStep]) -> tuple[gtsam.Values, str | None]:
-    """IRLS updates over the joint graph; states, terms and histories of the frames follow.
-
-    Returns:
-        The values, and why the optimisation gave up, or None.
-    """
-    values = _start(frames)
-    for frame in frames:
-        _follow(frame, values)
-    updates = max(options.strategy.updates, 1)
-    try:
-        for frame in frames:
-            check_in_front(frame.graph.kernel, values)
-        for update in range(updates):
-            change = max([_reweigh(frame, values, update / max(updates - 1, 1)) for frame in frames])
-            last = update == updates - 1 or (update > 0 and change < SETTLED and not options.strategy.anneals)
-            solution = minimise(
-                _graph(frames),
-                values,
-                relative_tolerance=FINAL_TOLERANCE if last else EARLY_TOLERANCE,
-                record=options.keep_history,
-            )
-            for step, iterate in enumerate(solution.path):
-                history.append(_record(frames, update, step, iterate))
-            values = solution.values
-            for frame in frames:
-                _follow(frame, values)
-            if last:
-                break
-    except DegenerateProblemError as error:
-        return values, str(error)
-    return values, None if solution.converged else f"no minimum in {solution.iterations} iterations"
-
-
-def _follow(frame: _Frame, values: gtsam.Values) -> None:
-    frame.state.pose, frame.state.coefficients, frame.state.offsets = frame.graph.read(values)
-
-
-def _reweigh(frame: _Frame, values: gtsam.Values, progress: float) -> float:
-    """Update a frame's weights and factors; the largest change of a weight."""
-    state, before = frame.state, frame.state.weights
-    reweigh(state, frame.problem.energy, frame.graph, values, progress)
-    weights = graph_weights(frame.problem.energy, state.weights, state.visibility)
-    frame.terms = frame.graph.terms(weights, state.box_weights)
-    return float(np.abs(state.weights - before).max())
-
-
-def _graph(frames: list[_Frame]) -> gtsam.NonlinearFactorGraph:
-    graph = gtsam.NonlinearFactorGraph()
-    for frame in frames:
-        for term in frame.terms.values():
-            for factor in term:
-                graph.add(factor)
-    return graph
-
-
-def _record(frames: list[_Frame], update: int, step: int, values: gtsam.Values) -> JointStep:
-    """Add a step to the history of every frame; the step of the whole."""
-    total: dict[str, float] = {}
-    poses = []
-    for frame in frames:
-        state = frame.state
-        at = iteration("joint", update, step, frame.graph, values, state.weights, frame.terms, frame.problem.energy)
-        _add(total, at.energies)
-        frame.history.append(_own(at))
-        poses.append(at.camera_T_object)
-    return JointStep(update, step, np.array(poses), at.coefficients, total)
-
-
-def _own(step: Iteration) -> Iteration:
-    """A step with the energies of its frame alone."""
-    own = {name: energy for name, energy in step.energies.items() if name in _OF_A_FRAME}
-    return Iteration(**{**vars(step), "energies": own})
-
-
-def _add(total: dict[str, float], energies: Mapping[str, float]) -> None:
-    for name, energy in energies.items():
-        total[name] = total.get(name, 0.0) + energy
-
-
-def _result(
-    frames: list[_Frame],
-    refused: Mapping[int, str],
-    values: gtsam.Values,
-    history: list[JointStep],
-    failure: str | None,
-    milliseconds: dict[str, float],
-) -> TrackReconstruction:
-    marginals = None if failure is not None else factorise(_graph(frames), values)
-    total: dict[str, float] = {}
-    results = []
-    for frame in frames:
-        state = frame.state
-        energies = robust_energies(frame.graph, values, frame.terms, frame.problem.energy) if frame.terms else {}
-        _add(total, energies)
-        estimate = ShapeEstimate(
-            pose=state.pose,
-            coefficients=state.coefficients,
-            offsets=state.offsets,
-            weights=state.weights,
-            visibility=state.visibility,
-            box_weights=state.box_weights,
-            energies={name: energy for name, energy in energies.items() if name in _OF_A_FRAME},
-            history=tuple(frame.history[len(frame.start.history) :]),
-            failure=failure,
-        )
-        uncertainty = None if marginals is None else read_covariances(frame.graph, marginals)
-        results.append(build_result(frame.problem, frame.start, estimate, uncertainty, (), {}))
-    status, message = _status(results, refused)
-    graph = _structure(frames) if frames[0].problem.options.keep_history and failure is None else ()
-    numbers = tuple(frame.number for frame in frames)
+    frames = results(seen, starts, adjusted, {}, extra_factors)
+    status, message = _status(frames, refused)
+    optimum = adjusted.optimum
+    keep = options.keep_history and optimum.failure is None
     return TrackReconstruction(
-        status, message, numbers, tuple(results), refused, total, tuple(history), graph, milliseconds
+        status=status,
+        message=message,
+        numbers=tuple(one.image for one in seen),
+        frames=tuple(frames),
+        refused=refused,
+        energies=optimum.energies,
+        history=joint_steps(adjusted.stages),
+        graph=graph_factors(adjusted.graph, optimum.state.weights) if keep else (),
+        milliseconds=milliseconds,
     )
 
 
@@ -275,16 +138,3 @@ def _status(results: list[Reconstruction], refused: Mapping[int, str]) -> tuple[
             where = f"{len(members)} of {len(results)} are {status.value}"
             return status, f"{count}{left_out}; {where}: {members[0].message}"
     return Status.CONVERGED, f"{count}{left_out}; the joint optimisation found a minimum."
-
-
-def _structure(frames: list[_Frame]) -> tuple[GraphFactor, ...]:
-    """The joint graph, with one factor for the keypoints of each frame."""
-    factors: list[GraphFactor] = []
-    for frame in frames:
-        weights = graph_weights(frame.problem.energy, frame.state.weights, frame.state.visibility)
-        members = graph_factors(frame.graph, frame.terms, weights)
-        seen = [factor for factor in members if factor.term == "reprojection"]
-        if seen:
-            factors.append(GraphFactor("reprojection", f"{len(seen)} keypoints", seen[0].variables))
-        factors += [factor for factor in members if factor.term != "reprojection"]
-    return tuple(factors)

@@ -32,7 +32,7 @@ def test_the_result_is_close_to_the_truth(demo):
     assert result.status is Status.CONVERGED
     pose, stages = np.array(document["truth"]["camera_T_object"]), document["stages"]
     assert np.linalg.norm(result.location - pose[:3, 3]) < 0.5
-    assert [stage["stage"] for stage in stages] == ["initial", "after pose", "after shape", "after both"]
+    assert [stage["stage"] for stage in stages] == ["initial", "after pose", "after both"]
     assert stages[-1]["camera_T_object"] == document["result"]["camera_T_object"]
     assert stages[-1]["errors"]["orientation_deg"] < 5.0
     assert stages[-1]["errors"]["keypoints_m"] < 0.2
@@ -41,7 +41,7 @@ def test_the_result_is_close_to_the_truth(demo):
 
 def test_the_table_shows_truth_and_every_stage(demo):
     lines = demo[1].stderr.splitlines()
-    for row in ("truth", "initial", "after pose", "after shape", "after both"):
+    for row in ("truth", "initial", "after pose", "after both"):
         assert any(line.startswith(row) for line in lines)
     assert max(map(len, lines[:8])) <= 80
 

@@ -44,19 +44,19 @@ def project(points, pose, camera=CAMERA):
 
 
 def jacobian(factor, values):
-    """Analytic Jacobian of a factor of unit noise, its columns following the factor's keys."""
+    """Analytic Jacobian of a factor, whitened by its noise, its columns following the factor's keys."""
     return factor.linearize(values).jacobian()[0]
 
 
 def numeric_jacobian(factor, values, step=1e-3):
-    """Fourth-order central differences on the manifold, for any type of variable."""
+    """The same by fourth-order central differences on the manifold, for any type of variable."""
     zero = values.zeroVectors()
     columns = []
 
     def residual(key, delta):
         change = gtsam.VectorValues()
         change.insert(key, delta)
-        return factor.unwhitenedError(values.retract(change))
+        return factor.noiseModel().whiten(factor.unwhitenedError(values.retract(change)))
 
     for key in list(factor.keys()):
         for axis in np.eye(len(zero.at(key))):

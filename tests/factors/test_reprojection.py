@@ -64,6 +64,29 @@ def test_jacobians(seed):
         assert_jacobian(stacked_reprojection_factor(kernel, np.zeros((14, 2)), rng.uniform(0, 1, 14), 1.0), values)
 
 
+@pytest.mark.parametrize("with_covariances", [False, True])
+def test_the_weights_are_in_the_noise_model(with_covariances):
+    """Rows are pixels; their covariance is sigma^2 / w, or block by block Sigma_i / w_i, without what is left out."""
+    rng = np.random.default_rng(8)
+    shape, values = bound_shape(rng, 14, 5, with_offsets=False)
+    values.insert(X(), random_pose(rng))
+    kernel = ProjectionKernel(shape, CAMERA, X())
+    pixels, weights = rng.uniform(0, 500, (14, 2)), rng.uniform(0.01, 1, 14)
+    pixels[2], weights[7] = np.nan, 0.0
+    roots = rng.normal(size=(14, 2, 2))
+    covariances = roots @ roots.transpose(0, 2, 1) + 0.1 * np.eye(2) if with_covariances else None
+    factor = stacked_reprojection_factor(kernel, pixels, weights, 3.0, covariances=covariances)
+    used = np.delete(np.arange(14), [2, 7])
+    each = np.tile(9.0 * np.eye(2), (14, 1, 1)) if covariances is None else covariances
+    expected = np.zeros((24, 24))
+    for row, k in enumerate(used):
+        expected[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] = each[k] / weights[k]
+    np.testing.assert_allclose(factor.noiseModel().covariance(), expected, rtol=1e-9, atol=1e-9)
+    residual = factor.unwhitenedError(values)
+    np.testing.assert_allclose(residual, (kernel.evaluate(values).pixels - pixels)[used].ravel(), rtol=1e-12)
+    assert factor.error(values) == pytest.approx(0.5 * residual @ np.linalg.solve(expected, residual), rel=1e-9)
+
+
 def test_jacobians_of_36_points_and_42_vectors():
     rng = np.random.default_rng(0)
     for with_offsets in (False, True):

@@ -104,9 +104,16 @@ class TestAblation:
 
     def test_variants_switch_one_thing_each(self):
         settings = variants(Options())
-        assert len(settings) == len(Options.TERMS) + 2
-        assert all(settings[f"without {term}"].disabled_terms == {term} for term in Options.TERMS)
-        assert settings["literal Laplacian"].shape.literal_laplacian
+        assert len(settings) == len(Options.TERMS) + 3
+        off = Options().disabled_terms
+        assert off
+        for term in Options.TERMS:
+            name = f"{'with' if term in off else 'without'} {term}"
+            assert settings[name].disabled_terms ^ off == {term}
+        assert not settings["without free offsets"].shape.free_offsets
+        literal = settings["with the Laplacian as printed"]
+        assert literal.shape.literal_laplacian
+        assert "laplacian" not in literal.disabled_terms
 
     def test_symmetry_and_planarity_do_nothing_where_the_prior_has_them(self, models, names, prior):
         """No face here need be parallel to the ground, so that nothing but planarity is switched off."""

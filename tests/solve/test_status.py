@@ -8,70 +8,79 @@ import pytest
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Alternative, Status
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.graph.adjust import adjust_shape
 from fgrecon.solve.graph.covariance import Covariances
+from fgrecon.solve.graph.graph import Seen
 from fgrecon.solve.pipeline import reconstruct
-from fgrecon.solve.result import build_result
+from fgrecon.solve.result import results
 from tests.cars import CAMERA, observe, yaw_pose
 from tests.settings import options as make_options
-from tests.solve.graph.support import problem_of
+from tests.solve.graph.support import problem_of, solve
+
+TIGHT = Covariances(np.radians(0.1) ** 2 * np.eye(6), np.eye(5), np.tile(np.eye(3), (14, 1, 1)))
+"""The pose is known to a tenth of a degree."""
 
 
 @pytest.fixture(scope="module")
 def solved():
-    """A problem, its pose stage without alternatives, its shape stage, and a covariance of a tenth of a degree."""
+    """A problem from its best proposal alone to the minimum."""
     problem, start = problem_of(0)
-    tight = Covariances(np.radians(0.1) ** 2 * np.eye(6), np.eye(5), np.tile(np.eye(3), (14, 1, 1)))
-    return problem, replace(start, alternatives=()), adjust_shape(problem, start), tight
+    return solve(problem, replace(start, alternatives=()))
 
 
-def status_of(solved, *, start=None, shape=None, covariance=None):
-    problem, pose, estimate, sure = solved
-    result = build_result(
-        problem, start or pose, shape or estimate, sure if covariance is None else covariance[0], (), {}
-    )
-    return result.status, result.message
+@pytest.fixture
+def status_of(solved, monkeypatch):
+    """Status and message of the result with a covariance, alternatives, options or an end of one's own."""
+
+    def told(covariance=TIGHT, *, alternatives=(), options=None, **ending):
+        problem = solved.problem if options is None else replace(solved.problem, options=options)
+        adjusted = replace(
+            solved.adjusted, alternatives=(alternatives,), optimum=replace(solved.adjusted.optimum, **ending)
+        )
+        part = adjusted.graph.observations[0]
+        monkeypatch.setattr("fgrecon.solve.result.read_covariances", lambda *_: covariance)
+        monkeypatch.setattr(part, "problem", problem)
+        (result,) = results([Seen(problem)], [solved.start], adjusted, {})
+        assert result.alternatives == alternatives
+        return result.status, result.message
+
+    return told
 
 
-def test_a_clear_result(solved):
-    assert status_of(solved)[0] is Status.CONVERGED
+def test_a_clear_result(status_of):
+    assert status_of()[0] is Status.CONVERGED
 
 
 @pytest.mark.parametrize("axis", range(3))
-def test_an_orientation_known_to_30_degrees_is_determined(solved, axis):
+def test_an_orientation_known_to_30_degrees_is_determined(status_of, axis):
     for degrees, status in ((29.0, Status.CONVERGED), (31.0, Status.DEGENERATE)):
-        pose = solved[3].pose.copy()
+        pose = TIGHT.pose.copy()
         pose[axis, axis] = np.radians(degrees) ** 2
-        assert status_of(solved, covariance=(replace(solved[3], pose=pose),))[0] is status
-    far = solved[3].pose.copy()
+        assert status_of(replace(TIGHT, pose=pose))[0] is status
+    far = TIGHT.pose.copy()
     far[3 + axis, 3 + axis] = 1e4  # metres are another matter
-    assert status_of(solved, covariance=(replace(solved[3], pose=far),))[0] is Status.CONVERGED
+    assert status_of(replace(TIGHT, pose=far))[0] is Status.CONVERGED
 
 
-def test_what_went_wrong_comes_first(solved):
-    shape = solved[2]
-    assert status_of(solved, covariance=(None,)) == (
+def test_what_went_wrong_comes_first(status_of):
+    assert status_of(None) == (
         Status.DEGENERATE,
         "The keypoints with any weight leave pose or shape undetermined.",
     )
-    status, message = status_of(solved, shape=replace(shape, unfinished="after 60 iterations"))
+    status, message = status_of(unfinished="after 60 iterations")
     assert (status, "after 60 iterations" in message) == (Status.DEGENERATE, True)
-    status, message = status_of(solved, shape=replace(shape, failure="a singular system"), covariance=(None,))
+    status, message = status_of(None, failure="a singular system")
     assert (status, "a singular system" in message) == (Status.FAILED, True)
 
 
 @pytest.mark.parametrize("margin", [0.5, 3.0, 6.0])
-def test_another_pose_within_the_margin_is_ambiguous(solved, margin):
-    problem, pose, shape, sure = solved
-    options = Options(ambiguity_margin=margin)
-    turned = pose.camera_T_object.copy()
+def test_another_pose_within_the_margin_is_ambiguous(solved, status_of, margin):
+    turned = solved.pose.matrix()
     turned[:3, :3] = turned[:3, :3] @ np.diag([-1.0, 1.0, -1.0])
-    for excess, status in ((margin - 0.1, Status.AMBIGUOUS), (margin + 0.1, Status.CONVERGED)):
-        start = replace(pose, alternatives=(Alternative(turned, shape.coefficients, excess),))
-        result = build_result(replace(problem, options=options), start, shape, sure, (), {})
-        assert result.status is status
-        assert result.alternatives == start.alternatives
-        assert ("turned by 180 degrees" in result.message) == (status is Status.AMBIGUOUS)
+    for excess, expected in ((margin - 0.1, Status.AMBIGUOUS), (margin + 0.1, Status.CONVERGED)):
+        others = (Alternative(turned, solved.coefficients, excess),)
+        status, message = status_of(alternatives=others, options=Options(ambiguity_margin=margin))
+        assert status is expected
+        assert ("turned by 180 degrees" in message) == (expected is Status.AMBIGUOUS)
 
 
 def test_whole_cars_and_halves():

@@ -62,8 +62,10 @@ def test_every_pose_is_near_the_truth(solved):
         assert np.linalg.norm(frame.location - pose[:3, 3]) < 1.0
 
 
-def test_many_images_tell_the_shape_better_than_the_average_one(solved, car):
-    _, seen, track = solved
+def test_many_images_tell_the_shape_better_than_the_average_one(car):
+    """Where their errors have nothing in common, as here."""
+    _, seen = drive(car, np.random.default_rng(5))
+    track = reconstruct_track(seen, KITTI_CAMERA, ground=1.65, options=make_options(common_error=0.0))
     alone = [
         fgrecon.reconstruct(s.keypoints, KITTI_CAMERA, confidence=s.confidence, box=s.box, ground=1.65)
         for s in seen
@@ -86,14 +88,14 @@ def test_the_history_of_the_whole_is_that_of_the_frames(solved):
         for mine, whole in zip(joint, track.history, strict=True):
             np.testing.assert_array_equal(mine.camera_T_object, whole.poses[index])
             np.testing.assert_array_equal(mine.coefficients, whole.coefficients)
-        np.testing.assert_array_equal(joint[-1].camera_T_object, frame.camera_T_object)
+        np.testing.assert_allclose(joint[-1].camera_T_object, frame.camera_T_object, atol=1e-6)
     last = [[step for step in frame.history if step.stage == "joint"][-1] for frame in track.frames]
     for term in ("reprojection", "box", "ground", "cheirality"):
         assert sum(step.energies[term] for step in last) == pytest.approx(track.history[-1].energies[term])
     assert "coefficients" in track.energies
     assert "coefficients" not in last[0].energies
     totals = [sum(step.energies.values()) for step in track.history]
-    assert totals[-1] <= totals[0]
+    assert totals[-1] <= totals[0] + 0.1  # what a change of visibility may cost
 
 
 def test_the_graph_has_one_shape_and_a_pose_per_image(solved):
@@ -108,7 +110,9 @@ def test_the_graph_has_one_shape_and_a_pose_per_image(solved):
 
 def test_exact_keypoints_with_a_weak_prior_give_the_exact_car(car):
     poses = [yaw_pose(-2.0 + 0.4 * t, np.array([-2.0 + t, 1.65, 12.0])) for t in range(4)]
-    options = make_options(strategy="huber", sigma_relative=0.002, sigma_pixels=0.01, box_model="off")
+    options = make_options(
+        strategy="huber", sigma_relative=0.002, sigma_pixels=0.01, box_model="off", free_offsets=False
+    )
     track = reconstruct_track([exact(car, pose) for pose in poses], KITTI_CAMERA, options=options)
     assert track.status is Status.CONVERGED
     np.testing.assert_allclose(track.coefficients, COEFFICIENTS, atol=0.02)
@@ -116,20 +120,44 @@ def test_exact_keypoints_with_a_weak_prior_give_the_exact_car(car):
         np.testing.assert_allclose(frame.camera_T_object, pose, atol=0.02)
 
 
-def test_one_image_gives_what_it_gives_alone(car):
+@pytest.mark.parametrize("strategy", ["mixture", "paper", "tukey"])
+def test_one_image_gives_what_it_gives_alone(car, strategy):
+    """The same loop over the same graph."""
     _, seen = drive(car, np.random.default_rng(1), count=1)
-    track = reconstruct_track(seen, [KITTI_CAMERA])
-    alone = fgrecon.reconstruct(seen[0].keypoints, KITTI_CAMERA, confidence=seen[0].confidence, box=seen[0].box)
-    assert np.linalg.norm(track.frames[0].location - alone.location) < 0.02
-    np.testing.assert_allclose(track.coefficients, alone.coefficients, atol=0.02)
-    assert sum(track.energies.values()) == pytest.approx(sum(alone.energies.values()), abs=1e-3)
+    options = fgrecon.Options(strategy=strategy)
+    track = reconstruct_track(seen, [KITTI_CAMERA], ground=1.65, options=options)
+    alone = fgrecon.reconstruct(seen[0], KITTI_CAMERA, ground=1.65, options=options)
+    (frame,) = track.frames
+    assert frame.status is alone.status
+    for name in ("camera_T_object", "coefficients", "offsets", "weights", "pose_covariance"):
+        np.testing.assert_allclose(getattr(frame, name), getattr(alone, name), rtol=0, atol=1e-9)
+    assert track.energies == pytest.approx(alone.energies, abs=1e-9)
+    assert frame.graph_iterations == alone.graph_iterations
+
+
+def test_copies_of_an_image_count_as_their_common_error_says(car):
+    """With all errors in common copies say no more than the image; with none they are so many images."""
+    _, seen = drive(car, np.random.default_rng(1), count=1)
+    options = [make_options(common_error=share, free_offsets=False) for share in (1.0, 0.5, 0.0)]
+    alone = fgrecon.reconstruct(seen[0], KITTI_CAMERA, options=options[0])
+    tracks = [reconstruct_track(seen * 3, KITTI_CAMERA, options=one) for one in options]
+    for frame in tracks[0].frames:
+        np.testing.assert_allclose(frame.camera_T_object, alone.camera_T_object, atol=1e-5)
+        np.testing.assert_allclose(frame.coefficients, alone.coefficients, atol=1e-5)
+        for name in ("pose_covariance", "coefficients_covariance"):
+            expected = getattr(alone, name)
+            np.testing.assert_allclose(getattr(frame, name), expected, atol=1e-4 * np.abs(expected).max())
+    assert sum(tracks[0].energies.values()) == pytest.approx(sum(alone.energies.values()), abs=1e-6)
+    spread = [np.trace(track.frames[0].coefficients_covariance) for track in tracks]
+    assert spread[0] > spread[1] > spread[2]
 
 
 def test_a_track_anneals(car):
     """Graduated non-convexity makes all its updates, and trusts doubtful points most at the first."""
     _, seen = drive(car, np.random.default_rng(1), count=2)
     track = reconstruct_track(seen, KITTI_CAMERA, options=fgrecon.Options(strategy="gnc"))
-    assert {step.irls for step in track.history} == set(range(5))
+    updates = fgrecon.Options(strategy="gnc").strategy.updates
+    assert {step.irls for step in track.history} >= set(range(updates))
     for frame in track.frames:
         joint = [step for step in frame.history if step.stage == "joint"]
         assert joint[0].weights.sum() > 1.05 * joint[-1].weights.sum()
@@ -165,7 +193,7 @@ def test_a_solve_that_gives_up_says_so_and_keeps_the_state_before(car, monkeypat
     def give_up(*_arguments, **_settings):
         raise DegenerateProblemError("keypoints", "a singular system", "Give more.")
 
-    monkeypatch.setattr("fgrecon.solve.track.minimise", give_up)
+    monkeypatch.setattr("fgrecon.solve.graph.optimise.minimise", give_up)
     track = reconstruct_track(seen, KITTI_CAMERA)
     assert track.status is Status.FAILED
     assert "singular" in track.message
@@ -181,7 +209,7 @@ def test_a_real_track_has_a_better_size_than_its_images_alone(data):
     file = data / "kitti_tracking_keypoints14" / "seq0005_track12_from182.json"
     track = read_track(file, fgrecon.load_category("car14"))
     seen = [frame.observation for frame in track.frames]
-    options = fgrecon.Options(box="cuboid", keep_history=False)
+    options = make_options(box_model="cuboid", keep_history=False, common_error=0.0)
     solved = reconstruct_track(seen, track.camera, size_prior="kitti", ground=1.65, options=options)
     label = json.loads(file.read_text())["frames"][0]["gt"]
     size = np.array([label["length"], label["width"], label["height"]])

@@ -98,17 +98,17 @@ def _ablated(
     screen: Screen,
 ) -> tuple[dict[str, Any], list[tuple[str, Cells]]]:
     """Numbers and tables of energies without each term, with two priors, and of robust strategies."""
-    from fgrecon.core.options import Options, ShapeOptions
+    from fgrecon.core.options import Options
     from fgrecon.core.size_prior import SIZE_PRIORS
     from fgrecon.paper import ablation
 
-    size, options, free = SIZE_PRIORS["apollo79"], Options(), Options(shape=ShapeOptions(free_offsets=True))
+    size, options = SIZE_PRIORS["apollo79"], Options()
     total = 2 * len(ablation.variants(options)) + len(ablation.STRATEGIES)
     with screen.bar(per_minute=True) as advance:
         tell = counting(advance, "Energies and strategies", total)
         symmetric = ablation.ablate(views, prior, options, ground=ground, size=size, advance=tell)
         loose_prior = ablation.unsymmetrised_prior(models, names, seed=seed)
-        loose = ablation.ablate(views, loose_prior, free, ground=ground, size=size, advance=tell)
+        loose = ablation.ablate(views, loose_prior, options, ground=ground, size=size, advance=tell)
         strategies = ablation.score_strategies(harder, prior, options, ground=ground, size=size, advance=tell)
     numbers = {
         "ablation": {name: _plain(row) for name, row in symmetric.items()},
@@ -117,7 +117,7 @@ def _ablated(
     }
     return numbers, [
         ("Energy terms, symmetric prior", _ablation_table(symmetric)),
-        ("Energy terms, unsymmetrised prior with free offsets", _ablation_table(loose)),
+        ("Energy terms, unsymmetrised prior", _ablation_table(loose)),
         ("Robust strategies on harder keypoints", _strategy_table(strategies)),
     ]
 
@@ -140,15 +140,22 @@ def _numbers(score: StageScore) -> list[str]:
 
 
 def _ablation_table(rows: Mapping[str, Mapping[str, StageScore]]) -> Cells:
-    """Errors with every variant, and what it costs against all terms."""
-    table = [["energy", "true pose cm", "%", "RMS cm", "joint cm", "%", "RMS cm", "joint inliers px"]]
-    whole = rows["all terms"]
+    """Errors with every variant, and what it costs in mean square against the default, with the 95 % interval."""
+    import numpy as np
+
+    from fgrecon.evaluation.bootstrap import mean_interval
+    from fgrecon.paper.ablation import DEFAULT
+
+    costs = "cost cm² (95 %)"
+    table = [["energy", "true pose cm", "RMS cm", costs, "joint cm", "RMS cm", costs, "joint inliers px"]]
+    whole = rows[DEFAULT]
     for name, stages in rows.items():
         cells = [name]
         for stage in (_FIXED[1], _JOINT[1]):
             score = stages[stage]
-            cells += [f"{100 * score.keypoint:.2f}", f"{100 * (score.keypoint / whole[stage].keypoint - 1):+.1f}"]
-            cells.append(f"{100 * score.keypoint_rms:.2f}")
+            cost = mean_interval(1e4 * np.subtract(score.squares, whole[stage].squares))
+            cells += [f"{100 * score.keypoint:.2f}", f"{100 * score.keypoint_rms:.2f}"]
+            cells.append("-" if name == DEFAULT else f"{cost.value:+.1f} ({cost.low:+.1f}, {cost.high:+.1f})")
         table.append([*cells, f"{stages[_JOINT[1]].reprojection:.2f}"])
     return table
 

@@ -1,133 +1,249 @@
-"""Shape-aware adjustment: lambda and planes with the pose fixed, then pose and shape together (section III-C)."""
+"""From proposals to the minimum: every basin that matters is refined in the graph, and the full energy decides.
+
+One car in one image: each proposal that came close is refined with a shape of its own, and the lowest energy wins.
+Where a vehicle is seen in several images, its shape is everybody's: the best proposals are solved together; then every
+image's other proposals are refined with that shape held, a discrete graph over the images decides between them
+(`fgrecon.solve.graph.facing`), and where an image changes over everything is solved once more.
+
+Pose and shape move together from the proposals on. With `joint=False` the pose stays the proposal's, and the strategies
+of the paper solve at the fixed pose first (section III-C).
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from factors import check_in_front
-from fgrecon.core.errors import DegenerateProblemError
-from fgrecon.core.reconstruction import Iteration
-from fgrecon.solve.graph.graph import Terms, VehicleGraph, build
-from fgrecon.solve.graph.solver import minimise
-from fgrecon.solve.graph.state import State, graph_weights, iteration, reweigh, robust_energies
-from fgrecon.solve.proposals.adjust import PoseEstimate
-from fgrecon.solve.proposals.problem import Problem
+from fgrecon.core.options import Options
+from fgrecon.core.reconstruction import Alternative
+from fgrecon.solve.graph.facing import decide, is_turned
+from fgrecon.solve.graph.graph import Graph, Seen, State
+from fgrecon.solve.graph.observation import Weights
+from fgrecon.solve.graph.optimise import Optimum, Step, optimise
+from fgrecon.solve.proposals.adjust import DISTINCT, PoseEstimate, turn_between
 
-__all__ = ["EARLY_TOLERANCE", "FINAL_TOLERANCE", "SETTLED", "ShapeEstimate", "adjust_shape"]
+__all__ = ["Adjusted", "SolvedStage", "adjust", "start_state"]
 
-Array = NDArray[np.float64]
-
-SETTLED = 1e-3
-"""Weights that change by less have converged."""
-EARLY_TOLERANCE = 1e-4
-"""Relative decrease at which a solve ends whose weights are about to change."""
-FINAL_TOLERANCE = 1e-10
-"""The same for the last solve."""
+_MATTERS = 12.0
+"""Nats: a proposal that is worse by more is not refined. Refinement changes differences by 3 nats at most, mostly by
+less than one."""
+_ROUNDS = 3  # of images that change over to another proposal
+_HALF_TURN = np.diag([-1.0, 1.0, -1.0, 1.0])  # about the object's own y axis
 
 
 @dataclass(frozen=True)
-class ShapeEstimate:
-    """Result of the shape stage.
+class SolvedStage:
+    """One stage of the optimisation: its name, its graph and its steps."""
+
+    name: str
+    graph: Graph
+    steps: tuple[Step, ...]
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """Where the graph's optimisation ended.
 
     Attributes:
-        pose: camera_T_object.
-        coefficients: (N,) lambda.
-        offsets: (K, 3) free offsets, zero where they are not variables.
-        weights: (K,) final weights of the keypoints.
-        visibility: (K,) visibility that they were computed with.
-        box_weights: (4,) final weights of the box edges.
-        energies: Energy by term, nats.
-        history: Every iteration.
-        failure: Why the stage gave up, or None; the rest is then the state before.
-        unfinished: Where the last solve was stopped short of its minimum, or None; the rest is where it stopped.
+        optimum: The end; iterations and gain are those of all stages that led there.
+        stages: The stages that led there.
+        alternatives: Other poses of each observation, best first.
     """
 
-    pose: gtsam.Pose3
-    coefficients: Array
-    offsets: Array
-    weights: Array
-    visibility: Array
-    box_weights: Array
-    energies: dict[str, float]
-    history: tuple[Iteration, ...]
-    failure: str | None = None
-    unfinished: str | None = None
+    optimum: Optimum
+    stages: tuple[SolvedStage, ...]
+    alternatives: tuple[tuple[Alternative, ...], ...]
+
+    @property
+    def graph(self) -> Graph:
+        """The graph of the last stage."""
+        return self.stages[-1].graph
 
 
-def adjust_shape(problem: Problem, start: PoseEstimate) -> ShapeEstimate:
-    """Minimise the full energy from the pose stage's result.
+def adjust(
+    seen: Sequence[Seen],
+    starts: Sequence[PoseEstimate],
+    extra: Sequence[gtsam.NonlinearFactor] = (),
+    *,
+    in_order: bool = False,
+) -> Adjusted:
+    """Minimise the full energy from the proposals.
 
     Args:
-        problem: What is to be solved.
-        start: Result of the pose stage.
+        seen: The observations.
+        starts: The proposals of each.
+        extra: Factors of the caller's own.
+        in_order: Whether the images of a vehicle were taken one after the other, so that it is seldom turned round from
+            one to the next.
 
     Returns:
         The result. Where the start is behind the camera or a system is singular, the state so far and why.
+
+    Raises:
+        InvalidInputError: A factor of the caller's own has a key of no variable.
     """
-    state = State(
-        gtsam.Pose3(start.camera_T_object),
-        start.coefficients,
-        np.zeros((len(start.weights), 3)),
-        start.weights,
-        start.visibility,
-        np.ones(4),
-    )
-    history: list[Iteration] = []
-    at_end: dict[str, float] = {}
-    failure = unfinished = None
-    try:
-        for stage in ("shape", "joint") if problem.options.shape.joint else ("shape",):
-            at_end, unfinished = _run_stage(stage, problem, state, history)
-    except DegenerateProblemError as error:
-        failure = str(error)
-    return ShapeEstimate(
-        state.pose,
-        state.coefficients,
-        state.offsets,
-        state.weights,
-        state.visibility,
-        state.box_weights,
-        at_end,
-        tuple(history),
-        failure,
-        unfinished,
-    )
+    start = start_state(seen, starts)
+    if extra:  # refuses those on variables that there are not, whatever the stages hold
+        Graph(seen, start, pose_free=True, extra=extra)
+    best = _run(seen, start, extra)
+    if len(seen) == 1:
+        return _decide(seen, best, starts[0], extra)
+    return _change_over(seen, best, starts, extra, in_order=in_order)
 
 
-def _run_stage(
-    stage: str, problem: Problem, state: State, history: list[Iteration]
-) -> tuple[dict[str, float], str | None]:
-    """IRLS updates of one stage, in place; the energies at its end, and where the last solve was stopped early."""
-    graph = VehicleGraph(problem, state.pose, pose_free=stage == "joint")
-    values = graph.values(state.pose, state.coefficients, state.offsets)
-    check_in_front(graph.kernel, values)
-    updates = max(problem.options.strategy.updates, 1)
-    terms: Terms = {}
-    unfinished = None
-    for update in range(updates):
-        before = state.weights
-        reweigh(state, problem.energy, graph, values, update / max(updates - 1, 1))
-        terms = graph.terms(graph_weights(problem.energy, state.weights, state.visibility), state.box_weights)
-        settled = update > 0 and float(np.abs(state.weights - before).max()) < SETTLED
-        last = update == updates - 1 or (settled and not problem.options.strategy.anneals)
-        solution = minimise(
-            build(terms),
-            values,
-            relative_tolerance=FINAL_TOLERANCE if last else EARLY_TOLERANCE,
-            record=problem.options.keep_history,
-        )
-        values = solution.values
-        history.extend(
-            iteration(stage, update, step, graph, iterate, state.weights, terms, problem.energy)
-            for step, iterate in enumerate(solution.path)
-        )
-        state.pose, state.coefficients, state.offsets = graph.read(values)
-        if last:
-            if not solution.converged:
-                unfinished = f"after {solution.iterations} iterations, on nearly level ground"
+def start_state(seen: Sequence[Seen], starts: Sequence[PoseEstimate]) -> State:
+    """Each observation at its best proposal, each vehicle with the mean of its proposals' shapes."""
+    shapes = {}
+    for number in dict.fromkeys(one.vehicle for one in seen):
+        own = [start.coefficients for one, start in zip(seen, starts, strict=True) if one.vehicle == number]
+        shapes[number] = (np.mean(own, axis=0), np.zeros((len(starts[0].weights), 3)))
+    poses = [gtsam.Pose3(start.camera_T_object) for start in starts]
+    return State(poses, shapes, [_weights(start) for start in starts])
+
+
+def _weights(start: PoseEstimate) -> Weights:
+    return Weights(start.weights, start.visibility, np.ones(4), float(start.camera_T_object[2, 3]))
+
+
+def _stage_names(options: Options) -> tuple[str, ...]:
+    if not options.shape.joint:
+        return ("shape",)
+    return ("shape", "joint") if options.strategy.is_paper else ("joint",)
+
+
+def _run(seen: Sequence[Seen], start: State, extra: Sequence[gtsam.NonlinearFactor]) -> Adjusted:
+    """All stages from one state."""
+    stages: list[SolvedStage] = []
+    iterations, gain, state = 0, 0.0, start
+    for name in _stage_names(seen[0].problem.options):
+        graph = Graph(seen, state, pose_free=name == "joint", extra=extra)
+        optimum = optimise(graph, state)
+        stages.append(SolvedStage(name, graph, optimum.steps))
+        iterations, gain, state = iterations + optimum.iterations, gain + optimum.gain, optimum.state
+        if optimum.failure is not None:
             break
-    return robust_energies(graph, values, terms, problem.energy), unfinished
+    return Adjusted(replace(optimum, iterations=iterations, gain=gain), tuple(stages), ((),) * len(seen))
+
+
+def _matter(start: PoseEstimate) -> list[Alternative]:
+    """The proposals to refine beside the best; none where the strategy defines no energy."""
+    return [alternative for alternative in start.alternatives if alternative.excess <= _MATTERS]
+
+
+def _decide(
+    seen: Sequence[Seen], first: Adjusted, start: PoseEstimate, extra: Sequence[gtsam.NonlinearFactor]
+) -> Adjusted:
+    """One car in one image: refine the other proposals, and take the one of least energy."""
+    refined = [first]
+    for other in _matter(start):
+        moved = replace(start, camera_T_object=other.camera_T_object, coefficients=other.coefficients)
+        refined.append(_run(seen, start_state(seen, [moved]), extra))
+    solved = [one for one in refined if one.optimum.failure is None]
+    if not solved:
+        return first
+    best = min(solved, key=lambda one: one.optimum.energy)
+    others = [
+        Alternative(
+            one.optimum.state.poses[0].matrix(),
+            one.optimum.state.shapes[seen[0].vehicle][0],
+            one.optimum.energy - best.optimum.energy,
+        )
+        for one in solved
+        if one is not best
+    ]
+    left = [other for other in start.alternatives if not other.excess <= _MATTERS]
+    return replace(best, alternatives=(_distinct(best.optimum.state.poses[0], [*others, *left]),))
+
+
+def _change_over(
+    seen: Sequence[Seen],
+    best: Adjusted,
+    starts: Sequence[PoseEstimate],
+    extra: Sequence[gtsam.NonlinearFactor],
+    *,
+    in_order: bool,
+) -> Adjusted:
+    """Several images: those whose other proposals are more probable under the common shape change over to them."""
+    alternatives: list[tuple[Alternative, ...]] = [() for _ in seen]
+    for _ in range(_ROUNDS):
+        if best.optimum.failure is not None:
+            return best
+        state = best.optimum.state
+        basins = _basins(seen, state, starts, extra, in_order=in_order)
+        chosen = [0] * len(seen)
+        for number in state.shapes:
+            own = [i for i, one in enumerate(seen) if one.vehicle == number]
+            choice, behind = decide([basins[i] for i in own], in_order=in_order)
+            for i, index, nats in zip(own, choice, behind, strict=True):
+                chosen[i] = index
+                told = [replace(basin, excess=float(n)) for basin, n in zip(basins[i], nats, strict=True)]
+                pose = gtsam.Pose3(basins[i][index].camera_T_object)
+                alternatives[i] = _distinct(pose, [one for j, one in enumerate(told) if j != index])
+        if not any(chosen):
+            break
+        poses = [gtsam.Pose3(basins[i][index].camera_T_object) for i, index in enumerate(chosen)]
+        moved = _run(seen, State(poses, state.shapes, state.weights), extra)
+        if moved.optimum.failure is not None:
+            break
+        best = replace(moved, stages=best.stages + moved.stages)
+    return replace(best, alternatives=tuple(alternatives))
+
+
+def _basins(
+    seen: Sequence[Seen],
+    state: State,
+    starts: Sequence[PoseEstimate],
+    extra: Sequence[gtsam.NonlinearFactor],
+    *,
+    in_order: bool,
+) -> list[list[Alternative]]:
+    """Of each image the present pose and the other proposals, refined with the shape held, with energies.
+
+    Where neighbours of a sequence are turned round against each other, every image has the pose turned round as well.
+    """
+    poses = [pose.matrix() for pose in state.poses]
+    pairs = zip(seen, seen[1:], poses, poses[1:], strict=False)
+    doubt = in_order and any(a.vehicle == b.vehicle and is_turned(p, q) for a, b, p, q in pairs)
+    found = []
+    for i, (one, start) in enumerate(zip(seen, starts, strict=True)):
+        here = State([state.poses[i]], {one.vehicle: state.shapes[one.vehicle]}, [state.weights[i]])
+        others = [other.camera_T_object for other in _matter(start)]
+        if others or turn_between(poses[i], start.camera_T_object) > DISTINCT:
+            others.append(start.camera_T_object)
+        if doubt and not any(is_turned(poses[i], other) for other in others):
+            others.append(poses[i] @ _HALF_TURN)
+        found.append(_held(one, here, others, extra))
+    return found
+
+
+def _held(
+    one: Seen, here: State, others: Sequence[NDArray[np.float64]], extra: Sequence[gtsam.NonlinearFactor]
+) -> list[Alternative]:
+    """The present pose of an image and others, refined with the shape held: energies in nats."""
+    coefficients = here.shapes[one.vehicle][0]
+    if not others:
+        return [Alternative(here.poses[0].matrix(), coefficients, 0.0)]
+    graph = Graph([one], here, pose_free=True, hold_shape=True, extra=extra)
+    present = sum(graph.energies(graph.values(here), here.weights).values())
+    found = [Alternative(here.poses[0].matrix(), coefficients, present)]
+    for pose in others:
+        moved = State([gtsam.Pose3(pose)], here.shapes, here.weights)
+        optimum = optimise(Graph([one], moved, pose_free=True, hold_shape=True, extra=extra), moved)
+        refined = optimum.state.poses[0].matrix()
+        if optimum.failure is None and all(turn_between(refined, a.camera_T_object) > DISTINCT for a in found):
+            found.append(Alternative(refined, coefficients, optimum.energy))
+    return found
+
+
+def _distinct(pose: gtsam.Pose3, others: Sequence[Alternative]) -> tuple[Alternative, ...]:
+    """Those that are turned against the pose and against each other, best first."""
+    kept: list[Alternative] = []
+    for other in sorted(others, key=lambda one: one.excess):
+        turned = [pose.matrix(), *(one.camera_T_object for one in kept)]
+        if all(turn_between(other.camera_T_object, known) > DISTINCT for known in turned):
+            kept.append(other)
+    return tuple(kept)

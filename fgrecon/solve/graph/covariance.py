@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.errors import FactorCallbackError
-from fgrecon.solve.graph.graph import VehicleGraph
+from fgrecon.solve.graph.observation import ObservationPart, Weights
 
-__all__ = ["Covariances", "covariances", "factorise", "read_covariances"]
+__all__ = ["Covariances", "factorise", "read_covariances"]
 
 Array = NDArray[np.float64]
 
@@ -31,18 +31,6 @@ class Covariances:
     keypoints: Array
 
 
-def covariances(vehicle: VehicleGraph, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Covariances | None:
-    """Marginals of pose, coefficients and keypoints; None where the graph does not determine them.
-
-    Args:
-        vehicle: Builder of the graph, with the pose as a variable.
-        graph: The graph.
-        values: Its minimum.
-    """
-    marginals = factorise(graph, values)
-    return None if marginals is None else read_covariances(vehicle, marginals)
-
-
 def factorise(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Marginals | None:
     """The marginals of a graph at its minimum; None where it does not determine its variables."""
     try:
@@ -53,23 +41,61 @@ def factorise(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.
         return None
 
 
-def read_covariances(vehicle: VehicleGraph, marginals: gtsam.Marginals) -> Covariances | None:
-    """What the marginals say of one frame of a vehicle; None where they are not finite or cannot be had."""
-    assert vehicle.pose_key is not None
-    shape_keys = list(vehicle.shape.keys)
+def read_covariances(
+    part: ObservationPart, weights: Weights, values: gtsam.Values, marginals: gtsam.Marginals | None
+) -> Covariances | None:
+    """What the marginals say of an observation; None where they are not there, not finite, or cannot be had.
+
+    Where an image counts for the shape by a share alone, since others err alike, the marginals spread its pose too
+    widely: given the shape, the pose is as sure as all that the image says.
+
+    Args:
+        part: The observation's part of the graph, with the pose as a variable.
+        weights: Its weights.
+        values: The graph's minimum.
+        marginals: Its marginals there.
+    """
+    if marginals is None:
+        return None
+    assert part.pose_key is not None
+    shape = part.vehicle.shape
     try:
-        pose = marginals.marginalCovariance(vehicle.pose_key)
-        shape = _joint(marginals, shape_keys)
+        variables = _joint(marginals, list(shape.keys))
+        pose = marginals.marginalCovariance(part.pose_key)
+        if part.share < 1.0:
+            pose = _given_shape(part, weights, values, _joint(marginals, [part.pose_key, *shape.keys]))
     except FactorCallbackError:
         raise
-    except RuntimeError:  # GTSAM's only sign of an indeterminate system
+    except (RuntimeError, np.linalg.LinAlgError):  # the only signs of an indeterminate system
         return None
-    derivative = vehicle.shape.derivative  # (K, 3, D)
-    keypoints = derivative @ shape @ derivative.transpose(0, 2, 1)
+    keypoints = shape.derivative @ variables @ shape.derivative.transpose(0, 2, 1)
     if not (np.isfinite(pose).all() and np.isfinite(keypoints).all()):
         return None
-    count = vehicle.shape.dims[0] if vehicle.shape.coefficients_key is not None else 0
-    return Covariances(pose, shape[:count, :count], keypoints)
+    count = shape.dims[0] if shape.coefficients_key is not None else 0
+    return Covariances(pose, variables[:count, :count], keypoints)
+
+
+def _given_shape(part: ObservationPart, weights: Weights, values: gtsam.Values, joint: Array) -> Array:
+    """(6, 6) covariance of a pose by all that its image says, for the joint one of pose and shape in the graph.
+
+    What the graph leaves out of the image is added to the pose's information and to its dependence on the shape;
+    factors of the caller's own, and through them other poses, are in the joint covariance.
+    """
+    graph = gtsam.NonlinearFactorGraph()
+    for term in part.terms(weights, share=1.0).values():
+        for factor in term:
+            graph.add(factor)
+    ordering = gtsam.Ordering()
+    for key in part.kernel.keys:  # the pose first
+        ordering.push_back(key)
+    left_out = (1.0 - part.share) * graph.linearize(values).hessian(ordering)[0]
+    shape = joint[6:, 6:]
+    by_shape = np.linalg.solve(shape, joint[6:, :6]).T
+    information = np.linalg.inv(joint[:6, :6] - by_shape @ joint[6:, :6])
+    alone = np.linalg.inv(information + left_out[:6, :6])
+    by_shape = alone @ (information @ by_shape - left_out[:6, 6:])
+    covariance: Array = alone + by_shape @ shape @ by_shape.T
+    return covariance
 
 
 def _joint(marginals: gtsam.Marginals, keys: list[int]) -> Array:

@@ -1,258 +1,184 @@
-"""The factor graph of one vehicle in one image.
+"""One graph of everything that is solved together: observations of vehicles in images, and factors of the caller's own.
 
-    prior ---- L(v) ----+------------------+---------------+--------------+
-    N(0, I)  (lambda)   |                  |               |              |
-                   reprojection_i     planarity_f      symmetry      dimensions, Laplacian,
-                   box, cheirality         |               |         rectangularity
-                        |               P(v,f)           M(v)
-    ground, ------- X(v,t)                 |
-    upright          (pose)         ground-parallel
-
-Every keypoint has a reprojection factor of its own, whose noise model carries its IRLS weight. With free offsets, O(v)
-joins L(v) in every shape term and has a prior of its own. In the shape stage the pose is a constant.
-
-With a prior that is exactly symmetric and without offsets, symmetry holds for every lambda, and so does the planarity
-of every quad made of two mirrored pairs: those terms are constant zero and are left out.
+One image of one car is the smallest case: a `VehiclePart`, an `ObservationPart`. Further images of the car add
+observation parts on the same vehicle part; further cars add both. Factors of the caller's own tie any of their
+variables: X(v, t), L(v), O(v) of `factors.keys`, vehicles and images numbered from 0.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterator, Sequence
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-import factors
-from factors import L, LinearShape, M, O, P, ProjectionKernel, RobustLoss, X
-from fgrecon.core.camera import Ground
-from fgrecon.core.category import Category, Face
-from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
+from factors import check_in_front
+from factors.keys import key_name
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.options import Options
+from fgrecon.solve.graph.observation import ObservationPart, Weights
+from fgrecon.solve.graph.vehicle import Held, Terms, VehiclePart
+from fgrecon.solve.proposals.problem import Problem
 
-__all__ = ["Terms", "VehicleGraph", "build", "energies"]
+__all__ = ["EXTRA", "Graph", "Seen", "State", "Terms"]
 
 Array = NDArray[np.float64]
-Terms = Mapping[str, list[gtsam.NonlinearFactor]]
-"""Factors by the name of their energy term."""
 
-_SMALLEST_OFFSET = 1e-4  # metres; a standard deviation of zero would make the system singular
-_SMALLEST_WEIGHT = 1e-6  # a box edge of less weight says nothing
+EXTRA = "extra"
+"""Energy term of the caller's own factors."""
 
 
-class VehicleGraph:
-    """Builds the graph for given weights; everything that does not depend on them is built once.
+class Seen:
+    """One vehicle in one image, and its place in the graph.
 
     Attributes:
         problem: What is given.
-        shape: The keypoints as a function of lambda and the offsets.
-        kernel: Their projection.
-        pose_key: Key of the pose, or None where it is a constant.
+        vehicle: Number of the vehicle.
+        image: Number of the image.
+    """
+
+    __slots__ = ("image", "problem", "vehicle")
+
+    def __init__(self, problem: Problem, vehicle: int = 0, image: int = 0) -> None:
+        """Name the place."""
+        self.problem, self.vehicle, self.image = problem, vehicle, image
+
+
+class State:
+    """Where an optimisation is: a pose and weights for each observation, a shape for each vehicle.
+
+    Attributes:
+        poses: camera_T_object of each observation.
+        shapes: Lambda (N,) and offsets (K, 3) by the number of the vehicle.
+        weights: Weights of each observation.
+    """
+
+    __slots__ = ("poses", "shapes", "weights")
+
+    def __init__(self, poses: list[gtsam.Pose3], shapes: dict[int, Held], weights: list[Weights]) -> None:
+        """Hold them."""
+        self.poses, self.shapes, self.weights = poses, shapes, weights
+
+
+class Graph:
+    """Builds the factors for given weights; everything that does not depend on them is built once.
+
+    Attributes:
+        observations: A part for each observation.
+        vehicles: A part for each vehicle, by number.
+        extra: The caller's own factors.
+        options: Settings.
     """
 
     def __init__(
         self,
-        problem: Problem,
-        pose: gtsam.Pose3,
+        seen: Sequence[Seen],
+        state: State,
         *,
         pose_free: bool,
-        vehicle: int = 0,
-        frame: int = 0,
-        shape_terms: bool = True,
+        hold_shape: bool = False,
+        extra: Sequence[gtsam.NonlinearFactor] = (),
     ) -> None:
         """Prepare the graph.
 
         Args:
-            problem: What is given.
-            pose: camera_T_object: the constant where it is not free; its depth also sets the ground's uncertainty.
-            pose_free: Whether the pose is a variable.
-            vehicle: Number of the vehicle in the keys.
-            frame: Number of the frame in the keys.
-            shape_terms: Whether to have the terms of the shape alone; of the frames of one vehicle one has them.
+            seen: At least one observation.
+            state: Where it starts: constants are taken from there.
+            pose_free: Whether the poses are variables.
+            hold_shape: Whether the shapes are constants.
+            extra: The caller's own factors; those on variables that are held are left out.
+
+        Raises:
+            InvalidInputError: A factor of the caller's own has a key of no variable.
         """
-        prior, options = problem.model.prior, problem.options.shape
-        self.problem = problem
-        self.pose_key = X(vehicle, frame) if pose_free else None
-        self._pose = pose
-        self._vehicle = vehicle
-        coefficients = L(vehicle) if prior.dimension else np.zeros(0)
-        self.shape = LinearShape(prior.mean, prior.basis, coefficients, O(vehicle) if options.free_offsets else None)
-        self._bound_pose = pose if self.pose_key is None else self.pose_key
-        self.kernel = ProjectionKernel(self.shape, problem.camera.matrix, self._bound_pose)
-        self._covariances = keypoint_covariances(problem.observation, problem.options.keypoints)
-        self._box_kernel = None
-        box = problem.energy.box
-        if box is not None:
-            box_shape = LinearShape(box.mean, box.basis, coefficients)
-            self._box_kernel = ProjectionKernel(box_shape, problem.camera.matrix, self._bound_pose)
-        self._planes: dict[int, NDArray[np.intp] | None] = {}  # keypoints to fit each plane to; None: the medial plane
-        self._static = self._static_terms(shape_terms=shape_terms)
+        self.options: Options = seen[0].problem.options
+        self.vehicles: dict[int, VehiclePart] = {}
+        self.observations: list[ObservationPart] = []
+        counts = Counter(one.vehicle for one in seen)
+        for one, pose in zip(seen, state.poses, strict=True):
+            if one.vehicle not in self.vehicles:
+                held = state.shapes[one.vehicle] if hold_shape else None
+                part = VehiclePart(one.problem.model, self.options, one.vehicle, held=held)
+                self.vehicles[one.vehicle] = part
+            vehicle = self.vehicles[one.vehicle]
+            share = 1.0 / (1.0 + (counts[one.vehicle] - 1) * self.options.shape.common_error)
+            self.observations.append(
+                ObservationPart(one.problem, vehicle, pose, pose_free=pose_free, image=one.image, share=share)
+            )
+        keys = set(self.values(state).keys())
+        self.extra = [factor for factor in extra if keys.issuperset(factor.keys())]
+        if pose_free and not hold_shape and len(self.extra) < len(extra):
+            unknown = {key for factor in extra for key in list(factor.keys())} - keys
+            names = ", ".join(sorted(map(key_name, unknown)))
+            known = ", ".join(sorted(map(key_name, keys)))
+            raise InvalidInputError("extra_factors", f"variables {names}", f"The graph has {known}.")
 
-    def terms(self, weights: Array, box_weights: Array) -> Terms:
-        """All factors by energy term, for keypoint weights (K,) and box edge weights (4,)."""
-        terms = {"reprojection": self._reprojection(weights), **self._static}
-        box = self.problem.energy.box
-        if box is not None and self._box_kernel is not None and self._box_kernel.keys:
-            used = box.used & (box_weights > _SMALLEST_WEIGHT)
-            if used.any():
-                sigmas = box.sigma / np.sqrt(box_weights[used])
-                noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
-                edges = used.tolist()
-                factor = factors.box_factor(self._box_kernel, box.edges, noise, softness=box.softness, edges=edges)
-                terms["box"] = [factor]
-        return terms
-
-    def values(self, pose: gtsam.Pose3, coefficients: Array, offsets: Array) -> gtsam.Values:
-        """Values of every variable; planes are fitted to the keypoints."""
+    def values(self, state: State) -> gtsam.Values:
+        """Values of every variable."""
         values = gtsam.Values()
-        if self.pose_key is not None:
-            values.insert(self.pose_key, pose)
-        if self.shape.coefficients_key is not None:
-            values.insert(self.shape.coefficients_key, coefficients)
-        if self.shape.offsets_key is not None:
-            values.insert(self.shape.offsets_key, offsets.ravel())
-        points = self.shape.points(values)
-        for key, keypoints in self._planes.items():
-            plane = _medial_plane() if keypoints is None else factors.fit_plane(points[keypoints])
-            free = keypoints is not None and self.problem.options.shape.plane_penalty is not None
-            values.insert(key, plane.planeCoefficients() if free else plane)
+        for part, pose in zip(self.observations, state.poses, strict=True):
+            if part.pose_key is not None:
+                values.insert(part.pose_key, pose)
+        for number, vehicle in self.vehicles.items():
+            vehicle.insert(values, *state.shapes[number])
         return values
 
-    def read(self, values: gtsam.Values) -> tuple[gtsam.Pose3, Array, Array]:
-        """Pose, coefficients (N,) and offsets (K, 3) at the values."""
-        pose = self._pose if self.pose_key is None else values.atPose3(self.pose_key)
-        key, offsets_key = self.shape.coefficients_key, self.shape.offsets_key
-        coefficients = np.zeros(0) if key is None else values.atVector(key)
-        offsets = np.zeros((self.shape.size, 3)) if offsets_key is None else values.atVector(offsets_key).reshape(-1, 3)
-        return pose, coefficients, offsets
+    def read(self, values: gtsam.Values, weights: Sequence[Weights]) -> State:
+        """The state at the values."""
+        poses = [part.pose(values) for part in self.observations]
+        return State(poses, {n: vehicle.read(values) for n, vehicle in self.vehicles.items()}, list(weights))
 
-    def _reprojection(self, weights: Array) -> list[gtsam.NonlinearFactor]:
-        if not self.kernel.keys:  # a constant shape at a fixed pose
-            return []
-        noises = [
-            factors.keypoint_noise(weight, 1.0, covariance=covariance, robust=self._loss(weight))
-            for weight, covariance in zip(weights.tolist(), self._covariances, strict=True)
-        ]
-        return list(factors.reprojection_factors(self.kernel, self.problem.observation.keypoints, noises))
+    def check_in_front(self, values: gtsam.Values) -> None:
+        """Refuse values with keypoints behind a camera.
 
-    def _loss(self, weight: float) -> RobustLoss | None:
-        """The m-estimator of a keypoint, with the energy w rho(d) of the pose stage.
-
-        GTSAM applies rho to the whitened norm sqrt(w) d; every loss has rho(c s) = c^2 rho(s) where its constant is
-        scaled by c as well.
+        Raises:
+            DegenerateProblemError: There are some.
         """
-        strategy = self.problem.options.strategy
-        if strategy.loss is None or weight <= 0.0:
-            return None
-        loss = strategy.robust_loss
-        return RobustLoss(loss.loss, loss.constant * weight**0.5)
+        for part in self.observations:
+            check_in_front(part.kernel, values)
 
-    def _static_terms(self, *, shape_terms: bool) -> dict[str, list[gtsam.NonlinearFactor]]:
-        """The factors that no weight changes."""
-        terms: dict[str, list[gtsam.NonlinearFactor]] = {}
-        if self.kernel.keys:
-            terms["cheirality"] = [factors.cheirality_factor(self.kernel)]
-        if shape_terms and self.shape.keys:
-            terms |= self._shape_terms()
-        if self.pose_key is not None and self.problem.ground is not None:
-            terms["ground"] = self._ground_factors(self.pose_key, self.problem.ground)
-        disabled = self.problem.options.disabled_terms
-        return {name: term for name, term in terms.items() if term and name not in disabled}
-
-    def _shape_terms(self) -> dict[str, list[gtsam.NonlinearFactor]]:
-        prior, options, size = self.problem.model.prior, self.problem.options.shape, self.problem.model.size
-        category = prior.category
-        terms: dict[str, list[gtsam.NonlinearFactor]] = {}
-        if self.shape.coefficients_key is not None:
-            terms["coefficients"] = [factors.coefficients_prior(self.shape.coefficients_key, prior.dimension)]
-        if self.shape.offsets_key is not None:
-            spread = np.maximum(prior.offset_sigma, _SMALLEST_OFFSET)
-            terms["offsets"] = [factors.offsets_prior(self.shape.offsets_key, spread)]
-        terms["planarity"] = self._planarity(category)
-        terms["rectangularity"] = [
-            factors.rectangularity_factor(self.shape, face.keypoints, options.rectangularity_sigma)
-            for face in category.faces
-            if face.rectangular
-        ]
-        terms["symmetry"] = self._symmetry(category)
-        if size is not None:
-            operator = category.dimension_operator
-            terms["dimensions"] = [factors.dimensions_factor(self.shape, operator, size.mean, size.sigma)]
-        if any(category.neighbours):
-            adapted = not options.literal_laplacian
-            factor = factors.laplacian_factor(
-                self.shape,
-                category.neighbours,
-                options.laplacian_sigma,
-                normalised=adapted,
-                relative_to_mean=adapted,
-            )
-            terms["laplacian"] = [factor]
-        return terms
-
-    @property
-    def _always_symmetric(self) -> bool:
-        return self.problem.model.prior.is_symmetric and self.shape.offsets_key is None
-
-    def _planarity(self, category: Category) -> list[gtsam.NonlinearFactor]:
-        """Each face's planarity, and the direction of the ground-parallel ones."""
-        if "planarity" in self.problem.options.disabled_terms:
-            return []
-        term: list[gtsam.NonlinearFactor] = []
-        for index, face in enumerate(category.faces):
-            if self._always_symmetric and not face.ground_parallel and _is_mirrored(face, category):
-                continue  # planar for every lambda, and in no particular direction
-            key = P(self._vehicle, index)
-            self._planes[key] = np.array(face.keypoints)
-            term += self._face(face, key)
-        return term
-
-    def _face(self, face: Face, key: int) -> list[gtsam.NonlinearFactor]:
-        options, indices = self.problem.options.shape, face.keypoints
-        sigma, mu, parallel = options.planarity_sigma, options.plane_penalty, options.parallel_sigma
-        term: list[gtsam.NonlinearFactor]
-        if mu is None:
-            term = [factors.planarity_factor(self.shape, indices, key, sigma)]
-            return [*term, factors.ground_parallel_factor(key, parallel)] if face.ground_parallel else term
-        term = [factors.penalty_planarity_factor(self.shape, indices, key, sigma, mu=mu)]
-        return [*term, factors.penalty_ground_parallel_factor(key, parallel)] if face.ground_parallel else term
-
-    def _symmetry(self, category: Category) -> list[gtsam.NonlinearFactor]:
-        pairs = category.symmetric_pairs
-        if self._always_symmetric or not pairs or "symmetry" in self.problem.options.disabled_terms:
-            return []
-        key = M(self._vehicle)
-        self._planes[key] = None
-        middle = np.flatnonzero(category.mirror == np.arange(category.size))
-        sigma = self.problem.options.shape.symmetry_sigma
-        return [factors.symmetry_factor(self.shape, pairs, key, sigma, on_plane=middle)]
-
-    def _ground_factors(self, pose_key: int, ground: Ground) -> list[gtsam.NonlinearFactor]:
-        sigma = float(ground.height_sigma_at(self._pose.translation()[2]))
+    def reweigh(
+        self, values: gtsam.Values, before: Sequence[Weights], progress: float, *, hold: bool = False
+    ) -> list[Weights]:
+        """Weights of every observation at the values; see `ObservationPart.reweigh`."""
         return [
-            factors.ground_height_factor(pose_key, ground.normal, ground.distance, sigma),
-            factors.upright_factor(pose_key, ground.normal, ground.tilt_sigma),
+            part.reweigh(values, weights, progress, hold=hold)
+            for part, weights in zip(self.observations, before, strict=True)
         ]
 
+    def build(self, weights: Sequence[Weights]) -> gtsam.NonlinearFactorGraph:
+        """All factors."""
+        graph = gtsam.NonlinearFactorGraph()
+        for _, factors in self.terms(weights):
+            for factor in factors:
+                graph.add(factor)
+        return graph
 
-def build(terms: Terms) -> gtsam.NonlinearFactorGraph:
-    """One graph of all terms."""
-    graph = gtsam.NonlinearFactorGraph()
-    for term in terms.values():
-        for factor in term:
-            graph.add(factor)
-    return graph
+    def terms(self, weights: Sequence[Weights]) -> Iterator[tuple[str, list[gtsam.NonlinearFactor]]]:
+        """Name and factors of each term, observation by observation, then vehicle by vehicle, then the extra ones."""
+        for part, weight in zip(self.observations, weights, strict=True):
+            yield from part.terms(weight).items()
+        yield from self._own_terms()
 
+    def _own_terms(self) -> Iterator[tuple[str, list[gtsam.NonlinearFactor]]]:
+        for vehicle in self.vehicles.values():
+            yield from vehicle.terms.items()
+        if self.extra:
+            yield EXTRA, self.extra
 
-def energies(terms: Terms, values: gtsam.Values) -> dict[str, float]:
-    """Energy of each term at the values, nats."""
-    return {name: sum(factor.error(values) for factor in term) for name, term in terms.items()}
+    def own_energies(self, values: gtsam.Values) -> dict[str, float]:
+        """Energy of the terms that belong to no single observation, nats."""
+        told: dict[str, float] = {}
+        for name, factors in self._own_terms():
+            told[name] = told.get(name, 0.0) + sum(factor.error(values) for factor in factors)
+        return told
 
-
-def _is_mirrored(face: Face, category: Category) -> bool:
-    """Whether a face consists of two mirrored pairs: such a quad is planar in every symmetric shape."""
-    return len(face.keypoints) == 4 and {int(category.mirror[i]) for i in face.keypoints} == set(face.keypoints)
-
-
-def _medial_plane() -> gtsam.OrientedPlane3:
-    """The plane z = 0 of the object frame."""
-    return gtsam.OrientedPlane3(np.array([0.0, 0.0, 1.0, 0.0]))
+    def energies(self, values: gtsam.Values, weights: Sequence[Weights]) -> dict[str, float]:
+        """Energy of each term over everything, nats; see `ObservationPart.energies`."""
+        total: dict[str, float] = {}
+        for part, weight in zip(self.observations, weights, strict=True):
+            for name, energy in part.energies(values, weight).items():
+                total[name] = total.get(name, 0.0) + energy
+        return total | self.own_energies(values)

@@ -2,46 +2,56 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
+import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
 from factors import decode_key, key_name
 from fgrecon.core.reconstruction import GraphFactor
-from fgrecon.solve.graph.graph import Terms, VehicleGraph
+from fgrecon.solve.graph.graph import Graph
+from fgrecon.solve.graph.observation import SMALLEST_WEIGHT, ObservationPart, Weights
 
 __all__ = ["graph_factors"]
 
-_SMALLEST_WEIGHT = 1e-12  # a keypoint of less weight has no factor
 
+def graph_factors(graph: Graph, weights: Sequence[Weights]) -> tuple[GraphFactor, ...]:
+    """Every factor of a graph with the variables that it ties together.
 
-def graph_factors(vehicle: VehicleGraph, terms: Terms, weights: NDArray[np.float64]) -> tuple[GraphFactor, ...]:
-    """Every factor of a vehicle's graph with the variables that it ties together.
+    The keypoints of an observation, one stacked factor, are shown keypoint by keypoint; those of several observations,
+    which would fill the picture, observation by observation.
 
     Args:
-        vehicle: Builder of the graph.
-        terms: Its factors.
-        weights: (K,) weights of the keypoints that the factors were built with.
+        graph: The graph.
+        weights: Weights of each observation.
     """
-    return tuple(_reprojection(vehicle, weights)) + tuple(_others(vehicle, terms))
+    records: list[GraphFactor] = []
+    for part, weight in zip(graph.observations, weights, strict=True):
+        records += _keypoints(part, weight, each=len(graph.observations) == 1)
+    faces = graph.observations[0].problem.model.prior.category.faces
+    names = tuple(face.name for face in faces)
+    for term, members in graph.terms(weights):
+        records += [_record(term, factor, names) for factor in members if term != "reprojection"]
+    return tuple(records)
 
 
-def _reprojection(vehicle: VehicleGraph, weights: NDArray[np.float64]) -> Iterator[GraphFactor]:
-    """One factor per keypoint that is measured and has a weight, however they are stacked for speed."""
-    names = vehicle.problem.model.prior.category.keypoints
-    variables = tuple(key_name(key) for key in vehicle.kernel.keys)
-    for i in np.flatnonzero(vehicle.problem.observation.measured & (weights >= _SMALLEST_WEIGHT)) if variables else ():
-        yield GraphFactor("reprojection", names[i], variables)
+def _keypoints(part: ObservationPart, weights: Weights, *, each: bool) -> Iterator[GraphFactor]:
+    names = part.problem.model.prior.category.keypoints
+    variables = tuple(key_name(key) for key in part.kernel.keys)
+    used = part.problem.observation.measured & (part.graph_weights(weights) >= SMALLEST_WEIGHT)
+    if not variables or not used.any():
+        return
+    if each:
+        for i in np.flatnonzero(used):
+            yield GraphFactor("reprojection", names[i], variables)
+    else:
+        yield GraphFactor("reprojection", f"{np.count_nonzero(used)} keypoints", variables)
 
 
-def _others(vehicle: VehicleGraph, terms: Terms) -> Iterator[GraphFactor]:
-    faces = vehicle.problem.model.prior.category.faces
-    for term, members in terms.items():
-        for factor in members if term != "reprojection" else ():
-            keys = list(factor.keys())
-            planes = [decode_key(key).low for key in keys if decode_key(key).letter == "P"]
-            label = faces[planes[0]].name + (" level" if len(keys) == 1 else "") if planes else ""
-            if term == "ground":
-                label = "height" if factor.dim() == 1 else "upright"
-            yield GraphFactor(term, label, tuple(key_name(key) for key in keys))
+def _record(term: str, factor: gtsam.NonlinearFactor, faces: tuple[str, ...]) -> GraphFactor:
+    keys = list(factor.keys())
+    planes = [decode_key(key).low for key in keys if decode_key(key).letter == "P"]
+    label = faces[planes[0]] + (" level" if len(keys) == 1 else "") if planes else ""
+    if term == "ground":
+        label = "height" if factor.dim() == 1 else "upright"
+    return GraphFactor(term, label, tuple(key_name(key) for key in keys))

@@ -8,7 +8,7 @@ the energy decides; poses that come close to the best are kept as alternatives.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,13 +23,14 @@ from fgrecon.solve.proposals.search import search
 from fgrecon.solve.proposals.starts import at_azimuths, from_box3d, from_pose, view_box
 from fgrecon.solve.proposals.terms import Hypotheses
 
-__all__ = ["PoseEstimate", "adjust_pose"]
+__all__ = ["DISTINCT", "PoseEstimate", "adjust_pose", "turn_between"]
 
 Array = NDArray[np.float64]
 
-_ITERATIONS = 8
-_KEEP = {1: 10, 3: 4, 5: 3}  # hypotheses that go on from these iterations: losers show early
-_DISTINCT = np.deg2rad(20.0)  # poses closer than that are one
+_ITERATIONS = 4
+_KEEP = {1: 10, 3: 4}  # hypotheses that go on from these iterations: losers show early
+DISTINCT = np.deg2rad(20.0)
+"""Poses that are turned by less against each other are one."""
 _GUESS_SPREAD = np.deg2rad([-30.0, 0.0, 30.0])
 
 
@@ -66,6 +67,30 @@ def adjust_pose(problem: Problem, initial: Box3D | float | None = None) -> PoseE
     Raises:
         DegenerateProblemError: No start ends in front of the camera, or the weights leave the pose undetermined.
     """
+    count, dimension = problem.options.search.basis_vectors, problem.model.prior.dimension
+    if count >= dimension:
+        return _adjusted(problem, initial)
+    coarse = Problem.of(
+        problem.observation, problem.camera, problem.model.truncated(count), problem.ground, problem.options
+    )
+    return _padded(_adjusted(coarse, initial), dimension - count)
+
+
+def _padded(estimate: PoseEstimate, missing: int) -> PoseEstimate:
+    """The estimate as one with so many more coefficients, all of them zero."""
+
+    def pad(coefficients: Array) -> Array:
+        return np.concatenate([coefficients, np.zeros(missing)])
+
+    return replace(
+        estimate,
+        coefficients=pad(estimate.coefficients),
+        alternatives=tuple(replace(a, coefficients=pad(a.coefficients)) for a in estimate.alternatives),
+        history=tuple(replace(step, coefficients=pad(step.coefficients)) for step in estimate.history),
+    )
+
+
+def _adjusted(problem: Problem, initial: Box3D | float | None) -> PoseEstimate:
     if problem.options.strategy.is_paper:
         return _by_algorithm1(problem)
     result = search(problem.energy, _starts(problem, initial), _ITERATIONS, _KEEP)
@@ -142,12 +167,17 @@ def _by_algorithm1(problem: Problem) -> PoseEstimate:
     )
 
 
+def turn_between(first: Array, second: Array) -> float:
+    """Angle between the rotations of two poses (4, 4), radians."""
+    cosine = (np.trace(first[:3, :3].T @ second[:3, :3]) - 1.0) / 2.0
+    return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
 def _distinct(poses: Array) -> list[int]:
-    """Indices of poses that are not within `_DISTINCT` of an earlier one."""
+    """Indices of poses that are not within `DISTINCT` of an earlier one."""
     kept: list[int] = []
     for i, pose in enumerate(poses):
-        cosines = [(np.trace(poses[j, :3, :3].T @ pose[:3, :3]) - 1.0) / 2.0 for j in kept]
-        if all(np.arccos(np.clip(c, -1.0, 1.0)) > _DISTINCT for c in cosines):
+        if all(turn_between(poses[j], pose) > DISTINCT for j in kept):
             kept.append(i)
     return kept
 

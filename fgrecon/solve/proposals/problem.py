@@ -22,8 +22,7 @@ Array = NDArray[np.float64]
 
 _SURE = 0.99  # no detector is surer than that
 _BORDER = 2.0  # pixels from the image's border within which a box edge says nothing
-_SOFT_CORNERS, _SOFT_OUTLINE = 0.5, 0.2  # softness per sigma: a box's corners leave creases, a dense outline hardly any
-_FEW_POINTS = 8
+_SOFT = 0.5  # softness of a box's extents per sigma: with 0.2 the solver zigzags over creases of the outline
 _FEWEST = 3  # points that a pose needs
 _EDGE_WRONG = 0.1  # probability that a box edge is wrong
 
@@ -136,8 +135,8 @@ def box_term(observation: Observation, camera: Camera, model: VehicleModel, opti
         width, height = camera.image_size
         used[:2] = observation.box[:2] > _BORDER
         used[2:] = observation.box[2:] < np.array([width, height]) - 1.0 - _BORDER
-    softness = (_SOFT_CORNERS if len(points.mean) <= _FEW_POINTS else _SOFT_OUTLINE) * sigma
-    return BoxTerm(points.mean, points.basis, camera.matrix, observation.box, used, sigma, float(outlier), softness)
+    edges = observation.box
+    return BoxTerm(points.mean, points.basis, camera.matrix, edges, used, sigma, float(outlier), _SOFT * sigma)
 
 
 def _evidence(observation: Observation, covariance: Array) -> Evidence:

@@ -1,7 +1,8 @@
 """Energy terms of the pose search, evaluated for many poses at once.
 
 The search compares H hypotheses (pose and shape coefficients) in one vectorised Levenberg-Marquardt; the factor graph
-of `fgrecon.solve.graph` then refines the winner with the same terms and more. Each term adds to the energy (nats), the
+of `fgrecon.solve.graph` then refines what matters with the same terms and more. Residuals and derivatives are those of
+`factors` (`projection`, `box`, `ground`), for H poses at once. Each term adds to the energy (nats), the
 gradient and the Gauss-Newton matrix of the 6 + N local coordinates: rotation about the object's own axes (right
 perturbation, radians), translation in the camera frame (metres), coefficients.
 """
@@ -13,8 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from factors.box import extents_by_points, soft_extents
+from factors.ground import ground_rows
+from factors.projection import by_pose, pixel_jacobian, project
 from fgrecon.core.camera import MIN_DEPTH, Ground
-from fgrecon.core.geometry import cross, pixel_jacobian
 from fgrecon.core.robust import Evidence, RobustStrategy
 from fgrecon.core.size_prior import SizePrior
 
@@ -83,12 +86,9 @@ class Quadratic:
 
 def _project(matrix: Array, points: Array, h: Hypotheses) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Pixels (H, P, 2) of object points (H, P, 3), camera points, and whether any is too near (H,)."""
-    camera = points @ h.rotation.transpose(0, 2, 1) + h.translation[:, None]
-    near = camera[..., 2] < MIN_DEPTH
-    camera[..., 2] = np.where(near, MIN_DEPTH, camera[..., 2])
-    homogeneous = camera @ matrix.T
-    any_near: NDArray[np.bool_] = np.any(near, axis=1)
-    return homogeneous[..., :2] / homogeneous[..., 2:], camera, any_near
+    pixels, camera, depths = project(matrix, h.rotation, h.translation, points, MIN_DEPTH)
+    any_near: NDArray[np.bool_] = np.any(depths < MIN_DEPTH, axis=1)
+    return pixels, camera, any_near
 
 
 @dataclass(frozen=True)
@@ -128,11 +128,9 @@ class KeypointTerm:
         total.energy += np.where(near, np.inf, energy)
         scale = np.sqrt(weights)
         by_camera = self.whitener @ pixel_jacobian(self.matrix, camera) * scale[..., None, None]
+        by_turn, by_object = by_pose(points, h.rotation, by_camera)
+        jacobian = np.concatenate([by_turn, by_camera, by_object @ self.basis.transpose(1, 2, 0)], axis=-1)
         count, size = len(h), len(self.mean)
-        by_object = (by_camera.reshape(count, 2 * size, 3) @ h.rotation).reshape(count, size, 2, 3)
-        jacobian = np.concatenate(
-            [cross(points[:, :, None, :], by_object), by_camera, by_object @ self.basis.transpose(1, 2, 0)], axis=-1
-        )
         total.add((residual * scale[..., None]).reshape(count, 2 * size), jacobian.reshape(count, 2 * size, -1))
         return weights
 
@@ -164,7 +162,7 @@ class BoxTerm:
     def residuals(self, h: Hypotheses) -> Array:
         """Whitened residuals (H, 4)."""
         pixels = _project(self.matrix, self._points(h), h)[0]
-        return (self._extents(pixels)[0] - self.edges) / self.sigma
+        return (soft_extents(pixels, self.softness)[0] - self.edges) / self.sigma
 
     def weights(self, residual: Array) -> Array:
         """(H, 4) probability that each edge is right."""
@@ -181,7 +179,7 @@ class BoxTerm:
         """Add this term."""
         points = self._points(h)
         pixels, camera, near = _project(self.matrix, points, h)
-        extents, share = self._extents(pixels)
+        extents, share = soft_extents(pixels, self.softness)
         residual = (extents - self.edges) / self.sigma
         total.energy += np.where(near, np.inf, self.energy(residual))
         scale = np.sqrt(self.weights(residual))
@@ -189,49 +187,15 @@ class BoxTerm:
         total.add(residual * scale, self._jacobian(points, camera, share, h))
 
     def _jacobian(self, points: Array, camera: Array, share: Array, h: Hypotheses) -> Array:
-        """(H, 4, 6 + N) derivative of the edges, for their derivative `share` (H, 4, P) by each point's pixel.
-
-        Points come last in memory, and sums over them are one product: with g_p the derivative of an edge by the object
-        point X_p, sum_p g_p (X_p, 1)' holds that by the translation, and in its antisymmetric part X_p x g_p, that by
-        the turn.
-        """
-        count, size = len(h), len(self.mean)
-        inverse = 1.0 / camera[..., 2]
-        x, y = camera[..., 0] * inverse, camera[..., 1] * inverse
-        gradient = np.zeros((count, 2, 3, size))
-        gradient[:, 0, 0] = self.matrix[0, 0] * inverse
-        gradient[:, 0, 1] = self.matrix[0, 1] * inverse
-        gradient[:, 1, 1] = self.matrix[1, 1] * inverse
-        gradient[:, 0, 2] = -(self.matrix[0, 0] * x + self.matrix[0, 1] * y) * inverse
-        gradient[:, 1, 2] = -self.matrix[1, 1] * y * inverse
-        gradient = h.rotation.transpose(0, 2, 1)[:, None] @ gradient
-        by_point = (share.reshape(count, 2, 2, 1, size) * gradient[:, None]).reshape(count, 4, 3, size)
-        homogeneous = np.ones((count, 1, size, 4))
-        homogeneous[:, 0, :, :3] = points
-        moment = by_point @ homogeneous
-        jacobian = np.empty((count, 4, 6 + len(self.basis)))
-        jacobian[..., 0] = moment[..., 2, 1] - moment[..., 1, 2]
-        jacobian[..., 1] = moment[..., 0, 2] - moment[..., 2, 0]
-        jacobian[..., 2] = moment[..., 1, 0] - moment[..., 0, 1]
-        jacobian[..., 3:6] = moment[..., 3] @ h.rotation.transpose(0, 2, 1)
-        flat_basis = self.basis.transpose(0, 2, 1).reshape(len(self.basis), 3 * size)
-        jacobian[..., 6:] = by_point.reshape(count, 4, 3 * size) @ flat_basis.T
-        return jacobian
+        """(H, 4, 6 + N) derivative of the edges, for their derivative `share` (H, 4, P) by each point's pixel."""
+        turn, shift, by_point = extents_by_points(self.matrix, camera, h.rotation, points, share)
+        flat_basis = self.basis.transpose(0, 2, 1).reshape(len(self.basis), 3 * len(self.mean))
+        by_coefficients = by_point.reshape(len(h), 4, 3 * len(self.mean)) @ flat_basis.T
+        return np.concatenate([turn, shift @ h.rotation.transpose(0, 2, 1), by_coefficients], axis=-1)
 
     def _points(self, h: Hypotheses) -> Array:
         points: Array = self.mean + np.tensordot(h.coefficients, self.basis, axes=1)
         return points
-
-    def _extents(self, pixels: Array) -> tuple[Array, Array]:
-        """Extents (H, 4) of pixels (H, P, 2), and their derivative (H, 4, P) by the pixels of their axis."""
-        upright = pixels.transpose(0, 2, 1)
-        outward = np.concatenate([-upright, upright], axis=1)  # (H, 4, P): x1, y1, x2, y2
-        # Beyond 40 softnesses a weight is below the rounding of the sum; numbers near the smallest float are slow.
-        weight = np.exp(np.maximum((outward - outward.max(axis=2, keepdims=True)) / self.softness, -40.0))
-        weight /= weight.sum(axis=2, keepdims=True)
-        extent = (weight * outward).sum(axis=2)
-        share = weight * (1.0 + (outward - extent[..., None]) / self.softness)
-        return extent * np.array([-1.0, -1.0, 1.0, 1.0]), share
 
 
 @dataclass(frozen=True)
@@ -260,13 +224,12 @@ class GroundTerm:
         """Add this term."""
         ground = self.ground
         sigma = ground.height_sigma_at(h.translation[:, 2])
-        height = (h.translation @ ground.normal - ground.distance) / sigma
-        lean = (h.rotation[:, :, 1] - ground.normal) / ground.tilt_sigma
-        residual = np.concatenate([height[:, None], lean], axis=1)
+        residual, by_turn = ground_rows(ground.normal, ground.distance, h.rotation, h.translation)
+        scale = np.stack([1.0 / sigma, *[np.full(len(h), 1.0 / ground.tilt_sigma)] * 3], axis=1)
+        residual *= scale
         jacobian = np.zeros((len(h), 4, 6))
+        jacobian[..., :3] = by_turn * scale[..., None]
         jacobian[:, 0, 3:] = ground.normal / sigma[:, None]
-        jacobian[:, 1:, 0] = h.rotation[..., 2] / ground.tilt_sigma  # d(R exp(w) e_y) = R (w x e_y) = R (-w_z, 0, w_x)
-        jacobian[:, 1:, 2] = -h.rotation[..., 0] / ground.tilt_sigma
         total.energy += 0.5 * np.square(residual).sum(axis=1) + np.log(sigma)
         total.add(residual, jacobian, slice(0, 6))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -60,6 +60,16 @@ class VehicleModel:
     def box_points(self, box_model: BoxModel) -> LinearPoints:
         """The points that a 2D box encloses."""
         return self.corners if box_model is BoxModel.CUBOID else self.outline
+
+    def truncated(self, dimension: int) -> VehicleModel:
+        """The same model with the first `dimension` coefficients alone: what the search for poses moves."""
+        return replace(
+            self,
+            prior=self.prior.truncated(dimension),
+            outline=LinearPoints(self.outline.mean, self.outline.basis[:dimension]),
+            corners=LinearPoints(self.corners.mean, self.corners.basis[:dimension]),
+            dimension_basis=self.dimension_basis[:, :dimension],
+        )
 
 
 @lru_cache(maxsize=16)

@@ -1,4 +1,4 @@
-"""The shape stage's whole energy, written out once more in plain numpy for other solvers to minimise.
+"""The graph's whole energy for one observation, written out once more in plain numpy for other solvers to minimise.
 
 Nothing of `factors` or `fgrecon.solve.graph` is used. Planes are parametrised otherwise: a normal is (a, 1, b) or, of
 the medial plane, (a, b, 1), brought to length one; with the paper's penalty it is a free vector.
@@ -7,7 +7,7 @@ the medial plane, (a, b, 1), brought to length one; with the paper's penalty it 
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize
 from scipy.spatial.transform import Rotation
 
 
@@ -18,11 +18,12 @@ class Energy:
     pose is free, then lambda, then the offsets where they are free, then the planes.
     """
 
-    def __init__(self, problem, covariances, weights, box_weights, camera_T_object, *, joint):
+    def __init__(self, problem, covariances, weights, camera_T_object, *, joint):
         self.problem, self.joint, self.pose = problem, joint, camera_T_object
         self.prior, self.options = problem.model.prior, problem.options
         self.category = self.prior.category
-        self.weights, self.box_weights = weights, box_weights
+        self.weights, self.box_weights = weights.keypoints, weights.box
+        self.visibility, self.depth = weights.visibility, weights.depth  # the ground's uncertainty belongs to a depth
         self.whiteners = [_inverse_root(covariance) for covariance in covariances]
         free = self.options.shape.free_offsets
         self.symmetric = self.prior.is_symmetric and not free
@@ -37,8 +38,6 @@ class Energy:
         self.penalty = self.options.shape.plane_penalty
         self.sizes = [6 * joint, self.prior.dimension, 3 * self.category.size * free]
         self.sizes += [3 if self.penalty is None else 4] * len(self.faces) + [3] * self.medial
-        # The ground's uncertainty belongs to the depth at which the stage starts.
-        self.depth = camera_T_object[2, 3]
 
     def _mirrored(self, face):
         return {int(self.category.mirror[k]) for k in face.keypoints} == set(face.keypoints)
@@ -78,7 +77,11 @@ class Energy:
         pose, points = self.pose_at(x), self.points_at(x)
         terms = {"reprojection": self._reprojection(pose, points), "coefficients": coefficients}
         if len(offsets):
-            terms["offsets"] = offsets / np.repeat(np.maximum(self.prior.offset_sigma, 1e-4), 3)
+            spread = np.maximum(self.prior.offset_sigma, 1e-4).reshape(self.category.size, -1)
+            sigma = spread * np.ones(3)
+            if "symmetry" not in options.disabled_terms:  # two that are nearly one
+                sigma[self.category.mirror != np.arange(self.category.size)] *= np.sqrt(2.0)
+            terms["offsets"] = offsets / sigma.ravel()
         planarity = []
         for face, plane in zip(self.faces, planes, strict=False):
             if self.penalty is None:
@@ -101,12 +104,35 @@ class Energy:
         terms["laplacian"] = (self._delta(points) - usual).ravel() / options.shape.laplacian_sigma
         if self.joint and problem.ground is not None:
             ground = problem.ground
-            sigma = np.hypot(ground.height_sigma, ground.slope_sigma * self.depth)
-            height = (ground.normal @ pose[:3, 3] - ground.distance) / sigma
+            height = (ground.normal @ pose[:3, 3] - ground.distance) / self.height_sigma
             terms["ground"] = np.append((pose[:3, 1] - ground.normal) / ground.tilt_sigma, height)
         if problem.energy.box is not None:
             terms["box"] = self._box(pose, coefficients)
         return {name: term for name, term in terms.items() if name not in options.disabled_terms}
+
+    @property
+    def height_sigma(self):
+        """Standard deviation of the height above the ground."""
+        ground = self.problem.ground
+        return np.hypot(ground.height_sigma, ground.slope_sigma * self.depth)
+
+    def robust(self, x):
+        """Negative log-likelihood with visibility held: keypoints and edges are mixtures, all else is Gaussian."""
+        term, box, terms = self.problem.energy.keypoints, self.problem.energy.box, self.terms(x)
+        strategy, right, visible = term.strategy, term.evidence.right, self.visibility
+        pixels, total = self._project(self.pose_at(x), self.points_at(x)), 0.0
+        for k in np.flatnonzero(self.problem.observation.measured):
+            d = self.whiteners[k] @ (pixels[k] - self.problem.observation.keypoints[k])
+            seen = visible[k] * right[k]
+            inlier = seen * (1 - strategy.gross) * np.exp(-0.5 * d @ d)
+            outlier = seen * strategy.gross + (1 - visible[k]) * right[k] * strategy.false_alarm
+            outlier += visible[k] * (1 - right[k]) * strategy.missed
+            outlier += (1 - visible[k]) * (1 - right[k]) * (1 - strategy.false_alarm)
+            total -= np.log(inlier + outlier * term.evidence.outlier[k])
+        if "box" in terms:
+            away = self._edges(self.pose_at(x), self.split(x)[1])[box.used]
+            total -= np.sum(np.log(np.exp(-0.5 * away**2) + box.outlier))
+        return total + sum(0.5 * np.sum(term**2) for name, term in terms.items() if name not in ("reprojection", "box"))
 
     def residual(self, x):
         return np.concatenate(list(self.terms(x).values()))
@@ -159,6 +185,10 @@ class Energy:
         return np.array(rows)
 
     def _box(self, pose, coefficients):
+        box = self.problem.energy.box
+        return np.sqrt(self.box_weights * box.used) * self._edges(pose, coefficients)
+
+    def _edges(self, pose, coefficients):
         box, rows = self.problem.energy.box, []
         points = box.mean + sum(c * b for c, b in zip(coefficients, box.basis, strict=True))
         pixels = self._project(pose, points)
@@ -167,13 +197,37 @@ class Energy:
             outward = sign * pixels[:, edge % 2]
             share = np.exp((outward - outward.max()) / box.softness)
             extent = sign * (share @ outward) / share.sum()
-            rows.append(np.sqrt(self.box_weights[edge] * box.used[edge]) * (extent - box.edges[edge]) / box.sigma)
+            rows.append((extent - box.edges[edge]) / box.sigma)
         return np.array(rows)
 
 
 def minimise_by_scipy(energy, x):
     """Optimum by scipy's trust region."""
     return least_squares(energy.residual, x, jac=energy.jacobian, x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-13).x
+
+
+class Whitened:
+    """The robust energy around a point, in coordinates in which its Gauss-Newton matrix there is the identity."""
+
+    def __init__(self, energy, x):
+        jacobian = energy.jacobian(x)
+        self.energy, self.centre = energy, x
+        self.scale = np.linalg.inv(np.linalg.cholesky(jacobian.T @ jacobian)).T
+
+    def at(self, y):
+        return self.centre + self.scale @ y
+
+    def __call__(self, y):
+        return self.energy.robust(self.at(y))
+
+    def gradient(self, y, step=1e-3):
+        """Central differences of fourth order."""
+        ahead = [[self(y + s * step * e) for s in (-2, -1, 1, 2)] for e in np.eye(len(y))]
+        return np.array(ahead) @ [1, -8, 8, -1] / (12 * step)
+
+    def minimise(self, y):
+        """Optimum by scipy's quasi-Newton method from a place nearby, in the energy's own coordinates."""
+        return self.at(minimize(self, y, jac=self.gradient, method="BFGS", options={"gtol": 1e-8}).x)
 
 
 def minimise_by_ceres(energy, x):

@@ -1,8 +1,8 @@
-"""A noisy observation of a random car, ready for the shape stage."""
+"""A noisy observation of a random car, ready for the graph, and what the graph makes of it."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -12,8 +12,12 @@ from fgrecon.core.camera import Ground
 from fgrecon.core.observation import Observation
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.proposals.adjust import adjust_pose
-from fgrecon.solve.proposals.problem import keypoint_covariances
+from fgrecon.solve.graph.adjust import Adjusted, adjust
+from fgrecon.solve.graph.graph import Graph, Seen, State
+from fgrecon.solve.graph.history import iterations
+from fgrecon.solve.graph.observation import Weights
+from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
+from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
 from fgrecon.solve.proposals.terms import Hypotheses
 from tests.cars import observe, pose_problem, project, yaw_pose
 from tests.settings import options as make_options
@@ -31,9 +35,9 @@ def unsymmetric(prior, seed=0):
 
 
 def problem_of(seed=0, *, ground=True, size=True, covariance=False, prior=None, yaw=None, **settings):
-    """A problem and the pose stage's result."""
+    """A problem and its proposals; with every term, and without free offsets where they are not asked for."""
     rng = np.random.default_rng(seed)
-    options = make_options(**settings)
+    options = make_options(**{"free_offsets": False, "disabled_terms": (), **settings})
     car = load_prior("car14")
     prior = car if prior is None else prior
     pose = yaw_pose(rng.uniform(-3, 3) if yaw is None else yaw, (rng.uniform(-3, 3), 1.65, rng.uniform(8, 20)))
@@ -47,13 +51,116 @@ def problem_of(seed=0, *, ground=True, size=True, covariance=False, prior=None, 
     return problem, adjust_pose(problem)
 
 
+def half_a_car():
+    """Five points of one side of a car seen from behind: front and back are hard to tell apart."""
+    seen = observe(load_prior("car14"), yaw_pose(np.radians(90)), box=False)
+    pixels = seen.keypoints.copy()
+    pixels[np.setdiff1d(np.arange(14), [0, 2, 4, 10, 12])] = np.nan
+    options = make_options(free_offsets=False)
+    problem, _ = pose_problem(
+        load_prior("car14"), replace(seen, keypoints=pixels, confidence=np.full(14, 0.9)), options=options
+    )
+    return problem, adjust_pose(problem)
+
+
+@dataclass(frozen=True)
+class Solved:
+    """Where one observation of one vehicle ended, and what its graph was built from."""
+
+    problem: Problem
+    start: PoseEstimate
+    adjusted: Adjusted
+
+    @property
+    def optimum(self):
+        return self.adjusted.optimum
+
+    @property
+    def failure(self):
+        return self.optimum.failure
+
+    @property
+    def pose(self):
+        return self.optimum.state.poses[0]
+
+    @property
+    def coefficients(self):
+        return self.optimum.state.shapes[0][0]
+
+    @property
+    def offsets(self):
+        return self.optimum.state.shapes[0][1]
+
+    @property
+    def weights(self):
+        """All that is held fixed in a solve: of keypoints, visibility, box edges, and the ground's depth."""
+        return self.optimum.state.weights[0]
+
+    @property
+    def energies(self):
+        return self.optimum.energies
+
+    @property
+    def history(self):
+        return iterations(self.adjusted.stages, 0, alone=True)
+
+    @property
+    def alternatives(self):
+        return self.adjusted.alternatives[0]
+
+    def graph(self, *, pose_free=True):
+        """The graph at the result."""
+        return graph_at(self.problem, self.optimum.state, pose_free=pose_free)
+
+
+def solve(problem, start, extra=()):
+    """One observation of one vehicle from its proposals to the minimum."""
+    return Solved(problem, start, adjust([Seen(problem)], [start], extra))
+
+
+def solved(seed=0, **settings):
+    """The same of a problem of its own."""
+    return solve(*problem_of(seed, **settings))
+
+
+def constant(problem, table):
+    """The problem with the same visibility everywhere."""
+    energy = replace(problem.energy, visibility=lambda poses: np.tile(table, (len(poses), 1)))
+    return replace(problem, energy=energy)
+
+
+def graph_at(problem, state, *, pose_free=True, extra=()):
+    """The graph of one observation at a state."""
+    return Graph([Seen(problem)], state, pose_free=pose_free, extra=extra)
+
+
+def state_of(pose, coefficients, weights, offsets=None):
+    """The state of one observation."""
+    pose = pose if isinstance(pose, gtsam.Pose3) else gtsam.Pose3(pose)
+    offsets = np.zeros((len(weights.keypoints), 3)) if offsets is None else offsets
+    return State([pose], {0: (coefficients, offsets)}, [weights])
+
+
+def proposal(problem, estimate, **changes):
+    """The state at the best proposal, with the weights there or others."""
+    return state_of(estimate.camera_T_object, estimate.coefficients, replace(weights_of(problem, estimate), **changes))
+
+
+def terms_of(graph, weights):
+    """Factors of one observation by energy term."""
+    terms = {}
+    for name, members in graph.terms([weights]):
+        terms.setdefault(name, []).extend(members)
+    return terms
+
+
 def weights_of(problem, estimate):
-    """Weights of keypoints and box edges at the pose stage's result, and the keypoints' covariances."""
+    """Weights at the best proposal, those of the box edges made there."""
     pose = estimate.camera_T_object
     here = Hypotheses(pose[None, :3, :3], pose[None, :3, 3], estimate.coefficients[None])
     box = problem.energy.box
     box = np.ones(4) if box is None else box.weights(box.residuals(here))[0]
-    return estimate.weights, box
+    return Weights(estimate.weights, estimate.visibility, box, float(pose[2, 3]))
 
 
 def weights_at(problem, pose, coefficients, *, previous=None, progress=1.0):
@@ -70,19 +177,21 @@ def weights_at(problem, pose, coefficients, *, previous=None, progress=1.0):
     box = problem.energy.box
     if box is None:
         return weights, np.ones(4), visibility
-    edges = energy_of(problem, weights, np.ones(4), pose, joint=False)._box(pose, coefficients)
+    plain = Weights(weights, visibility, np.ones(4), float(pose[2, 3]))
+    edges = energy_of(problem, plain, pose, joint=False)._box(pose, coefficients)
     return weights, np.where(box.used, np.exp(-0.5 * edges**2) / (np.exp(-0.5 * edges**2) + box.outlier), 0), visibility
 
 
-def energy_of(problem, weights, box_weights, camera_T_object, *, joint):
-    """The independent energy of a problem."""
+def energy_of(problem, weights, camera_T_object, *, joint):
+    """The independent energy of a problem under fixed weights."""
     covariances = keypoint_covariances(problem.observation, problem.options.keypoints)
-    return Energy(problem, covariances, weights, box_weights, camera_T_object, joint=joint)
+    return Energy(problem, covariances, weights, camera_T_object, joint=joint)
 
 
-def vector(energy, vehicle, values):
+def vector(energy, graph, values):
     """The graph's values in the parameters of the independent energy."""
-    pose, coefficients, offsets = vehicle.read(values)
+    pose = graph.observations[0].pose(values)
+    coefficients, offsets = graph.vehicles[0].read(values)
     parts = []
     if energy.joint:
         change = gtsam.Pose3(energy.pose).between(pose)

@@ -1,15 +1,15 @@
 """Covariances against the inverse of a numeric Gauss-Newton matrix of the independent energy."""
 
-import gtsam
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.graph.adjust import adjust_shape
-from fgrecon.solve.graph.covariance import covariances
-from fgrecon.solve.graph.graph import VehicleGraph, build
+from fgrecon.solve.graph.covariance import factorise, read_covariances
+from fgrecon.solve.graph.observation import Weights
 from fgrecon.solve.pipeline import reconstruct
-from tests.solve.graph.support import energy_of, problem_of, unsymmetric, vector
+from tests.solve.graph.support import energy_of, graph_at, problem_of, solved, state_of, unsymmetric, vector
 
 SCENES = {
     "symmetric": {},
@@ -24,20 +24,24 @@ SCENES = {
 
 
 def at_result(seed=3, **settings):
-    problem, start = problem_of(seed, **settings)
-    result = adjust_shape(problem, start)
-    vehicle = VehicleGraph(problem, result.pose, pose_free=True)
-    values = vehicle.values(result.pose, result.coefficients, result.offsets)
-    graph = build(vehicle.terms(result.weights, result.box_weights))
-    return problem, result, vehicle, graph, values
+    """A result, its graph, the values and the covariances there."""
+    result = solved(seed, **settings)
+    graph = result.graph()
+    values = graph.values(result.optimum.state)
+    return result, graph, values, covariances(graph, values, result.weights)
+
+
+def covariances(graph, values, weights):
+    marginals = factorise(graph.build([weights]), values)
+    return read_covariances(graph.observations[0], weights, values, marginals)
 
 
 @pytest.mark.parametrize("settings", SCENES.values(), ids=SCENES)
 def test_the_inverse_of_the_gauss_newton_matrix(settings):
-    problem, result, vehicle, graph, values = at_result(**settings)
-    found = covariances(vehicle, graph, values)
-    energy = energy_of(problem, result.weights, result.box_weights, result.pose.matrix(), joint=True)
-    jacobian = energy.jacobian(vector(energy, vehicle, values))
+    result, graph, values, found = at_result(**settings)
+    problem = result.problem
+    energy = energy_of(problem, result.weights, result.pose.matrix(), joint=True)
+    jacobian = energy.jacobian(vector(energy, graph, values))
     whole = np.linalg.inv(jacobian.T @ jacobian)
     count = problem.model.prior.dimension
 
@@ -56,23 +60,23 @@ def test_the_inverse_of_the_gauss_newton_matrix(settings):
 
 
 def test_more_evidence_is_less_uncertainty():
-    _, result, vehicle, graph, values = at_result()
-    sure = covariances(vehicle, graph, values)
-    weaker = covariances(vehicle, build(vehicle.terms(0.25 * result.weights, 0.25 * result.box_weights)), values)
+    result, graph, values, sure = at_result()
+    less = replace(result.weights, keypoints=0.25 * result.weights.keypoints, box=0.25 * result.weights.box)
+    weaker = covariances(graph, values, less)
     assert (np.linalg.eigvalsh(weaker.pose - sure.pose) > -1e-12).all()
     assert (np.linalg.eigvalsh(weaker.coefficients - sure.coefficients) > -1e-12).all()
     assert np.linalg.eigvalsh(sure.coefficients).max() <= 1.0 + 1e-9  # never beyond the prior
 
 
 def test_the_pose_of_no_keypoint_is_undetermined():
-    _, _, vehicle, _, values = at_result(ground=False, size=False, box_model="off")
-    assert covariances(vehicle, build(vehicle.terms(np.zeros(14), np.zeros(4))), values) is None
+    result, graph, values, found = at_result(ground=False, size=False, box_model="off")
+    assert found is not None
+    assert covariances(graph, values, replace(result.weights, keypoints=np.zeros(14), box=np.zeros(4))) is None
 
 
 def test_the_frame_is_the_objects_own():
     """Far away the position is least sure along the viewing ray: the object-frame covariance, turned, says so."""
-    _, result, vehicle, graph, values = at_result(ground=False, size=False, box_model="off", yaw=1.1)
-    found = covariances(vehicle, graph, values)
+    result, _, _, found = at_result(ground=False, size=False, box_model="off", yaw=1.1)
     R = result.pose.rotation().matrix()
     worst = np.linalg.eigh(R @ found.pose[3:, 3:] @ R.T)[1][:, -1]
     ray = result.pose.translation() / np.linalg.norm(result.pose.translation())
@@ -86,10 +90,11 @@ def test_what_is_told_is_that_of_the_weighted_keypoints(strategy):
     told = reconstruct(
         problem.observation, problem.camera, ground=problem.ground, size_prior="kitti", options=problem.options
     )
-    vehicle = VehicleGraph(problem, gtsam.Pose3(told.camera_T_object), pose_free=True)
-    values = vehicle.values(gtsam.Pose3(told.camera_T_object), told.coefficients, told.offsets)
-    energy = energy_of(problem, told.weights, np.ones(4), told.camera_T_object, joint=True)
-    jacobian = energy.jacobian(vector(energy, vehicle, values))
+    weights = Weights(told.weights, told.visibility, np.ones(4), told.location[2])
+    state = state_of(told.camera_T_object, told.coefficients, weights, told.offsets)
+    graph = graph_at(problem, state)
+    energy = energy_of(problem, weights, told.camera_T_object, joint=True)
+    jacobian = energy.jacobian(vector(energy, graph, graph.values(state)))
     whole = np.linalg.inv(jacobian.T @ jacobian)
     np.testing.assert_allclose(told.pose_covariance, whole[:6, :6], atol=0.02 * np.abs(whole[:6, :6]).max())
     np.testing.assert_allclose(told.coefficients_covariance, whole[6:11, 6:11], atol=0.02)

@@ -9,10 +9,21 @@ import pytest
 from factors import L, M, O, P, X
 from fgrecon.core.options import Options
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.graph.graph import VehicleGraph, build, energies
+from fgrecon.solve.graph.graph import Graph, Seen
 from fgrecon.solve.graph.solver import minimise
+from fgrecon.solve.proposals.problem import keypoint_covariances
 from tests.solve.graph.energy import minimise_by_ceres, minimise_by_scipy
-from tests.solve.graph.support import energy_of, problem_of, unsymmetric, vector, weights_of
+from tests.solve.graph.support import (
+    energy_of,
+    graph_at,
+    problem_of,
+    proposal,
+    state_of,
+    terms_of,
+    unsymmetric,
+    vector,
+    weights_of,
+)
 
 NO_OFFSETS = np.zeros((14, 3))
 PRIOR = load_prior("car14")
@@ -34,16 +45,20 @@ SCENES = {
 
 
 class Case:
-    """Graph and independent energy of one problem at the pose stage's result."""
+    """Graph and independent energy of one problem at the best proposal."""
 
     def __init__(self, *, joint, **settings):
         self.problem, self.estimate = problem_of(**settings)
-        pose = gtsam.Pose3(self.estimate.camera_T_object)
-        self.vehicle = VehicleGraph(self.problem, pose, pose_free=joint)
-        weights, box_weights = weights_of(self.problem, self.estimate)
-        self.terms = self.vehicle.terms(weights, box_weights)
-        self.values = self.vehicle.values(pose, self.estimate.coefficients, NO_OFFSETS)
-        self.energy = energy_of(self.problem, weights, box_weights, self.estimate.camera_T_object, joint=joint)
+        self.state = proposal(self.problem, self.estimate)
+        self.weights = self.state.weights[0]
+        self.graph = graph_at(self.problem, self.state, pose_free=joint)
+        self.terms = terms_of(self.graph, self.weights)
+        self.values = self.graph.values(self.state)
+        self.energy = energy_of(self.problem, self.weights, self.estimate.camera_T_object, joint=joint)
+
+    def solve(self):
+        built = self.graph.build([self.weights])
+        return minimise(built, self.values, relative_tolerance=1e-15, max_iterations=100)
 
     def start(self):
         return self.energy.start(self.estimate.coefficients, NO_OFFSETS)
@@ -60,19 +75,21 @@ def case(request, joint):
 
 
 def test_each_term_is_the_independent_one(case):
-    mine = energies(case.terms, case.values)
+    mine = {name: sum(factor.error(case.values) for factor in term) for name, term in case.terms.items()}
     assert mine.pop("cheirality") == 0.0
-    x = vector(case.energy, case.vehicle, case.values)
+    x = vector(case.energy, case.graph, case.values)
     theirs = {name: 0.5 * np.sum(term**2) for name, term in case.energy.terms(x).items()}
-    assert set(mine) == {name for name, term in case.energy.terms(x).items() if len(term)}
+    nothing = {"rectangularity"} if "rectangularity" not in mine else set()  # left out where it is zero for every shape
+    assert all(theirs[name] < 1e-20 for name in nothing)
+    assert set(mine) == {name for name, term in case.energy.terms(x).items() if len(term)} - nothing
     for name, value in mine.items():
         assert value == pytest.approx(theirs[name], rel=1e-9, abs=1e-12)
 
 
 def test_the_optimum_is_scipys(case):
-    found = minimise(build(case.terms), case.values, relative_tolerance=1e-15, max_iterations=100)
+    found = case.solve()
     oracle = minimise_by_scipy(case.energy, case.start())
-    np.testing.assert_allclose(vector(case.energy, case.vehicle, found.values), oracle, atol=1e-6)
+    np.testing.assert_allclose(vector(case.energy, case.graph, found.values), oracle, atol=1e-6)
     assert found.error == pytest.approx(case.energy.cost(oracle), abs=1e-6)
 
 
@@ -80,20 +97,14 @@ def test_the_optimum_is_scipys(case):
 def test_the_optimum_is_ceress(name, joint):
     pytest.importorskip("pyceres")
     case = Case(joint=joint, **SCENES[name])
-    found = minimise(build(case.terms), case.values, relative_tolerance=1e-15, max_iterations=100)
+    found = case.solve()
     oracle = minimise_by_ceres(case.energy, case.start())
-    np.testing.assert_allclose(vector(case.energy, case.vehicle, found.values), oracle, atol=1e-6)
+    np.testing.assert_allclose(vector(case.energy, case.graph, found.values), oracle, atol=1e-6)
     assert found.error == pytest.approx(case.energy.cost(oracle), abs=1e-6)
 
 
 def variables(case):
     return set(case.values.keys())
-
-
-def _sigma2(problem):
-    return (
-        problem.options.keypoints.sigma_relative * problem.observation.extent
-    ) ** 2 + problem.options.keypoints.sigma_pixels**2
 
 
 def test_a_symmetric_prior_needs_neither_symmetry_nor_mirrored_planes():
@@ -123,77 +134,127 @@ def test_the_pose_is_a_constant_in_the_shape_stage():
     case = Case(joint=False, **SCENES["symmetric"])
     assert variables(case) == {L(), P(0, 0)}
     assert "ground" not in case.terms
-    assert case.vehicle.read(case.values)[0].equals(gtsam.Pose3(case.estimate.camera_T_object), 0.0)
+    assert case.graph.observations[0].pose(case.values).equals(gtsam.Pose3(case.estimate.camera_T_object), 0.0)
 
 
 @pytest.mark.parametrize("term", Options.TERMS)
 def test_each_term_can_be_left_out(term):
-    problem, estimate = problem_of(5, free_offsets=True, disabled_terms={term})
     whole = Case(joint=True, seed=5, free_offsets=True)
-    vehicle = VehicleGraph(problem, gtsam.Pose3(estimate.camera_T_object), pose_free=True)
-    assert set(whole.terms) - set(vehicle.terms(*weights_of(problem, estimate))) == {term}
-    graph = build(vehicle.terms(*weights_of(problem, estimate)))
-    used = {key for i in range(graph.size()) for key in list(graph.at(i).keys())}
-    values = vehicle.values(gtsam.Pose3(estimate.camera_T_object), estimate.coefficients, NO_OFFSETS)
-    assert set(values.keys()) == used  # no variable is left without a factor
+    part = Case(joint=True, seed=5, free_offsets=True, disabled_terms={term})
+    assert set(whole.terms) - set(part.terms) == {term}
+    built = part.graph.build([part.weights])
+    used = {key for i in range(built.size()) for key in list(built.at(i).keys())}
+    assert set(part.values.keys()) == used  # no variable is left without a factor
 
 
-def test_every_keypoint_has_its_own_factor_and_weight():
+SOME = np.where(np.arange(14) == 4, 0.0, np.linspace(0.1, 1.0, 14))
+"""Weights of which one is zero."""
+
+
+@pytest.mark.parametrize("covariance", [False, True])
+def test_the_weights_are_the_stacked_factors_noise(covariance):
+    """Row by row, or block by block where the keypoints have covariances; no row for a keypoint of weight zero."""
+    problem, estimate = problem_of(1, covariance=covariance)
+    state = proposal(problem, estimate, keypoints=SOME)
+    graph = graph_at(problem, state)
+    (factor,) = terms_of(graph, state.weights[0])["reprojection"]
+    noise, used = factor.noiseModel(), np.delete(np.arange(14), 4)
+    covariances = keypoint_covariances(problem.observation, problem.options.keypoints)
+    expected = np.zeros((26, 26))
+    for row, k in enumerate(used):
+        expected[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] = covariances[k] / SOME[k]
+    assert isinstance(noise, gtsam.noiseModel.Diagonal) is not covariance
+    if not covariance:
+        np.testing.assert_allclose(noise.sigmas(), np.sqrt(np.diag(expected)), rtol=1e-12)
+    np.testing.assert_allclose(noise.covariance(), expected, rtol=1e-10, atol=1e-10)
+    # Rows are pixels: the same as the projection's errors, keypoint by keypoint.
+    away = graph.observations[0].projections(graph.values(state)) - problem.observation.keypoints
+    np.testing.assert_allclose(factor.unwhitenedError(graph.values(state)), away[used].ravel(), rtol=1e-12)
+
+
+@pytest.mark.parametrize("covariance", [False, True])
+def test_every_keypoint_counts_by_its_weight(covariance):
+    problem, estimate = problem_of(1, covariance=covariance)
+    covariances = keypoint_covariances(problem.observation, problem.options.keypoints)
+    for k in (0, 3, 11):
+        state = proposal(problem, estimate, keypoints=np.where(np.arange(14) == k, 0.3, 0.0))
+        graph = graph_at(problem, state)
+        (factor,) = terms_of(graph, state.weights[0])["reprojection"]
+        values = graph.values(state)
+        away = graph.observations[0].projections(values)[k] - problem.observation.keypoints[k]
+        assert factor.error(values) == pytest.approx(0.5 * 0.3 * away @ np.linalg.solve(covariances[k], away))
+
+
+def test_without_any_weight_there_is_no_factor():
     problem, estimate = problem_of(1)
-    vehicle = VehicleGraph(problem, gtsam.Pose3(estimate.camera_T_object), pose_free=True)
-    weights, box_weights = weights_of(problem, estimate)
-    values = vehicle.values(gtsam.Pose3(estimate.camera_T_object), estimate.coefficients, NO_OFFSETS)
-    weights = np.where(np.arange(14) == 4, 0.0, np.linspace(0.1, 1.0, 14))
-    factors_ = vehicle.terms(weights, box_weights)["reprojection"]
-    assert len(factors_) == 13  # weight zero: no factor
-    for factor, weight in zip(factors_, np.delete(weights, 4), strict=True):
-        plain = float(np.sum(factor.unwhitenedError(values) ** 2))
-        sigma2 = _sigma2(problem)
-        assert factor.error(values) == pytest.approx(0.5 * weight * plain / sigma2)
+    state = proposal(problem, estimate, keypoints=np.zeros(14))
+    assert "reprojection" not in terms_of(graph_at(problem, state), state.weights[0])
 
 
+@pytest.mark.parametrize("covariance", [False, True])
 @pytest.mark.parametrize("strategy", ["huber", "cauchy", "geman_mcclure", "tukey"])
-def test_m_estimators_stand_in_the_graph(strategy):
-    """Each keypoint's energy is its weight times the robust loss of its whitened residual."""
+def test_m_estimators_stand_in_the_graph(strategy, covariance):
+    """Each keypoint's energy is its weight by confidence and visibility times the loss of its whitened residual."""
+    problem, estimate = problem_of(1, strategy=strategy, covariance=covariance)
+    state = proposal(problem, estimate, visibility=np.linspace(0.2, 1.0, 14))
+    graph = graph_at(problem, state)
+    values, chosen = graph.values(state), problem.options.strategy
+    initial = chosen.mu0 * problem.energy.keypoints.evidence.right + (1 - chosen.mu0) * np.linspace(0.2, 1.0, 14)
+    covariances = keypoint_covariances(problem.observation, problem.options.keypoints)
+    members = terms_of(graph, state.weights[0])["reprojection"]
+    for factor, weight, matrix in zip(members, initial, covariances, strict=True):
+        away = factor.unwhitenedError(values)
+        distance = np.sqrt(away @ np.linalg.solve(matrix, away))
+        assert factor.error(values) == pytest.approx(weight * chosen.robust_loss.losses(distance))
 
-    problem, estimate = problem_of(1, strategy=strategy)
-    vehicle = VehicleGraph(problem, gtsam.Pose3(estimate.camera_T_object), pose_free=True)
-    values = vehicle.values(gtsam.Pose3(estimate.camera_T_object), estimate.coefficients, NO_OFFSETS)
-    weights = np.linspace(0.2, 1.0, 14)
-    loss = problem.options.strategy.robust_loss
-    sigma2 = _sigma2(problem)
-    for factor, weight in zip(vehicle.terms(weights, np.ones(4))["reprojection"], weights, strict=True):
-        distance = np.linalg.norm(factor.unwhitenedError(values)) / np.sqrt(sigma2)
-        assert factor.error(values) == pytest.approx(weight * loss.losses(distance))
+
+def box_of(problem, estimate, **changes):
+    """The box's residuals; None where it has no factor."""
+    state = proposal(problem, estimate, **changes)
+    graph = graph_at(problem, state)
+    members = terms_of(graph, state.weights[0]).get("box")
+    return None if members is None else members[0].unwhitenedError(graph.values(state))
 
 
 def test_edges_of_no_weight_say_nothing():
     problem, estimate = problem_of(1)
-    vehicle = VehicleGraph(problem, gtsam.Pose3(estimate.camera_T_object), pose_free=True)
-    values = vehicle.values(gtsam.Pose3(estimate.camera_T_object), estimate.coefficients, NO_OFFSETS)
-    some = vehicle.terms(estimate.weights, np.array([1.0, 0.0, 0.5, 1e-9]))["box"][0]
-    assert len(some.unwhitenedError(values)) == 2
-    assert "box" not in vehicle.terms(estimate.weights, np.zeros(4))
+    assert len(box_of(problem, estimate, box=np.array([1.0, 0.0, 0.5, 1e-9]))) == 2
+    assert box_of(problem, estimate, box=np.zeros(4)) is None
 
 
 def test_edges_on_the_images_border_say_nothing():
     problem, estimate = problem_of(1)
     box = replace(problem.energy.box, used=np.array([True, False, True, True]))
     cut = replace(problem, energy=replace(problem.energy, box=box))
-    pose = gtsam.Pose3(estimate.camera_T_object)
-    whole, part = (VehicleGraph(p, pose, pose_free=True) for p in (problem, cut))
-    values = whole.values(pose, estimate.coefficients, NO_OFFSETS)
-    residuals = [v.terms(estimate.weights, np.ones(4))["box"][0].unwhitenedError(values) for v in (whole, part)]
-    np.testing.assert_array_equal(residuals[1], residuals[0][[0, 2, 3]])
+    whole, part = (box_of(p, estimate, box=np.ones(4)) for p in (problem, cut))
+    np.testing.assert_array_equal(part, whole[[0, 2, 3]])
 
 
 def test_values_are_read_back():
     problem, estimate = problem_of(5, free_offsets=True)
-    vehicle = VehicleGraph(problem, gtsam.Pose3(estimate.camera_T_object), pose_free=True, vehicle=3, frame=7)
     pose, offsets = gtsam.Pose3(estimate.camera_T_object), np.random.default_rng(0).normal(size=(14, 3)) * 0.02
-    values = vehicle.values(pose, estimate.coefficients, offsets)
-    back = vehicle.read(values)
-    assert back[0].equals(pose, 0.0)
-    np.testing.assert_array_equal(back[1], estimate.coefficients)
-    np.testing.assert_array_equal(back[2], offsets)
+    state = state_of(pose, estimate.coefficients, weights_of(problem, estimate), offsets)
+    state.shapes = {3: state.shapes[0]}
+    graph = Graph([Seen(problem, 3, 7)], state, pose_free=True)
+    values = graph.values(state)
+    back = graph.read(values, state.weights)
+    assert back.poses[0].equals(pose, 0.0)
+    np.testing.assert_array_equal(back.shapes[3][0], estimate.coefficients)
+    np.testing.assert_array_equal(back.shapes[3][1], offsets)
     assert {X(3, 7), L(3), O(3), M(3)} <= set(values.keys())
+
+
+def test_a_held_shape_is_a_constant():
+    """Only the pose and the terms that are about it remain, and what is read is what was held."""
+    problem, estimate = problem_of(5, free_offsets=True)
+    offsets = np.random.default_rng(0).normal(size=(14, 3)) * 0.02
+    state = state_of(estimate.camera_T_object, estimate.coefficients, weights_of(problem, estimate), offsets)
+    held = Graph([Seen(problem)], state, pose_free=True, hold_shape=True)
+    whole = graph_at(problem, state)
+    assert set(held.values(state).keys()) == {X()}
+    assert set(terms_of(held, state.weights[0])) == {"reprojection", "cheirality", "box", "ground"}
+    back = held.read(held.values(state), state.weights)
+    np.testing.assert_array_equal(back.shapes[0][0], estimate.coefficients)
+    np.testing.assert_array_equal(back.shapes[0][1], offsets)
+    one, other = (graph.energies(graph.values(state), state.weights) for graph in (held, whole))
+    assert one == pytest.approx({name: other[name] for name in one}, rel=1e-12)

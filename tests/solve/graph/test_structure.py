@@ -1,21 +1,19 @@
 """The structure of the graph as it is drawn: every factor once, with the variables that it really has."""
 
-import gtsam
 import numpy as np
 import pytest
 
 from factors import key_name
-from fgrecon.solve.graph.graph import VehicleGraph
 from fgrecon.solve.graph.structure import graph_factors
-from tests.solve.graph.support import problem_of
+from tests.solve.graph.support import graph_at, problem_of, proposal, terms_of
 
 
 def described(seed=0, **settings):
     problem, start = problem_of(seed, **settings)
-    vehicle = VehicleGraph(problem, gtsam.Pose3(start.camera_T_object), pose_free=True)
     weights = np.where(np.arange(len(start.weights)) == 2, 0.0, 1.0)
-    terms = vehicle.terms(weights, np.ones(4))
-    return problem, terms, graph_factors(vehicle, terms, weights)
+    state = proposal(problem, start, keypoints=weights, visibility=weights, box=np.ones(4))
+    graph = graph_at(problem, state)
+    return problem, terms_of(graph, state.weights[0]), graph_factors(graph, state.weights)
 
 
 @pytest.mark.parametrize("settings", [{}, {"free_offsets": True}])

@@ -156,7 +156,7 @@ def test_three_points_are_enough(prior):
     pixels[np.setdiff1d(np.arange(14), [0, 2, 10])] = np.nan
     estimate = adjust(prior, Observation(pixels, observation.confidence, observation.box), ground=GROUND)
     assert np.degrees(rotation_angle(estimate.camera_T_object, yaw_pose(0.7))) < 5
-    np.testing.assert_allclose(estimate.camera_T_object[:3, 3], yaw_pose(0.7)[:3, 3], atol=0.3)
+    np.testing.assert_allclose(estimate.camera_T_object[:3, 3], yaw_pose(0.7)[:3, 3], atol=0.5)
     assert (estimate.weights[np.isnan(pixels[:, 0])] == 0).all()
 
 

@@ -1,0 +1,82 @@
+"""Which of its basins each image of a vehicle is in: a discrete factor graph over the images, a chain.
+
+    basin(0) ---- turn ---- basin(1) ---- turn ---- basin(2) ...
+        |                       |                       |
+     energy                  energy                  energy
+
+An image's factor is the energy of its basins, but not without limit: a network that takes a front for a rear does so
+with all its keypoints, and how well they fit says nothing about that. Between neighbours of a sequence a turn costs. So
+a few images that take the front for the rear are outvoted by the others, and the marginals tell how sure it all is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.reconstruction import Alternative
+from fgrecon.solve.proposals.adjust import turn_between
+
+__all__ = ["decide", "is_turned"]
+
+Array = NDArray[np.float64]
+
+_WHOLLY_WRONG = 5.0
+"""Nats that one image can say for a basin: in 0.7 % of the images all keypoints are of another one."""
+_TURN_SIGMA = np.deg2rad(10.0)  # from one image to the next
+_TURNED = 30.0  # nats that a turn costs at most
+
+
+def is_turned(first: Array, second: Array) -> bool:
+    """Whether two poses (4, 4) are turned by more than a quarter against each other."""
+    return turn_between(first, second) > np.pi / 2.0
+
+
+def decide(basins: Sequence[Sequence[Alternative]], *, in_order: bool) -> tuple[list[int], list[Array]]:
+    """Choose a basin for each image.
+
+    Args:
+        basins: Of each image of one vehicle its basins, with their energies in nats.
+        in_order: Whether the images were taken one after the other.
+
+    Returns:
+        The index of each image's basin in the most probable choice; and for each image how many nats its basins are
+        behind the chosen one, whatever basins the other images are in.
+    """
+    unary, between = [], []
+    for own in basins:
+        energy = np.array([basin.excess for basin in own])
+        told = energy - energy.min()
+        unary.append(-np.minimum(told, _WHOLLY_WRONG) if in_order else -told)
+    for before, after in pairwise(basins):
+        turns = [[turn_between(a.camera_T_object, b.camera_T_object) for b in after] for a in before]
+        cost = np.minimum(np.square(np.array(turns) / _TURN_SIGMA) / 2.0, _TURNED)
+        between.append(-cost if in_order else np.zeros_like(cost))
+    chosen = _most_probable(unary, between)
+    return chosen, [m[index] - m for m, index in zip(_marginals(unary, between), chosen, strict=True)]
+
+
+def _most_probable(unary: Sequence[Array], between: Sequence[Array]) -> list[int]:
+    """The states of a chain with the greatest sum of logarithms (Viterbi)."""
+    score, back = unary[0], []
+    for own, table in zip(unary[1:], between, strict=True):
+        through = score[:, None] + table
+        back.append(through.argmax(axis=0))
+        score = through.max(axis=0) + own
+    states = [int(score.argmax())]
+    for pointers in reversed(back):
+        states.append(int(pointers[states[-1]]))
+    return states[::-1]
+
+
+def _marginals(unary: Sequence[Array], between: Sequence[Array]) -> list[Array]:
+    """Logarithms, but for a constant, of each state's probability (sum-product, in logarithms: chains are long)."""
+    forward, backward = [unary[0]], [np.zeros(len(unary[-1]))]
+    for own, table in zip(unary[1:], between, strict=True):
+        forward.append(own + np.logaddexp.reduce(forward[-1][:, None] + table, axis=0))
+    for own, table in zip(unary[:0:-1], between[::-1], strict=True):
+        backward.append(np.logaddexp.reduce(table + own + backward[-1], axis=1))
+    return [f + b for f, b in zip(forward, backward[::-1], strict=True)]

@@ -1,0 +1,220 @@
+"""What a graph holds of a vehicle in one image: its pose, and the terms that are about what is seen there.
+
+                    keypoints, box, cheirality
+    L(v), O(v) --------------------------------- X(v,t) --- height, upright (the ground)
+
+All keypoints are one stacked factor, whose noise model carries their weights: it is built again when they change. Where
+the strategy is an m-estimator every keypoint has a factor of its own, since GTSAM's robust noise models weigh whole
+factors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+import factors
+from factors import ProjectionKernel, RobustLoss, X
+from factors.shape import LinearShape
+from fgrecon.solve.graph.vehicle import VehiclePart
+from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
+from fgrecon.solve.proposals.terms import Hypotheses
+
+__all__ = ["SMALLEST_WEIGHT", "ObservationPart", "Weights"]
+
+Array = NDArray[np.float64]
+
+_SMALLEST_EDGE = 1e-6  # a box edge of less weight says nothing
+SMALLEST_WEIGHT = 1e-12
+"""A keypoint of less weight is left out."""
+
+
+@dataclass(frozen=True)
+class Weights:
+    """What iteratively re-weighted least squares holds fixed of one observation during a solve.
+
+    Attributes:
+        keypoints: (K,) weights of the keypoints.
+        visibility: (K,) visibility that they were computed with.
+        box: (4,) weights of the box edges.
+        depth: Depth that the ground's uncertainty belongs to, metres.
+    """
+
+    keypoints: Array
+    visibility: Array
+    box: Array
+    depth: float
+
+
+class ObservationPart:
+    """Pose variable and terms of one vehicle in one image.
+
+    Attributes:
+        problem: What is given.
+        vehicle: The vehicle.
+        image: Number of the image in the keys.
+        share: Factor on the energy of all its terms.
+        pose_key: Key of camera_T_object, or None where it is a constant.
+        kernel: Projection of the keypoints.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        vehicle: VehiclePart,
+        pose: gtsam.Pose3,
+        *,
+        pose_free: bool,
+        image: int = 0,
+        share: float = 1.0,
+    ) -> None:
+        """Prepare the part.
+
+        Args:
+            problem: What is given.
+            vehicle: The vehicle's part of the same graph.
+            pose: camera_T_object, the constant where it is not free.
+            pose_free: Whether the pose is a variable.
+            image: Number of the image in the keys.
+            share: Share of its information that the observation has for the graph: less than 1 where other images of
+                the vehicle err alike.
+        """
+        self.problem, self.vehicle, self.image, self.share = problem, vehicle, image, share
+        self.pose_key = X(vehicle.number, image) if pose_free else None
+        self._pose = pose
+        bound = pose if self.pose_key is None else self.pose_key
+        self.kernel = ProjectionKernel(vehicle.shape, problem.camera.matrix, bound)
+        covariances = keypoint_covariances(problem.observation, problem.options.keypoints)
+        isotropic = problem.observation.covariance is None
+        self._covariances = None if isotropic else covariances
+        self._sigma = float(np.sqrt(covariances[0, 0, 0]))
+        self._box_kernel = None
+        if problem.energy.box is not None:
+            box = problem.energy.box
+            box_shape = LinearShape(box.mean, box.basis, vehicle.coefficients)
+            self._box_kernel = ProjectionKernel(box_shape, problem.camera.matrix, bound)
+
+    def pose(self, values: gtsam.Values) -> gtsam.Pose3:
+        """camera_T_object at the values."""
+        return self._pose if self.pose_key is None else values.atPose3(self.pose_key)
+
+    def reweigh(self, values: gtsam.Values, before: Weights, progress: float, *, hold: bool = False) -> Weights:
+        """Weights at the values.
+
+        Args:
+            values: Where.
+            before: The weights until now.
+            progress: 0 at the first update, 1 at the last.
+            hold: Keep visibility and the ground's uncertainty as they are.
+        """
+        term, box = self.problem.energy.keypoints, self.problem.energy.box
+        pose = self.pose(values)
+        visibility, depth = before.visibility, before.depth
+        if not hold:
+            visibility, depth = self.problem.energy.visibility(pose.matrix()[None])[0], float(pose.z())
+        weights = term.strategy.weights(
+            self._squares(values), term.evidence, visibility, previous=before.keypoints, progress=progress
+        )
+        edges = before.box if box is None else box.weights(box.residuals(self._hypothesis(values)))[0]
+        return Weights(weights, visibility, edges, depth)
+
+    def graph_weights(self, weights: Weights) -> Array:
+        """(K,) weights in the noise models: without an m-estimator's share, which the graph has itself."""
+        term = self.problem.energy.keypoints
+        if term.strategy.loss is None:
+            return weights.keypoints
+        return term.strategy.initial_weights(term.evidence, weights.visibility)
+
+    def terms(self, weights: Weights, share: float | None = None) -> dict[str, list[gtsam.NonlinearFactor]]:
+        """All factors by energy term; with another share of their information where one is given."""
+        share = self.share if share is None else share
+        terms: dict[str, list[gtsam.NonlinearFactor]] = {}
+        if self.kernel.keys:  # else a constant shape at a fixed pose
+            terms["reprojection"] = self._reprojection(share * self.graph_weights(weights))
+            terms["cheirality"] = [factors.cheirality_factor(self.kernel)]
+        terms["box"] = self._box(share * weights.box)
+        terms["ground"] = self._ground(weights.depth, share)
+        return {name: term for name, term in terms.items() if term}
+
+    def energies(self, values: gtsam.Values, weights: Weights) -> dict[str, float]:
+        """Energy of each term, nats: of keypoints and box the robust one that the weights stand for."""
+        term, box, ground = self.problem.energy.keypoints, self.problem.energy.box, self.problem.energy.ground
+        robust = term.strategy.evaluate(self._squares(values), term.evidence, weights.visibility)[1]
+        told = {"reprojection": self.share * float(robust), "cheirality": 0.0}
+        if box is not None:
+            told["box"] = self.share * float(box.energy(box.residuals(self._hypothesis(values)))[0])
+        if ground is not None and self.pose_key is not None:
+            sigma = float(ground.ground.height_sigma_at(np.array(weights.depth)))
+            told["ground"] = sum(f.error(values) for f in self._ground(weights.depth, self.share))
+            told["ground"] += self.share * float(np.log(sigma))
+        return told
+
+    def projections(self, values: gtsam.Values) -> Array:
+        """(K, 2) projected keypoints, pixels."""
+        return self.kernel.evaluate(values).pixels
+
+    def _squares(self, values: gtsam.Values) -> Array:
+        """(K,) squared Mahalanobis distances of the keypoints' residuals."""
+        term = self.problem.energy.keypoints
+        residual = self.kernel.evaluate(values).pixels - term.pixels
+        squares: Array = np.square(term.whitener @ residual[..., None]).sum(axis=(1, 2))
+        return squares
+
+    def _hypothesis(self, values: gtsam.Values) -> Hypotheses:
+        matrix = self.pose(values).matrix()
+        return Hypotheses(matrix[None, :3, :3], matrix[None, :3, 3], self.vehicle.read(values)[0][None])
+
+    def _reprojection(self, weights: Array) -> list[gtsam.NonlinearFactor]:
+        pixels = self.problem.observation.keypoints
+        if self.problem.options.strategy.loss is not None:
+            noises = [
+                factors.keypoint_noise(
+                    weight,
+                    self._sigma,
+                    covariance=None if self._covariances is None else self._covariances[i],
+                    robust=self._loss(weight),
+                )
+                for i, weight in enumerate(weights.tolist())
+            ]
+            return list(factors.reprojection_factors(self.kernel, pixels, noises))
+        if not (self.problem.observation.measured & (weights >= SMALLEST_WEIGHT)).any():
+            return []
+        args = (self.kernel, pixels, weights, self._sigma)
+        return [factors.stacked_reprojection_factor(*args, covariances=self._covariances)]
+
+    def _loss(self, weight: float) -> RobustLoss | None:
+        """The m-estimator of a keypoint, with the energy w rho(d) of the proposals.
+
+        GTSAM applies rho to the whitened norm sqrt(w) d; every loss has rho(c s) = c^2 rho(s) where its constant is
+        scaled by c as well.
+        """
+        if weight <= 0.0:
+            return None
+        loss = self.problem.options.strategy.robust_loss
+        return RobustLoss(loss.loss, loss.constant * weight**0.5)
+
+    def _box(self, weights: Array) -> list[gtsam.NonlinearFactor]:
+        box = self.problem.energy.box
+        if box is None or self._box_kernel is None or not self._box_kernel.keys:
+            return []
+        used = box.used & (weights > _SMALLEST_EDGE)
+        if not used.any():
+            return []
+        noise = gtsam.noiseModel.Diagonal.Sigmas(box.sigma / np.sqrt(weights[used]))
+        edges = used.tolist()
+        return [factors.box_factor(self._box_kernel, box.edges, noise, softness=box.softness, edges=edges)]
+
+    def _ground(self, depth: float, share: float) -> list[gtsam.NonlinearFactor]:
+        term = self.problem.energy.ground
+        if term is None or self.pose_key is None:
+            return []
+        ground = term.ground
+        height = float(ground.height_sigma_at(np.array(depth))) / share**0.5
+        tilt = ground.tilt_sigma / share**0.5
+        return [
+            factors.ground_height_factor(self.pose_key, ground.normal, ground.distance, height),
+            factors.upright_factor(self.pose_key, ground.normal, tilt),
+        ]

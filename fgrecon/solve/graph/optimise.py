@@ -1,0 +1,204 @@
+"""Iteratively re-weighted least squares on a graph: the one loop, for one image of a car as for a track.
+
+The weights are made from the residuals, visibility from the poses; GTSAM solves under them; and so on. With visibility
+held every such solve lowers the robust energy (the weights are those of a majorising function: EM for the mixture), and
+a state that weights and solve leave alone is a minimum of it. Visibility is not part of that argument: made anew each
+time it can swing between two views of a car for ever. So the loop has two parts:
+
+1. up to `RobustStrategy.updates` updates with visibility made anew, until the weights settle;
+2. visibility held as it is at the best of these states, updates until a solve moves nothing. The steps of such a
+   sequence shrink by a nearly constant factor, so that its end can be guessed (Aitken); a guess that does not lower the
+   energy is not taken.
+
+The strategies of the paper's Eqs. 4 and 5, whose weights belong to no energy, make all their updates instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.errors import DegenerateProblemError
+from fgrecon.solve.graph.graph import Graph, State
+from fgrecon.solve.graph.observation import Weights
+from fgrecon.solve.graph.solver import minimise
+
+__all__ = ["EARLY_TOLERANCE", "FINAL_TOLERANCE", "SETTLED", "STILL", "Optimum", "Step", "optimise"]
+
+Array = NDArray[np.float64]
+
+SETTLED = 1e-4
+"""Weights that change by less have settled."""
+EARLY_TOLERANCE = 1e-4
+"""Relative decrease at which a solve ends whose weights are about to change."""
+FINAL_TOLERANCE = 1e-13
+"""The same for the last solves."""
+STILL = 1e-7
+"""A solve that moves no variable by more (radians, metres, standard deviations of lambda) ends at the minimum."""
+
+_REFRESHED = 4  # times the strategy's updates: how often visibility is made anew at most
+_MOST_UPDATES = 60  # with visibility held
+_LONGEST_GUESS = 20.0  # steps that a guess may go ahead
+_DRIFT = 0.1  # nats that settled weights may cost: what moves visibility is no force of the solver's
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of the loop.
+
+    Attributes:
+        update: Index of the weight update.
+        step: Index of the solver's iteration within it.
+        values: Where it ended.
+        weights: Weights that it was made under.
+    """
+
+    update: int
+    step: int
+    values: gtsam.Values
+    weights: Sequence[Weights]
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """Where the loop ended.
+
+    Attributes:
+        state: Poses, shapes and weights.
+        values: The same, with planes.
+        energies: Energy by term over everything, nats.
+        steps: Every step, if asked for.
+        iterations: Number of the solver's iterations.
+        gain: Energy at the start minus that at the end, nats; NaN where the strategy defines none.
+        failure: Why the loop gave up, or None; the rest is then the state before.
+        unfinished: Where it was stopped short of a minimum, or None.
+    """
+
+    state: State
+    values: gtsam.Values
+    energies: dict[str, float]
+    steps: tuple[Step, ...]
+    iterations: int
+    gain: float
+    failure: str | None = None
+    unfinished: str | None = None
+
+    @property
+    def energy(self) -> float:
+        """The whole energy, nats."""
+        return sum(self.energies.values())
+
+
+def optimise(graph: Graph, start: State) -> Optimum:
+    """Minimise a graph's energy from a state.
+
+    Args:
+        graph: The graph; its options say how.
+        start: Where to start, every keypoint in front of its camera.
+
+    Returns:
+        The end. Where the start is behind the camera or a system is singular, the state so far and why.
+    """
+    loop = _Loop(graph, start)
+    failure = None
+    try:
+        graph.check_in_front(loop.values)
+        loop.run()
+    except DegenerateProblemError as error:
+        failure = str(error)
+    return Optimum(
+        state=graph.read(loop.values, loop.weights),
+        values=loop.values,
+        energies=graph.energies(loop.values, loop.weights) if failure is None else {},
+        steps=tuple(loop.steps),
+        iterations=loop.iterations,
+        gain=loop.first - loop.energy() if failure is None and loop.strategy.descends else float("nan"),
+        failure=failure,
+        unfinished=None if loop.converged else f"after {loop.iterations} iterations",
+    )
+
+
+class _Loop:
+    """The loop's variables: values and weights, and what it has done."""
+
+    def __init__(self, graph: Graph, start: State) -> None:
+        self.graph, self.strategy = graph, graph.options.strategy
+        self.values, self.weights = graph.values(start), list(start.weights)
+        self.steps: list[Step] = []
+        self.iterations = self.update = 0
+        self.converged = True
+        self.first = float("nan")
+
+    def run(self) -> None:
+        updates = max(self.strategy.updates, 1)
+        wanted = updates if self.strategy.anneals or not self.strategy.descends else _REFRESHED * updates
+        best: tuple[float, gtsam.Values, list[Weights]] | None = None
+        settled = False
+        for update in range(wanted):
+            change = self.reweigh(min(update / max(updates - 1, 1), 1.0))
+            energy = self.energy()
+            self.first = energy if update == 0 else self.first
+            if best is None or energy < best[0] or self.strategy.anneals:
+                best = energy, self.values, self.weights
+            settled = update > 0 and change < SETTLED and not self.strategy.anneals
+            if settled and self.strategy.descends:
+                break  # what is left is for the second part
+            last = settled or update == wanted - 1
+            self.solve(FINAL_TOLERANCE if last and not self.strategy.descends else EARLY_TOLERANCE)
+            if last:
+                break
+        if self.strategy.descends and best is not None and not self.values.empty():
+            self.reweigh(1.0)
+            if not self.strategy.anneals and best[0] < self.energy() - (_DRIFT if settled else 0.0):
+                _, self.values, self.weights = best
+            self.settle()
+
+    def settle(self) -> None:
+        """The second part: visibility held, until nothing moves."""
+        before: Array | None = None
+        for _ in range(_MOST_UPDATES):
+            self.reweigh(1.0, hold=True)
+            start = self.values
+            self.solve(FINAL_TOLERANCE)
+            step = start.localCoordinates(self.values)
+            moved: Array = step.vector()
+            energy = self.energy()
+            if np.abs(moved).max() <= STILL:
+                self.converged = True
+                return
+            if before is not None:
+                self.guess(step, float(moved @ before / (before @ before)), energy)
+            before = moved
+        self.converged = False
+
+    def guess(self, step: gtsam.VectorValues, ratio: float, energy: float) -> None:
+        """Go on along the last step to where a geometric sequence of such steps would end, if that is lower."""
+        if not 0.0 < ratio < 1.0:
+            return
+        ahead = gtsam.VectorValues(step)
+        ahead.scaleInPlace(min(ratio / (1.0 - ratio), _LONGEST_GUESS))
+        here, self.values = self.values, self.values.retract(ahead)
+        if not self.energy() < energy:
+            self.values = here
+
+    def reweigh(self, progress: float, *, hold: bool = False) -> float:
+        """Make the weights anew; the largest change of a keypoint's."""
+        before, self.weights = self.weights, self.graph.reweigh(self.values, self.weights, progress, hold=hold)
+        pairs = zip(before, self.weights, strict=True)
+        return max(float(np.abs(new.keypoints - old.keypoints).max()) for old, new in pairs)
+
+    def solve(self, tolerance: float) -> None:
+        record = self.graph.options.keep_history
+        graph = self.graph.build(self.weights)
+        solution = minimise(graph, self.values, relative_tolerance=tolerance, record=record)
+        self.steps += [Step(self.update, i, values, self.weights) for i, values in enumerate(solution.path)]
+        self.values, self.converged = solution.values, solution.converged
+        self.iterations += solution.iterations
+        self.update += 1
+
+    def energy(self) -> float:
+        return sum(self.graph.energies(self.values, self.weights).values())
