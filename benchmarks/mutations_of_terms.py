@@ -56,6 +56,14 @@ DROPPED_TERMS = (
         "planarity", '        terms["planarity"] = self._planarity(category)\n', 'terms["planarity"] = []'
     ),
     _dropped_from_the_graph(
+        "symmetry", '        terms["symmetry"] = self._symmetry(category)\n', 'terms["symmetry"] = []'
+    ),
+    _dropped_from_the_graph(
+        "rectangularity",
+        '        terms["rectangularity"] = [factor for factor in rectangles if not self._vanishes(factor)]\n',
+        'terms["rectangularity"] = []',
+    ),
+    _dropped_from_the_graph(
         "coefficients",
         '            terms["coefficients"] = [factors.'
         "coefficients_prior(self.shape.coefficients_key, prior.dimension)]\n",
