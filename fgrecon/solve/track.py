@@ -6,11 +6,12 @@
                         |           ...
     frame t: reprojection_i, box, cheirality --- X(0,t) --- ground, upright
                         |
-                       L(0) (lambda) ---- prior N(0, I), planarity, dimensions, Laplacian, ...
+                    L(0), O(0) ---- priors, symmetry, dimensions, ...
 
-Every image is searched for its pose alone (`fgrecon.solve.proposals`); then one graph over all poses and the shared
-shape is solved under weights that are updated as for a single image. The terms of the shape appear once, so that many
-images outweigh the prior where they agree. Nothing is assumed about motion: images may be any views of one vehicle.
+Every image is searched for its pose alone (`fgrecon.solve.proposals`); then the graph of all poses and the shared shape
+is solved by the loop that solves a single image. The terms of the shape appear once. Images of one vehicle err alike,
+and count for its shape accordingly (`ShapeOptions.common_error`). Of motion nothing is assumed but that images in order
+seldom show the vehicle turned round from one to the next.
 """
 
 from __future__ import annotations

@@ -5,8 +5,9 @@ held every such solve lowers the robust energy (the weights are those of a major
 a state that weights and solve leave alone is a minimum of it. Visibility is not part of that argument: made anew each
 time it can swing between two views of a car for ever. So the loop has two parts:
 
-1. up to `RobustStrategy.updates` updates with visibility made anew, until the weights settle;
-2. visibility held as it is at the best of these states, updates until a solve moves nothing. The steps of such a
+1. updates with visibility made anew until the weights settle, at most four times `RobustStrategy.updates`; where they
+   swing, the best of these states is taken;
+2. visibility held as it is there, updates until a solve moves nothing. The steps of such a
    sequence shrink by a nearly constant factor, so that its end can be guessed (Aitken); a guess that does not lower the
    energy is not taken.
 
