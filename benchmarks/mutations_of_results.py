@@ -308,7 +308,7 @@ WRONG_ANSWERS = (
         "alternatives-dropped",
         "other poses that explain the keypoints are kept to oneself",
         PROPOSALS,
-        (("for i in distinct[1:]", "for i in distinct[:0]"),),
+        (("for i in distinct(best)[1:]", "for i in distinct(best)[:0]"),),
         (TEST_PROPOSALS,),
     ),
     Mutation(

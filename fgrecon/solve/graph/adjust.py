@@ -24,7 +24,7 @@ from fgrecon.solve.graph.facing import decide, is_turned
 from fgrecon.solve.graph.graph import Graph, Seen, State
 from fgrecon.solve.graph.observation import Weights
 from fgrecon.solve.graph.optimise import Optimum, Step, optimise
-from fgrecon.solve.proposals.adjust import DISTINCT, PoseEstimate, turn_between
+from fgrecon.solve.proposals.adjust import DISTINCT, PoseEstimate, distinct, turn_between
 
 __all__ = ["Adjusted", "SolvedStage", "adjust", "start_state"]
 
@@ -241,9 +241,6 @@ def _held(
 
 def _distinct(pose: gtsam.Pose3, others: Sequence[Alternative]) -> tuple[Alternative, ...]:
     """Those that are turned against the pose and against each other, best first."""
-    kept: list[Alternative] = []
-    for other in sorted(others, key=lambda one: one.excess):
-        turned = [pose.matrix(), *(one.camera_T_object for one in kept)]
-        if all(turn_between(other.camera_T_object, known) > DISTINCT for known in turned):
-            kept.append(other)
-    return tuple(kept)
+    best_first = sorted(others, key=lambda one: one.excess)
+    kept = distinct([pose.matrix(), *(other.camera_T_object for other in best_first)])
+    return tuple(best_first[i - 1] for i in kept[1:])

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
@@ -30,6 +31,7 @@ EXTRA = "extra"
 """Energy term of the caller's own factors."""
 
 
+@dataclass(frozen=True)
 class Seen:
     """One vehicle in one image, and its place in the graph.
 
@@ -39,13 +41,12 @@ class Seen:
         image: Number of the image.
     """
 
-    __slots__ = ("image", "problem", "vehicle")
-
-    def __init__(self, problem: Problem, vehicle: int = 0, image: int = 0) -> None:
-        """Name the place."""
-        self.problem, self.vehicle, self.image = problem, vehicle, image
+    problem: Problem
+    vehicle: int = 0
+    image: int = 0
 
 
+@dataclass
 class State:
     """Where an optimisation is: a pose and weights for each observation, a shape for each vehicle.
 
@@ -55,11 +56,9 @@ class State:
         weights: Weights of each observation.
     """
 
-    __slots__ = ("poses", "shapes", "weights")
-
-    def __init__(self, poses: list[gtsam.Pose3], shapes: dict[int, Held], weights: list[Weights]) -> None:
-        """Hold them."""
-        self.poses, self.shapes, self.weights = poses, shapes, weights
+    poses: list[gtsam.Pose3]
+    shapes: dict[int, Held]
+    weights: list[Weights]
 
 
 class Graph:

@@ -111,13 +111,14 @@ def optimise(graph: Graph, start: State) -> Optimum:
         loop.run()
     except DegenerateProblemError as error:
         failure = str(error)
+    energies = graph.energies(loop.values, loop.weights) if failure is None else {}
     return Optimum(
         state=graph.read(loop.values, loop.weights),
         values=loop.values,
-        energies=graph.energies(loop.values, loop.weights) if failure is None else {},
+        energies=energies,
         steps=tuple(loop.steps),
         iterations=loop.iterations,
-        gain=loop.first - loop.energy() if failure is None and loop.strategy.descends else float("nan"),
+        gain=loop.first - sum(energies.values()) if failure is None and loop.strategy.descends else float("nan"),
         failure=failure,
         unfinished=None if loop.converged else f"after {loop.iterations} iterations",
     )
@@ -167,12 +168,11 @@ class _Loop:
             self.solve(FINAL_TOLERANCE)
             step = start.localCoordinates(self.values)
             moved: Array = step.vector()
-            energy = self.energy()
             if np.abs(moved).max() <= STILL:
                 self.converged = True
                 return
             if before is not None:
-                self.guess(step, float(moved @ before / (before @ before)), energy)
+                self.guess(step, float(moved @ before / (before @ before)), self.energy())
             before = moved
         self.converged = False
 

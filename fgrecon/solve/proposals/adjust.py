@@ -8,6 +8,7 @@ the energy decides; poses that come close to the best are kept as alternatives.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +24,7 @@ from fgrecon.solve.proposals.search import search
 from fgrecon.solve.proposals.starts import at_azimuths, from_box3d, from_pose, view_box
 from fgrecon.solve.proposals.terms import Hypotheses
 
-__all__ = ["DISTINCT", "PoseEstimate", "adjust_pose", "turn_between"]
+__all__ = ["DISTINCT", "PoseEstimate", "adjust_pose", "distinct", "turn_between"]
 
 Array = NDArray[np.float64]
 
@@ -70,9 +71,7 @@ def adjust_pose(problem: Problem, initial: Box3D | float | None = None) -> PoseE
     count, dimension = problem.options.search.basis_vectors, problem.model.prior.dimension
     if count >= dimension:
         return _adjusted(problem, initial)
-    coarse = Problem.of(
-        problem.observation, problem.camera, problem.model.truncated(count), problem.ground, problem.options
-    )
+    coarse = replace(problem, model=problem.model.truncated(count), energy=problem.energy.truncated(count))
     return _padded(_adjusted(coarse, initial), dimension - count)
 
 
@@ -97,7 +96,6 @@ def _adjusted(problem: Problem, initial: Box3D | float | None) -> PoseEstimate:
     if not np.isfinite(result.energy[0]):
         raise DegenerateProblemError("keypoints", "no pose in front of the camera", "Check intrinsics, box and points.")
     best = result.hypotheses.matrices()
-    distinct = _distinct(best)
     return PoseEstimate(
         camera_T_object=best[0],
         coefficients=result.hypotheses.coefficients[0],
@@ -106,7 +104,7 @@ def _adjusted(problem: Problem, initial: Box3D | float | None) -> PoseEstimate:
         energy=float(result.energy[0]),
         alternatives=tuple(
             Alternative(best[i], result.hypotheses.coefficients[i], float(result.energy[i] - result.energy[0]))
-            for i in distinct[1:]
+            for i in distinct(best)[1:]
         ),
         history=_history(problem, result.path, result.path_weights),
     )
@@ -173,8 +171,8 @@ def turn_between(first: Array, second: Array) -> float:
     return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
-def _distinct(poses: Array) -> list[int]:
-    """Indices of poses that are not within `DISTINCT` of an earlier one."""
+def distinct(poses: Sequence[Array] | Array) -> list[int]:
+    """Indices of poses (4, 4) that are not within `DISTINCT` of an earlier one."""
     kept: list[int] = []
     for i, pose in enumerate(poses):
         if all(turn_between(poses[j], pose) > DISTINCT for j in kept):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +59,16 @@ class PoseEnergy:
             self.ground.add(total, h)
         coefficient_term(total, h)
         return total, weights
+
+    def truncated(self, dimension: int) -> PoseEnergy:
+        """The same energy of the first `dimension` coefficients alone, the others being zero."""
+        box, size = self.box, self.size
+        return replace(
+            self,
+            keypoints=replace(self.keypoints, basis=self.keypoints.basis[:dimension]),
+            box=None if box is None else replace(box, basis=box.basis[:dimension]),
+            size=None if size is None else replace(size, jacobian=size.jacobian[:, :dimension]),
+        )
 
     def energies(self, h: Hypotheses) -> dict[str, Array]:
         """Energy (H,) of each term at the hypotheses, nats."""
