@@ -21,15 +21,21 @@ ROOMS = {
     "solve": {"factors", "core", "io", "solve/vehicle", "solve/proposals", "solve/graph"},
     "perception/keypoints": {"core", "io"},
     "perception/vehicles": {"core", "perception/keypoints"},
-    "perception": {"factors", "core", "io", "solve", "perception/keypoints", "perception/vehicles"},
+    "perception": {
+        *("factors", "core", "io", "solve", "solve/proposals", "perception/keypoints", "perception/vehicles"),
+    },
     "": {"factors", "core", "io", "solve", "perception", "perception/vehicles"},  # the public face: fgrecon/__init__.py
     "simulation": {"factors", "core", "solve/vehicle"},
-    "viz": {"core", "io", "perception/keypoints"},
+    "viz": {"core", "io", "io/export", "perception/keypoints"},
     "evaluation": {"core", "io", "solve", "solve/vehicle", "solve/proposals", "perception", "perception/keypoints"},
+    "annotation": {
+        *("factors", "core", "io", "io/export", "solve", "solve/vehicle", "solve/proposals", "solve/graph"),
+        *("perception", "perception/keypoints"),
+    },
     "training/priors": {"core", "io", "solve/vehicle"},
     "training": {"factors", "training/priors"},
     "training/keypoints": {
-        *("factors", "core", "io", "io/annotations", "solve/vehicle", "simulation"),
+        *("factors", "core", "io", "io/annotations", "io/export", "solve/vehicle", "simulation"),
         *("perception/keypoints", "perception/vehicles", "training/priors"),
     },
     "paper": {
@@ -41,8 +47,8 @@ ROOMS = {
         *("perception/vehicles", "viz", "evaluation", "training/priors"),
     },
     "cli/training": {
-        *("core", "io", "io/annotations", "perception", "perception/keypoints", "training/priors"),
-        *("training/keypoints", "paper", "cli"),
+        *("core", "io", "io/annotations", "io/export", "perception", "perception/keypoints", "viz"),
+        *("annotation", "training/priors", "training/keypoints", "paper", "cli"),
     },
     "cli/paper": {"core", "io", "simulation", "viz", "evaluation", "training/priors", "paper", "cli"},
 }

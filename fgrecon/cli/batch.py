@@ -24,8 +24,6 @@ from fgrecon.io.json_fields import read_json
 from fgrecon.io.keypoint_file import Instance, parse_keypoints
 from fgrecon.io.kitti_calibration import read_calibration
 from fgrecon.io.track_file import parse_track
-from fgrecon.perception.from_image import reconstruct_detection
-from fgrecon.perception.keypoints.detect import Detection
 from fgrecon.solve.pipeline import reconstruct
 
 __all__ = ["CameraSource", "Outcome", "Settings", "Task", "check_any", "read_tasks", "run"]
@@ -122,14 +120,12 @@ class Task:
         camera: The camera that saw it.
         label_offset: (3,) where KITTI's label frame lies from the camera's (a labelled point is at X + offset), or
             None.
-        detection: What the networks found, where the keypoints are from an image.
         box_model: What its 2D box encloses, where that is not the run's setting.
     """
 
     instance: Instance
     camera: Camera
     label_offset: NDArray[np.float64] | None = None
-    detection: Detection | None = None
     box_model: BoxModel | None = None
 
     @property
@@ -210,10 +206,6 @@ def run(task: Task, settings: Settings) -> Outcome:
     if task.box_model is not None:
         options = replace(options, box=replace(options.box, model=task.box_model))
     try:
-        if task.detection is not None:
-            known = {"prior": settings.prior, "ground": settings.ground, "size_prior": settings.size_prior}
-            found = reconstruct_detection(task.detection, task.camera, options=options, **known)
-            return Outcome(task, found, None)
         result = reconstruct(
             instance.observation,
             task.camera,

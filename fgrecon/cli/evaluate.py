@@ -11,6 +11,7 @@ from fgrecon.cli.commands import add_command
 from fgrecon.cli.common import check_outputs
 from fgrecon.cli.deliver import Delivery
 from fgrecon.cli.evaluate_kitti import kitti_command
+from fgrecon.cli.evaluate_video import video_command
 from fgrecon.cli.options import JsonOption, LabelledScene, MarkdownOption, fitting_names
 from fgrecon.cli.progress import counting
 from fgrecon.cli.terminal import Terminal
@@ -124,3 +125,4 @@ def _in_words(size: SizePrior) -> str:
 
 add_command(app, "tracks", tracks_command)
 add_command(app, "kitti", kitti_command)
+add_command(app, "video", video_command)

@@ -72,6 +72,8 @@ def _instance(name: str, detection: CascadeDetection) -> dict[str, Any]:
         "box": None if seen.box is None else seen.box.tolist(),
         "visible": detection.visible.tolist(),
         "azimuth": detection.azimuth.tolist(),
+        "front_probability": detection.front_probability,
+        "left_probability": detection.left_probability,
     }
 
 

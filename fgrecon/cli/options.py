@@ -80,7 +80,12 @@ GroundOption = Annotated[
     typer.Option(metavar="NX,NY,NZ,D", help="Ground plane instead: normal pointing down, camera height in m."),
 ]
 WeightsOption = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Keypoint network.", show_default="the shipped one")
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Keypoint network; `photographs` is a shipped one that learnt from no image of KITTI.",
+        show_default="the shipped one",
+    ),
 ]
 JsonOption = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="Write the results as JSON; - for the output.")

@@ -96,7 +96,13 @@ def read_image_tasks(
     for item, detection in zip(named, found, strict=True):
         seen = detection.observation
         instance = Instance(
-            item.name, seen.keypoints, seen.confidence, seen.confidence_midpoint, seen.box, seen.covariance
+            item.name,
+            seen.keypoints,
+            seen.confidence,
+            seen.confidence_midpoint,
+            seen.box,
+            seen.covariance,
+            detection.azimuth,
         )
-        tasks.append(Task(instance, complete, offset, detection, item.model if box_model is None else box_model))
+        tasks.append(Task(instance, complete, offset, item.model if box_model is None else box_model))
     return tasks, warning

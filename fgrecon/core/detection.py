@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,12 +10,9 @@ from numpy.typing import NDArray
 from fgrecon.core.brief import brief_repr
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.observation import Observation
+from fgrecon.core.observation import Observation, as_directions
 
 __all__ = ["Detection"]
-
-_SUM = 1e-3
-"""By so much the sum of probabilities may be off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,9 +21,8 @@ class Detection:
 
     Attributes:
         observation: Keypoints, confidences, covariances and box, pixels of the image.
-        azimuth: (A,) probability of each direction from the vehicle to the camera: bin a is centred at 2 pi a / A,
-            0 ahead of the vehicle, pi / 2 to its left. It decides between poses that explain the keypoints alike. None
-            where the detector does not say.
+        azimuth: (A,) probability of each direction from the vehicle to the camera, as in `Observation`. None where the
+            detector does not say.
         visible: (K,) probability of each keypoint to be visible, wherever it is; or None.
     """
 
@@ -35,6 +31,29 @@ class Detection:
     visible: NDArray[np.float64] | None = None
 
     __repr__ = brief_repr
+
+    @property
+    def evidence(self) -> Observation:
+        """What a solver takes: the observation, which knows the directions as well."""
+        return self.observation if self.azimuth is None else replace(self.observation, azimuth=self.azimuth)
+
+    @property
+    def front_probability(self) -> float | None:
+        """How probably the camera is ahead of the vehicle, and not behind it; None where no directions are given."""
+        return self._towards(0.0)
+
+    @property
+    def left_probability(self) -> float | None:
+        """How probably the camera is to the vehicle's left, and not its right; None where no directions are given."""
+        return self._towards(np.pi / 2.0)
+
+    def _towards(self, direction: float) -> float | None:
+        """Probability of the half circle around a direction, radians; a bin on its border counts half."""
+        if self.azimuth is None:
+            return None
+        bins = 2.0 * np.pi * np.arange(len(self.azimuth)) / len(self.azimuth)
+        inside = np.round(np.cos(bins - direction), 9)
+        return float(self.azimuth @ (0.5 * (1.0 + np.sign(inside))))
 
     def __post_init__(self) -> None:
         """Check the arrays.
@@ -45,11 +64,7 @@ class Detection:
         if not isinstance(self.observation, Observation):
             raise InvalidInputError("detection.observation", self.observation, "Give an `fgrecon.Observation`.")
         if self.azimuth is not None:
-            azimuth = as_finite("detection.azimuth", self.azimuth, (None,))
-            if (azimuth < 0).any() or abs(azimuth.sum() - 1.0) > _SUM:
-                fix = "Give a probability for each direction, with the sum 1."
-                raise InvalidInputError("detection.azimuth", f"numbers of sum {azimuth.sum():g}", fix)
-            object.__setattr__(self, "azimuth", azimuth)
+            object.__setattr__(self, "azimuth", as_directions("detection.azimuth", self.azimuth))
         if self.visible is not None:
             visible = as_finite("detection.visible", self.visible, (len(self.observation.keypoints),))
             if ((visible < 0) | (visible > 1)).any():

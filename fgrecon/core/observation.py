@@ -5,13 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.brief import brief_repr
 from fgrecon.core.checks import as_finite, as_shape
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["Observation"]
+__all__ = ["Observation", "as_directions"]
+
+_SUM = 1e-3
+"""By so much the sum of probabilities may be off."""
 
 _LARGEST = 1e7
 """No image is larger, in pixels; beyond, squares of numbers soon overflow."""
@@ -28,6 +31,9 @@ class Observation:
         covariance: (K, 2, 2) covariance of each keypoint in square pixels, or None.
         confidence_midpoint: Confidence at which a point is as likely right as wrong: 0.5 where confidences are
             probabilities. Likelihood peaks of keypoint networks are underconfident; for them 0.1 to 0.3 do alike.
+        azimuth: (A,) probability of each direction from the vehicle to the camera: bin a is centred at 2 pi a / A,
+            0 ahead of the vehicle, pi / 2 to its left. It decides between poses that explain the keypoints alike. None
+            where nobody says.
     """
 
     keypoints: NDArray[np.float64]
@@ -35,6 +41,7 @@ class Observation:
     box: NDArray[np.float64] | None = None
     covariance: NDArray[np.float64] | None = None
     confidence_midpoint: float = 0.2
+    azimuth: NDArray[np.float64] | None = None
 
     __repr__ = brief_repr
 
@@ -43,7 +50,8 @@ class Observation:
 
         Raises:
             InvalidInputError: Wrong shapes, infinite pixels or such as no image has, confidences outside [0, 1], a box
-                of no size, a covariance that is not symmetric positive definite, or a midpoint outside (0, 1].
+                of no size, a covariance that is not symmetric positive definite, a midpoint outside (0, 1], or
+                directions that are no probabilities.
         """
         set_ = object.__setattr__
         keypoints = as_shape("keypoints", self.keypoints, (None, 2))
@@ -74,6 +82,8 @@ class Observation:
             covariance = as_shape("covariance", self.covariance, (len(keypoints), 2, 2))
             _check_covariances(covariance[~missing])
             set_(self, "covariance", np.where(missing[:, None, None], np.eye(2), covariance))
+        if self.azimuth is not None:
+            set_(self, "azimuth", as_directions("azimuth", self.azimuth))
 
     @classmethod
     def of(
@@ -83,6 +93,7 @@ class Observation:
         box: NDArray[np.float64] | None = None,
         covariance: NDArray[np.float64] | None = None,
         confidence_midpoint: float | None = None,
+        azimuth: NDArray[np.float64] | None = None,
     ) -> Observation:
         """An observation of which not everything is known.
 
@@ -94,7 +105,7 @@ class Observation:
         """
         midpoint = cls.confidence_midpoint if confidence_midpoint is None else confidence_midpoint
         trust = np.full(len(keypoints), midpoint) if confidence is None else confidence
-        return cls(keypoints, trust, box, covariance, midpoint)
+        return cls(keypoints, trust, box, covariance, midpoint, azimuth)
 
     @property
     def measured(self) -> NDArray[np.bool_]:
@@ -115,6 +126,19 @@ class Observation:
             return float(max(self.box[2] - self.box[0], self.box[3] - self.box[1]))
         points = self.keypoints[self.measured]
         return float(np.ptp(points, axis=0).max()) if len(points) else 0.0
+
+
+def as_directions(field: str, azimuth: ArrayLike) -> NDArray[np.float64]:
+    """(A,) probabilities of directions.
+
+    Raises:
+        InvalidInputError: They are no probabilities, or their sum is not 1; names the field.
+    """
+    probability = as_finite(field, azimuth, (None,))
+    if not len(probability) or (probability < 0).any() or abs(probability.sum() - 1.0) > _SUM:
+        fix = "Give a probability for each direction, with the sum 1."
+        raise InvalidInputError(field, f"numbers of sum {probability.sum():g}", fix)
+    return probability
 
 
 def _check_size(field: str, pixels: NDArray[np.float64]) -> None:

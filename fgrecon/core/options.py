@@ -179,6 +179,7 @@ class Options:
         "laplacian",
         "box",
         "ground",
+        "direction",
     )
 
     def __init__(

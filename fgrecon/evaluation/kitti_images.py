@@ -29,7 +29,17 @@ from fgrecon.io.kitti_files import Fault, Objects, read_detections, read_labels
 from fgrecon.perception.from_image import FromImage, reconstruct_image
 from fgrecon.perception.keypoints.detect import KeypointCascade
 
-__all__ = ["Car", "ImageFrame", "RegimeScore", "Setup", "document", "read_frames", "score_frame", "summarise"]
+__all__ = [
+    "Car",
+    "ImageFrame",
+    "RegimeScore",
+    "Setup",
+    "document",
+    "read_frames",
+    "reconstruct_boxes",
+    "score_frame",
+    "summarise",
+]
 
 Array = NDArray[np.float64]
 
@@ -179,20 +189,7 @@ def score_frame(frame: ImageFrame, setup: Setup) -> list[Car]:
     if frame.detections is not None:
         at = match_detections(labels.take(chosen), frame.detections, setup.overlap)
         boxes = [frame.detections.box[i] if i >= 0 else None for i in at]
-    limits = np.array([image.shape[1], image.shape[0]] * 2) - 1.0
-    given = [np.clip(box, 0.0, limits) for box in boxes if box is not None]
-    results = iter(
-        reconstruct_image(
-            image,
-            camera,
-            np.array(given).reshape(-1, 4),
-            keypoint_detector=setup.detector,
-            prior=setup.prior,
-            ground=setup.ground,
-            size_prior=setup.size_prior,
-            options=setup.options,
-        )
-    )
+    results = iter(reconstruct_boxes(image, camera, [box for box in boxes if box is not None], setup))
     cars = []
     for index, box in zip(chosen.tolist(), boxes, strict=True):
         found = None if box is None else next(results)
@@ -220,6 +217,23 @@ def score_frame(frame: ImageFrame, setup: Setup) -> list[Car]:
             )
         )
     return cars
+
+
+def reconstruct_boxes(
+    image: NDArray[np.uint8], camera: Camera, boxes: Sequence[Array], setup: Setup
+) -> list[FromImage]:
+    """What is found in the boxes (4,) of an image; their parts outside the image are cut off."""
+    limits = np.array([image.shape[1], image.shape[0]] * 2) - 1.0
+    return reconstruct_image(
+        image,
+        camera,
+        np.clip(np.reshape(boxes, (-1, 4)), 0.0, limits),
+        keypoint_detector=setup.detector,
+        prior=setup.prior,
+        ground=setup.ground,
+        size_prior=setup.size_prior,
+        options=setup.options,
+    )
 
 
 def summarise(cars: Sequence[Car]) -> tuple[RegimeScore, ...]:

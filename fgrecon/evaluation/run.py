@@ -9,12 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.camera import Camera
 from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error, translation_error
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.evaluation.methods import Estimate, Method, SceneKnowledge, Solver
 from fgrecon.io.track_file import Track, TrackFrame
 
-__all__ = ["FrameScore", "MethodScores", "score_tracks"]
+__all__ = ["FrameScore", "MethodScores", "score_pose", "score_tracks"]
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,7 @@ def score_tracks(
         frames = []
         for track in tracks:
             for frame in track.frames:
-                frames.append(_score(solver, track, frame))
+                frames.append(score_pose(solver, track.camera, frame, track.label_offset))
                 advance(method.name)
         scores.append(MethodScores(method.name, method.summary, method.prior_name(scene), tuple(frames)))
     return tuple(scores)
@@ -110,15 +111,23 @@ def _warm_up(solver: Solver, tracks: Sequence[Track]) -> None:
                 return
 
 
-def _score(solver: Solver, track: Track, frame: TrackFrame) -> FrameScore:
+def score_pose(solver: Solver, camera: Camera, frame: TrackFrame, label_offset: NDArray[np.float64]) -> FrameScore:
+    """Run a bound method on one frame and score it in the label's frame.
+
+    Args:
+        solver: The method.
+        camera: The camera.
+        frame: Keypoints and labelled pose.
+        label_offset: (3,) what the camera's frame adds to labelled points, metres.
+    """
     if frame.observation is None:
         return _failed(frame, "the frame has no measured keypoint")
     try:
-        estimate = _checked(solver(frame.observation, track.camera))
+        estimate = _checked(solver(frame.observation, camera))
     except Exception as error:  # noqa: BLE001 - a crash counts like a refusal: 180 degrees, named, never left out
         return _failed(frame, f"{type(error).__name__}: {error}")
     yaw = rotation_y(estimate.camera_T_object)
-    location = estimate.camera_T_object[:3, 3] - track.label_offset  # score in the label's frame
+    location = estimate.camera_T_object[:3, 3] - label_offset  # score in the label's frame
     return FrameScore(
         frame=frame.name,
         orientation_error=float(orientation_error([yaw], [frame.truth.rotation_y])[0]),

@@ -10,6 +10,8 @@ The file holds one instance, a list of instances, or an object with `instances` 
       "confidence_midpoint": 0.5,                          optional: where a point is as likely right as wrong
       "covariance": [[[uu, uv], [uv, vv]], ...],           optional, square pixels
       "box": [x1, y1, x2, y2],                             optional, pixels
+      "azimuth": [0.1, 0.7, ...],                          optional: probability of each direction it is seen from, the
+                                                           first from ahead, then evenly all around over its left
       "initial": rotation_y in radians, or                 optional
                  {"location": [x, y, z], "rotation_y": r, "size": [length, width, height]}
     }
@@ -50,6 +52,7 @@ _INSTANCE_FIELDS = {
     "confidence_midpoint",
     "covariance",
     "box",
+    "azimuth",
     "initial",
 } | _CAMERA_FIELDS
 _FILE_FIELDS = {"instances"} | _CAMERA_FIELDS
@@ -66,6 +69,7 @@ class Instance:
         confidence_midpoint: Confidence at which a point is as likely right as wrong, or None.
         box: (4,) x1, y1, x2, y2 in pixels, or None.
         covariance: (K, 2, 2) in square pixels, or None.
+        azimuth: (A,) probability of each direction that it is seen from, as in `Observation`, or None.
         initial: 3D box, or guess of rotation_y in radians, or None.
         camera: The camera that the file names for it, or None.
     """
@@ -76,6 +80,7 @@ class Instance:
     confidence_midpoint: float | None = None
     box: Array | None = None
     covariance: Array | None = None
+    azimuth: Array | None = None
     initial: Box3D | float | None = None
     camera: Camera | None = None
 
@@ -86,7 +91,9 @@ class Instance:
         Raises:
             InvalidInputError: A number cannot be used.
         """
-        return Observation.of(self.keypoints, self.confidence, self.box, self.covariance, self.confidence_midpoint)
+        return Observation.of(
+            self.keypoints, self.confidence, self.box, self.covariance, self.confidence_midpoint, self.azimuth
+        )
 
 
 @dataclass(frozen=True)
@@ -162,9 +169,16 @@ def _instance(fields: Fields, name: str, category: Category, camera: Camera | No
         confidence_midpoint=None if midpoint is None else float(midpoint),
         box=fields.numbers("box", (4,)) if "box" in fields else None,
         covariance=_per_keypoint(fields, "covariance", category, (2, 2)) if "covariance" in fields else None,
+        azimuth=_azimuth(fields),
         initial=_initial(fields) if "initial" in fields else None,
         camera=_camera(fields) or camera,
     )
+
+
+def _azimuth(fields: Fields) -> Array | None:
+    """(A,) probabilities of directions; null is none."""
+    given = fields.data.get("azimuth")
+    return None if given is None else fields.numbers("azimuth", (len(given) if isinstance(given, list) else 1,))
 
 
 def _keypoints(fields: Fields, category: Category) -> tuple[Array, Array | None]:

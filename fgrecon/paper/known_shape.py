@@ -24,10 +24,10 @@ from fgrecon.core.options import BoxModel, KeypointOptions, Options
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
+from fgrecon.evaluation.processes import single_threaded
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.files import write_bytes
 from fgrecon.paper.apollocar3d import MarkedCar, MarkedCars, marking_offsets
-from fgrecon.paper.simulated_run import single_threaded
 from fgrecon.paper.stages import solved_stages
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.vehicle.conditioning import given_size

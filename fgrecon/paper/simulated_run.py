@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from importlib import metadata
 from multiprocessing import get_context
@@ -17,6 +15,7 @@ import numpy as np
 
 from fgrecon.core.robust import StrategyName
 from fgrecon.evaluation.methods import SceneKnowledge
+from fgrecon.evaluation.processes import single_threaded
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.kitti_calibration import read_calibration
 from fgrecon.io.kitti_files import Fault, Objects, read_detections, read_image_set, read_labels
@@ -33,7 +32,6 @@ __all__ = [
     "Validation",
     "read_validation",
     "run_conditions",
-    "single_threaded",
     "vehicles_of",
 ]
 
@@ -249,19 +247,3 @@ def _part_digest(inputs: bytes, frames: Sequence[KittiFrame]) -> str:
         for array in arrays:
             digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()[:12]
-
-
-@contextmanager
-def single_threaded() -> Iterator[None]:
-    """Processes started inside use one thread each: the parallelism is between them."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value

@@ -17,11 +17,12 @@ from time import perf_counter
 from fgrecon.core.robust import StrategyName
 from fgrecon.evaluation import report
 from fgrecon.evaluation.methods import METHODS, SceneKnowledge, select
+from fgrecon.evaluation.processes import single_threaded
 from fgrecon.evaluation.run import MethodScores, score_tracks
 from fgrecon.io.track_file import Track
 from fgrecon.paper.network import NetworkScores, score_network
 from fgrecon.paper.simulated import Fleet, SimulatedInstance, simulate_frame
-from fgrecon.paper.simulated_run import Validation, single_threaded
+from fgrecon.paper.simulated_run import Validation
 from fgrecon.paper.simulated_scores import row_solvers
 from fgrecon.paper.tables import Table
 

@@ -1,10 +1,4 @@
-"""From detected keypoints to pose and shape, with the network's idea of the direction as a prior.
-
-Keypoints of a car seen from ahead and of one seen from behind can look much alike: both poses are minima of the pose
-stage's energy, and the wrong one may be a few nats lower. The network says from which direction it thinks that it sees
-the car; minus the logarithm of that probability is added to the energy of every pose that the search ended in, and
-where another one wins, the car is solved again from there.
-"""
+"""From an image to pose and shape: boxes, keypoints and directions by the networks, and a solve of every vehicle."""
 
 from __future__ import annotations
 
@@ -22,7 +16,7 @@ from fgrecon.core.checks import as_finite
 from fgrecon.core.detection import Detection
 from fgrecon.core.errors import AssumedCameraWarning, FgreconError
 from fgrecon.core.options import Options
-from fgrecon.core.reconstruction import Reconstruction, rotation_y
+from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.catalogue import load_prior
@@ -31,13 +25,11 @@ from fgrecon.perception.boxes import find_boxes
 from fgrecon.perception.keypoints.detect import as_rgb8, shipped_cascade
 from fgrecon.perception.protocols import KeypointDetector, VehicleDetector, find_keypoints
 from fgrecon.solve.pipeline import reconstruct
+from fgrecon.solve.proposals.direction import direction_penalty as penalty_of
 
 __all__ = ["FromImage", "direction_penalty", "reconstruct_detection", "reconstruct_image"]
 
 Array = NDArray[np.float64]
-
-_DOUBT = 0.05
-"""Probability that the network's direction means nothing: no direction costs more than its logarithm and a little."""
 
 
 @dataclass(frozen=True)
@@ -58,17 +50,8 @@ class FromImage:
 
 
 def direction_penalty(detection: Detection, camera_T_object: ArrayLike) -> float:
-    """What a pose costs by the detector's directions, nats: 0 for the most probable one, and where it gives none."""
-    if detection.azimuth is None:
-        return 0.0
-    pose = np.asarray(camera_T_object, dtype=np.float64)
-    x, _, z = -pose[:3, :3].T @ pose[:3, 3]
-    bins = len(detection.azimuth)
-    place = float(np.arctan2(z, x)) % (2.0 * np.pi) / (2.0 * np.pi) * bins
-    low, share = int(place) % bins, place % 1.0
-    probability = (1.0 - _DOUBT) * detection.azimuth + _DOUBT / bins
-    here = (1.0 - share) * probability[low] + share * probability[(low + 1) % bins]
-    return float(np.log(probability.max() / here))
+    """What a pose (4, 4) costs by the detector's directions, nats: 0 for the most probable one, and without any."""
+    return penalty_of(detection.azimuth, camera_T_object)
 
 
 def reconstruct_detection(
@@ -86,17 +69,7 @@ def reconstruct_detection(
         InvalidInputError: An argument cannot be used.
         DegenerateProblemError: The keypoints do not determine a pose.
     """
-    first = reconstruct(detection.observation, camera, options=options, **arguments)
-    if detection.azimuth is None:
-        return first
-    here = direction_penalty(detection, first.camera_T_object)
-    other = [(a.excess + direction_penalty(detection, a.camera_T_object), a) for a in first.alternatives]
-    better = min((pair for pair in other if pair[0] < here), key=lambda pair: pair[0], default=None)
-    if better is None:
-        return first
-    turn = rotation_y(better[1].camera_T_object)
-    second = reconstruct(detection.observation, camera, options=options, **{**arguments, "initial": turn})
-    return second if direction_penalty(detection, second.camera_T_object) < here else first
+    return reconstruct(detection.evidence, camera, options=options, **arguments)
 
 
 def reconstruct_image(

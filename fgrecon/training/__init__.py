@@ -1,4 +1,4 @@
-"""Learning shape priors and networks.
+"""TrainingSet shape priors and networks.
 
 Networks are trained by `fgrecon keypoints train`; see `fgrecon.training.keypoints`.
 """

@@ -80,6 +80,7 @@ ENERGY_COLOURS: dict[str, Colour] = {
     "laplacian": (0, 114, 178),
     "cheirality": (180, 40, 60),
     "offsets": (140, 86, 75),
+    "direction": (127, 127, 127),
 }
 """Colour of each named energy term; a term without one takes its turn in `energy_colour`."""
 

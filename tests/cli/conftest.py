@@ -1,4 +1,4 @@
-"""A made-up car with exact keypoints, as a keypoint file."""
+"""A made-up car with exact keypoints, as a keypoint file, and a network that has learnt nothing."""
 
 import json
 
@@ -47,3 +47,22 @@ def write(tmp_path):
         return file
 
     return write
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory):
+    """File of a network that has learnt nothing; torch has one thread meanwhile."""
+    torch = pytest.importorskip("torch")
+    from fgrecon.perception.keypoints.decode import ConfidenceCalibration
+    from fgrecon.perception.keypoints.knet import KNet, KNetSettings
+    from fgrecon.perception.keypoints.weights import Stored, save_weights
+
+    torch.manual_seed(0)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    sizes = KNetSettings(crop=32, width=8)
+    path = tmp_path_factory.mktemp("weights") / "w.safetensors"
+    yield save_weights(
+        path, Stored(KNet(sizes).state_dict(), sizes.to_dict(), ConfidenceCalibration(bias=1.0), {"data": "none"})
+    )
+    torch.set_num_threads(threads)

@@ -12,13 +12,9 @@ from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior, save_prior
 from fgrecon.io.images import write_png
-from fgrecon.perception.keypoints.decode import ConfidenceCalibration
-from fgrecon.perception.keypoints.weights import Stored, save_weights
 from fgrecon.viz import replay
 
-torch = pytest.importorskip("torch")
-
-from fgrecon.perception.keypoints.knet import KNet, KNetSettings  # noqa: E402
+pytest.importorskip("torch")
 
 CALIB = "P2: 700 0 80 40 0 700 50 0.2 0 0 1 0.002\n"
 LABEL = "0.00 0 1.5 20.0 20.0 110.0 80.0 1.5 1.6 4.0 0.1 1.6 15 1.5"
@@ -26,19 +22,6 @@ LABEL = "0.00 0 1.5 20.0 20.0 110.0 80.0 1.5 1.6 4.0 0.1 1.6 15 1.5"
 
 def run(*arguments):
     return CliRunner().invoke(main.app, [str(argument) for argument in arguments])
-
-
-@pytest.fixture(scope="module")
-def weights(tmp_path_factory):
-    torch.manual_seed(0)
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    sizes = KNetSettings(crop=32, width=8)
-    path = tmp_path_factory.mktemp("weights") / "w.safetensors"
-    yield save_weights(
-        path, Stored(KNet(sizes).state_dict(), sizes.to_dict(), ConfidenceCalibration(bias=1.0), {"data": "none"})
-    )
-    torch.set_num_threads(threads)
 
 
 @pytest.fixture

@@ -10,10 +10,12 @@ from typer.testing import CliRunner
 from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_category
+from fgrecon.io.export import read_coco_keypoints, write_coco_keypoints
 from fgrecon.io.keypoint_file import parse_keypoints
 from fgrecon.io.track_file import parse_track
 from tests.conftest import REPOSITORY
 from tests.docs.pages import blocks
+from tests.io.test_coco_keypoints import make_labels
 
 SCHEMAS = {path.name.partition(".")[0]: path for path in (REPOSITORY / "docs/schemas").glob("*.json")}
 EXAMPLE = blocks((REPOSITORY / "docs/formats.md").read_text(encoding="utf-8"), "json")[0]
@@ -94,3 +96,21 @@ def test_a_track_without_a_field_is_refused_by_both(content, field):
         parse_track(content, "made-up", load_category("car14"))
     with pytest.raises(ValidationError):
         check("track", content)
+
+
+@pytest.mark.parametrize("meshes", [False, True])
+def test_keypoint_labels(tmp_path, meshes):
+    file = write_coco_keypoints(tmp_path / "labels.json", make_labels(tmp_path), meshes=meshes)
+    check("keypoint_labels", json.loads(file.read_text(encoding="utf-8")))
+
+
+@pytest.mark.parametrize("field", ["bbox", "keypoints", "keypoint_covariance", "track_id", "cuboid", "agreement"])
+def test_labels_without_a_field_are_refused_by_both(tmp_path, field):
+    file = write_coco_keypoints(tmp_path / "labels.json", make_labels(tmp_path))
+    content = json.loads(file.read_text(encoding="utf-8"))
+    del content["annotations"][1][field]
+    file.write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(InvalidInputError):
+        read_coco_keypoints(file)
+    with pytest.raises(ValidationError):
+        check("keypoint_labels", content)

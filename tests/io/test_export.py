@@ -13,6 +13,7 @@ import pytest
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Status
 from fgrecon.io.export import FORMATS, NamedResult, export, read_results
+from fgrecon.io.export.files import export_rows
 from fgrecon.io.kitti_files import parse_objects
 from tests.viz.made_up import make_example
 
@@ -132,6 +133,18 @@ def test_nothing_to_write_is_refused(kind, refused, tmp_path):
 def test_other_endings_are_refused(cars, tmp_path, name):
     with pytest.raises(InvalidInputError, match="ply, glb, csv, parquet, txt"):
         export(tmp_path / name, cars)
+
+
+def test_rows_of_any_kind_as_tables(tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    rows = [{"name": "a", "metres": 0.1}, {"name": "b, c", "metres": None}]
+    assert export_rows(tmp_path / "r.csv", rows).read_text() == 'name,metres\na,0.1\n"b, c",\n'
+    assert parquet.read_table(export_rows(tmp_path / "r.parquet", rows)).to_pylist() == rows
+    with pytest.raises(InvalidInputError, match="csv, parquet"):
+        export_rows(tmp_path / "r.ply", rows)
+    with pytest.raises(InvalidInputError, match="rows"):
+        export_rows(tmp_path / "none.csv", [])
+    assert len(list(tmp_path.iterdir())) == 2
 
 
 def test_results_are_read_from_every_file_that_fgrecon_writes(cars, tmp_path):

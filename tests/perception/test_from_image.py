@@ -1,7 +1,6 @@
 """From detections to cars: the network's direction decides between poses that explain the keypoints alike."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,12 +9,12 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.metrics import orientation_error
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
-from fgrecon.core.reconstruction import Alternative
+from fgrecon.core.reconstruction import rotation_y
 from fgrecon.io.catalogue import load_prior
-from fgrecon.perception import from_image
 from fgrecon.perception.from_image import direction_penalty, reconstruct_detection
 from fgrecon.perception.keypoints.crops import crop_of
 from fgrecon.perception.keypoints.detect import CascadeDetection
+from fgrecon.solve.track import reconstruct_track
 
 CAMERA = Camera.of([700.0, 700.0, 600.0, 180.0])
 FAST = Options(keep_history=False, box="off")
@@ -65,21 +64,39 @@ def test_clear_keypoints_give_the_pose_whatever_the_direction():
         assert orientation_error([result.rotation_y], [0.8])[0] < 5.0
 
 
-@pytest.mark.parametrize(
-    ("excess", "seen_behind", "turned"), [(1.0, True, True), (1.0, False, False), (50.0, True, False)]
-)
-def test_the_direction_decides_between_poses_that_explain_the_keypoints_alike(monkeypatch, excess, seen_behind, turned):
-    ahead, behind = pose_at(np.pi / 2), pose_at(-np.pi / 2)
-    calls = []
+def torn(turn):
+    """A car whose keypoints are half those of a pose and half those of the same pose turned round."""
+    ahead, behind = pose_at(turn), pose_at(turn + np.pi)
+    whole, other = (detection(pose, np.full(14, 0.9), azimuth_of(pose)) for pose in (ahead, behind))
+    first = np.isin(np.arange(14), [0, 1, 4, 5, 10, 11, 8])
+    pixels = np.where(first[:, None], whole.observation.keypoints, other.observation.keypoints)
+    vague = np.broadcast_to(60.0 * np.eye(2), (14, 2, 2))
+    return replace(whole, observation=replace(whole.observation, keypoints=pixels, covariance=vague)), ahead, behind
 
-    def stub(keypoints, camera, *, initial=None, **_):
-        calls.append(initial)
-        if initial is None:
-            return SimpleNamespace(camera_T_object=ahead, alternatives=(Alternative(behind, np.zeros(5), excess),))
-        return SimpleNamespace(camera_T_object=behind, alternatives=())
 
-    monkeypatch.setattr(from_image, "reconstruct", stub)
-    found = detection(ahead, np.full(14, 0.5), azimuth_of(behind if seen_behind else ahead))
-    result = reconstruct_detection(found, CAMERA)
-    assert (result.camera_T_object is behind) == turned
-    assert calls == ([None, pytest.approx(-np.pi / 2)] if turned else [None])
+@pytest.mark.parametrize("turn", [1.8, 2.2, 2.6])
+def test_the_direction_decides_between_poses_that_explain_the_keypoints_alike(turn):
+    seen, ahead, behind = torn(turn)
+    for pose in (ahead, behind):
+        told = replace(seen, azimuth=seen_from(azimuth_of(pose)))
+        result = reconstruct_detection(told, CAMERA, options=FAST)
+        assert orientation_error([result.rotation_y], [rotation_y(pose)])[0] < 30.0
+        assert result.energies["direction"] < 0.7
+        assert result.energies["direction"] == pytest.approx(direction_penalty(told, result.camera_T_object))
+    off = replace(FAST, disabled_terms=[*FAST.disabled_terms, "direction"])
+    ends = [
+        reconstruct_detection(replace(seen, azimuth=seen_from(azimuth_of(pose))), CAMERA, options=off)
+        for pose in (ahead, behind)
+    ]
+    np.testing.assert_array_equal(ends[0].camera_T_object, ends[1].camera_T_object)
+    assert "direction" not in ends[0].energies
+
+
+def test_in_a_track_the_directions_of_all_images_count():
+    seen, ahead, behind = torn(1.8)
+    for pose in (ahead, behind):
+        told = replace(seen, azimuth=seen_from(azimuth_of(pose)))
+        unsure = replace(seen, azimuth=np.full(36, 1 / 36))
+        track = reconstruct_track([told.evidence, unsure.evidence, told.evidence], CAMERA, options=FAST)
+        turns = [frame.rotation_y for frame in track.frames]
+        assert orientation_error(turns, [rotation_y(pose)] * 3).max() < 30.0

@@ -10,6 +10,7 @@ from fgrecon.perception.keypoints.weights import Stored, load_weights, save_weig
 
 torch = pytest.importorskip("torch")
 
+from fgrecon.perception.keypoints.fold import refinement_on_torch  # noqa: E402
 from fgrecon.perception.keypoints.knet import KNet, KNetSettings  # noqa: E402
 from fgrecon.perception.keypoints.refine import (  # noqa: E402
     PATCH,
@@ -35,15 +36,15 @@ class OneView:
     def __init__(self):
         self.view = made_up_view(np.random.default_rng(0))
 
-    def draw(self, chosen, weights, street, partner, seed):
+    def draw(self, street, partner, seed):
         return street.sample(self.view, lambda _: self.view, partner, np.random.default_rng(list(seed)))
 
 
 class PartlyKnown(OneView):
     """Photographs in which only the first keypoint's place is known."""
 
-    def draw(self, chosen, weights, street, partner, seed):
-        sample = super().draw(chosen, weights, street, partner, seed)
+    def draw(self, street, partner, seed):
+        sample = super().draw(street, partner, seed)
         sample.keypoints[1:] = np.nan
         return sample
 
@@ -52,7 +53,7 @@ def test_keypoints_of_unknown_place_teach_nothing(tmp_path):
     torch.manual_seed(0)
     how = RefineTraining(steps=3, batch=2, network=SMALL, street=Street(size=64), average=0.0)
     begun = RefineNet(SMALL).state_dict()
-    trained = train_refinement(PartlyKnown(), np.arange(1), np.ones(1), MIRROR, tmp_path / "a.pt", how, start=begun)
+    trained = train_refinement(PartlyKnown(), MIRROR, tmp_path / "a.pt", how, start=begun)
     weight, before = trained.head.weight.detach().reshape(14, -1), begun["head.weight"].reshape(14, -1)
     assert torch.isfinite(weight).all()
     moved = (weight / before - 1.0).abs().amax(dim=1)
@@ -74,13 +75,14 @@ def test_what_patches_agree_on_is_found_between_pixels():
     rng = np.random.default_rng(0)
     truth = rng.uniform(50, 80, (2, 14, 2))
     centres = np.rint(truth + rng.normal(0, 3, truth.shape)).astype(np.int64)
-    corners = centres[:, None] + patch_offsets(4, 14) - PATCH // 2
+    offsets = patch_offsets(4, 14)
+    corners = centres[:, None] + offsets - PATCH // 2
     span = np.arange(PATCH)
     x, y = corners[..., 0, None] + span, corners[..., 1, None] + span
     u, v = truth[:, None, :, 0, None], truth[:, None, :, 1, None]
     logs = -(((y - v) ** 2)[..., :, None] + ((x - u) ** 2)[..., None, :]) / (2 * 1.5**2)
     flat = np.zeros((2, 14, 48, 48))
-    joint, origin = fuse(logs, corners, centres, flat, 1.0)
+    joint, origin = fuse(logs, offsets, centres, flat, 1.0)
     np.testing.assert_allclose(joint.sum(axis=(2, 3)), 1.0)
     np.testing.assert_allclose(decode(joint, 1.0, 10.0).points + origin, truth, atol=0.1)
 
@@ -94,20 +96,35 @@ def test_the_window_of_knets_map_lies_where_it_should():
     np.testing.assert_allclose([column + 110 - 24, row + 75 - 24], [111.4, 74.7], atol=1.0)
 
 
+def test_a_window_beyond_the_border_repeats_it_on_maps_of_any_size():
+    rng = np.random.default_rng(0)
+    for side in (6, 16, 48):
+        maps = rng.random((2, 3, side, side))
+        centres = rng.integers(-5, 180, (2, 3, 2))
+        window = window_of(maps, centres, 176)
+        # The plain way, a pixel at a time.
+        for b, k, v, u in [(0, 0, 0, 0), (0, 1, 47, 0), (1, 2, 20, 30), (1, 0, 47, 47), (0, 2, 0, 47)]:
+            x, y = np.clip((centres[b, k] + [u - 24, v - 24] + 0.5) * side / 176 - 0.5, 0, side - 1)
+            c, r = (min(int(place), side - 2) for place in (x, y))
+            four, (p, q) = np.log(maps[b, k, r : r + 2, c : c + 2] + 1e-7), (x - c, y - r)
+            assert window[b, k, v, u] == pytest.approx(np.array([1 - q, q]) @ four @ np.array([1 - p, p]))
+
+
 def test_each_keypoint_has_a_network_of_its_own():
     torch.manual_seed(0)
     network = RefineNet(SMALL).eval()
     patches = np.random.default_rng(0).integers(0, 255, (1, 1, 14, 3, PATCH, PATCH)).astype(np.uint8)
-    before = run_networks(network, patches)
+    runner = refinement_on_torch(network, "cpu")
+    before = run_networks(runner, patches)
     np.testing.assert_allclose(np.exp(before).sum(axis=(-1, -2)), 1.0, atol=1e-5)
     patches[0, 0, 3] = 0
-    changed = np.abs(run_networks(network, patches) - before).max(axis=(-1, -2))[0, 0] > 1e-6
+    changed = np.abs(run_networks(runner, patches) - before).max(axis=(-1, -2))[0, 0] > 1e-6
     assert changed.nonzero()[0].tolist() == [3]
 
 
 def test_training_resumes(tmp_path):
     how = RefineTraining(steps=2, batch=2, network=SMALL, save_every=1, street=Street(size=64))
-    arguments = (OneView(), np.arange(1), np.ones(1), MIRROR)
+    arguments = (OneView(), MIRROR)
     reports = []
     whole = train_refinement(*arguments, tmp_path / "a.pt", how, report=reports.append)
     train_refinement(*arguments, tmp_path / "b.pt", RefineTraining(**{**how.__dict__, "steps": 1, "decay": 0.0}))

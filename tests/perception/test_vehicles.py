@@ -1,5 +1,6 @@
 """The car detector: decoding and suppression by hand, the shipped file at work."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -9,6 +10,7 @@ from fgrecon.evaluation.kitti_overlap import box_overlap
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_files import Objects, read_labels
+from fgrecon.perception.keypoints import sessions
 from fgrecon.perception.vehicles.detect import YoloVehicleDetector, decode, shipped, suppress
 from fgrecon.simulation.demo import demo_scene
 
@@ -101,11 +103,42 @@ def test_kinds_of_images(detector):
     assert len(detector(image, least_score=1.0)) == 0
 
 
-def test_files_that_hold_no_network(tmp_path):
+@pytest.mark.parametrize("runtime", ["opencv", "onnx"])
+def test_files_that_hold_no_network(tmp_path, runtime):
+    if runtime == "onnx":
+        pytest.importorskip("onnxruntime")
     (tmp_path / "text.onnx").write_text("text")
-    for path in (tmp_path / "absent.onnx", tmp_path / "text.onnx"):
+    for path in (tmp_path / "absent.onnx", tmp_path / "text.onnx", tmp_path):
         with pytest.raises(InvalidInputError, match="weights"):
-            YoloVehicleDetector(path)
+            YoloVehicleDetector(path, runtime=runtime)
+
+
+@pytest.mark.parametrize("size", [(320, 960), (97, 61)])
+def test_boxes_are_the_same_on_every_runtime(size):
+    pytest.importorskip("onnxruntime", reason="the extra fgrecon[onnx] is not installed")
+    detectors = [YoloVehicleDetector(runtime=runtime) for runtime in ("opencv", "onnx")]
+    assert [detector.runtime for detector in detectors] == ["opencv", "onnx"]
+    picture = demo_scene(load_prior("car14"), 6).picture.image
+    for image in (picture, cv2.resize(picture, size[::-1])):
+        first, second = (detector(image, least_score=0.02) for detector in detectors)
+        assert len(first) > 0
+        np.testing.assert_allclose(second.boxes, first.boxes, atol=0.01)
+        np.testing.assert_allclose(second.scores, first.scores, atol=1e-4)
+
+
+def test_without_onnx_runtime_the_detector_runs_on_opencv(monkeypatch):
+    monkeypatch.setattr(sessions, "find_spec", lambda name: None)
+    assert YoloVehicleDetector().runtime == "opencv"
+    with pytest.raises(InvalidInputError, match=r"runtime.*fgrecon\[onnx\]"):
+        YoloVehicleDetector(runtime="onnx")
+
+
+def test_no_more_threads_than_opencv_has(monkeypatch):
+    pytest.importorskip("onnxruntime")
+    asked = []
+    monkeypatch.setattr("fgrecon.perception.vehicles.detect.open_session", lambda model, threads: asked.append(threads))
+    YoloVehicleDetector(runtime="onnx")
+    assert asked == [cv2.getNumThreads()]
 
 
 def test_cars_of_real_streets_are_found(detector, data):

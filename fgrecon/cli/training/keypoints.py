@@ -115,12 +115,20 @@ class BeginningOptions:
         Path | None,
         typer.Option(metavar="FILE", help="Keypoints marked by hand in photographs that are learnt from (JSON)."),
     ] = None
+    street: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Street cars beside the photographs: what `fgrecon keypoints label` wrote."),
+    ] = None
+    street_share: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of the samples that show those.")] = 0.5
+    without: Annotated[
+        str, typer.Option(metavar="DRIVE,...", help="Drives whose cars are not learnt from: what is scored on them.")
+    ] = ""
 
     def beginning(self) -> Beginning:
         """The same for the training."""
         from fgrecon.training.keypoints.networks import Beginning
 
-        return Beginning(**vars(self))
+        return Beginning(**{**vars(self), "without": tuple(name for name in self.without.split(",") if name)})
 
 
 @dataclass(frozen=True)
@@ -132,7 +140,13 @@ class PlanOptions:
     relabel_at: Annotated[str, typer.Option(metavar="N,N,...", help="Steps at which to correct the labels.")] = (
         "650,2050,3450"
     )
-    refine_steps: Annotated[int, typer.Option(help="Gradient steps of the refinement networks; 0 for none.")] = 7000
+    refine_steps: Annotated[int, typer.Option(help="Gradient steps of the refinement networks; 0 for none more.")] = (
+        7000
+    )
+    rate: Annotated[float, typer.Option(min=0.0, help="KNet's learning rate; lower to go on from a network.")] = 1e-3
+    decay: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of the steps over which it falls to zero.")] = (
+        0.25
+    )
     seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0
     device: Annotated[str, typer.Option(help="cpu or cuda; mixed precision on a GPU.")] = "cpu"
     workers: Annotated[int, typer.Option(help="Processes that make samples.")] = 1

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.export.kitti import kitti_text
 from fgrecon.io.export.mesh import glb_bytes, ply_bytes
 from fgrecon.io.export.results import NamedResult
-from fgrecon.io.export.table import csv_text, parquet_bytes
+from fgrecon.io.export.table import csv_of_rows, csv_text, parquet_bytes, parquet_of_rows
 from fgrecon.io.files import check_ending, write_bytes
 
-__all__ = ["FORMATS", "check_format", "export"]
+__all__ = ["FORMATS", "TABLE_FORMATS", "check_format", "export", "export_rows"]
 
 _WRITERS: dict[str, Callable[[Sequence[NamedResult]], bytes]] = {
     "ply": ply_bytes,
@@ -24,6 +25,14 @@ _WRITERS: dict[str, Callable[[Sequence[NamedResult]], bytes]] = {
 
 FORMATS = tuple(_WRITERS)
 """File types that `export` writes, by the ending of the name."""
+
+_TABLES: dict[str, Callable[[Sequence[Mapping[str, Any]]], bytes]] = {
+    "csv": lambda rows: csv_of_rows(rows).encode(),
+    "parquet": parquet_of_rows,
+}
+
+TABLE_FORMATS = tuple(_TABLES)
+"""Those of them that are tables, which `export_rows` writes."""
 
 
 def check_format(path: str | Path) -> str:
@@ -53,3 +62,15 @@ def export(path: str | Path, results: Sequence[NamedResult]) -> Path:
     if not results:
         raise InvalidInputError("results", "none", "Give at least one reconstructed vehicle.")
     return write_bytes(path, _WRITERS[kind](results))
+
+
+def export_rows(path: str | Path, rows: Sequence[Mapping[str, Any]]) -> Path:
+    """Write rows with the same columns as a table, whole or not at all; `.csv` or `.parquet` by the ending.
+
+    Raises:
+        InvalidInputError: Another ending, the file cannot be written, or there is no row.
+    """
+    kind = check_ending(path, TABLE_FORMATS)
+    if not rows:
+        raise InvalidInputError("rows", "none", "Give at least one.")
+    return write_bytes(path, _TABLES[kind](rows))

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.table import as_arrow
 from fgrecon.io.export.results import NamedResult
 
-__all__ = ["csv_text", "parquet_bytes"]
+__all__ = ["csv_of_rows", "csv_text", "parquet_bytes", "parquet_of_rows"]
 
 
 def csv_text(results: Sequence[NamedResult]) -> str:
@@ -25,6 +26,11 @@ def csv_text(results: Sequence[NamedResult]) -> str:
     rows = [item.result.to_row(item.name) for item in results]
     if any(list(row) != list(rows[0]) for row in rows):
         raise InvalidInputError("results", "of different priors", "Write a table for each, or Parquet.")
+    return csv_of_rows(rows)
+
+
+def csv_of_rows(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Comma-separated values of rows, of which there is one at least and which have the same columns."""
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
     writer.writeheader()
@@ -40,8 +46,13 @@ def parquet_bytes(results: Sequence[NamedResult]) -> bytes:
     translation (largest axis, metres), empty where not determined. Lists: camera_T_object (16), coefficients, keypoint
     names, wireframe (3 per keypoint), wireframe_uv (2 per keypoint), weights, visibility.
     """
+    return parquet_of_rows([item.result.to_row(item.name, flat=False) for item in results])
+
+
+def parquet_of_rows(rows: Sequence[Mapping[str, Any]]) -> bytes:
+    """Parquet of rows with the same columns."""
     import pyarrow.parquet as pq
 
     sink = io.BytesIO()
-    pq.write_table(as_arrow([item.result.to_row(item.name, flat=False) for item in results]), sink)
+    pq.write_table(as_arrow(rows), sink)
     return sink.getvalue()

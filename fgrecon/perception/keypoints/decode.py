@@ -8,12 +8,14 @@ from dataclasses import asdict, dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ConfidenceCalibration", "Decoded", "decode", "log_softmax", "logit", "sigmoid", "softmax"]
+__all__ = ["ConfidenceCalibration", "Decoded", "decode", "log_softmax", "logit", "peak", "sigmoid", "softmax"]
 
 Array = NDArray[np.float64]
 
 _WINDOW = 3  # cells around the peak over which position and covariance are taken
 _TINY = 1e-6
+_SHARPNESS = 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.15, 1.3, 1.5, 1.75, 2.0
+_DOUBTS = 0.0, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.06, 0.08, 0.12
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,8 @@ class ConfidenceCalibration:
         scale: Factor of the likelihood's standard deviations.
         floor: Standard deviation per axis that is added in quadrature, as a fraction of the box's longer side: what
             a likelihood cannot know, such as how annotators see a keypoint.
+        sharpness: Power to which the directions' probabilities are raised: below 1 where the network is too sure.
+        doubt: Probability that its direction means nothing.
     """
 
     bias: float = 0.0
@@ -54,6 +58,8 @@ class ConfidenceCalibration:
     product: float = 0.0
     scale: float = 1.0
     floor: float = 0.0
+    sharpness: float = 1.0
+    doubt: float = 0.0
 
     def confidence(self, visible: Array, mass: Array) -> Array:
         """(B, K) confidences in (0, 1) from visibility logits and masses (B, K)."""
@@ -105,14 +111,40 @@ class ConfidenceCalibration:
                     best, least = (scale, floor), cost
         return replace(self, scale=best[0], floor=best[1])
 
+    def direction(self, azimuth: Array) -> Array:
+        """(B, A) probabilities of the directions from what the network says of them (B, A)."""
+        if self.sharpness == 1.0 and self.doubt == 0.0:
+            return azimuth
+        power = np.clip(azimuth, _TINY**2, None) ** self.sharpness
+        probability: Array = (1.0 - self.doubt) * power / power.sum(axis=1, keepdims=True) + self.doubt / power.shape[1]
+        return probability
+
+    def with_direction(self, azimuth: Array, truth: Array) -> ConfidenceCalibration:
+        """The sharpness and doubt under which the true sides are most probable: the half circle around the truth.
+
+        The probability of the very direction would not do: what a network is trained on is smeared over some bins.
+
+        Args:
+            azimuth: (M, A) probabilities of the directions as the network says them.
+            truth: (M,) true directions, radians.
+        """
+        if not len(truth):
+            return self
+        centres = 2.0 * np.pi * np.arange(azimuth.shape[1]) / azimuth.shape[1]
+        side = 0.5 * (1.0 + np.sign(np.round(np.cos(centres - truth[:, None]), 9)))  # a bin on the border counts half
+        tried = [replace(self, sharpness=power, doubt=doubt) for power in _SHARPNESS for doubt in _DOUBTS]
+        cost = [-float(np.log((one.direction(azimuth) * side).sum(axis=1) + _TINY).mean()) for one in tried]
+        return tried[int(np.argmin(cost))]
+
     def to_dict(self) -> dict[str, float]:
         """Plain numbers for a file."""
         return asdict(self)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, float]) -> ConfidenceCalibration:
-        """The reverse of `to_dict`."""
-        return cls(**{field.name: float(data[field.name]) for field in fields(cls)})
+        """The reverse of `to_dict`; files of the first release have no `sharpness` and no `doubt`."""
+        later = "sharpness", "doubt"
+        return cls(**{f.name: float(data[f.name]) for f in fields(cls) if f.name in data or f.name not in later})
 
 
 def logit(probability: Array) -> Array:
@@ -142,23 +174,33 @@ def softmax(logits: NDArray[np.floating]) -> Array:
 
 
 def decode(likelihood: Array, stride: float, reach: float) -> Decoded:
-    """Position, spread and mass of likelihood maps.
-
-    The position is the mean of the likelihood in a window around the peak of the smoothed map (3 x 3 mean: a peak
-    split between two cells counts as one).
+    """Position, spread and mass of likelihood maps; position and spread as from `peak`.
 
     Args:
         likelihood: (B, K, H, W), each map sums to one.
         stride: Pixels of the crop per cell; the centre of cell i is at (i + 0.5) * stride - 0.5.
         reach: Radius in pixels of the crop within which the mass is counted.
     """
+    cell, covariance = peak(likelihood)
+    x, y = cell[..., 0, None], cell[..., 1, None]
+    height, width = likelihood.shape[2:]
+    distance = ((np.arange(height) - y) ** 2)[..., :, None] + ((np.arange(width) - x) ** 2)[..., None, :]
+    mass = np.where(distance <= (reach / stride) ** 2, likelihood, 0.0).sum(axis=(2, 3))
+    return Decoded((cell + 0.5) * stride - 0.5, covariance * stride**2, np.minimum(mass, 1.0))
+
+
+def peak(likelihood: Array) -> tuple[Array, Array]:
+    """Positions (B, K, 2) and covariances (B, K, 2, 2) of likelihood maps (B, K, H, W), in cells.
+
+    The position is the mean of the likelihood in a window around the peak of the smoothed map (3 x 3 mean: a peak
+    split between two cells counts as one).
+    """
     batch, count, height, width = likelihood.shape
     flat = likelihood.reshape(batch * count, height, width)
     padded = np.pad(flat, ((0, 0), (1, 1), (1, 1)))
     rows = padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]
     smooth = rows[..., :-2] + rows[..., 1:-1] + rows[..., 2:]
-    peak = smooth.reshape(len(flat), -1).argmax(axis=1)
-    r0, c0 = np.divmod(peak, width)
+    r0, c0 = np.divmod(smooth.reshape(len(flat), -1).argmax(axis=1), width)
     span = np.arange(-_WINDOW, _WINDOW + 1)
     r, c = r0[:, None, None] + span[:, None], c0[:, None, None] + span
     inside = (r >= 0) & (r < height) & (c >= 0) & (c < width)
@@ -171,10 +213,5 @@ def decode(likelihood: Array, stride: float, reach: float) -> Decoded:
     # A cell's own extent has the variance 1/12; it is part of what is not known.
     xx, yy = ((share * d * d).sum(axis=(1, 2)) + 1.0 / 12.0 for d in (dx, dy))
     xy = (share * dx * dy).sum(axis=(1, 2))
-    covariance = np.stack([np.stack([xx, xy], axis=-1), np.stack([xy, yy], axis=-1)], axis=-2) * stride**2
-    points = (np.stack([x, y], axis=-1) + 0.5) * stride - 0.5
-    row, column = np.mgrid[:height, :width]
-    distance = (row - y[:, None, None]) ** 2 + (column - x[:, None, None]) ** 2
-    mass = np.where(distance <= (reach / stride) ** 2, flat, 0.0).sum(axis=(1, 2))
-    shape = (batch, count)
-    return Decoded(points.reshape(*shape, 2), covariance.reshape(*shape, 2, 2), np.minimum(mass, 1.0).reshape(shape))
+    covariance = np.stack([np.stack([xx, xy], axis=-1), np.stack([xy, yy], axis=-1)], axis=-2)
+    return np.stack([x, y], axis=-1).reshape(batch, count, 2), covariance.reshape(batch, count, 2, 2)

@@ -18,8 +18,9 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.renamed import renamed
 from fgrecon.io.catalogue import load_category
 from fgrecon.perception.keypoints.crops import MARGIN, Crop, crop_of, extract
-from fgrecon.perception.keypoints.decode import ConfidenceCalibration, Decoded, decode, softmax
-from fgrecon.perception.keypoints.weights import load_weights, shipped
+from fgrecon.perception.keypoints.decode import ConfidenceCalibration, Decoded, decode, peak, softmax
+from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, open_session
+from fgrecon.perception.keypoints.weights import WITHOUT_STREET, load_weights, shipped
 
 __all__ = [
     "REACH",
@@ -78,52 +79,88 @@ class KeypointCascade:
         category: Name of the category whose keypoints they find.
         calibration: From their outputs to confidences and covariances.
         provenance: Learnt from what (plain strings).
+        runtime: What runs them: "torch" or "onnx". Points are the same to 1e-4 pixels.
     """
 
     def __init__(
-        self, weights: str | Path | None = None, *, refine: bool = True, mirror: bool = True, device: str = "cpu"
+        self,
+        weights: str | Path | None = None,
+        *,
+        refine: bool = True,
+        mirror: bool = True,
+        device: str = "cpu",
+        runtime: str = "auto",
     ) -> None:
         """Load a network.
 
         Args:
-            weights: File; None for the one that comes with the package.
+            weights: File, or `photographs` for the shipped network that has learnt from no image of KITTI; None for the
+                one that is shipped for general use.
             refine: Whether the refinement networks follow KNet, where the file has them.
             mirror: Whether KNet also looks at the mirror image, and the mean of both counts.
             device: Torch's name of the device.
+            runtime: What runs the networks: "torch"; "onnx", which is ONNX Runtime on the CPU, with as many threads as
+                torch has now; or "auto", "onnx" where it is installed.
 
         Raises:
-            InvalidInputError: There is no such file, or it holds no network.
+            InvalidInputError: There is no such file, it holds no network, or the runtime is not installed.
         """
-        import torch
-
+        from fgrecon.perception.keypoints.fold import folded
         from fgrecon.perception.keypoints.knet import KNet, KNetSettings
 
-        path = shipped() if weights is None else Path(weights)
+        named = None if weights is None else str(weights)
+        path = shipped(named) if named in (None, WITHOUT_STREET) else Path(str(named))
         stored = load_weights(path)
         self.provenance = dict(stored.provenance)
         self.calibration: ConfidenceCalibration = stored.calibration
         self.device = device
+        self.runtime = chosen_runtime(runtime, "torch", packages=("onnx", "onnxruntime"), able=device == "cpu")
         self.mirror = mirror
         self.category = stored.category
         category = load_category(stored.category)
         self._partner = category.mirror
-        self.network: Any = KNet(KNetSettings(**stored.settings))
-        if self.network.settings.keypoints != category.size:
-            value = f"{self.network.settings.keypoints} keypoints in {path}"
+        network = KNet(KNetSettings(**stored.settings))
+        if network.settings.keypoints != category.size:
+            value = f"{network.settings.keypoints} keypoints in {path}"
             raise InvalidInputError("weights", value, f"Category {category.name} has {category.size}.")
         try:
-            self.network.load_state_dict(stored.state, strict=False)
+            network.load_state_dict(stored.state, strict=False)
         except RuntimeError as error:
             raise InvalidInputError("weights", str(path), "Give a network of this version.") from error
-        self.network.eval().to(device=device, memory_format=torch.channels_last)
+        self.network: Any = folded(network).to(device)
         self.trust = stored.trust
         self.refinement: Any = None
         if stored.refinement is not None and stored.refine_settings is not None and refine:
             from fgrecon.perception.keypoints.refine import RefineNet, RefineSettings
 
-            self.refinement = RefineNet(RefineSettings(**stored.refine_settings))
-            self.refinement.load_state_dict(stored.refinement, strict=False)
-            self.refinement.eval().to(device=device)
+            refinement = RefineNet(RefineSettings(**stored.refine_settings))
+            refinement.load_state_dict(stored.refinement, strict=False)
+            self.refinement = folded(refinement).to(device)
+        self._find, self._refine_patches = self._running()
+
+    def _running(self) -> tuple[Network, Network | None]:
+        """KNet, and the refinement networks if there are any, as `fold` and `export` have them."""
+        if self.runtime == "onnx":
+            from torch import get_num_threads
+
+            from fgrecon.perception.keypoints.export import knet_model, refinement_model
+
+            threads = get_num_threads()
+            knet = open_session(knet_model(self.network), threads)
+            return knet, self.refinement and open_session(refinement_model(self.refinement), threads)
+        from fgrecon.perception.keypoints.fold import knet_on_torch, refinement_on_torch
+
+        knet = knet_on_torch(self.network, self.device)
+        return knet, self.refinement and refinement_on_torch(self.refinement, self.device)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What other processes get: runtimes are opened there again."""
+        return {name: value for name, value in vars(self).items() if name not in ("_find", "_refine_patches")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """The reverse of `__getstate__`."""
+        vars(self).update(state)
+        self._find, self._refine_patches = self._running()
 
     def __call__(
         self, image: NDArray[Any], boxes: ArrayLike, *, maps: bool = False, batch: int = 32
@@ -160,20 +197,23 @@ class KeypointCascade:
         likelihood, visible, azimuth = self.mirror_average(pixels) if self.mirror else self.forward(pixels)
         decoded = decode(likelihood, size / likelihood.shape[-1], REACH * size / MARGIN)
         confidence = self.calibration.confidence(visible, decoded.mass)
-        if self.refinement is not None:
-            decoded = self._refine(images, boxes, likelihood, decoded)
+        azimuth = self.calibration.direction(azimuth)
+        if self._refine_patches is not None:
+            decoded = self._refine(self._refine_patches, images, boxes, likelihood, decoded)
         found = []
         for row, (box, crop) in enumerate(zip(boxes, crops, strict=True)):
             covariance = self.calibration.covariance(decoded.covariance[row], size / MARGIN) / crop.scale**2
             observation = Observation(
-                crop.to_image(decoded.points[row]), confidence[row], box, covariance, confidence_midpoint=_EVEN
+                crop.to_image(decoded.points[row]), confidence[row], box, covariance, _EVEN, azimuth[row]
             )
             seen = 0.5 * (1.0 + np.tanh(0.5 * visible[row]))
             kept = likelihood[row] if maps else None
             found.append(CascadeDetection(observation, azimuth[row], seen, decoded.mass[row], crop, kept))
         return found
 
-    def _refine(self, images: Sequence[NDArray[np.uint8]], boxes: Array, likelihood: Array, first: Decoded) -> Decoded:
+    def _refine(
+        self, networks: Network, images: Sequence[NDArray[np.uint8]], boxes: Array, likelihood: Array, first: Decoded
+    ) -> Decoded:
         """KNet's positions and covariances corrected by the refinement networks; pixels of KNet's crop."""
         from fgrecon.perception.keypoints import refine
 
@@ -183,12 +223,11 @@ class KeypointCascade:
         centres = np.rint((first.points + 0.5) * ratio - 0.5).astype(np.int64)
         offsets = refine.patch_offsets(_PATCHES, centres.shape[1])
         corners = centres[:, None] + offsets - refine.PATCH // 2
-        patches = refine.run_networks(self.refinement, refine.cut_patches(fine, corners), self.device)
+        patches = refine.run_networks(networks, refine.cut_patches(fine, corners))
         before = refine.window_of(likelihood, centres, finer)
-        joint, origin = refine.fuse(patches, corners, centres, before, self.trust)
-        found = decode(joint, 1.0, REACH * finer / MARGIN)
-        points = (found.points + origin + 0.5) / ratio - 0.5
-        return Decoded(points, found.covariance / ratio**2, first.mass)
+        joint, origin = refine.fuse(patches, offsets, centres, before, self.trust)
+        pixels, covariance = peak(joint)
+        return Decoded((pixels + origin + 0.5) / ratio - 0.5, covariance / ratio**2, first.mass)
 
     def mirror_average(self, crops: NDArray[np.uint8]) -> tuple[Array, Array, Array]:
         """`forward` on the crops and their mirror images, averaged; in these left and right change places."""
@@ -204,15 +243,8 @@ class KeypointCascade:
 
     def forward(self, crops: NDArray[np.uint8]) -> tuple[Array, Array, Array]:
         """Likelihood maps (B, K, H, W), visibility logits (B, K) and directions (B, A) of crops (B, S, S, 3)."""
-        import torch
-
-        with torch.inference_mode():
-            tensor = torch.from_numpy(np.ascontiguousarray(crops)).to(self.device).permute(0, 3, 1, 2).float()
-            output = self.network(tensor)
-            shape = output.maps.shape
-            likelihood = torch.softmax(output.maps.float().flatten(2), dim=2).view(shape)
-            arrays = [t.float().cpu().numpy().astype(np.float64) for t in (likelihood, output.visible, output.azimuth)]
-        return arrays[0], arrays[1], softmax(arrays[2])
+        likelihood, visible, azimuth = (array.astype(np.float64) for array in self._find(crops))
+        return likelihood, visible, softmax(azimuth)
 
 
 def detect_keypoints(image: NDArray[Any], boxes: ArrayLike) -> list[Observation]:

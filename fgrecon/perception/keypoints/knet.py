@@ -23,13 +23,16 @@ from torch.nn import functional
 
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["AZIMUTH_BINS", "STRIDE", "KNet", "KNetOutput", "KNetSettings", "load_imagenet"]
+__all__ = ["AZIMUTH_BINS", "PYRAMID", "STRIDE", "KNet", "KNetOutput", "KNetSettings", "load_imagenet"]
 
 AZIMUTH_BINS = 36
 """Directions that the azimuth output tells apart: bin b is centred at 10 b degrees."""
 
 STRIDE = 2
 """Pixels of the crop per cell of the likelihood maps."""
+
+PYRAMID = (1, 2, 4, 5)
+"""The stages of the encoder at strides 4, 8, 16 and 32, which the pyramid is made of."""
 
 _STAGES = (  # repeats, kernel, stride, expansion, channels: EfficientNet-lite0 without its last stage
     (1, 3, 1, 1, 16),
@@ -39,7 +42,6 @@ _STAGES = (  # repeats, kernel, stride, expansion, channels: EfficientNet-lite0 
     (3, 5, 1, 6, 112),
     (4, 5, 2, 6, 192),
 )
-_PYRAMID = (1, 2, 4, 5)  # the stages at strides 4, 8, 16 and 32
 _STEM = 32
 _EPSILON = 1e-3  # of the weights' batch normalisation
 _MEAN, _SPREAD = 127.0, 128.0  # of the weights' pixel values
@@ -149,8 +151,8 @@ class KNet(nn.Module):  # type: ignore[misc]
             stages.append(nn.Sequential(*blocks))
         self.stages = nn.ModuleList(stages)
         width = settings.width
-        self.lateral = nn.ModuleList(nn.Conv2d(_STAGES[s][4], width, 1) for s in _PYRAMID)
-        self.smooth = nn.ModuleList(_Separable(width) for _ in _PYRAMID)
+        self.lateral = nn.ModuleList(nn.Conv2d(_STAGES[s][4], width, 1) for s in PYRAMID)
+        self.smooth = nn.ModuleList(_Separable(width) for _ in PYRAMID)
         self.last = _Separable(width)
         self.head = nn.Conv2d(width, 4 * settings.keypoints, 1)
         self.context = nn.Linear(channels, width)
@@ -174,8 +176,8 @@ class KNet(nn.Module):  # type: ignore[misc]
             levels.append(x)
         pooled = x.mean(dim=(2, 3))
         top: Tensor | None = None
-        for level in reversed(range(len(_PYRAMID))):
-            side = self.lateral[level](levels[_PYRAMID[level]])
+        for level in reversed(range(len(PYRAMID))):
+            side = self.lateral[level](levels[PYRAMID[level]])
             if top is not None:
                 side = side + functional.interpolate(top, scale_factor=2.0, mode="nearest")
             top = self.smooth[level](side)

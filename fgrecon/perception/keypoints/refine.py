@@ -10,13 +10,14 @@ All K x N patches of all vehicles run in one batch: a convolution with K groups 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
-import torch
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
+
+from fgrecon.perception.keypoints.sessions import Network
 
 __all__ = ["PATCH", "RefineNet", "RefineSettings", "cut_patches", "fuse", "patch_offsets", "run_networks", "window_of"]
 
@@ -97,22 +98,21 @@ def patch_offsets(count: int, keypoints: int, seed: int = 0) -> NDArray[np.int64
 def cut_patches(crops: NDArray[np.uint8], corners: NDArray[np.int64]) -> NDArray[np.uint8]:
     """Patches (B, N, K, 3, 32, 32) of crops (B, S, S, 3) at upper left corners (B, N, K, 2); edges are repeated."""
     size = crops.shape[1]
-    span = np.arange(PATCH)
-    column = np.clip(corners[..., 0, None] + span, 0, size - 1)
-    row = np.clip(corners[..., 1, None] + span, 0, size - 1)
-    many = np.arange(len(crops))[:, None, None, None, None]
-    return np.moveaxis(crops[many, row[..., :, None], column[..., None, :]], -1, -3)
+    edged = np.pad(crops, ((0, 0), (PATCH, PATCH), (PATCH, PATCH), (0, 0)), mode="edge")
+    column, row = np.moveaxis(np.clip(corners, -PATCH, size) + PATCH, -1, 0)  # further out there is nothing but edge
+    many = np.arange(len(crops))[:, None, None]
+    patches: NDArray[np.uint8] = sliding_window_view(edged, (PATCH, PATCH), axis=(1, 2))[many, row, column]
+    return patches
 
 
 def fuse(
-    patch_log: Array, corners: NDArray[np.int64], centres: NDArray[np.int64], before_log: Array, trust: float
+    patch_log: Array, offsets: NDArray[np.int64], centres: NDArray[np.int64], before_log: Array, trust: float
 ) -> tuple[Array, NDArray[np.int64]]:
     """One likelihood per keypoint from those of its patches and of KNet.
 
     Args:
         patch_log: (B, N, K, 32, 32) log likelihoods over the patches.
-        corners: (B, N, K, 2) upper left corners of the patches, pixels of the finer crop: `patch_offsets` from those
-            of patches centred at the estimates.
+        offsets: (N, K, 2) by which the patches' centres are off the estimates, pixels of the finer crop.
         centres: (B, K, 2) rounded estimates.
         before_log: (B, K, W, W) KNet's log likelihood over the windows.
         trust: How much the patches count beside KNet.
@@ -121,21 +121,23 @@ def fuse(
         (B, K, W, W) normalised likelihoods over windows of `_WINDOW` pixels, and (B, K, 2) their upper left corners.
     """
     batch, count, keypoints = patch_log.shape[:3]
-    origin = centres - _WINDOW // 2
-    place = corners - origin[:, None]
+    corner = offsets + (_WINDOW - PATCH) // 2
     total = np.zeros((batch, keypoints, _WINDOW, _WINDOW))
-    seen = np.zeros(total.shape)
-    span = np.arange(PATCH)
-    b, k = (i[..., None, None] for i in np.mgrid[:batch, :keypoints])
-    for n in range(count):
-        index = (b, k, (place[:, n, :, 1, None] + span)[..., :, None], (place[:, n, :, 0, None] + span)[..., None, :])
-        total[index] += patch_log[:, n]
-        seen[index] += 1.0
-    mean = np.where(seen > 0, total / np.maximum(seen, 1.0), total.min(axis=(2, 3), keepdims=True))
-    joint = trust * mean + before_log
-    joint = joint - joint.max(axis=(2, 3), keepdims=True)
-    likelihood = np.exp(joint)
-    return likelihood / likelihood.sum(axis=(2, 3), keepdims=True), origin
+    seen = np.zeros(total.shape[1:])
+    for n, k in np.ndindex(count, keypoints):
+        column, row = (slice(low, low + PATCH) for low in corner[n, k])
+        total[:, k, row, column] += patch_log[:, n, k]
+        seen[k, row, column] += 1.0
+    # In place from here on: new arrays of this size cost more than the numbers in them.
+    lowest = total.min(axis=(2, 3), keepdims=True)
+    total /= np.maximum(seen, 1.0)
+    np.copyto(total, lowest, where=seen == 0)
+    total *= trust
+    total += before_log
+    total -= total.max(axis=(2, 3), keepdims=True)
+    np.exp(total, out=total)
+    total /= total.sum(axis=(2, 3), keepdims=True)
+    return total, centres - _WINDOW // 2
 
 
 def window_of(likelihood: Array, centres: NDArray[np.int64], size: int) -> Array:
@@ -148,26 +150,27 @@ def window_of(likelihood: Array, centres: NDArray[np.int64], size: int) -> Array
     """
     side = likelihood.shape[-1]
     span = np.arange(_WINDOW) - _WINDOW // 2
-    logs = np.log(likelihood + 1e-7)
     # Bilinear: a pixel of the finer crop lies between cells.
     place = (centres[..., None, :] + span[:, None] + 0.5) * (side / size) - 0.5  # (B, K, W, 2)
     low = np.clip(np.floor(place), 0, side - 2).astype(np.int64)
     part = np.clip(place - low, 0.0, 1.0)
-    b, k = (i[..., None, None] for i in np.mgrid[: len(likelihood), : likelihood.shape[1]])
-    r, c = low[..., 1][..., :, None], low[..., 0][..., None, :]
-    y, x = part[..., 1][..., :, None], part[..., 0][..., None, :]
-    above = logs[b, k, r, c] * (1 - x) + logs[b, k, r, c + 1] * x
-    below = logs[b, k, r + 1, c] * (1 - x) + logs[b, k, r + 1, c + 1] * x
-    result: Array = above * (1 - y) + below * y
+    # Logarithms of the cells under the window, and of no others.
+    reach = int((low[:, :, -1] - low[:, :, 0]).max()) + 2
+    first = np.minimum(low[:, :, 0], side - reach)  # (B, K, 2)
+    cells = first[:, :, None] + np.arange(reach)[:, None]
+    b, k = np.mgrid[: len(likelihood), : likelihood.shape[1]][..., None]
+    columns, rows = cells[..., 0], cells[..., 1]
+    logs = np.log(likelihood[b[..., None], k[..., None], rows[..., None, :], columns[..., :, None]] + 1e-7)
+    column, row = np.moveaxis(low - first[:, :, None], -1, 0)
+    x, y = np.moveaxis(part[..., None], -2, 0)
+    along = logs[b, k, column] * (1 - x) + logs[b, k, column + 1] * x  # (B, K, W, cells)
+    along = np.ascontiguousarray(along.swapaxes(2, 3))
+    result: Array = along[b, k, row] * (1 - y) + along[b, k, row + 1] * y
     return result
 
 
-def run_networks(network: Any, patches: NDArray[np.uint8], device: str = "cpu") -> Array:
+def run_networks(network: Network, patches: NDArray[np.uint8]) -> Array:
     """Log likelihoods (B, N, K, 32, 32) over patches (B, N, K, 3, 32, 32)."""
     batch, count, keypoints = patches.shape[:3]
-    with torch.inference_mode():
-        flat = torch.from_numpy(np.ascontiguousarray(patches.reshape(batch * count, keypoints, 3, PATCH, PATCH)))
-        logits = network(flat.to(device).float()).float()
-        logs = torch.log_softmax(logits.flatten(2), dim=2)
-        array: Array = logs.cpu().numpy().astype(np.float64).reshape(batch, count, keypoints, PATCH, PATCH)
-    return array
+    (logs,) = network(patches.reshape(batch * count, keypoints * 3, PATCH, PATCH))
+    return np.asarray(logs, dtype=np.float64).reshape(batch, count, keypoints, PATCH, PATCH)

@@ -13,11 +13,14 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import write_bytes
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 
-__all__ = ["FORMAT", "Stored", "load_weights", "mean_state", "save_weights", "shipped"]
+__all__ = ["FORMAT", "WITHOUT_STREET", "Stored", "load_weights", "mean_state", "save_weights", "shipped"]
 
 FORMAT = "fgrecon.keypoints/1"
 
-_NAME = "keypoints-car14.safetensors"
+_NAME = "keypoints-car14"
+
+WITHOUT_STREET = "photographs"
+"""Name of the shipped network that has learnt from photographs alone, and from no image of KITTI."""
 _CATEGORY = "car14"  # of files that do not say
 _KNET, _REFINEMENT = "knet.", "refine."
 
@@ -66,16 +69,20 @@ def mean_state(first: Mapping[str, Any], second: Mapping[str, Any], share: float
     }
 
 
-def shipped() -> Path:
-    """The file that comes with the package.
+def shipped(name: str | None = None) -> Path:
+    """A file that comes with the package.
+
+    Args:
+        name: `WITHOUT_STREET`, or None for the network that is used where none is named.
 
     Raises:
         InvalidInputError: This installation has none.
     """
-    path = Path(str(resources.files("fgrecon") / "data" / "weights" / _NAME))
+    file = f"{_NAME}.safetensors" if name is None else f"{_NAME}-{name}.safetensors"
+    path = Path(str(resources.files("fgrecon") / "data" / "weights" / file))
     if not path.is_file():
         fix = "Train a network with `fgrecon keypoints train` and give its file, or give the keypoints yourself."
-        raise InvalidInputError("weights", "this installation has no keypoint network", fix)
+        raise InvalidInputError("weights", f"this installation has no {file}", fix)
     return path
 
 

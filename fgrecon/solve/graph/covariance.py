@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fgrecon.core.errors import FactorCallbackError
 from fgrecon.solve.graph.observation import ObservationPart, Weights
 
-__all__ = ["Covariances", "factorise", "read_covariances"]
+__all__ = ["Covariances", "factorise", "projected_covariances", "read_covariances"]
 
 Array = NDArray[np.float64]
 
@@ -73,6 +73,32 @@ def read_covariances(
         return None
     count = shape.dims[0] if shape.coefficients_key is not None else 0
     return Covariances(pose, variables[:count, :count], keypoints)
+
+
+def projected_covariances(part: ObservationPart, values: gtsam.Values, marginals: gtsam.Marginals) -> Array | None:
+    """(K, 2, 2) covariances of an observation's projected keypoints, pose and shape together, square pixels.
+
+    What pose and shape are unsure of is not independent: an image that leaves open which of them moves a keypoint may
+    well tell where it is seen.
+
+    Args:
+        part: The observation's part of the graph, with the pose as a variable.
+        values: The graph's minimum.
+        marginals: Its marginals there.
+
+    Returns:
+        The covariances; None where they are not finite or cannot be had.
+    """
+    try:
+        joint = _joint(marginals, list(part.kernel.keys))
+    except FactorCallbackError:
+        raise
+    except RuntimeError:  # GTSAM's only sign of an indeterminate system
+        return None
+    jacobian = part.kernel.evaluate(values, jacobian=True).jacobian
+    assert jacobian is not None
+    covariances: Array = jacobian @ joint @ jacobian.transpose(0, 2, 1)
+    return covariances if np.isfinite(covariances).all() else None
 
 
 def _given_shape(part: ObservationPart, weights: Weights, values: gtsam.Values, joint: Array) -> Array:

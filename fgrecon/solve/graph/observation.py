@@ -150,6 +150,8 @@ class ObservationPart:
             sigma = float(ground.ground.height_sigma_at(np.array(weights.depth)))
             told["ground"] = sum(f.error(values) for f in self._ground(weights.depth, self.share))
             told["ground"] += self.share * float(np.log(sigma))
+        if self.problem.energy.direction is not None:
+            told["direction"] = self.share * float(self.problem.energy.direction.energy(self._hypothesis(values))[0])
         return told
 
     def projections(self, values: gtsam.Values) -> Array:

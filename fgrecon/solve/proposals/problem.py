@@ -12,6 +12,7 @@ from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import BoxModel, BoxOptions, KeypointOptions, Options
 from fgrecon.core.robust import Evidence
+from fgrecon.solve.proposals.direction import DirectionTerm
 from fgrecon.solve.proposals.search import PoseEnergy
 from fgrecon.solve.proposals.terms import BoxTerm, GroundTerm, KeypointTerm, SizeTerm
 from fgrecon.solve.vehicle.model import VehicleModel
@@ -119,6 +120,7 @@ def _energy(
         box=None if "box" in off else box_term(observation, camera, model, options.box),
         size=size,
         ground=None if ground is None or "ground" in off else GroundTerm(ground),
+        direction=None if observation.azimuth is None or "direction" in off else DirectionTerm(observation.azimuth),
     )
 
 

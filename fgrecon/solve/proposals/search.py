@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.geometry import exponential
+from fgrecon.solve.proposals.direction import DirectionTerm
 from fgrecon.solve.proposals.terms import (
     BoxTerm,
     GroundTerm,
@@ -39,6 +40,7 @@ class PoseEnergy:
         box: Box term, or None.
         size: Size term, or None.
         ground: Ground term, or None.
+        direction: Term of the direction that the vehicle is seen from, or None.
     """
 
     keypoints: KeypointTerm
@@ -46,6 +48,7 @@ class PoseEnergy:
     box: BoxTerm | None = None
     size: SizeTerm | None = None
     ground: GroundTerm | None = None
+    direction: DirectionTerm | None = None
 
     def evaluate(self, h: Hypotheses, progress: float = 1.0) -> tuple[Quadratic, Array]:
         """Energy, gradient and Gauss-Newton matrix at the hypotheses, and the keypoints' weights (H, K)."""
@@ -57,6 +60,8 @@ class PoseEnergy:
             self.size.add(total, h)
         if self.ground is not None:
             self.ground.add(total, h)
+        if self.direction is not None:
+            self.direction.add(total, h)
         coefficient_term(total, h)
         return total, weights
 
@@ -83,7 +88,8 @@ class PoseEnergy:
         terms: dict[str, Callable[[Quadratic, Hypotheses], object]] = {
             "reprojection": lambda total, h: self.keypoints.add(total, h, self.visibility(h.matrices()), 1.0)
         }
-        for name, term in (("box", self.box), ("dimensions", self.size), ("ground", self.ground)):
+        optional = ("box", self.box), ("dimensions", self.size), ("ground", self.ground), ("direction", self.direction)
+        for name, term in optional:
             if term is not None:
                 terms[name] = term.add
         terms["coefficients"] = coefficient_term

@@ -15,7 +15,7 @@ from fgrecon.core.size_prior import SizePrior
 from fgrecon.solve.vehicle.conditioning import given_size, is_one_vehicle
 from fgrecon.solve.vehicle.visibility import VisibilityTable
 
-__all__ = ["LinearPoints", "VehicleModel", "prepare"]
+__all__ = ["LinearPoints", "VehicleModel", "box_corners", "prepare"]
 
 Array = NDArray[np.float64]
 
@@ -91,13 +91,16 @@ def prepare(prior: ShapePrior, size: SizePrior | None = None, basis_vectors: int
     operator = prior.category.dimension_operator
     mean = np.tensordot(operator, prior.mean, axes=2)
     basis = np.tensordot(operator, prior.basis, axes=((1, 2), (1, 2)))
-    corners = LinearPoints(_box_corners(mean), np.array([_box_corners(column) for column in basis.T]).reshape(-1, 8, 3))
+    corners = LinearPoints(box_corners(mean), np.array([box_corners(column) for column in basis.T]).reshape(-1, 8, 3))
     outline = corners if prior.surface is None else _outline(prior)
     return VehicleModel(prior, size, VisibilityTable.build(prior), outline, corners, mean, basis)
 
 
-def _box_corners(size: Array) -> Array:
-    """(8, 3) corners of a box of length, width and height standing on the origin; linear in the size."""
+def box_corners(size: Array) -> Array:
+    """(8, 3) corners of a box of length, width and height standing on the origin; linear in the size.
+
+    Rear before front, bottom before top, right before left, the last changing fastest.
+    """
     length, width, height = size
     return np.array(
         [[x * length / 2, -y * height, z * width / 2] for x in (-1, 1) for y in (0, 1) for z in (-1, 1)], dtype=float

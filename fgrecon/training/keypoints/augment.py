@@ -38,6 +38,7 @@ class LabelledView:
         keypoints: (K, 2) pixels; NaN where unknown.
         visible: (K,) probability that each can be seen.
         azimuth: Direction from the car to the camera, radians; 0 ahead, pi / 2 to its left.
+        within: (4,) box of the car x1, y1, x2, y2 in pixels, where the image shows more than the car; else None.
     """
 
     image: Pixels
@@ -45,12 +46,23 @@ class LabelledView:
     keypoints: Array
     visible: Array
     azimuth: float
+    within: Array | None = None
+
+    @property
+    def box(self) -> Array:
+        """(4,) box of the car x1, y1, x2, y2 in pixels."""
+        height, width = self.image.shape[:2]
+        return np.array([-0.5, -0.5, width - 0.5, height - 0.5]) if self.within is None else self.within
 
     def mirrored(self, partner: NDArray[np.intp]) -> LabelledView:
         """The mirror image, in which left and right of the car have changed places."""
         flipped = self.keypoints[partner] * [-1.0, 1.0] + [self.image.shape[1] - 1.0, 0.0]
         image, mask = (np.ascontiguousarray(a[:, ::-1]) for a in (self.image, self.mask))
-        return LabelledView(image, mask, flipped, self.visible[partner], -self.azimuth)
+        within = self.within
+        if within is not None:
+            x1, y1, x2, y2 = within
+            within = np.array([self.image.shape[1] - 1.0 - x2, y1, self.image.shape[1] - 1.0 - x1, y2])
+        return LabelledView(image, mask, flipped, self.visible[partner], -self.azimuth, within)
 
 
 @dataclass(frozen=True)
@@ -94,6 +106,7 @@ class Street:
         stretch: Standard deviation of the logarithm of the car's aspect ratio.
         bend: Largest standard deviation of a smooth displacement of the car's parts, as a fraction of the crop's side.
         moved: A pair of parts is moved towards another pair.
+        as_it_is: A car in its street, which a camera of the street saw, is not degraded further.
         moves: Keypoints that may be moved, each with the one towards which.
     """
 
@@ -111,6 +124,7 @@ class Street:
     stretch: float = 0.08
     bend: float = 0.025
     moved: float = 0.5
+    as_it_is: float = 0.6
     moves: tuple[tuple[int, int], ...] = ()
 
     def moving(self, category: Category) -> Street:
@@ -141,7 +155,7 @@ class Street:
         matrix, border = self._placement(view, rng)
         car, mask = _warp(view.image, matrix, self.size), _warp(view.mask, matrix, self.size)
         canvas = self._background(another, rng)
-        if rng.random() < self.cut_out:
+        if rng.random() < self.cut_out and view.within is None:  # a street car is where it belongs
             for _ in range(int(rng.random() < self.neighbour) + int(rng.random() < 0.3)):
                 canvas = self._paste(canvas, self._other(view, another, rng), rng)[0]
             alpha = cv2.blur(mask, (3, 3))
@@ -152,7 +166,8 @@ class Street:
         field = self._field(keypoints, partner, rng)
         car, alpha, keypoints = deform(car, field), deform(alpha, field), deform_points(keypoints, field)
         canvas = _blend(canvas, car, alpha)
-        if rng.random() < self.backlit:
+        untouched = view.within is not None and rng.random() < self.as_it_is
+        if rng.random() < self.backlit and not untouched:
             canvas = _backlit(canvas, deform(mask, field), rng)
         visible = view.visible.copy()
         cover = np.zeros((self.size, self.size), dtype=np.uint8)
@@ -166,14 +181,14 @@ class Street:
         inside = ((at >= 0) & (at < self.size)).all(axis=1)
         column, row = np.clip(at, 0, self.size - 1).T
         visible[~inside | (cover[row, column] > 127)] = 0.0
-        crop = self._degrade(canvas, rng)
+        crop = canvas.copy() if untouched else self._degrade(canvas, rng)
         crop[outside] = FILL  # what the camera does to its image does not happen beyond it
         return Sample(crop, keypoints, visible, view.azimuth)
 
     def _placement(self, view: LabelledView, rng: np.random.Generator) -> tuple[Array, tuple[str, float] | None]:
         """(2, 3) map from the photograph to the crop, and the image border in the crop (side and coordinate)."""
-        height, width = view.image.shape[:2]
-        low, high = np.array([-0.5, -0.5]), np.array([width - 0.5, height - 0.5])
+        low, high = view.box[:2].copy(), view.box[2:].copy()
+        width, height = high - low
         side, cut = None, 0.0
         if rng.random() < self.truncated:
             side = ("left", "right", "bottom")[rng.choice(3, p=[0.42, 0.42, 0.16])]
@@ -227,11 +242,11 @@ class Street:
 
     def _paste(self, canvas: Pixels, other: LabelledView, rng: np.random.Generator) -> tuple[Pixels, Pixels]:
         """Another car somewhere in the crop, mostly to a side, and the mask of where it is."""
-        height, width = other.image.shape[:2]
-        scale = self.size / MARGIN / max(height, width) * np.exp(rng.normal(0.1, 0.3))
+        low, high = other.box[:2], other.box[2:]
+        scale = self.size / MARGIN / float((high - low).max()) * np.exp(rng.normal(0.1, 0.3))
         away = rng.choice([-1.0, 1.0]) * rng.uniform(0.3, 0.75)
         middle = self.size * (0.5 + np.array([away, rng.normal(0.08, 0.15)]))
-        shift = middle - scale * np.array([width, height]) / 2
+        shift = middle - scale * (low + high) / 2
         matrix = np.array([[scale, 0.0, shift[0]], [0.0, scale, shift[1]]])
         mask = _warp(other.mask, matrix, self.size)
         return _blend(canvas, _warp(other.image, matrix, self.size), cv2.blur(mask, (3, 3))), mask

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from fgrecon.core.reliability import Reliability, reliability
 from fgrecon.perception.keypoints.crops import MARGIN
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration, logit
 from fgrecon.perception.keypoints.detect import REACH, KeypointCascade
 from fgrecon.training.keypoints.augment import Street
-from fgrecon.training.keypoints.dataset import Photographs, azimuth_weights
+from fgrecon.training.keypoints.dataset import Photographs
 from fgrecon.training.keypoints.labels import SEEN
+from fgrecon.training.keypoints.views import azimuth_weights
 
 __all__ = ["Reliability", "calibrate", "reliability"]
 
@@ -22,37 +24,6 @@ _UNLABELLED = 0.015
 """Added to the spread of keypoints, as a fraction of the box: labels of a photograph follow the network's points, and
 so understate how far these are from a shape model's. Shapes common to a group are met to 0.011 per axis (median of the
 last rounds), and five coefficients express a car that they were not learnt from to 0.008."""
-
-
-@dataclass(frozen=True)
-class Reliability:
-    """How often points of a confidence are right; arrays of B bins that hold equally many points.
-
-    Attributes:
-        confidence: (B,) mean confidence.
-        right: (B,) share that is visible and within 0.1 of the box.
-        count: (B,) number of points.
-    """
-
-    confidence: NDArray[np.float64]
-    right: NDArray[np.float64]
-    count: NDArray[np.int64]
-
-    @property
-    def error(self) -> float:
-        """Expected calibration error: mean distance of the two, by number of points."""
-        return float(np.abs(self.confidence - self.right) @ self.count / max(self.count.sum(), 1))
-
-
-def reliability(confidence: ArrayLike, right: ArrayLike, bins: int = 10) -> Reliability:
-    """Sort points (any shape) by confidence into bins of equal size."""
-    sure, hit = np.ravel(confidence).astype(np.float64), np.ravel(right).astype(np.float64)
-    parts = [part for part in np.array_split(np.argsort(sure, kind="stable"), bins) if len(part)]
-    return Reliability(
-        np.array([sure[part].mean() for part in parts]),
-        np.array([hit[part].mean() for part in parts]),
-        np.array([len(part) for part in parts]),
-    )
 
 
 def calibrate(
@@ -82,7 +53,7 @@ def calibrate(
     extent = _SIDE / MARGIN
     box = (_SIDE - 1) / 2 + np.array([-0.5, -0.5, 0.5, 0.5]) * extent
     weights = azimuth_weights(photographs.azimuth, chosen)
-    visible, mass, right, spread, error = [], [], [], [], []
+    visible, mass, right, spread, error, azimuth, truth = [], [], [], [], [], [], []
     for start in range(0, samples, _BATCH):
         count = min(_BATCH, samples - start)
         drawn = [photographs.draw(chosen, weights, scene, partner, (seed, start + i)) for i in range(count)]
@@ -91,6 +62,8 @@ def calibrate(
             away = (detection.observation.keypoints - sample.keypoints) / extent
             known = np.isfinite(sample.keypoints).all(axis=1)
             hit = (sample.visible > SEEN) & (np.linalg.norm(away, axis=1) <= REACH)
+            azimuth.append(detection.azimuth)
+            truth.append(sample.azimuth)
             visible.append(logit(detection.visible)[known])
             mass.append(detection.mass[known])
             right.append(hit[known])
@@ -99,4 +72,5 @@ def calibrate(
                 error.append(away[hit])
     fitted = ConfidenceCalibration.fit(np.concatenate(visible), np.concatenate(mass), np.concatenate(right))
     fitted = fitted.with_spread(np.concatenate(spread), np.concatenate(error))
+    fitted = fitted.with_direction(np.array(azimuth), np.array(truth))
     return replace(fitted, floor=float(np.hypot(fitted.floor, _UNLABELLED)))

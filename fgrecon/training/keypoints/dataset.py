@@ -1,4 +1,4 @@
-"""Photographs, car masks and labels, prepared once in memory-mapped arrays, and training samples drawn from them.
+"""Photographs, car masks and labels, prepared once in memory-mapped arrays.
 
 Of M photographs the arrays have 2 M rows: row M + i is photograph i as it would look from further away, where one could
 be made (`distant.py`).
@@ -14,19 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.images import read_image
-from fgrecon.training.keypoints.augment import LabelledView, Sample, Street
+from fgrecon.training.keypoints.augment import LabelledView
 from fgrecon.training.keypoints.distant import random_distant_view
 from fgrecon.training.keypoints.labels import SEEN, Labels, ShapeFit, project_labels, surface_of
 from fgrecon.training.keypoints.posed_cars import PosedCar
 from fgrecon.training.keypoints.progress import Progress, no_progress
+from fgrecon.training.keypoints.views import Views
 
 __all__ = [
     "SIDE",
     "Photographs",
-    "azimuth_weights",
     "draw_mask",
     "fill_faces",
     "prepare_photographs",
@@ -37,16 +36,14 @@ SIDE = 192
 """Longest side of the prepared photographs, pixels."""
 
 _SEED = 11_000_000  # of the distances from which photographs are seen again
-_BINS = 36
-_TRIES = 12
 _FILES = ("images.npy", "masks.npy", "sizes.npy", "scales.npy")
 _DISTANT = "distant.npz"
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Photographs:
+@dataclass(frozen=True, eq=False)
+class Photographs(Views):
     """Prepared photographs, read from disk on use.
 
     Attributes:
@@ -107,25 +104,6 @@ class Photographs:
             self.visible[index],
             float(self.azimuth[index]),
         )
-
-    def draw(
-        self, chosen: NDArray[np.intp], weights: Array, street: Street, partner: NDArray[np.intp], seed: Sequence[int]
-    ) -> Sample:
-        """A sample, fully determined by the seed: the photograph drawn by weight, occluders from the same ones."""
-        rng = np.random.default_rng(list(seed))
-        index = int(rng.choice(chosen, p=weights))
-
-        def another(azimuth: float | None) -> LabelledView:
-            some = rng.choice(chosen, _TRIES)
-            if azimuth is None:
-                view = self.view(int(some[0]))
-                return view.mirrored(partner) if rng.random() < 0.5 else view
-            # Of a handful the one most alike; the mirror image of a photograph from the other side will do as well.
-            away = np.abs(np.abs(wrap_angle(self.azimuth[some])) - abs(wrap_angle(azimuth)))
-            view = self.view(int(some[away.argmin()]))
-            return view if view.azimuth * azimuth > 0 else view.mirrored(partner)
-
-        return street.sample(self.view(index), another, partner, rng)
 
 
 def prepare_photographs(
@@ -226,23 +204,3 @@ def fill_faces(corners: Array, side: int) -> NDArray[np.uint8]:
     for triangle in np.clip(np.rint(corners * 16), -1e6, 1e6).astype(np.int32):  # sixteenths of a pixel
         cv2.fillConvexPoly(mask, triangle, (255,), shift=4)
     return mask
-
-
-def azimuth_weights(azimuth: Array, chosen: NDArray[np.intp], strength: float = 1.0, limit: float = 12.0) -> Array:
-    """Probabilities with which to draw photographs so that all directions come up about equally often.
-
-    Mirroring makes directions to the left and right alike, so only the angle from the front counts.
-
-    Args:
-        azimuth: (M,) radians.
-        chosen: Which photographs to draw from.
-        strength: 0 leaves the photographs as they are, 1 evens out fully.
-        limit: How much more often than the most frequent direction a rare one's photographs may be drawn.
-    """
-    angle = np.abs(wrap_angle(azimuth[chosen]))
-    which = np.minimum((angle / np.pi * _BINS / 2).astype(int), _BINS // 2 - 1)
-    count = np.bincount(which, minlength=_BINS // 2).astype(np.float64)
-    smooth = np.convolve(np.pad(count, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
-    weight = np.minimum((smooth.max() / np.maximum(smooth, 1e-9)) ** strength, limit)[which]
-    probability: Array = weight / weight.sum()
-    return probability

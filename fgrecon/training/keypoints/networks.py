@@ -11,9 +11,10 @@ from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.keypoints.weights import Stored, load_weights, mean_state, save_weights
 from fgrecon.training.keypoints.calibrate import calibrate
-from fgrecon.training.keypoints.dataset import Photographs, azimuth_weights
+from fgrecon.training.keypoints.dataset import Photographs
 from fgrecon.training.keypoints.labelling import Labelling, Source, read_source
 from fgrecon.training.keypoints.rounds import train_in_rounds
+from fgrecon.training.keypoints.street_cars import StreetCars, StreetShare, learning, prepare_street_cars
 from fgrecon.training.keypoints.train import Training
 from fgrecon.training.keypoints.train_refine import RefineTraining, train_refinement
 from fgrecon.training.keypoints.trainer import TrainingProgress
@@ -31,6 +32,9 @@ class Beginning:
         start_share: Share of that network in the resulting weights, 0 to 1.
         silhouettes: Folder of silhouettes for the first labels, or None.
         marks: Keypoints marked by hand in photographs that are learnt from (JSON), or None.
+        street: Street cars that are learnt from beside the photographs (COCO, of `fgrecon keypoints label`), or None.
+        street_share: Their share of the samples, 0 to 1.
+        without: Drives of theirs that are left out.
     """
 
     imagenet: Path | None = None
@@ -38,6 +42,9 @@ class Beginning:
     start_share: float = 0.5
     silhouettes: Path | None = None
     marks: Path | None = None
+    street: Path | None = None
+    street_share: float = 0.5
+    without: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -48,7 +55,9 @@ class Plan:
         steps: Gradient steps of KNet.
         batch: Samples per step.
         relabel_at: Steps at which the labels are corrected, in rising order.
-        refine_steps: Gradient steps of the refinement networks; 0 for none.
+        refine_steps: Gradient steps of the refinement networks; 0 leaves those that the training begins with, if any.
+        rate: KNet's learning rate; lower where a trained network goes on.
+        decay: Share of KNet's steps over which the rate falls to zero.
         seed: Seed of everything random.
         device: Torch's name of the device.
         workers: Processes that make samples.
@@ -58,6 +67,8 @@ class Plan:
     batch: int
     relabel_at: tuple[int, ...]
     refine_steps: int
+    rate: float = 1e-3
+    decay: float = 0.25
     seed: int = 0
     device: str = "cpu"
     workers: int = 1
@@ -96,7 +107,10 @@ def train_networks(data: Path, work: Path, out: Path, beginning: Beginning, plan
     partner = source.prior.category.mirror
     imagenet = beginning.imagenet
     begun = None if beginning.start is None else load_weights(beginning.start)
-    how = Training(steps=plan.steps, batch=plan.batch, seed=plan.seed, workers=plan.workers)
+    street = _street(beginning, work / "street", display)
+    how = Training(
+        steps=plan.steps, batch=plan.batch, rate=plan.rate, decay=plan.decay, seed=plan.seed, workers=plan.workers
+    )
     network, labelling, photographs = train_in_rounds(
         source,
         work,
@@ -109,16 +123,21 @@ def train_networks(data: Path, work: Path, out: Path, beginning: Beginning, plan
         report=display.report,
         log=display.log,
         progress=display.progress,
+        street=street,
     )
     state = network.state_dict()
     if begun is not None:
         state = mean_state(begun.state, state, beginning.start_share)
-    provenance = _provenance(source, labelling, beginning, begun, plan)
+    provenance = _provenance(source, labelling, street, beginning, begun, plan)
     stored = Stored(state, how.network.to_dict(), ConfidenceCalibration(), provenance)
+    if begun is not None:  # patches around an estimate look the same whichever KNet made it
+        stored = replace(stored, refinement=begun.refinement, refine_settings=begun.refine_settings, trust=begun.trust)
     if plan.refine_steps:
         display.log("Refinement networks")
         path = work / "refine.pt"
-        stored = _refined(stored, source, labelling, photographs, path, begun, beginning.start_share, plan, display)
+        stored = _refined(
+            stored, source, labelling, photographs, street, path, begun, beginning.start_share, plan, display
+        )
     save_weights(out, stored)
     display.log("Calibration")
     held = labelling.samples(photographs, source.validate)
@@ -126,11 +145,22 @@ def train_networks(data: Path, work: Path, out: Path, beginning: Beginning, plan
     save_weights(out, replace(stored, calibration=fitted))
 
 
+def _street(beginning: Beginning, folder: Path, display: Display) -> StreetShare | None:
+    """The street cars of the training, prepared where that has not been done."""
+    if beginning.street is None:
+        return None
+    if not (folder / "cars.npz").exists():  # the last file that is written
+        display.log("Street cars")
+        prepare_street_cars(beginning.street, folder, display.progress)
+    return StreetShare(StreetCars.load(folder), beginning.street_share, beginning.without)
+
+
 def _refined(
     stored: Stored,
     source: Source,
     labelling: Labelling,
     photographs: Photographs,
+    street: StreetShare | None,
     checkpoint: Path,
     begun: Stored | None,
     start_share: float,
@@ -143,9 +173,7 @@ def _refined(
     refining = replace(refining, street=refining.street.moving(source.prior.category))
     before = None if begun is None else begun.refinement
     refinement = train_refinement(
-        photographs,
-        chosen,
-        azimuth_weights(photographs.azimuth, chosen),
+        learning(photographs, chosen, street),
         source.prior.category.mirror,
         checkpoint,
         refining,
@@ -160,13 +188,19 @@ def _refined(
 
 
 def _provenance(
-    source: Source, labelling: Labelling, beginning: Beginning, begun: Stored | None, plan: Plan
+    source: Source,
+    labelling: Labelling,
+    street: StreetShare | None,
+    beginning: Beginning,
+    begun: Stored | None,
+    plan: Plan,
 ) -> dict[str, str]:
     """What a network was learnt from, and how, in words."""
     return {
         "data": f"{len(source.learn)} photographs of posed cars; shapes from 79 car models"
         + (f"; {int(labelling.outlined.sum())} silhouettes" if beginning.silhouettes else "")
-        + (f"; {source.marked} keypoints marked by hand" if beginning.marks else ""),
+        + (f"; {source.marked} keypoints marked by hand" if beginning.marks else "")
+        + ("" if street is None else f"; {street.describe()}"),
         "start": _began(beginning, begun),
         "training": f"{plan.steps} steps of {plan.batch}, labels corrected at {list(plan.relabel_at)}, "
         f"seed {plan.seed}",

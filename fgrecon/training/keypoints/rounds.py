@@ -24,9 +24,10 @@ from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.keypoints.weights import Stored, load_weights, save_weights
 from fgrecon.training.keypoints.checkpoint import load_checkpoint
-from fgrecon.training.keypoints.dataset import Photographs, azimuth_weights
+from fgrecon.training.keypoints.dataset import Photographs
 from fgrecon.training.keypoints.labelling import Labelling, Source, corrected, first_labelling, open_photographs
 from fgrecon.training.keypoints.progress import Progress, no_progress
+from fgrecon.training.keypoints.street_cars import StreetShare, learning
 from fgrecon.training.keypoints.train import Training, train_knet
 from fgrecon.training.keypoints.trainer import TrainingProgress
 from fgrecon.training.keypoints.validate import HeldOut
@@ -49,6 +50,7 @@ def train_in_rounds(
     report: Callable[[TrainingProgress], None] | None = None,
     log: Callable[[str], None] = lambda _: None,
     progress: Progress = no_progress,
+    street: StreetShare | None = None,
 ) -> tuple[Any, Labelling, Photographs]:
     """Train KNet, correcting the labels at given steps.
 
@@ -64,6 +66,7 @@ def train_in_rounds(
         report: Called with the progress.
         log: Called with a line about what begins.
         progress: Shows how far every other loop that takes long has come.
+        street: Street cars that are learnt from beside the photographs.
 
     Returns:
         The averaged network, and the last labels with their photographs.
@@ -75,7 +78,7 @@ def train_in_rounds(
     checkpoint, partner = folder / "knet.pt", source.prior.category.mirror
     how = replace(how, street=how.street.moving(source.prior.category))
     stops = [*(step for step in relabel_at if step < how.steps), how.steps]
-    _begin_alike(folder / "began.json", imagenet is not None, start, silhouettes, source.marks)
+    _begin_alike(folder / "began.json", imagenet is not None, start, silhouettes, source.marks, street)
     first = _first(source, folder / "labels-first.npz", silhouettes, log, progress)
     begun = None if start is None else load_weights(start)
     network: Any = None
@@ -107,9 +110,7 @@ def train_in_rounds(
             raise InvalidInputError("labels", f"{path}: no photograph agrees with its shape", fix)
         held = labelling.samples(photographs, source.validate)
         network = train_knet(
-            photographs,
-            chosen,
-            azimuth_weights(photographs.azimuth, chosen),
+            learning(photographs, chosen, street),
             partner,
             checkpoint,
             how,
@@ -125,7 +126,14 @@ def train_in_rounds(
     return network, labelling, photographs
 
 
-def _begin_alike(path: Path, imagenet: bool, start: Path | None, silhouettes: Path | None, marks: Array | None) -> None:
+def _begin_alike(
+    path: Path,
+    imagenet: bool,
+    start: Path | None,
+    silhouettes: Path | None,
+    marks: Array | None,
+    street: StreetShare | None,
+) -> None:
     """Keep what a training began with; one that goes on has to name the same, since its networks come from that.
 
     Raises:
@@ -136,6 +144,7 @@ def _begin_alike(path: Path, imagenet: bool, start: Path | None, silhouettes: Pa
         "start": None if start is None else start.name,
         "silhouettes": None if silhouettes is None else silhouettes.name,
         "marks": None if marks is None else hashlib.sha256(marks.tobytes()).hexdigest()[:16],
+        "street": None if street is None else street.describe(),
     }
     if not path.exists():
         write_text(path, json.dumps(named))

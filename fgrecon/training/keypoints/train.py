@@ -15,14 +15,12 @@ from torch.utils.data import DataLoader, Dataset
 
 from fgrecon.perception.keypoints.knet import KNet, KNetSettings, load_imagenet
 from fgrecon.training.keypoints.augment import Street
-from fgrecon.training.keypoints.dataset import Photographs
 from fgrecon.training.keypoints.losses import knet_loss
 from fgrecon.training.keypoints.trainer import Schedule, Trainer, TrainingProgress
 from fgrecon.training.keypoints.validate import HeldOut
+from fgrecon.training.keypoints.views import TrainingSet
 
 __all__ = ["Training", "train_knet"]
-
-Array = NDArray[np.float64]
 
 _CLIP = 5.0  # largest norm of a step's gradient
 
@@ -47,28 +45,17 @@ class Training(Schedule):
 class _Samples(Dataset):  # type: ignore[misc]
     """Sample number i of the training, whichever step or process asks for it."""
 
-    def __init__(
-        self,
-        photographs: Photographs,
-        chosen: NDArray[np.intp],
-        weights: Array,
-        partner: NDArray[np.intp],
-        how: Training,
-    ) -> None:
-        self.photographs, self.chosen, self.weights, self.partner, self.how = photographs, chosen, weights, partner, how
+    def __init__(self, learning: TrainingSet, partner: NDArray[np.intp], how: Training) -> None:
+        self.learning, self.partner, self.how = learning, partner, how
 
     def __getitem__(self, number: int) -> tuple[Any, ...]:
-        drawn = self.photographs.draw(
-            self.chosen, self.weights, self.how.street, self.partner, (self.how.seed, int(number))
-        )
+        drawn = self.learning.draw(self.how.street, self.partner, (self.how.seed, int(number)))
         numbers = (drawn.keypoints, drawn.visible, np.array(drawn.azimuth))
         return (torch.from_numpy(drawn.crop), *(torch.from_numpy(n.astype(np.float32)) for n in numbers))
 
 
 def train_knet(
-    photographs: Photographs,
-    chosen: NDArray[np.intp],
-    weights: Array,
+    learning: TrainingSet,
     partner: NDArray[np.intp],
     checkpoint: Path,
     how: Training,
@@ -83,9 +70,7 @@ def train_knet(
     """Train, or go on where the checkpoint ends.
 
     Args:
-        photographs: Prepared photographs with labels.
-        chosen: Which of them to learn from.
-        weights: How often to draw each.
+        learning: Views with labels, and how often to draw each.
         partner: (K,) index of each keypoint's mirror image.
         checkpoint: File to go on from and to write to.
         how: Settings.
@@ -116,7 +101,7 @@ def train_knet(
             output = network(crops)
         return knet_loss(output, points, visible, azimuth, how.sigma)
 
-    samples = _Samples(photographs, chosen, weights, partner, how)
+    samples = _Samples(learning, partner, how)
     return trainer.run(_batches(samples, how, trainer.done), losses, clip=_CLIP, until=until)
 
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from fgrecon.perception.keypoints.crops import MARGIN
 from fgrecon.perception.keypoints.refine import PATCH, RefineNet, RefineSettings, cut_patches
 from fgrecon.training.keypoints.augment import Sample, Street
-from fgrecon.training.keypoints.dataset import Photographs
 from fgrecon.training.keypoints.losses import HIDDEN_WEIGHT, map_loss
 from fgrecon.training.keypoints.trainer import Schedule, Trainer, TrainingProgress
+from fgrecon.training.keypoints.views import TrainingSet
 
 __all__ = ["RefineTraining", "train_refinement"]
 
@@ -50,9 +50,7 @@ class RefineTraining(Schedule):
 
 
 def train_refinement(
-    photographs: Photographs,
-    chosen: NDArray[np.intp],
-    weights: Array,
+    learning: TrainingSet,
     partner: NDArray[np.intp],
     checkpoint: Path,
     how: RefineTraining,
@@ -64,9 +62,7 @@ def train_refinement(
     """Train, or go on where the checkpoint ends.
 
     Args:
-        photographs: Prepared photographs with labels.
-        chosen: Which of them to learn from.
-        weights: How often to draw each.
+        learning: Views with labels, and how often to draw each.
         partner: (K,) index of each keypoint's mirror image.
         checkpoint: File to go on from and to write to.
         how: Settings.
@@ -92,10 +88,7 @@ def train_refinement(
     samples = (
         (
             step,
-            [
-                photographs.draw(chosen, weights, street, partner, (how.seed, _SEED + step * how.batch + i))
-                for i in range(how.batch)
-            ],
+            [learning.draw(street, partner, (how.seed, _SEED + step * how.batch + i)) for i in range(how.batch)],
         )
         for step in range(trainer.done, how.steps)
     )

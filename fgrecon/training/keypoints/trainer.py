@@ -25,7 +25,7 @@ class Schedule:
         steps: Gradient steps in all; the last `decay` of them lower the rate to zero.
         decay: Share of the steps.
         batch: Samples per step.
-        rate: Learning rate.
+        rate: TrainingSet rate.
         warmup: Steps over which the rate rises.
         average: Decay per step of the moving average of the weights, which is what is kept.
         seed: Of samples and first weights.
@@ -42,7 +42,7 @@ class Schedule:
     save_every: int = 100
 
     def rate_at(self, step: int) -> float:
-        """Learning rate of a step: up, level, and down to zero."""
+        """TrainingSet rate of a step: up, level, and down to zero."""
         start = round(self.steps * (1.0 - self.decay))
         down = 1.0 if step < start else (self.steps - step) / max(self.steps - start, 1)
         return self.rate * min(1.0, (step + 1) / max(self.warmup, 1)) * max(down, 0.0)

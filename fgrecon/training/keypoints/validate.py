@@ -14,8 +14,9 @@ from fgrecon.perception.keypoints.crops import MARGIN
 from fgrecon.perception.keypoints.detect import REACH
 from fgrecon.perception.keypoints.knet import STRIDE
 from fgrecon.training.keypoints.augment import Sample, Street
-from fgrecon.training.keypoints.dataset import Photographs, azimuth_weights
+from fgrecon.training.keypoints.dataset import Photographs
 from fgrecon.training.keypoints.labels import SEEN
+from fgrecon.training.keypoints.views import azimuth_weights
 
 __all__ = ["HeldOut"]
 

@@ -2,11 +2,12 @@
 
 from dataclasses import replace
 
+import gtsam
 import numpy as np
 import pytest
 
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.graph.covariance import factorise, read_covariances
+from fgrecon.solve.graph.covariance import factorise, projected_covariances, read_covariances
 from fgrecon.solve.graph.observation import Weights
 from fgrecon.solve.pipeline import reconstruct
 from tests.solve.graph.support import energy_of, graph_at, problem_of, solved, state_of, unsymmetric, vector
@@ -98,3 +99,31 @@ def test_what_is_told_is_that_of_the_weighted_keypoints(strategy):
     whole = np.linalg.inv(jacobian.T @ jacobian)
     np.testing.assert_allclose(told.pose_covariance, whole[:6, :6], atol=0.02 * np.abs(whole[:6, :6]).max())
     np.testing.assert_allclose(told.coefficients_covariance, whole[6:11, 6:11], atol=0.02)
+
+
+@pytest.mark.parametrize("settings", [{"free_offsets": True}, {"free_offsets": True, "ground": False, "size": False}])
+def test_covariances_of_projections_are_those_of_samples(settings):
+    """Pose and shape drawn together from what the graph leaves open."""
+    result, graph, values, _ = at_result(**settings)
+    marginals = factorise(graph.build([result.weights]), values)
+    part = graph.observations[0]
+    found = projected_covariances(part, values, marginals)
+    keys = list(part.kernel.keys)
+    joint = marginals.jointMarginalCovariance(gtsam.KeyVector(keys))
+    whole = np.block([[joint.at(a, b) for b in keys] for a in keys])
+    rng, scale = np.random.default_rng(0), 0.1  # small enough for a linear projection
+    drawn = []
+    for step in scale * rng.multivariate_normal(np.zeros(len(whole)), whole, 4000, method="cholesky"):
+        moved = gtsam.Values(values)
+        moved.update(keys[0], values.atPose3(keys[0]).retract(step[:6]))
+        at = 6
+        for key in keys[1:]:
+            before = values.atVector(key)
+            moved.update(key, before + step[at : at + len(before)])
+            at += len(before)
+        drawn.append(part.projections(moved))
+    off = (np.array(drawn) - part.projections(values)) / scale
+    sampled = np.einsum("ski,skj->kij", off, off) / len(off)
+    np.testing.assert_allclose(found, sampled, rtol=0.0, atol=0.1 * np.abs(found).max(axis=(1, 2)).max())
+    for one, other in zip(found, sampled, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0.0, atol=0.12 * np.trace(one))

@@ -25,6 +25,19 @@ def made_up_view(rng, size=(120, 80)):
     return LabelledView(np.clip(image, 0, 255).astype(np.uint8), mask, keypoints, np.ones(14), 0.7)
 
 
+def in_its_street(view, around=20):
+    """The same view with some of the street around it."""
+    wide = [(around, around), (around, around)]
+    return LabelledView(
+        np.pad(view.image, [*wide, (0, 0)]),
+        np.pad(view.mask, wide),
+        view.keypoints + around,
+        view.visible,
+        view.azimuth,
+        view.box + around,
+    )
+
+
 class Bright(Street):
     """Without any loss of quality, so that dots can be found again."""
 
@@ -32,8 +45,10 @@ class Bright(Street):
         return canvas
 
 
-def test_keypoints_stay_on_their_dots():
+@pytest.mark.parametrize("street_car", [False, True])
+def test_keypoints_stay_on_their_dots(street_car):
     view = made_up_view(np.random.default_rng(0))
+    view = in_its_street(view) if street_car else view
     street = Bright(**{name: getattr(PLAIN, name) for name in PLAIN.__dataclass_fields__})
     row, column = np.mgrid[:96, :96]
     distances = []
@@ -108,3 +123,45 @@ def test_a_backlit_car_is_darker_and_what_is_around_it_brighter():
     crop = street.sample(view, lambda _: view, MIRROR, rng).crop
     assert 20 <= crop[48, 48].max() < 85
     assert crop[48, 12].min() > 115
+
+
+def test_a_street_car_fills_the_crop_as_a_photograph_does():
+    """What is around it changes neither place nor size in the crop."""
+    view = made_up_view(np.random.default_rng(0))
+    for seed in range(20):
+        alone, _ = PLAIN._placement(view, np.random.default_rng(seed))
+        wider = in_its_street(view)
+        among, _ = PLAIN._placement(wider, np.random.default_rng(seed))
+        np.testing.assert_allclose(
+            wider.keypoints @ among[:, :2].T + among[:, 2], view.keypoints @ alone[:, :2].T + alone[:, 2], atol=1e-9
+        )
+
+
+def test_the_mirror_image_of_a_street_car_has_the_mirrored_box():
+    view = in_its_street(made_up_view(np.random.default_rng(0)))
+    there = view.mirrored(MIRROR)
+    np.testing.assert_allclose(there.box[[0, 2]], view.image.shape[1] - 1 - view.box[[2, 0]])
+    np.testing.assert_allclose(there.mirrored(MIRROR).box, view.box)
+    inside = (there.keypoints >= there.box[:2]) & (there.keypoints <= there.box[2:])
+    assert inside.all()
+
+
+def test_street_cars_are_left_in_their_street():
+    """Whatever their mask is, they are never cut out, as photographs are."""
+    view = in_its_street(made_up_view(np.random.default_rng(0)))
+    how = replace(PLAIN, cut_out=1.0, backlit=0.0)
+    masked = replace(view, mask=np.zeros_like(view.mask))
+    for seed in range(5):
+        one, other = (how.sample(v, lambda _: view, MIRROR, np.random.default_rng(seed)) for v in (view, masked))
+        np.testing.assert_array_equal(one.crop, other.crop)
+
+
+def test_street_cars_are_often_left_as_the_camera_saw_them():
+    view = in_its_street(made_up_view(np.random.default_rng(0)))
+    kept = Bright(**{name: getattr(PLAIN, name) for name in PLAIN.__dataclass_fields__})
+    for seed in range(5):
+        left, degraded = (
+            how.sample(view, lambda _: view, MIRROR, np.random.default_rng(seed))
+            for how in (replace(PLAIN, as_it_is=1.0, extent=(30.0, 40.0)), replace(kept, as_it_is=0.0, backlit=0.0))
+        )
+        np.testing.assert_array_equal(left.crop, degraded.crop)

@@ -9,7 +9,7 @@ from fgrecon.io.images import write_png
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.weights import Stored, load_weights, mean_state, save_weights
 from fgrecon.training.keypoints.augment import Street
-from fgrecon.training.keypoints.dataset import Photographs, azimuth_weights, prepare_photographs
+from fgrecon.training.keypoints.dataset import Photographs, prepare_photographs
 from fgrecon.training.keypoints.labels import fit_shape, project_labels
 from tests.training.keypoints.support import made_up_cars, unit_car_prior
 
@@ -19,6 +19,7 @@ from fgrecon.perception.keypoints.knet import KNet, KNetSettings, load_imagenet 
 from fgrecon.training.keypoints.checkpoint import load_checkpoint  # noqa: E402
 from fgrecon.training.keypoints.losses import gaussian_maps, knet_loss  # noqa: E402
 from fgrecon.training.keypoints.train import Training, train_knet  # noqa: E402
+from fgrecon.training.keypoints.views import TrainingSet, azimuth_weights  # noqa: E402
 
 MIRROR = load_category("car14").mirror
 SMALL = KNetSettings(crop=32, width=8)
@@ -123,12 +124,12 @@ def test_an_interrupted_training_ends_like_an_uninterrupted_one(photographs, tmp
     how = Training(
         steps=4, batch=2, warmup=1, save_every=2, workers=0, network=SMALL, street=Street(size=32), rate=1e-3
     )
-    chosen, weights = np.arange(4), np.full(4, 0.25)
+    learning = TrainingSet(prepared, np.arange(4), np.full(4, 0.25))
     reports = []
-    whole = train_knet(prepared, chosen, weights, MIRROR, tmp_path / "a.pt", how, report=reports.append)
-    train_knet(prepared, chosen, weights, MIRROR, tmp_path / "b.pt", how, until=2)
+    whole = train_knet(learning, MIRROR, tmp_path / "a.pt", how, report=reports.append)
+    train_knet(learning, MIRROR, tmp_path / "b.pt", how, until=2)
     assert load_checkpoint(tmp_path / "b.pt")["step"] == 2
-    resumed = train_knet(prepared, chosen, weights, MIRROR, tmp_path / "b.pt", how)
+    resumed = train_knet(learning, MIRROR, tmp_path / "b.pt", how)
     for name, value in whole.state_dict().items():
         torch.testing.assert_close(value, resumed.state_dict()[name], msg=name)
     assert [report.step for report in reports] == [2, 4]
@@ -138,7 +139,7 @@ def test_an_interrupted_training_ends_like_an_uninterrupted_one(photographs, tmp
 def test_a_checkpoint_of_another_network_is_refused(photographs, tmp_path):
     prepared, _ = photographs
     small = Training(steps=1, batch=2, workers=0, network=SMALL, street=Street(size=32))
-    arguments = (prepared, np.arange(4), np.full(4, 0.25), MIRROR, tmp_path / "a.pt")
+    arguments = (TrainingSet(prepared, np.arange(4), np.full(4, 0.25)), MIRROR, tmp_path / "a.pt")
     train_knet(*arguments, small)
     wider = Training(steps=1, batch=2, workers=0, network=KNetSettings(crop=32, width=16), street=Street(size=32))
     with pytest.raises(InvalidInputError, match="same sizes"):

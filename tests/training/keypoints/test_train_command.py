@@ -1,22 +1,29 @@
 """`fgrecon keypoints train` from the outside, on made-up photographs and with small networks."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from fgrecon.annotation.annotate import annotate
+from fgrecon.annotation.labels import vehicle_labels
 from fgrecon.cli.main import app
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.catalogue import load_prior
+from fgrecon.io.export import write_coco_keypoints
+from fgrecon.io.kitti_drives import read_drive
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.weights import Stored, load_weights, save_weights
+from tests.annotation.streets import Car, Told, write_drive
 from tests.training.keypoints.test_rounds import SMALL, source  # noqa: F401 - a fixture
 
 torch = pytest.importorskip("torch")
 
 from fgrecon.perception.keypoints.knet import KNet  # noqa: E402
-from fgrecon.perception.keypoints.refine import RefineSettings  # noqa: E402
-from fgrecon.training.keypoints import networks  # noqa: E402
+from fgrecon.perception.keypoints.refine import RefineNet, RefineSettings  # noqa: E402
+from fgrecon.training.keypoints import networks, rounds  # noqa: E402
 from fgrecon.training.keypoints.augment import Street  # noqa: E402
 
 
@@ -77,3 +84,31 @@ def test_bad_options_are_refused_before_the_work(train, tmp_path):
         assert isinstance(done.exception, InvalidInputError)
         assert done.exception.field == field
     assert not (tmp_path / "work").exists()
+
+
+def test_street_cars_are_learnt_from_beside_the_photographs(train, tmp_path, monkeypatch):
+    # A network that knows nothing would correct the photographs' labels to where no shape is.
+    monkeypatch.setattr(rounds, "corrected", lambda _, first, *more: first)
+    prior = load_prior("car14")
+    streets = {"near": [{1: Car((0.0, 1.65, 15.0), 0.4)}], "far": [{1: Car((1.0, 1.65, 20.0), 2.0)}]}
+    annotated = []
+    for name, frames in streets.items():
+        made, _ = annotate(read_drive(write_drive(tmp_path / name, prior, frames)), Told(frames, prior), prior)
+        annotated += [(name, one) for one in made]
+    file = write_coco_keypoints(tmp_path / "street.json", vehicle_labels(annotated, prior.category, {}))
+    start = tmp_path / "start.safetensors"
+    knet, refined = KNet(SMALL), RefineNet(RefineSettings(crop=64, width=4))
+    begun = Stored(knet.state_dict(), SMALL.to_dict(), ConfidenceCalibration(), {}, refined.state_dict(), {})
+    save_weights(start, replace(begun, refine_settings=refined.settings.to_dict(), trust=0.3))
+    told = ("--start", start, "--street", file, "--street-share", 0.75, "--rate", 1e-4, "--decay", 0.5)
+    done = train("street.safetensors", *told, "--without", "far", "--relabel-at", 9, "--refine-steps", 0)
+    assert done.exit_code == 0, done.output
+    assert "Street cars" in done.stderr
+    trained = load_weights(tmp_path / "street.safetensors")
+    assert trained.provenance["data"].endswith("; 1 street cars in 0.75 of the samples, without far")
+    assert (trained.trust, trained.refine_settings) == (0.3, refined.settings.to_dict())
+    for name, value in trained.refinement.items():  # kept, since no step was made on them
+        np.testing.assert_allclose(value, refined.state_dict()[name], atol=1e-3)
+    again = train("street.safetensors", *told, "--relabel-at", 9, "--refine-steps", 0)
+    assert isinstance(again.exception, InvalidInputError)  # the same folder, but other drives
+    assert again.exception.field == "work"

@@ -1,0 +1,287 @@
+"""`fgrecon evaluate video`: from the images of video drives, each on its own, to poses, scored."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fgrecon.cli.common import check_outputs
+from fgrecon.cli.options import JsonOption, LabelledScene, WeightsOption, fitting_names
+from fgrecon.cli.progress import counting
+from fgrecon.cli.terminal import Terminal
+from fgrecon.core.options import BoxModel
+
+if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
+    from rich.table import Table
+
+    from fgrecon.core.reliability import Reliability
+    from fgrecon.evaluation.bootstrap import Interval
+    from fgrecon.evaluation.kitti_images import Setup
+    from fgrecon.evaluation.methods import SceneKnowledge
+    from fgrecon.evaluation.video_images import VideoBox
+    from fgrecon.io.kitti_drives import Drive
+    from fgrecon.viz import Sight
+
+__all__ = ["read_folds", "video_command"]
+
+_WORST = 20
+_RIVAL = "sqpnp_confident"
+_COLUMNS = 5
+
+
+def _rivals() -> list[str]:
+    from fgrecon.evaluation.methods import METHODS
+
+    return list(METHODS)
+
+
+def video_command(
+    folders: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="DRIVE", help="Folders with image_02, calib.txt and label_02.txt of KITTI's tracking set."
+        ),
+    ],
+    labelled: LabelledScene,
+    terminal: Terminal,
+    weights: WeightsOption = None,
+    fold: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="DRIVE[,DRIVE...]=FILE",
+            help="Keypoint network for these drives, such as one that was trained without them; repeat for more.",
+        ),
+    ] = None,
+    rival: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Method of `evaluate tracks` that gets the same keypoints; repeat for more.",
+            show_default=_RIVAL,
+            autocompletion=fitting_names(_rivals),
+        ),
+    ] = None,
+    box_model: Annotated[BoxModel, typer.Option(help="What the 2D boxes enclose.")] = BoxModel.CUBOID,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE", help=f"Contact sheet of the {_WORST} worst tracks' worst boxes.")
+    ] = None,
+    table: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Rows by box and method as .csv or .parquet.")
+    ] = None,
+    json_out: JsonOption = None,
+) -> None:
+    """Find keypoints in every image of labelled drives, reconstruct cars and vans from their labelled boxes, and score.
+
+    Boxes count that are at least 25 px high, largely occluded at most, and at most half outside the image. Each image
+    is taken on its own. A box without a result counts as 180 degrees and stays in. Intervals are of 95 %, by bootstrap
+    over tracks. For a picture the worst images are solved once more after they were scored. --verbose tells every box.
+
+    Exit code 1: no box could be reconstructed.
+    """
+    from fgrecon.core.errors import InvalidInputError
+    from fgrecon.core.options import Options
+    from fgrecon.evaluation.video_images import score_drives, wanted
+    from fgrecon.evaluation.video_summary import document, facing_reliability, methods_of
+    from fgrecon.io.export.files import TABLE_FORMATS, export_rows
+    from fgrecon.io.files import check_ending
+    from fgrecon.io.kitti_drives import read_drive
+
+    check_outputs(json_out, picture, table)
+    if table is not None:
+        check_ending(table, TABLE_FORMATS)
+    screen = terminal.screen(json_out)
+    drives = [read_drive(folder.absolute()) for folder in folders]
+    files = read_folds(fold or (), [drive.name for drive in drives], weights)
+    frames = sum(len(wanted(frame)) > 0 for drive in drives for frame in drive.frames)
+    if not frames:
+        fix = "Give drives with labelled cars or vans of at least 25 pixels."
+        raise InvalidInputError("drives", ", ".join(drive.name for drive in drives), fix)
+    scene, (_, origin) = labelled.scene(), labelled.plane()
+    setups = _setups(files, scene, Options(box=box_model))
+    with screen.bar() as advance:
+        boxes = score_drives(
+            drives,
+            setups,
+            scene,
+            rivals=rival or [_RIVAL],
+            jobs=jobs,
+            advance=counting(advance, "Images", frames),
+        )
+
+    screen.print(f"{len(drives)} drives, {frames} images, {len(boxes)} boxes; {origin}.")
+    for method in methods_of(boxes):
+        screen.print(_table(boxes, method))
+    screen.print(_in_words(facing_reliability(boxes)))
+    for box in boxes:
+        for method, found in box.outcomes.items():
+            error = found.failure or f"{found.degrees:.1f} degrees, {found.metres:.2f} m"
+            screen.detail(f"{box.drive}/{box.frame:06d}/{box.index} {method}: {error}")
+    given = {
+        "drives": [drive.name for drive in drives],
+        "images": frames,
+        "prior": scene.prior.describe(),
+        "ground": origin,
+        "size_prior": labelled.size_prior,
+        "box_model": box_model.value,
+    }
+    networks = _networks(files, setups)
+    screen.write_json(json.dumps(document(boxes, given, networks), indent=1, allow_nan=False) + "\n")
+    if table is not None:
+        screen.wrote(export_rows(table, [row for box in boxes for row in box.rows()]))
+    if picture is not None and (sights := _sights(boxes, drives, setups)):
+        from fgrecon.viz import contact_sheet, save_picture
+
+        screen.wrote(save_picture(picture, contact_sheet(sights, columns=_COLUMNS)))
+    if all(box.outcomes[methods_of(boxes)[0]].failure is not None for box in boxes):
+        screen.fail("No box could be reconstructed.")
+        raise typer.Exit(1)
+
+
+def read_folds(folds: Sequence[str], drives: Sequence[str], weights: Path | None) -> dict[str, Path | None]:
+    """Which file has the network that scores each drive, by the drive's name; None for the shipped one.
+
+    Args:
+        folds: `DRIVE[,DRIVE...]=FILE` each.
+        drives: Names of all drives.
+        weights: File for the drives that no fold names, or None.
+
+    Raises:
+        InvalidInputError: Two drives have one name, or a fold names none, one that is not there, or one of another.
+    """
+    from fgrecon.core.errors import InvalidInputError
+
+    twice = [name for number, name in enumerate(drives) if name in drives[:number]]
+    if twice:
+        raise InvalidInputError("drives", twice[0], "Give each drive once; their folders need different names.")
+    found: dict[str, Path | None] = {}
+    for text in folds:
+        names, _, file = text.partition("=")
+        if not names or not file:
+            raise InvalidInputError("fold", text, "Give DRIVE[,DRIVE...]=FILE.")
+        for name in names.split(","):
+            if name not in drives:
+                raise InvalidInputError("fold", name, f"Name one of the drives: {', '.join(drives)}.")
+            if name in found:
+                raise InvalidInputError("fold", name, "Name each drive in one fold.")
+            found[name] = Path(file)
+    return {name: found.get(name, weights) for name in drives}
+
+
+def _setups(files: dict[str, Path | None], scene: SceneKnowledge, options: Any) -> dict[str, Setup]:
+    """What each drive is reconstructed with, by its name; each network is loaded once."""
+    from fgrecon.evaluation.kitti_images import Setup
+    from fgrecon.perception.keypoints.detect import KeypointCascade
+
+    made = {
+        file: Setup(
+            detector=KeypointCascade(file),
+            prior=scene.prior,
+            ground=scene.ground,
+            size_prior=scene.size,
+            options=options,
+        )
+        for file in dict.fromkeys(files.values())
+    }
+    return {name: made[file] for name, file in files.items()}
+
+
+def _networks(files: dict[str, Path | None], setups: dict[str, Setup]) -> list[dict[str, Any]]:
+    """Of each network its file, the drives that it scored, and what it has learnt from."""
+    drives: dict[Path | None, list[str]] = {}
+    for name, file in files.items():
+        drives.setdefault(file, []).append(name)
+    return [
+        {
+            "file": "shipped" if file is None else str(file),
+            "drives": names,
+            "provenance": setups[names[0]].detector.provenance,
+        }
+        for file, names in drives.items()
+    ]
+
+
+def _table(boxes: list[VideoBox], method: str) -> Table:
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    from fgrecon.core.metrics import THRESHOLDS
+    from fgrecon.evaluation.video_images import SYSTEM
+    from fgrecon.evaluation.video_summary import group_boxes, summarise_boxes
+
+    whole = method == SYSTEM
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    shares = [f"AOP {threshold}° %" for threshold in THRESHOLDS]
+    silent = ["silent %", "network %"] if whole else []
+    numbers = ["boxes", "tracks", "mean °", *shares, "turned %", *silent, "median m", "mean m", "refused"]
+    for heading in (method, *numbers):
+        table.add_column(heading, justify="left" if heading == method else "right", no_wrap=True)
+    for by, named in group_boxes(boxes).items():
+        if not whole and by not in ("drive", "regime"):
+            continue
+        for name, some in named.items():
+            score = summarise_boxes(some, method)
+            first, *others = (score.aop[threshold] for threshold in THRESHOLDS)
+            table.add_row(
+                name,
+                str(score.boxes),
+                str(score.tracks),
+                f"{score.mean_degrees.value:.1f}",
+                _cell(first, score.tracks),
+                *(f"{share.value:.1f}" for share in others),
+                _cell(score.turned_round, score.tracks),
+                *(["-" if s is None else f"{s.value:.1f}" for s in (score.silent, score.network_turned_round)] * whole),
+                f"{score.median_metres:.2f}",
+                f"{score.mean_metres:.2f}",
+                str(score.refused),
+            )
+        table.add_section()
+    return table
+
+
+def _cell(share: Interval, tracks: int) -> str:
+    return f"{share.value:.1f}" if tracks < 2 else f"{share.value:.1f} ({share.low:.0f}-{share.high:.0f})"
+
+
+def _in_words(facing: Reliability) -> str:
+    if not len(facing.count):
+        return "The network gives no directions."
+    right, sure = (
+        100.0 * float(values @ facing.count) / facing.count.sum() for values in (facing.right, facing.confidence)
+    )
+    return (
+        f"The network's more probable half of all directions is right for {right:.1f} % of the boxes, where it says "
+        f"{sure:.1f} %; expected calibration error {100.0 * facing.error:.1f} %."
+    )
+
+
+def _sights(boxes: list[VideoBox], drives: list[Drive], setups: dict[str, Setup]) -> list[Sight]:
+    """The worst boxes with their photographs and labels, worst first; their frames are solved once more."""
+    from dataclasses import replace
+
+    from fgrecon.evaluation.video_images import reconstruct_frame, wanted
+    from fgrecon.evaluation.video_summary import worst_boxes
+    from fgrecon.simulation.vehicles import yaw_pose
+    from fgrecon.viz import Sight
+    from fgrecon.viz.truth import Truth
+
+    by_name = {drive.name: drive for drive in drives}
+    sights = []
+    for box in worst_boxes(boxes, _WORST):
+        drive = by_name[box.drive]
+        frame = next(frame for frame in drive.frames if frame.number == box.frame)
+        image, found = reconstruct_frame(drive.calibration, frame, setups[box.drive])
+        one = found[wanted(frame).tolist().index(box.index)]
+        if one.result is None:
+            continue
+        labels, offset = frame.objects, drive.calibration.label_offset
+        pose = yaw_pose(float(labels.rotation_y[box.index]), labels.location[box.index] + offset)
+        camera = replace(drive.calibration.camera, image_size=(image.shape[1], image.shape[0]))
+        title = f"{box.drive}/{box.frame:06d}/{box.index}"
+        truth = Truth(pose, labels.size[box.index])
+        sights.append(Sight(one.result, one.detection.observation, camera, image, truth, title))
+    return sights

@@ -1,0 +1,331 @@
+"""Labelled boxes of video drives, taken as single images: from pixels to a pose, and how far that is off.
+
+Cars and vans count that are at least 25 px high, largely occluded at most, and at most half outside the image, in the
+frames where nothing is drawn over them. Every box has one outcome by method: `SYSTEM` is the whole way from pixels to
+the pose; the rivals (`fgrecon.evaluation.methods`) get the keypoints that it found. Nothing is left out: a refused box
+counts as 180 degrees.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from multiprocessing import get_context
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error, translation_error, wrap_angle
+from fgrecon.evaluation.kitti_images import Setup, reconstruct_boxes
+from fgrecon.evaluation.methods import SceneKnowledge, Solver, select
+from fgrecon.evaluation.processes import single_threaded
+from fgrecon.evaluation.run import score_pose
+from fgrecon.io.images import read_image
+from fgrecon.io.kitti_calibration import KittiCalibration
+from fgrecon.io.kitti_drives import Drive, DriveFrame
+from fgrecon.io.track_file import GroundTruth, TrackFrame
+from fgrecon.perception.from_image import FromImage
+
+__all__ = [
+    "KINDS",
+    "SYSTEM",
+    "BoxOutcome",
+    "VideoBox",
+    "View",
+    "facing_probability",
+    "labelled_azimuth",
+    "reconstruct_frame",
+    "score_drives",
+    "view_of",
+    "wanted",
+]
+
+Array = NDArray[np.float64]
+
+SYSTEM = "reconstruct_image"
+"""The whole way, which `fgrecon.reconstruct_image` goes: networks, both stages, and the network's direction."""
+
+KINDS = ("Car", "Van")
+_LEAST_HEIGHT = 25.0  # pixels
+_MOST_OCCLUSION = 2
+_MOST_TRUNCATION = 0.5
+
+
+class View(StrEnum):
+    """From where the vehicle is seen."""
+
+    FRONT = "front"
+    """The camera is within 45 degrees of ahead of it."""
+    REAR = "rear"
+    """Within 45 degrees of behind it."""
+    SIDE = "side"
+
+
+@dataclass(frozen=True)
+class BoxOutcome:
+    """What one method found in one box.
+
+    Attributes:
+        degrees: Yaw error on the full circle; 180 without a pose.
+        metres: Distance of the estimated from the labelled origin in the label's frame; infinite without a pose.
+        size: Estimated minus labelled length, width and height, metres; None where the method finds no size.
+        status: How the reconstruction ended; None without one, and for a rival.
+        failure: Why there is no pose, or None.
+    """
+
+    degrees: float
+    metres: float
+    size: tuple[float, float, float] | None
+    status: str | None
+    failure: str | None
+
+
+@dataclass(frozen=True)
+class VideoBox:
+    """One labelled box of a drive.
+
+    Attributes:
+        drive: Name of the drive.
+        frame: Number of the frame.
+        index: Position among the frame's labels.
+        track: Number of the track in the drive.
+        kind: `Car` or `Van`.
+        truncation: Share outside the image.
+        occlusion: 0 fully visible, 1 partly, 2 largely occluded; -1 where unknown.
+        height: Of the labelled 2D box, pixels.
+        distance: Of the labelled origin from the labels' camera, metres.
+        azimuth: Labelled direction from the vehicle to the camera, radians; 0 ahead, pi / 2 to its left.
+        facing: Probability that the network gives to directions within 90 degrees of the labelled one; None where it
+            gives no directions.
+        outcomes: What each method found, by its name.
+    """
+
+    drive: str
+    frame: int
+    index: int
+    track: int
+    kind: str
+    truncation: float
+    occlusion: int
+    height: float
+    distance: float
+    azimuth: float
+    facing: float | None
+    outcomes: Mapping[str, BoxOutcome]
+
+    @property
+    def view(self) -> View:
+        """From where the vehicle is seen."""
+        return view_of(self.azimuth)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Plain values, a row for each method; an infinite distance is None."""
+        about = {
+            "drive": self.drive,
+            "frame": self.frame,
+            "index": self.index,
+            "track": self.track,
+            "kind": self.kind,
+            "truncation": self.truncation,
+            "occlusion": self.occlusion,
+            "height_px": self.height,
+            "distance_m": self.distance,
+            "view": self.view.value,
+            "azimuth_deg": float(np.degrees(self.azimuth)),
+            "facing": self.facing,
+        }
+        rows = []
+        for method, found in self.outcomes.items():
+            length, width, height = found.size or (None, None, None)
+            rows.append(
+                about
+                | {
+                    "method": method,
+                    "degrees": found.degrees,
+                    "metres": found.metres if np.isfinite(found.metres) else None,
+                    "length_error_m": length,
+                    "width_error_m": width,
+                    "height_error_m": height,
+                    "status": found.status,
+                    "failure": found.failure,
+                }
+            )
+        return rows
+
+
+def wanted(frame: DriveFrame) -> NDArray[np.intp]:
+    """Indices of the labels that count."""
+    labels = frame.objects
+    kinds = np.array([kind in KINDS for kind in labels.kind], dtype=bool)
+    seen = (labels.truncation <= _MOST_TRUNCATION) & (labels.occlusion <= _MOST_OCCLUSION)
+    return np.flatnonzero(kinds & frame.usable & seen & (labels.box[:, 3] - labels.box[:, 1] >= _LEAST_HEIGHT))
+
+
+def labelled_azimuth(rotation_y: float, location: Array) -> float:
+    """Direction from a vehicle to the camera, radians in [-pi, pi]: 0 ahead of it, pi / 2 to its left.
+
+    Args:
+        rotation_y: Yaw of the vehicle about the camera's y axis, radians.
+        location: (3,) its origin in the camera's frame, metres.
+    """
+    cosine, sine = np.cos(rotation_y), np.sin(rotation_y)
+    x, _, z = location
+    return float(np.arctan2(-(sine * x + cosine * z), -(cosine * x - sine * z)))
+
+
+def view_of(azimuth: float) -> View:
+    """Front, rear or side by the direction from the vehicle to the camera, radians."""
+    off = abs(np.degrees(wrap_angle(azimuth)))
+    return View.FRONT if off <= 45.0 else View.REAR if off >= 135.0 else View.SIDE
+
+
+def facing_probability(directions: Array, azimuth: float) -> float:
+    """Probability of the half of all directions around one.
+
+    Args:
+        directions: (A,) probability of each direction, as in `fgrecon.Detection`; even within its bin.
+        azimuth: The direction, radians.
+    """
+    width = 2.0 * np.pi / len(directions)
+    off = np.abs(wrap_angle(width * np.arange(len(directions)) - azimuth))
+    return float(np.clip((np.pi / 2.0 - off) / width + 0.5, 0.0, 1.0) @ directions)
+
+
+def reconstruct_frame(
+    calibration: KittiCalibration, frame: DriveFrame, setup: Setup
+) -> tuple[NDArray[np.uint8], list[FromImage]]:
+    """The frame's image (H, W, 3), and what is found in each box that counts.
+
+    Raises:
+        InvalidInputError: The image cannot be read, or a box is outside it; names the image.
+    """
+    image = read_image(frame.image)
+    camera = replace(calibration.camera, image_size=(image.shape[1], image.shape[0]))
+    try:
+        return image, reconstruct_boxes(image, camera, list(frame.objects.box[wanted(frame)]), setup)
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{frame.image}: {error.field}", error.value, error.fix) from error
+
+
+def score_drives(
+    drives: Sequence[Drive],
+    setups: Mapping[str, Setup],
+    scene: SceneKnowledge,
+    *,
+    rivals: Sequence[str] = (),
+    jobs: int = 1,
+    advance: Callable[[str], None] = lambda _: None,
+) -> list[VideoBox]:
+    """Score every box that counts.
+
+    Args:
+        drives: What to score.
+        setups: What each drive is reconstructed with, by its name.
+        scene: What the rivals are told, each as far as its name says.
+        rivals: Names of methods that get the same keypoints.
+        jobs: Number of processes; 1 uses this one. Each of several uses one thread, and the results do not depend on
+            how many they are.
+        advance: Called with the drive's name after each of its frames that count (`wanted`).
+
+    Raises:
+        InvalidInputError: There is no rival of a name, or an image or box cannot be used.
+    """
+    select(rivals)  # refuse before the work
+    tasks = [
+        (drive.name, drive.calibration, frame) for drive in drives for frame in drive.frames if len(wanted(frame)) > 0
+    ]
+    scored: list[VideoBox] = []
+    with ExitStack() as stack:
+        if jobs > 1:
+            stack.enter_context(single_threaded())
+            pool = ProcessPoolExecutor(jobs, get_context("spawn"), _start, (setups, scene, tuple(rivals)))
+            found: Iterator[list[VideoBox]] = stack.enter_context(pool).map(_run, tasks)
+        else:
+            found = map(_Worker(setups, scene, rivals), tasks)
+        for (name, _, _), boxes in zip(tasks, found, strict=True):
+            scored += boxes
+            advance(name)
+    return scored
+
+
+_Task = tuple[str, KittiCalibration, DriveFrame]
+
+
+class _Worker:
+    """What a process keeps between frames."""
+
+    def __init__(self, setups: Mapping[str, Setup], scene: SceneKnowledge, rivals: Sequence[str]) -> None:
+        self.setups = setups
+        self.solvers = {method.name: method.bind(scene) for method in select(rivals)}
+
+    def __call__(self, task: _Task) -> list[VideoBox]:
+        drive, calibration, frame = task
+        return _score_frame(drive, calibration, frame, self.setups[drive], self.solvers)
+
+
+_worker: _Worker | None = None
+
+
+def _start(setups: Mapping[str, Setup], scene: SceneKnowledge, rivals: Sequence[str]) -> None:
+    global _worker  # noqa: PLW0603 - a process pool has no other place for what its processes keep
+    _worker = _Worker(setups, scene, rivals)
+
+
+def _run(task: _Task) -> list[VideoBox]:
+    assert _worker is not None
+    return _worker(task)
+
+
+def _score_frame(
+    drive: str, calibration: KittiCalibration, frame: DriveFrame, setup: Setup, rivals: Mapping[str, Solver]
+) -> list[VideoBox]:
+    image, found = reconstruct_frame(calibration, frame, setup)
+    camera = replace(calibration.camera, image_size=(image.shape[1], image.shape[0]))
+    labels, offset = frame.objects, calibration.label_offset
+    boxes = []
+    for index, one in zip(wanted(frame).tolist(), found, strict=True):
+        location, yaw = labels.location[index], float(labels.rotation_y[index])
+        azimuth = labelled_azimuth(yaw, location + offset)
+        truth = TrackFrame(f"{drive}:{frame.number}", one.detection.observation, GroundTruth(location, yaw))
+        outcomes = {SYSTEM: _outcome(one, truth.truth, labels.size[index], offset)}
+        for name, solver in rivals.items():
+            scored = score_pose(solver, camera, truth, offset)
+            outcomes[name] = BoxOutcome(scored.orientation_error, scored.translation_error, None, None, scored.failure)
+        directions = one.detection.azimuth
+        boxes.append(
+            VideoBox(
+                drive=drive,
+                frame=frame.number,
+                index=index,
+                track=int(frame.tracks[index]),
+                kind=labels.kind[index],
+                truncation=float(labels.truncation[index]),
+                occlusion=int(labels.occlusion[index]),
+                height=float(labels.box[index, 3] - labels.box[index, 1]),
+                distance=float(np.linalg.norm(location)),
+                azimuth=azimuth,
+                facing=None if directions is None else facing_probability(directions, azimuth),
+                outcomes=outcomes,
+            )
+        )
+    return boxes
+
+
+def _outcome(found: FromImage, truth: GroundTruth, size: Array, offset: Array) -> BoxOutcome:
+    """The whole system's outcome; truth and size (3,) are the label's."""
+    result = found.result
+    if result is None:
+        return BoxOutcome(FAILURE_DEGREES, float("inf"), None, None, str(found.error))
+    length, width, height = (result.box_size - size).tolist()
+    return BoxOutcome(
+        degrees=float(orientation_error([result.rotation_y], [truth.rotation_y])[0]),
+        metres=float(translation_error([result.location - offset], [truth.location])[0]),
+        size=(length, width, height),
+        status=result.status.value,
+        failure=None,
+    )

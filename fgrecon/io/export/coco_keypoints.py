@@ -1,0 +1,368 @@
+"""Keypoints of vehicles in images as COCO's JSON, with what else is known of them beside COCO's own fields.
+
+Any reader of COCO keypoints takes the file; `read_coco_keypoints` reads all of it. A keypoint's flag is 2 where it is
+probably seen, 1 where it is hidden, and 0, with u = v = 0, where it lies outside the image. Numbers have six digits,
+vertices millimetres.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.brief import brief_repr
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.files import write_text
+from fgrecon.io.json_fields import Fields, numbers, read_json
+
+__all__ = [
+    "COCO_KEYPOINTS_FORMAT",
+    "SEEN",
+    "LabelledImage",
+    "VehicleLabel",
+    "VehicleLabels",
+    "read_coco_keypoints",
+    "write_coco_keypoints",
+]
+
+COCO_KEYPOINTS_FORMAT = "fgrecon.keypoint_labels/1"
+
+SEEN = 0.5
+"""A keypoint of at least this probability is flagged as visible."""
+
+_CATEGORY = 1
+_CORNERS = 8
+_FLAGS = 0, 1, 2
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledImage:
+    """An image and its camera.
+
+    Attributes:
+        path: Its file.
+        size: Width and height, pixels.
+        matrix: (3, 3) camera matrix, pixels.
+        drive: Name of the drive or folder that it belongs to.
+        frame: Its number there.
+    """
+
+    path: Path
+    size: tuple[int, int]
+    matrix: Array
+    drive: str
+    frame: int
+
+    __repr__ = brief_repr
+
+
+@dataclass(frozen=True, eq=False)
+class VehicleLabel:
+    """A vehicle in an image. Camera frame: x right, y down, z forward, metres.
+
+    Attributes:
+        image: The image.
+        track: Number of the vehicle within its drive.
+        kind: Such as `Car`.
+        box: (4,) 2D box x1, y1, x2, y2, pixels.
+        keypoints: (K, 2) pixels, hidden ones as well; NaN where read back from outside the image.
+        probability: (K,) that each can be seen.
+        covariance: (K, 2, 2) of the keypoints, square pixels.
+        corners: (8, 2) pixels of the 3D box: rear before front, bottom before top, right before left, the last changing
+            fastest; NaN behind the camera.
+        location: (3,) centre of the bottom face, camera frame.
+        rotation_y: Yaw about the camera's y axis, radians; 0 where the vehicle faces camera +x.
+        size: (3,) length, width and height, metres.
+        azimuth: Direction from the vehicle to the camera, radians; 0 ahead of it, pi / 2 to its left.
+        agreement: Share of the network's confidence that agrees with the keypoints.
+        silhouette: Polygons (N, 2) in pixels, where the vehicle is seen; none where no part of it is.
+        vertices: (V, 3) surface, camera frame; None where it is not kept.
+    """
+
+    image: LabelledImage
+    track: int
+    kind: str
+    box: Array
+    keypoints: Array
+    probability: Array
+    covariance: Array
+    corners: Array
+    location: Array
+    rotation_y: float
+    size: Array
+    azimuth: float
+    agreement: float
+    silhouette: tuple[Array, ...] = ()
+    vertices: Array | None = None
+
+    __repr__ = brief_repr
+
+    @property
+    def flags(self) -> NDArray[np.int64]:
+        """(K,) COCO's flags: 2 visible, 1 hidden, 0 outside the image."""
+        width, height = self.image.size
+        with np.errstate(invalid="ignore"):  # points outside that were read back
+            inside = (self.keypoints >= -0.5) & (self.keypoints < [width - 0.5, height - 0.5])
+        flags: NDArray[np.int64] = np.where(inside.all(axis=1), np.where(self.probability >= SEEN, 2, 1), 0)
+        return flags
+
+
+@dataclass(frozen=True, eq=False)
+class VehicleLabels:
+    """All that a file holds.
+
+    Attributes:
+        category: Name of the category.
+        keypoints: Names of its K keypoints.
+        skeleton: Pairs of keypoints to draw, from 0.
+        vehicles: The labels.
+        faces: (F, 3) triangles of every vehicle's surface, or None.
+        info: What made them, in words.
+    """
+
+    category: str
+    keypoints: tuple[str, ...]
+    skeleton: tuple[tuple[int, int], ...]
+    vehicles: tuple[VehicleLabel, ...]
+    faces: NDArray[np.int64] | None = None
+    info: Mapping[str, str] = field(default_factory=dict)
+
+    __repr__ = brief_repr
+
+
+def write_coco_keypoints(path: str | Path, labels: VehicleLabels, *, meshes: bool = False) -> Path:
+    """Write labels, whole or not at all; images are named relative to the file's folder.
+
+    Args:
+        path: JSON file.
+        labels: The labels.
+        meshes: Whether to write the surfaces.
+
+    Returns:
+        The path written to.
+
+    Raises:
+        InvalidInputError: There is no label, a surface is wanted that is not there, or the file cannot be written.
+    """
+    if not labels.vehicles:
+        raise InvalidInputError("labels.vehicles", "none", "Give at least one.")
+    if meshes and (labels.faces is None or any(vehicle.vertices is None for vehicle in labels.vehicles)):
+        raise InvalidInputError("meshes", "a vehicle without a surface", "Give each its vertices, and the faces.")
+    folder = Path(path).resolve().parent
+    images: dict[Path, dict[str, Any]] = {}
+    annotations = []
+    for number, vehicle in enumerate(labels.vehicles, start=1):
+        at = vehicle.image.path.resolve()
+        if at not in images:
+            images[at] = _image(vehicle.image, Path(os.path.relpath(at, folder)).as_posix(), len(images) + 1)
+        annotations.append(_annotation(vehicle, number, images[at]["id"], meshes=meshes))
+    category: dict[str, Any] = {
+        "id": _CATEGORY,
+        "name": labels.category,
+        "supercategory": "vehicle",
+        "keypoints": list(labels.keypoints),
+        "skeleton": [[a + 1, b + 1] for a, b in labels.skeleton],  # COCO counts from 1
+    }
+    if meshes and labels.faces is not None:
+        category["mesh_faces"] = labels.faces.tolist()
+    document = {
+        "format": COCO_KEYPOINTS_FORMAT,
+        "info": dict(labels.info),
+        "licenses": [],
+        "images": list(images.values()),
+        "categories": [category],
+        "annotations": annotations,
+    }
+    return write_text(path, json.dumps(document, allow_nan=False) + "\n")
+
+
+def _image(image: LabelledImage, name: str, number: int) -> dict[str, Any]:
+    width, height = image.size
+    return {
+        "id": number,
+        "file_name": name,
+        "width": width,
+        "height": height,
+        "camera_matrix": image.matrix.tolist(),
+        "drive": image.drive,
+        "frame": image.frame,
+    }
+
+
+def _annotation(vehicle: VehicleLabel, number: int, image: int, *, meshes: bool) -> dict[str, Any]:
+    x1, y1, x2, y2 = vehicle.box
+    points, probability = np.array(_short(vehicle.keypoints)), np.array(_short(vehicle.probability))
+    flags = replace(vehicle, keypoints=points, probability=probability).flags  # as a reader will tell them
+    corners = _short(np.where(np.isfinite(vehicle.corners), vehicle.corners, 0.0))
+    entry = {
+        "id": number,
+        "image_id": image,
+        "category_id": _CATEGORY,
+        "bbox": _short([x1, y1, x2 - x1, y2 - y1]),
+        "segmentation": [_short(polygon.ravel()) for polygon in vehicle.silhouette],
+        "area": _short((x2 - x1) * (y2 - y1)),
+        "iscrowd": 0,
+        "num_keypoints": int((flags > 0).sum()),
+        "keypoints": [x for (u, v), f in zip(points.tolist(), flags.tolist(), strict=True) for x in _flagged(u, v, f)],
+        "keypoint_probability": probability.tolist(),
+        "keypoint_covariance": _short(vehicle.covariance),
+        "track_id": vehicle.track,
+        "kind": vehicle.kind,
+        "cuboid": {
+            "corners": [
+                corner if seen else None
+                for corner, seen in zip(corners, np.all(np.isfinite(vehicle.corners), axis=1), strict=True)
+            ],
+            "location": _short(vehicle.location),
+            "rotation_y": _short(vehicle.rotation_y),
+            "size": _short(vehicle.size),
+        },
+        "azimuth": _short(vehicle.azimuth),
+        "agreement": _short(vehicle.agreement),
+    }
+    if meshes and vehicle.vertices is not None:
+        entry["mesh"] = np.round(vehicle.vertices, 3).tolist()
+    return entry
+
+
+def _flagged(u: float, v: float, flag: int) -> tuple[float, float, int]:
+    """COCO's three numbers of a keypoint."""
+    return (u, v, flag) if flag else (0.0, 0.0, 0)
+
+
+def _short(value: Any) -> Any:
+    """Nested lists of numbers with six digits."""
+    plain = value.tolist() if isinstance(value, np.ndarray | np.floating) else value
+    return [_short(item) for item in plain] if isinstance(plain, list) else float(f"{plain:.6g}")
+
+
+def read_coco_keypoints(path: str | Path) -> VehicleLabels:
+    """Read what `write_coco_keypoints` wrote; the images are not opened.
+
+    Raises:
+        InvalidInputError: The file cannot be read, is another one, or is malformed; names file and field.
+    """
+    source = Path(path)
+    top = Fields(read_json(source), f"{source}: ")
+    if top.data.get("format") != COCO_KEYPOINTS_FORMAT:
+        fix = "Give what `fgrecon keypoints label` wrote."
+        raise InvalidInputError(f"{source}: format", top.data.get("format"), fix)
+    (entry,) = _exactly_one(top, "categories")
+    category = Fields(entry, f"{source}: categories[0].")
+    names = _texts(category, "keypoints")
+    size = len(names)
+    skeleton = _indices(category, "skeleton", 2, size + 1)
+    if (skeleton < 1).any():
+        raise InvalidInputError(f"{category.where}skeleton", 0, "Count keypoints from 1.")
+    images: dict[int, LabelledImage] = {}
+    for number, item in enumerate(top.get("images", list)):
+        one = Fields(item, f"{source}: images[{number}].")
+        images[one.get("id", int)] = _read_image(one, source.resolve().parent)
+    vehicles = [
+        _read_annotation(Fields(item, f"{source}: annotations[{number}]."), images, size)
+        for number, item in enumerate(top.get("annotations", list))
+    ]
+    faces = None
+    if "mesh_faces" in category:
+        count = min((len(v.vertices) for v in vehicles if v.vertices is not None), default=0)
+        faces = _indices(category, "mesh_faces", 3, count)
+    return VehicleLabels(
+        category=category.get("name", str),
+        keypoints=names,
+        skeleton=tuple((int(a) - 1, int(b) - 1) for a, b in skeleton),
+        vehicles=tuple(vehicles),
+        faces=faces,
+        info={key: str(value) for key, value in top.get("info", dict).items()},
+    )
+
+
+def _exactly_one(fields: Fields, name: str) -> Sequence[Any]:
+    entries: list[Any] = fields.get(name, list)
+    if len(entries) != 1:
+        raise InvalidInputError(f"{fields.where}{name}", f"{len(entries)} entries", "Give one.")
+    return entries
+
+
+def _texts(fields: Fields, name: str) -> tuple[str, ...]:
+    entries = fields.get(name, list)
+    if not entries or not all(isinstance(entry, str) for entry in entries):
+        raise InvalidInputError(f"{fields.where}{name}", entries, "Give a list of texts.")
+    return tuple(entries)
+
+
+def _indices(fields: Fields, name: str, width: int, below: int) -> NDArray[np.int64]:
+    """(M, width) integers from 0 to less than `below`."""
+    entries = fields.get(name, list)
+    rows = fields.numbers(name, (len(entries), width))
+    bad = rows[(rows != np.rint(rows)) | (rows < 0) | (rows >= below)]
+    if len(bad):
+        raise InvalidInputError(f"{fields.where}{name}", float(bad[0]), f"Give integers from 0 to {below - 1}.")
+    return rows.astype(np.int64)
+
+
+def _read_image(fields: Fields, folder: Path) -> LabelledImage:
+    size = fields.get("width", int), fields.get("height", int)
+    if min(size) < 1:
+        raise InvalidInputError(f"{fields.where}width, height", size, "Give pixels, from 1.")
+    return LabelledImage(
+        path=(folder / fields.get("file_name", str)).resolve(),
+        size=size,
+        matrix=fields.numbers("camera_matrix", (3, 3)),
+        drive=fields.get("drive", str),
+        frame=fields.get("frame", int),
+    )
+
+
+def _read_annotation(fields: Fields, images: Mapping[int, LabelledImage], size: int) -> VehicleLabel:
+    image = images.get(fields.get("image_id", int))
+    if image is None:
+        raise InvalidInputError(f"{fields.where}image_id", fields.data["image_id"], "Give the id of an image.")
+    x, y, width, height = fields.numbers("bbox", (4,))
+    points = fields.numbers("keypoints", (3 * size,)).reshape(size, 3)
+    if not np.isin(points[:, 2], _FLAGS).all():
+        raise InvalidInputError(f"{fields.where}keypoints", points[:, 2].tolist(), "Give flags 0, 1 or 2.")
+    probability = fields.numbers("keypoint_probability", (size,))
+    if ((probability < 0) | (probability > 1)).any():
+        raise InvalidInputError(f"{fields.where}keypoint_probability", probability.tolist(), "Give 0 to 1.")
+    cuboid = Fields(fields.get("cuboid", dict), f"{fields.where}cuboid.")
+    vertices = None
+    if "mesh" in fields:
+        mesh = fields.get("mesh", list)
+        vertices = numbers(mesh, (len(mesh), 3), f"{fields.where}mesh")
+    return VehicleLabel(
+        image=image,
+        track=fields.get("track_id", int),
+        kind=fields.get("kind", str),
+        box=np.array([x, y, x + width, y + height]),
+        keypoints=np.where(points[:, 2:] > 0, points[:, :2], np.nan),
+        probability=probability,
+        covariance=fields.numbers("keypoint_covariance", (size, 2, 2)),
+        corners=cuboid.numbers("corners", (_CORNERS, 2), missing=True),
+        location=cuboid.numbers("location", (3,)),
+        rotation_y=float(cuboid.numbers("rotation_y", ())),
+        size=cuboid.numbers("size", (3,)),
+        azimuth=float(fields.numbers("azimuth", ())),
+        agreement=float(fields.numbers("agreement", ())),
+        silhouette=_polygons(fields),
+        vertices=vertices,
+    )
+
+
+def _polygons(fields: Fields) -> tuple[Array, ...]:
+    polygons = []
+    for number, corners in enumerate(fields.get("segmentation", list)):
+        place = f"{fields.where}segmentation[{number}]"
+        count = len(corners) // 2 if isinstance(corners, list) else 0
+        if count < 3:
+            raise InvalidInputError(place, corners, "Give x and y of three corners at least, one after the other.")
+        polygons.append(numbers(corners, (2 * count,), place).reshape(-1, 2))
+    return tuple(polygons)

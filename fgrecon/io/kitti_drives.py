@@ -1,0 +1,205 @@
+"""Images of KITTI with labelled objects, and which objects are one: drives, and folders of single images.
+
+A drive is a folder with `image_02/FFFFFF.jpg` (or png), `calib.txt`, and `label_02.txt` in the format of KITTI's
+tracking set: frame and number of the track, then the columns of an object label. Two files may stand beside them:
+`clean_tracks.json` names, for each track (`"NUMBER KIND"`), the frames in which it can be used, and
+`object_frames.json` the only frames that are labelled at all.
+
+A folder of single images has the layout of KITTI's object set: `image_2`, `label_2` and `calib`, with a file for each
+image. There every object is a track of its own.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.camera import MIN_DEPTH
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.json_fields import read_json
+from fgrecon.io.kitti_calibration import KittiCalibration, read_calibration
+from fgrecon.io.kitti_files import Objects, parse_object
+
+__all__ = ["Drive", "DriveFrame", "read_drive", "read_images", "read_object_folder"]
+
+_SUFFIXES = "jpg", "png"
+_DRIVE, _SINGLE = "label_02.txt", "label_2"
+
+
+@dataclass(frozen=True, eq=False)
+class DriveFrame:
+    """One image of a drive.
+
+    Attributes:
+        number: Of the frame.
+        image: Its file.
+        objects: Labelled objects, whatever their kind; none where the frame is not labelled.
+        tracks: (M,) number of the track of each.
+        usable: (M,) whether nothing is drawn over the object in this image.
+        labelled: Whether the frame was labelled.
+        calibration: The camera, and the labels' offset in its frame.
+    """
+
+    number: int
+    image: Path
+    objects: Objects
+    tracks: NDArray[np.int64]
+    usable: NDArray[np.bool_]
+    labelled: bool
+    calibration: KittiCalibration
+
+    @property
+    def boxed(self) -> NDArray[np.bool_]:
+        """(M,) whether each object has a 3D box in front of the camera; KITTI marks missing ones by -1 and -1000."""
+        depth = self.objects.location[:, 2] + self.calibration.label_offset[2]
+        boxed: NDArray[np.bool_] = np.all(self.objects.size > 0.0, axis=1) & (depth > MIN_DEPTH)
+        return boxed
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """Consecutive images by one camera, or single images.
+
+    Attributes:
+        name: Of its folder.
+        frames: Those that have an image, in order; at least one.
+    """
+
+    name: str
+    frames: tuple[DriveFrame, ...]
+
+    @property
+    def calibration(self) -> KittiCalibration:
+        """Camera and offset of the first image: those of a drive are all alike, those of single images need not be."""
+        return self.frames[0].calibration
+
+
+def read_images(folder: Path) -> Drive:
+    """Read a drive or a folder of single images, whichever it is; the images are not opened.
+
+    Raises:
+        InvalidInputError: It is neither, or a file is missing or malformed; names file and line.
+    """
+    if (folder / _DRIVE).is_file():
+        return read_drive(folder)
+    if (folder / _SINGLE).is_dir():
+        return read_object_folder(folder)
+    fix = f"Give a folder with {_DRIVE} (KITTI's tracking set) or with {_SINGLE} (its object set)."
+    raise InvalidInputError("drive", str(folder), fix)
+
+
+def read_drive(folder: Path) -> Drive:
+    """Read a drive; the images are not opened.
+
+    Raises:
+        InvalidInputError: A file is missing or malformed; names file and line.
+    """
+    path = folder / _DRIVE
+    rows: dict[int, list[tuple[int, str, list[float]]]] = defaultdict(list)
+    for number, line in _lines(path, f"Give a folder with {_DRIVE} of KITTI's tracking set."):
+        try:
+            frame, track, rest = line.split(maxsplit=2)
+            kind, numbers = parse_object(rest)
+            rows[int(frame)].append((int(track), kind, numbers))
+        except ValueError as error:
+            fix = "Give lines of frame, track and an object label."
+            raise InvalidInputError(f"{path}:{number}", str(error), fix) from error
+    clean = _optional(folder / "clean_tracks.json")
+    labelled = _optional(folder / "object_frames.json")
+    calibration = read_calibration(folder / "calib.txt")
+    frames = []
+    for number, image in _images(folder / "image_02"):
+        objects = rows[number]
+        frames.append(
+            DriveFrame(
+                number=number,
+                image=image,
+                objects=_objects([(kind, numbers) for _, kind, numbers in objects]),
+                tracks=np.array([track for track, _, _ in objects], dtype=np.int64),
+                usable=np.array(
+                    [clean is None or number in clean.get(f"{t} {kind}", ()) for t, kind, _ in objects], dtype=bool
+                ),
+                labelled=labelled is None or str(number) in labelled,
+                calibration=calibration,
+            )
+        )
+    return Drive(folder.name, tuple(frames))
+
+
+def read_object_folder(folder: Path) -> Drive:
+    """Read single images in the layout of KITTI's object set, those that have an image; the images are not opened.
+
+    The tracks are numbered through the folder, in the order of the images and of the lines of their label files.
+
+    Raises:
+        InvalidInputError: A file is missing or malformed; names file and line.
+    """
+    frames: list[DriveFrame] = []
+    count = 0
+    for number, image in _images(folder / "image_2"):
+        path = folder / _SINGLE / f"{image.stem}.txt"
+        rows = []
+        for at, line in _lines(path, "Give a label file for every image."):
+            try:
+                rows.append(parse_object(line))
+            except ValueError as error:
+                raise InvalidInputError(f"{path}:{at}", str(error), "Give lines of an object label.") from error
+        frames.append(
+            DriveFrame(
+                number=number,
+                image=image,
+                objects=_objects(rows),
+                tracks=np.arange(count, count + len(rows), dtype=np.int64),
+                usable=np.ones(len(rows), dtype=bool),
+                labelled=True,
+                calibration=read_calibration(folder / "calib" / f"{image.stem}.txt"),
+            )
+        )
+        count += len(rows)
+    return Drive(folder.name, tuple(frames))
+
+
+def _objects(rows: list[tuple[str, list[float]]]) -> Objects:
+    return Objects.of_rows([kind for kind, _ in rows], np.array([numbers for _, numbers in rows]))
+
+
+def _lines(path: Path, fix: str) -> list[tuple[int, str]]:
+    """The lines of a file that are not empty, each with its number from 1."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidInputError("labels", str(path), fix) from error
+    return [(number, line) for number, line in enumerate(lines, start=1) if line.strip()]
+
+
+def _images(folder: Path) -> list[tuple[int, Path]]:
+    """The images of a folder by the number that names each, in order."""
+    found: dict[int, Path] = {}
+    for path in sorted(p for suffix in _SUFFIXES for p in folder.glob(f"*.{suffix}")):
+        if not path.stem.isdecimal():
+            raise InvalidInputError(str(path), path.stem, "Name images by their frame's number.")
+        if int(path.stem) in found:
+            raise InvalidInputError(str(path), f"frame {int(path.stem)}, twice", "Give each frame one image.")
+        found[int(path.stem)] = path
+    if not found:
+        raise InvalidInputError("drive", str(folder), "Give a folder with images FFFFFF.jpg or .png.")
+    return sorted(found.items())
+
+
+def _optional(path: Path) -> dict[str, Any] | None:
+    """A JSON object, where the file exists.
+
+    Raises:
+        InvalidInputError: It is no object.
+    """
+    if not path.exists():
+        return None
+    content = read_json(path)
+    if not isinstance(content, dict):
+        raise InvalidInputError(str(path), type(content).__name__, "Give an object by track or frame.")
+    return content

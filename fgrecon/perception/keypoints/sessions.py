@@ -1,0 +1,69 @@
+"""ONNX Runtime, which runs networks faster than PyTorch and OpenCV do; the extra `fgrecon[onnx]` installs it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.errors import InvalidInputError
+
+__all__ = ["Network", "chosen_runtime", "open_session"]
+
+Network = Callable[[NDArray[Any]], Sequence[NDArray[np.float32]]]
+"""From the network's input to its outputs."""
+
+
+def chosen_runtime(asked: str, other: str, *, packages: Sequence[str], able: bool = True) -> str:
+    """Either "onnx", or the name of what there is without it.
+
+    Args:
+        asked: "onnx", `other`, or "auto": "onnx" where it is installed and able.
+        other: What there always is.
+        packages: Names of the modules that "onnx" needs.
+        able: Whether "onnx" can run on the device.
+
+    Raises:
+        InvalidInputError: It is none of these, or "onnx" and not installed or not able.
+    """
+    if asked not in ("auto", "onnx", other):
+        raise InvalidInputError("runtime", asked, f"Give auto, onnx or {other}.")
+    missing = [name for name in packages if find_spec(name) is None]
+    if asked == "onnx" and missing:
+        raise InvalidInputError("runtime", f"onnx without {', '.join(missing)}", "Install the extra `fgrecon[onnx]`.")
+    if asked == "onnx" and not able:
+        raise InvalidInputError("runtime", "onnx on another device than the CPU", f"Give {other} or auto.")
+    return other if asked == other or missing or not able else "onnx"
+
+
+def open_session(model: bytes, threads: int) -> Network:
+    """A network on the processor's cores.
+
+    Args:
+        model: ONNX file, of a network with one input.
+        threads: At most so many cores. They sleep when there is nothing to do: those that wait for work keep others'
+            from the cores.
+
+    Raises:
+        InvalidInputError: There is no network in it.
+    """
+    import onnxruntime
+    from onnxruntime.capi import onnxruntime_pybind11_state as errors
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = max(threads, 1)
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    try:
+        session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+    except (errors.Fail, errors.InvalidProtobuf, errors.InvalidGraph, errors.NotImplemented) as error:
+        raise InvalidInputError("model", str(error), "Give an ONNX file of a network.") from error
+    (entry,) = session.get_inputs()
+
+    def run(values: NDArray[Any]) -> Sequence[NDArray[np.float32]]:
+        outputs: Sequence[NDArray[np.float32]] = session.run(None, {entry.name: np.ascontiguousarray(values)})
+        return outputs
+
+    return run

@@ -1,0 +1,55 @@
+"""From which direction a vehicle is seen: what a pose costs by the directions that a detector thinks probable.
+
+Keypoints of a car seen from ahead and of one seen from behind can look much alike: both poses are minima of the energy,
+and the wrong one may be a few nats lower. This term decides between them. Within one minimum the keypoints tell the
+direction far better, so it has no gradient.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fgrecon.solve.proposals.terms import Hypotheses, Quadratic
+
+__all__ = ["DirectionTerm", "direction_penalty"]
+
+Array = NDArray[np.float64]
+
+_DOUBT = 0.05
+"""Probability that the directions mean nothing: none costs more than its logarithm and a little."""
+
+
+@dataclass(frozen=True)
+class DirectionTerm:
+    """Minus the logarithm of a direction's probability, 0 for the most probable one.
+
+    Attributes:
+        azimuth: (A,) probability of each direction, as in `fgrecon.core.observation.Observation`.
+    """
+
+    azimuth: Array
+
+    def energy(self, h: Hypotheses) -> Array:
+        """(H,) energies of the hypotheses, nats."""
+        position = -np.einsum("hij,hi->hj", h.rotation, h.translation)
+        bins = len(self.azimuth)
+        place = np.mod(np.arctan2(position[:, 2], position[:, 0]), 2.0 * np.pi) / (2.0 * np.pi) * bins
+        low, share = place.astype(int) % bins, place % 1.0
+        probability = (1.0 - _DOUBT) * self.azimuth + _DOUBT / bins
+        here = (1.0 - share) * probability[low] + share * probability[(low + 1) % bins]
+        return np.asarray(np.log(probability.max() / here), dtype=np.float64)
+
+    def add(self, total: Quadratic, h: Hypotheses) -> None:
+        """Add this term: energies alone."""
+        total.energy += self.energy(h)
+
+
+def direction_penalty(azimuth: Array | None, camera_T_object: ArrayLike) -> float:
+    """What a pose (4, 4) costs by the directions (A,), nats; 0 where none are given."""
+    if azimuth is None:
+        return 0.0
+    pose = np.asarray(camera_T_object, dtype=np.float64)
+    return float(DirectionTerm(azimuth).energy(Hypotheses(pose[None, :3, :3], pose[None, :3, 3], np.zeros((1, 0))))[0])

@@ -1,0 +1,118 @@
+"""`fgrecon evaluate video` from the outside: output, files, folds, refusals."""
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from fgrecon.cli import main
+from fgrecon.cli.evaluate_video import read_folds
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.images import write_png
+
+pytest.importorskip("torch")
+
+CALIB = "P2: 700 0 80 40 0 700 50 0.2 0 0 1 0.002\n"
+LABEL = "0 0 1.5 20.0 20.0 110.0 80.0 1.5 1.6 4.0 0.1 1.6 15 1.5"
+
+
+def run(*arguments):
+    return CliRunner().invoke(main.app, ["evaluate", "video", *map(str, arguments)])
+
+
+@pytest.fixture
+def drives(tmp_path):
+    """Two drives of one image of noise each."""
+    image = np.random.default_rng(0).integers(0, 255, (100, 160, 3)).astype(np.uint8)
+    folders = [tmp_path / name for name in ("one", "two")]
+    for folder in folders:
+        (folder / "image_02").mkdir(parents=True)
+        write_png(folder / "image_02" / "000007.png", image)
+        (folder / "label_02.txt").write_text(f"7 1 Van {LABEL}\n7 2 Car {LABEL}\n")
+        (folder / "calib.txt").write_text(CALIB)
+    return folders
+
+
+def test_tables_files_and_which_network_scored_what(drives, weights, tmp_path):
+    copy = shutil.copy(weights, tmp_path / "copy.safetensors")
+    out, table, sheet = tmp_path / "r.json", tmp_path / "r.csv", tmp_path / "r.png"
+    done = run(
+        *(*drives, "--weights", weights, "--fold", f"two={copy}", "--rival", "epnp", "--verbose"),
+        *("--json", out, "--table", table, "--picture", sheet, "--box-model", "off", "--camera-height", 1.5),
+    )
+    assert done.exit_code == 0, done.output
+    assert "2 drives, 2 images, 4 boxes; level camera 1.5 m" in done.stdout
+    assert "cars_moderate" in done.stdout
+    assert "expected calibration error" in done.stdout
+    assert "one/000007/1 epnp: " in done.stdout
+    made = json.loads(out.read_text())
+    assert made["networks"] == [
+        {"file": str(weights), "drives": ["one"], "provenance": {"data": "none"}},
+        {"file": str(copy), "drives": ["two"], "provenance": {"data": "none"}},
+    ]
+    assert made["given"]["box_model"] == "off"
+    assert list(made["methods"]) == ["reconstruct_image", "epnp"]
+    counts = {name: group["boxes"] for name, group in made["methods"]["epnp"]["regime"].items()}
+    assert counts == {"cars_easy": 2, "cars_moderate": 2, "cars": 2, "vans": 2, "all": 4}
+    rows = list(csv.DictReader(table.read_text().splitlines()))
+    assert len(rows) == len(made["boxes"]) == 8
+    assert [float(row["degrees"]) for row in rows] == [row["degrees"] for row in made["boxes"]]
+    assert sheet.stat().st_size > 1000
+
+
+def test_folds():
+    drives = ["a", "b", "c"]
+    assert read_folds([], drives, None) == {"a": None, "b": None, "c": None}
+    found = read_folds(["a,c=1.safetensors"], drives, Path("rest.safetensors"))
+    assert found == {"a": Path("1.safetensors"), "b": Path("rest.safetensors"), "c": Path("1.safetensors")}
+    assert read_folds(["b=x=y"], drives, None)["b"] == Path("x=y")
+
+
+@pytest.mark.parametrize(
+    ("folds", "value"), [(["a"], "a"), (["=f"], "=f"), (["a="], "a="), (["d=f"], "d"), (["a,b=f", "b=g"], "b")]
+)
+def test_folds_that_are_none(folds, value):
+    with pytest.raises(InvalidInputError) as raised:
+        read_folds(folds, ["a", "b"], None)
+    assert (raised.value.field, raised.value.value) == ("fold", value)
+
+
+def test_two_drives_of_one_name_are_refused(drives, weights):
+    done = run(drives[0], drives[0], "--weights", weights)
+    assert isinstance(done.exception, InvalidInputError)
+    assert done.exception.field == "drives"
+
+
+def test_drives_without_a_box_that_counts_and_tables_of_another_kind_are_refused(drives, weights, tmp_path):
+    (drives[0] / "label_02.txt").write_text(f"7 1 Pedestrian {LABEL}\n")
+    done = run(drives[0], "--weights", weights)
+    assert isinstance(done.exception, InvalidInputError)
+    assert (done.exception.field, done.exception.value) == ("drives", "one")
+    done = run(drives[1], "--weights", weights, "--table", tmp_path / "t.xlsx")
+    assert isinstance(done.exception, InvalidInputError)
+    assert "csv, parquet" in done.exception.fix
+
+
+@pytest.mark.data
+def test_the_shipped_network_on_real_images(data, tmp_path):
+    source, drive = data / "kitti_video" / "kitti_tracking_0003", tmp_path / "kitti_tracking_0003"
+    if not source.is_dir():
+        pytest.skip("the drives are absent")
+    (drive / "image_02").mkdir(parents=True)
+    for name in ("calib.txt", "label_02.txt", "clean_tracks.json"):
+        shutil.copy(source / name, drive)
+    for number in (44, 46):
+        shutil.copy(source / "image_02" / f"{number:06d}.jpg", drive / "image_02")
+    done = run(drive, "--json", "-")
+    assert done.exit_code == 0, done.output
+    made = json.loads(done.stdout)
+    assert made["networks"][0]["file"] == "shipped"
+    whole = made["methods"]["reconstruct_image"]["regime"]["all"]
+    assert (whole["boxes"], whole["tracks"], whole["refused"]) == (4, 2, 0)
+    assert whole["aop"]["5"]["value"] == 100.0
+    assert whole["median_metres"] < 0.5
+    assert all(row["facing"] > 0.9 and row["view"] == "rear" for row in made["boxes"])
