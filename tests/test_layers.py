@@ -27,10 +27,13 @@ ROOMS = {
     "": {"factors", "core", "io", "solve", "perception", "perception/vehicles"},  # the public face: fgrecon/__init__.py
     "simulation": {"factors", "core", "solve/vehicle"},
     "viz": {"core", "io", "io/export", "perception/keypoints"},
-    "evaluation": {"core", "io", "solve", "solve/vehicle", "solve/proposals", "perception", "perception/keypoints"},
     "annotation": {
         *("factors", "core", "io", "io/export", "solve", "solve/vehicle", "solve/proposals", "solve/graph"),
         *("perception", "perception/keypoints"),
+    },
+    "evaluation": {
+        *("core", "io", "solve", "solve/vehicle", "solve/proposals", "perception", "perception/keypoints"),
+        "annotation",
     },
     "training/priors": {"core", "io", "solve/vehicle"},
     "training": {"factors", "training/priors"},

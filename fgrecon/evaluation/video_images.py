@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.annotation.wanted import Wanted
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error, translation_error, wrap_angle
 from fgrecon.evaluation.kitti_images import Setup, reconstruct_boxes
@@ -32,7 +33,6 @@ from fgrecon.io.track_file import GroundTruth, TrackFrame
 from fgrecon.perception.from_image import FromImage
 
 __all__ = [
-    "KINDS",
     "SYSTEM",
     "BoxOutcome",
     "VideoBox",
@@ -49,11 +49,6 @@ Array = NDArray[np.float64]
 
 SYSTEM = "reconstruct_image"
 """The whole way, which `fgrecon.reconstruct_image` goes: networks, both stages, and the network's direction."""
-
-KINDS = ("Car", "Van")
-_LEAST_HEIGHT = 25.0  # pixels
-_MOST_OCCLUSION = 2
-_MOST_TRUNCATION = 0.5
 
 
 class View(StrEnum):
@@ -159,11 +154,10 @@ class VideoBox:
 
 
 def wanted(frame: DriveFrame) -> NDArray[np.intp]:
-    """Indices of the labels that count."""
-    labels = frame.objects
-    kinds = np.array([kind in KINDS for kind in labels.kind], dtype=bool)
-    seen = (labels.truncation <= _MOST_TRUNCATION) & (labels.occlusion <= _MOST_OCCLUSION)
-    return np.flatnonzero(kinds & frame.usable & seen & (labels.box[:, 3] - labels.box[:, 1] >= _LEAST_HEIGHT))
+    """Indices of the labels that count: those that are annotated by default, and have a 3D box to be scored by."""
+    rows, _ = Wanted().judge(frame)
+    counting: NDArray[np.intp] = rows[frame.boxed[rows]]
+    return counting
 
 
 def labelled_azimuth(rotation_y: float, location: Array) -> float:

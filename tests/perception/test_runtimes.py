@@ -1,5 +1,7 @@
 """What runs the networks does not matter to what they say."""
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -101,3 +103,12 @@ def test_no_more_threads_than_torch_has(runtime, monkeypatch):
     )
     KeypointCascade(runtime="onnx")
     assert asked == [torch.get_num_threads()] * 2
+
+
+@pytest.mark.parametrize("name", ["onnx", "torch"])
+def test_a_cascade_goes_to_other_processes(runtime, scenes, name):
+    cascade, scene = KeypointCascade(runtime=name), scenes[0]
+    there = pickle.loads(pickle.dumps(cascade))
+    assert there.runtime == name
+    found, expected = (one(scene.picture.image, [scene.observation.box], maps=True)[0] for one in (there, cascade))
+    close(found, expected, 1e-9)
