@@ -50,6 +50,23 @@ def test_detected_keypoints_are_what_reconstruct_reads(street, weights):
     assert run("reconstruct", out, "--intrinsics", "700,700,80,50").exit_code == 0
 
 
+def test_a_keypoint_file_gives_what_the_image_gives(tmp_path):
+    """The shipped networks on the sample's street: points, covariances and directions survive the file."""
+    assert run("sample", "--out", tmp_path / "sample").exit_code == 0
+    image, boxes, calib = (tmp_path / "sample" / name for name in ("street.png", "boxes.txt", "calib.txt"))
+    assert run("keypoints", "detect", image, "--boxes", boxes, "--json", tmp_path / "k.json").exit_code == 0
+    found = []
+    for given in ([tmp_path / "k.json", "--box-model", "cuboid"], [image, "--boxes", boxes]):
+        done = run("reconstruct", *given, "--calib", calib, "--json", tmp_path / "out.json")
+        assert done.exit_code == 0, done.output
+        found.append(json.loads((tmp_path / "out.json").read_text())["instances"])
+    assert len(found[0]) == 3
+    for by_file, by_image in zip(*found, strict=True):
+        assert by_file["result"]["energies"]["direction"] < 0.5
+        np.testing.assert_array_equal(by_file["location"], by_image["location"])
+        assert by_file["rotation_y"] == by_image["rotation_y"]
+
+
 def test_a_network_of_another_category_than_the_prior_is_refused(street, weights):
     prior = load_prior("car14")
     lorry = save_prior(replace(prior, category=replace(prior.category, name="lorry14")), street / "lorry.npz")
