@@ -11,6 +11,7 @@ from fgrecon.annotation.fit import Fit
 from fgrecon.annotation.hidden import Solid, hidden_behind
 from fgrecon.core.camera import MIN_DEPTH, Camera
 from fgrecon.core.detection import Detection
+from fgrecon.core.geometry import view_azimuth
 from fgrecon.io.kitti_drives import DriveFrame
 
 __all__ = ["Annotation"]
@@ -97,8 +98,7 @@ class Annotation:
     @property
     def azimuth(self) -> float:
         """Direction from the vehicle to the camera, radians; 0 ahead of it, pi / 2 to its left."""
-        x, _, z = -self.camera_T_object[:3, :3].T @ self.camera_T_object[:3, 3]
-        return float(np.arctan2(z, x))
+        return float(view_azimuth(self.camera_T_object[:3, :3], self.camera_T_object[:3, 3]))
 
 
 def _visible(fit: Fit, camera: Camera, before: tuple[Solid, ...]) -> Array:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import yaw_rotation
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.solve.vehicle.model import box_corners, prepare
@@ -57,9 +58,7 @@ def solid_of(box: Box3D, prior: ShapePrior | None) -> Solid:
         model = prepare(prior, SizePrior("of the box", size, _SHARE * size))
         surface = occluder(model.prior)
         vertices, faces = surface.mean, surface.faces
-    cosine, sine = np.cos(box.rotation_y), np.sin(box.rotation_y)
-    turn = np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
-    return Solid(vertices @ turn.T + box.location, faces)
+    return Solid(vertices @ yaw_rotation(box.rotation_y).T + box.location, faces)
 
 
 def hidden_behind(points: Array, solids: Sequence[Solid]) -> NDArray[np.bool_]:

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from fgrecon.core.brief import brief_repr
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.observation import Observation, as_directions
 
-__all__ = ["Detection"]
+__all__ = ["Detection", "facing_probability"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,25 +36,19 @@ class Detection:
     @property
     def evidence(self) -> Observation:
         """What a solver takes: the observation, which knows the directions as well."""
-        return self.observation if self.azimuth is None else replace(self.observation, azimuth=self.azimuth)
+        if self.azimuth is None or self.azimuth is self.observation.azimuth:
+            return self.observation
+        return replace(self.observation, azimuth=self.azimuth)
 
     @property
     def front_probability(self) -> float | None:
         """How probably the camera is ahead of the vehicle, and not behind it; None where no directions are given."""
-        return self._towards(0.0)
+        return None if self.azimuth is None else facing_probability(self.azimuth, 0.0)
 
     @property
     def left_probability(self) -> float | None:
         """How probably the camera is to the vehicle's left, and not its right; None where no directions are given."""
-        return self._towards(np.pi / 2.0)
-
-    def _towards(self, direction: float) -> float | None:
-        """Probability of the half circle around a direction, radians; a bin on its border counts half."""
-        if self.azimuth is None:
-            return None
-        bins = 2.0 * np.pi * np.arange(len(self.azimuth)) / len(self.azimuth)
-        inside = np.round(np.cos(bins - direction), 9)
-        return float(self.azimuth @ (0.5 * (1.0 + np.sign(inside))))
+        return None if self.azimuth is None else facing_probability(self.azimuth, np.pi / 2.0)
 
     def __post_init__(self) -> None:
         """Check the arrays.
@@ -70,3 +65,15 @@ class Detection:
             if ((visible < 0) | (visible > 1)).any():
                 raise InvalidInputError("detection.visible", visible.tolist(), "Give probabilities from 0 to 1.")
             object.__setattr__(self, "visible", visible)
+
+
+def facing_probability(directions: NDArray[np.float64], azimuth: float) -> float:
+    """Probability of the half of all directions around one.
+
+    Args:
+        directions: (A,) probability of each direction, as in `Detection`; even within its bin.
+        azimuth: The direction, radians.
+    """
+    width = 2.0 * np.pi / len(directions)
+    off = np.abs(wrap_angle(width * np.arange(len(directions)) - azimuth))
+    return float(np.clip((np.pi / 2.0 - off) / width + 0.5, 0.0, 1.0) @ directions)

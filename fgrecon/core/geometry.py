@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from factors.projection import cross, pixel_jacobian
 
-__all__ = ["MIRROR", "cross", "exponential", "pixel_jacobian", "transform"]
+__all__ = ["MIRROR", "cross", "exponential", "pixel_jacobian", "transform", "view_azimuth", "yaw_rotation"]
 
 Array = NDArray[np.float64]
 
@@ -24,6 +24,27 @@ def exponential(rotation: Array) -> Array:
     safe = np.maximum(angle, 1e-8)
     result: Array = np.eye(3) + np.sin(safe) / safe * skew + (1.0 - np.cos(safe)) / safe**2 * (skew @ skew)
     return result
+
+
+def yaw_rotation(yaw: ArrayLike) -> Array:
+    """(..., 3, 3) rotations about the camera's y axis by angles (...), radians."""
+    angle = np.asarray(yaw, dtype=np.float64)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    zero, one = np.zeros_like(angle), np.ones_like(angle)
+    rows = np.stack([cosine, zero, sine, zero, one, zero, -sine, zero, cosine], axis=-1)
+    return rows.reshape(*angle.shape, 3, 3)
+
+
+def view_azimuth(rotation: Array, translation: Array) -> Array:
+    """(...) directions from vehicles to the camera about their vertical axis, radians; 0 ahead, pi / 2 to their left.
+
+    Args:
+        rotation: (..., 3, 3) of camera_T_object.
+        translation: (..., 3) of it.
+    """
+    position = -np.einsum("...ij,...i->...j", rotation, translation)
+    azimuth: Array = np.arctan2(position[..., 2], position[..., 0])
+    return azimuth
 
 
 def transform(a_T_b: Array, points: Array) -> Array:

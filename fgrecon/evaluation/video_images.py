@@ -20,7 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.annotation.wanted import Wanted
+from fgrecon.core.detection import facing_probability
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import view_azimuth, yaw_rotation
 from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error, translation_error, wrap_angle
 from fgrecon.evaluation.kitti_images import Setup, reconstruct_boxes
 from fgrecon.evaluation.methods import SceneKnowledge, Solver, select
@@ -37,7 +39,6 @@ __all__ = [
     "BoxOutcome",
     "VideoBox",
     "View",
-    "facing_probability",
     "labelled_azimuth",
     "reconstruct_frame",
     "score_drives",
@@ -167,27 +168,13 @@ def labelled_azimuth(rotation_y: float, location: Array) -> float:
         rotation_y: Yaw of the vehicle about the camera's y axis, radians.
         location: (3,) its origin in the camera's frame, metres.
     """
-    cosine, sine = np.cos(rotation_y), np.sin(rotation_y)
-    x, _, z = location
-    return float(np.arctan2(-(sine * x + cosine * z), -(cosine * x - sine * z)))
+    return float(view_azimuth(yaw_rotation(rotation_y), location))
 
 
 def view_of(azimuth: float) -> View:
     """Front, rear or side by the direction from the vehicle to the camera, radians."""
     off = abs(np.degrees(wrap_angle(azimuth)))
     return View.FRONT if off <= 45.0 else View.REAR if off >= 135.0 else View.SIDE
-
-
-def facing_probability(directions: Array, azimuth: float) -> float:
-    """Probability of the half of all directions around one.
-
-    Args:
-        directions: (A,) probability of each direction, as in `fgrecon.Detection`; even within its bin.
-        azimuth: The direction, radians.
-    """
-    width = 2.0 * np.pi / len(directions)
-    off = np.abs(wrap_angle(width * np.arange(len(directions)) - azimuth))
-    return float(np.clip((np.pi / 2.0 - off) / width + 0.5, 0.0, 1.0) @ directions)
 
 
 def reconstruct_frame(

@@ -8,17 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.io.export.coco_keypoints import VehicleLabel, VehicleLabels
 from fgrecon.viz import style
 from fgrecon.viz.geometry import as_image, crop_around
 from fgrecon.viz.marks import draw_box, draw_crop, draw_edges, unit
-from fgrecon.viz.picture import new_figure, place_axes
+from fgrecon.viz.picture import CELL_ASPECT, new_sheet
 
 __all__ = ["label_sheet"]
 
-_CELL, _ASPECT, _HEADING, _GAP = 3.0, 1.5, 0.3, 0.08
+_HEADING = 0.3  # inches
 
 
 def label_sheet(
@@ -37,17 +36,9 @@ def label_sheet(
     Raises:
         InvalidInputError: There is no vehicle, no column, or an image is not (H, W, 3) of bytes.
     """
-    if not cells:
-        raise InvalidInputError("cells", "none", "Give at least one vehicle.")
-    if columns < 1:
-        raise InvalidInputError("columns", columns, "Give a number of at least 1.")
-    columns = min(columns, len(cells))
-    rows, height = -(-len(cells) // columns), _CELL / _ASPECT
-    figure = new_figure(columns * (_CELL + _GAP) + _GAP, rows * (height + _HEADING) + _GAP)
-    for index, (vehicle, image) in enumerate(cells):
-        row, column = divmod(index, columns)
-        bottom = (rows - 1 - row) * (height + _HEADING) + _GAP
-        _draw(place_axes(figure, _GAP + column * (_CELL + _GAP), bottom, _CELL, height), labels, vehicle, image)
+    figure, places = new_sheet("cells", len(cells), columns, _HEADING)
+    for axes, (vehicle, image) in zip(places, cells, strict=True):
+        _draw(axes, labels, vehicle, image)
     return figure
 
 
@@ -55,7 +46,9 @@ def _draw(axes: Any, labels: VehicleLabels, vehicle: VehicleLabel, image: NDArra
     points, visible = vehicle.keypoints, vehicle.flags == 2
     sides = style.keypoint_sides(labels.keypoints, np.zeros((len(points), 3)))
     edges = style.edge_sides(np.array(labels.skeleton, dtype=np.int64).reshape(-1, 2), sides)
-    draw_crop(axes, as_image(image), None, crop_around(Observation.of(points, box=vehicle.box), points, aspect=_ASPECT))
+    draw_crop(
+        axes, as_image(image), None, crop_around(Observation.of(points, box=vehicle.box), points, aspect=CELL_ASPECT)
+    )
     draw_box(axes, vehicle.box)
     draw_edges(axes, points, edges, alpha=0.6)
     colours = np.array([unit(style.SIDE_COLOURS[side]) for side in sides])

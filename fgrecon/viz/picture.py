@@ -29,11 +29,13 @@ from fgrecon.viz.style import Side
 from fgrecon.viz.truth import Truth
 
 __all__ = [
+    "CELL_ASPECT",
     "FORMATS",
     "Sight",
     "as_rgb",
     "contact_sheet",
     "new_figure",
+    "new_sheet",
     "picture",
     "place_axes",
     "save_picture",
@@ -48,7 +50,9 @@ _ASPECT = 1.25
 # Layout in inches: three panels over the photograph, two 3D views, then legend and caption.
 _WIDTH, _HEIGHT = 11.0, 3.2
 _PANEL, _GAP, _BOTTOM = 2.3, 0.08, 0.92
-_CELL, _CELL_ASPECT, _CELL_HEADING = 3.0, 1.5, 0.42
+_CELL, _CELL_HEADING = 3.0, 0.42
+CELL_ASPECT = 1.5
+"""Width of a sheet's cells relative to their height."""
 
 
 @dataclass(frozen=True)
@@ -128,6 +132,33 @@ def picture(
     return figure
 
 
+def new_sheet(field: str, count: int, columns: int, heading: float) -> tuple[Any, list[Any]]:
+    """A figure of so many cells, and their axes in the order of reading.
+
+    Args:
+        field: What the cells show, for the error.
+        count: Number of cells.
+        columns: Cells in a row.
+        heading: Space above each, inches.
+
+    Raises:
+        InvalidInputError: There is no cell, or no column.
+    """
+    if not count:
+        raise InvalidInputError(field, "none", "Give at least one vehicle.")
+    if columns < 1:
+        raise InvalidInputError("columns", columns, "Give a number of at least 1.")
+    columns = min(columns, count)
+    rows, height = -(-count // columns), _CELL / CELL_ASPECT
+    figure = new_figure(columns * (_CELL + _GAP) + _GAP, rows * (height + heading) + _GAP)
+    cells = []
+    for index in range(count):
+        row, column = divmod(index, columns)
+        bottom = (rows - 1 - row) * (height + heading) + _GAP
+        cells.append(place_axes(figure, _GAP + column * (_CELL + _GAP), bottom, _CELL, height))
+    return figure, cells
+
+
 def contact_sheet(sights: Sequence[Sight], *, columns: int = 4) -> Any:
     """Draw the results of many vehicles, one cell each: detected keypoints and the final wireframe.
 
@@ -141,19 +172,9 @@ def contact_sheet(sights: Sequence[Sight], *, columns: int = 4) -> Any:
     Raises:
         InvalidInputError: There is no vehicle, no column, or an image is not (H, W, 3) of bytes.
     """
-    if not sights:
-        raise InvalidInputError("sights", "none", "Give at least one vehicle.")
-    if columns < 1:
-        raise InvalidInputError("columns", columns, "Give a number of at least 1.")
-    columns = min(columns, len(sights))
-    rows = -(-len(sights) // columns)
-    height = _CELL / _CELL_ASPECT
-    figure = new_figure(columns * (_CELL + _GAP) + _GAP, rows * (height + _CELL_HEADING) + _GAP)
-    for index, sight in enumerate(sights):
-        row, column = divmod(index, columns)
-        bottom = (rows - 1 - row) * (height + _CELL_HEADING) + _GAP
-        axes = place_axes(figure, _GAP + column * (_CELL + _GAP), bottom, _CELL, height)
-        crop = crop_around(sight.observation, sight.reconstruction.wireframe_uv, aspect=_CELL_ASPECT)
+    figure, cells = new_sheet("sights", len(sights), columns, _CELL_HEADING)
+    for sight, axes in zip(sights, cells, strict=True):
+        crop = crop_around(sight.observation, sight.reconstruction.wireframe_uv, aspect=CELL_ASPECT)
         _draw_moment(
             axes, sight, crop, _heading(sight), _result(sight.reconstruction), split_edges(sight.reconstruction)
         )

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fgrecon.core.camera import Ground
-from fgrecon.core.detection import Detection
+from fgrecon.core.detection import Detection, facing_probability
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
@@ -15,7 +15,6 @@ from fgrecon.evaluation.kitti_images import Setup
 from fgrecon.evaluation.video_images import (
     SYSTEM,
     View,
-    facing_probability,
     labelled_azimuth,
     score_drives,
     view_of,

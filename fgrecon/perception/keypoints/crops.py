@@ -44,6 +44,11 @@ class Crop:
         outside: NDArray[np.float64] = (np.asarray(pixels) - (self.size - 1) / 2) / self.scale + self.centre
         return outside
 
+    def from_image(self, pixels: ArrayLike) -> NDArray[np.float64]:
+        """Pixels of the image (..., 2) as pixels of the crop."""
+        inside: NDArray[np.float64] = (np.asarray(pixels) - self.centre) * self.scale + (self.size - 1) / 2
+        return inside
+
 
 def crop_of(box: ArrayLike, size: int, margin: float = MARGIN) -> Crop:
     """The crop around a box x1, y1, x2, y2 in pixels."""

@@ -202,13 +202,14 @@ class KeypointCascade:
             decoded = self._refine(self._refine_patches, images, boxes, likelihood, decoded)
         found = []
         for row, (box, crop) in enumerate(zip(boxes, crops, strict=True)):
+            directions = azimuth[row]
             covariance = self.calibration.covariance(decoded.covariance[row], size / MARGIN) / crop.scale**2
             observation = Observation(
-                crop.to_image(decoded.points[row]), confidence[row], box, covariance, _EVEN, azimuth[row]
+                crop.to_image(decoded.points[row]), confidence[row], box, covariance, _EVEN, directions
             )
             seen = 0.5 * (1.0 + np.tanh(0.5 * visible[row]))
             kept = likelihood[row] if maps else None
-            found.append(CascadeDetection(observation, azimuth[row], seen, decoded.mass[row], crop, kept))
+            found.append(CascadeDetection(observation, directions, seen, decoded.mass[row], crop, kept))
         return found
 
     def _refine(

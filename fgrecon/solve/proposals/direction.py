@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgrecon.core.geometry import view_azimuth
 from fgrecon.solve.proposals.terms import Hypotheses, Quadratic
 
 __all__ = ["DirectionTerm", "direction_penalty"]
@@ -34,9 +35,8 @@ class DirectionTerm:
 
     def energy(self, h: Hypotheses) -> Array:
         """(H,) energies of the hypotheses, nats."""
-        position = -np.einsum("hij,hi->hj", h.rotation, h.translation)
         bins = len(self.azimuth)
-        place = np.mod(np.arctan2(position[:, 2], position[:, 0]), 2.0 * np.pi) / (2.0 * np.pi) * bins
+        place = np.mod(view_azimuth(h.rotation, h.translation), 2.0 * np.pi) / (2.0 * np.pi) * bins
         low, share = place.astype(int) % bins, place % 1.0
         probability = (1.0 - _DOUBT) * self.azimuth + _DOUBT / bins
         here = (1.0 - share) * probability[low] + share * probability[(low + 1) % bins]

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.camera import MIN_DEPTH, Camera, Ground
 from fgrecon.core.errors import DegenerateProblemError
+from fgrecon.core.geometry import yaw_rotation
 from fgrecon.core.observation import Observation
 from fgrecon.solve.proposals.terms import Hypotheses
 from fgrecon.solve.vehicle.model import VehicleModel
@@ -51,7 +52,7 @@ def at_azimuths(
     angles = np.asarray(azimuths, dtype=np.float64)
     if relative:
         angles = angles + np.arctan2(ray[0], ray[2])
-    rotation = _turns(angles)
+    rotation = yaw_rotation(angles)
     if ground is not None:
         rotation = _align(ground.normal) @ rotation
     points = model.outline.mean @ rotation.transpose(0, 2, 1)
@@ -69,7 +70,7 @@ def at_azimuths(
 
 def from_box3d(box: Box3D, model: VehicleModel, ground: Ground | None) -> Hypotheses:
     """One start at a 3D box, with the coefficients whose box comes closest to its size."""
-    rotation = _turns(np.array([box.rotation_y]))
+    rotation = yaw_rotation([box.rotation_y])
     if ground is not None:
         rotation = _align(ground.normal) @ rotation
     coefficients = np.zeros(model.prior.dimension)
@@ -85,13 +86,6 @@ def from_pose(camera_T_object: ArrayLike, dimension: int) -> Hypotheses:
     """Starts at known poses (H, 4, 4) with the mean shape."""
     poses = np.asarray(camera_T_object, dtype=np.float64).reshape(-1, 4, 4)
     return Hypotheses(poses[:, :3, :3].copy(), poses[:, :3, 3].copy(), np.zeros((len(poses), dimension)))
-
-
-def _turns(angles: Array) -> Array:
-    """(H, 3, 3) rotations about the camera's y axis."""
-    cosine, sine = np.cos(angles), np.sin(angles)
-    zero, one = np.zeros_like(angles), np.ones_like(angles)
-    return np.stack([cosine, zero, sine, zero, one, zero, -sine, zero, cosine], axis=-1).reshape(-1, 3, 3)
 
 
 def _align(normal: Array) -> Array:

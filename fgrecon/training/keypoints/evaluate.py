@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError
+from fgrecon.core.geometry import view_azimuth
 from fgrecon.io.images import read_image
 from fgrecon.perception.keypoints.detect import REACH, Detection, KeypointCascade
 from fgrecon.training.keypoints.calibrate import Reliability, reliability
@@ -177,7 +178,6 @@ def azimuth_errors(
             pose = solve(detection, camera).camera_T_object
         except FgreconError:
             continue
-        x, _, z = -pose[:3, :3].T @ pose[:3, 3]
-        turn = np.degrees(np.arctan2(z, x) - car.azimuth)
+        turn = np.degrees(float(view_azimuth(pose[:3, :3], pose[:3, 3])) - car.azimuth)
         errors[row] = abs((turn + 180.0) % 360.0 - 180.0)
     return PosedScore(errors)

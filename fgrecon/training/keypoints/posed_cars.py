@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import view_azimuth
 from fgrecon.io.json_fields import Fields, read_json
 
 __all__ = ["PosedCar", "groups", "read_posed_cars", "read_validation_ids"]
@@ -54,8 +55,7 @@ class PosedCar:
     @property
     def azimuth(self) -> float:
         """Direction from the car to the camera about the car's vertical axis, radians; 0 ahead, pi / 2 to its left."""
-        x, _, z = -self.rotation.T @ self.translation
-        return float(np.arctan2(z, x))
+        return float(view_azimuth(self.rotation, self.translation))
 
     def silhouette(self, folder: Path) -> Path:
         """The file of its silhouette in a folder of them."""

@@ -159,9 +159,9 @@ def prepare_street_cars(file: Path, folder: Path, progress: Progress = no_progre
         x1, y1, x2, y2 = car.box
         crop = Crop(np.array([(x1 + x2) / 2, (y1 + y2) / 2]), _AROUND * max(x2 - x1, y2 - y1), SIDE)
         images[row] = extract(image, crop)
-        masks[row] = _filled([_in_crop(polygon, crop) for polygon in car.silhouette])
-        boxes.append(_in_crop(car.box.reshape(2, 2), crop).ravel())
-        keypoints.append(_in_crop(car.keypoints, crop))
+        masks[row] = _filled([crop.from_image(polygon) for polygon in car.silhouette])
+        boxes.append(crop.from_image(car.box.reshape(2, 2)).ravel())
+        keypoints.append(crop.from_image(car.keypoints))
     images.flush()
     masks.flush()
     np.savez(
@@ -174,12 +174,6 @@ def prepare_street_cars(file: Path, folder: Path, progress: Progress = no_progre
         tracks=np.array([car.track for car in cars]),
         kinds=np.array([car.kind for car in cars]),
     )
-
-
-def _in_crop(pixels: Array, crop: Crop) -> Array:
-    """The reverse of `Crop.to_image`."""
-    inside: Array = (pixels - crop.centre) * crop.scale + (crop.size - 1) / 2
-    return inside
 
 
 def _filled(polygons: Sequence[Array]) -> NDArray[np.uint8]:
