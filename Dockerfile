@@ -1,9 +1,13 @@
 # fgrecon's command line: docker build -t fgrecon . && docker run --rm -v "$PWD:/data" fgrecon demo --out /data/demo
-FROM python:3.11-slim
-
+FROM python:3.11 AS build
 COPY . /src
-RUN pip install --no-cache-dir --constraint /src/constraints.txt /src \
-    && rm -rf /src \
+RUN pip wheel --no-cache-dir --no-deps --wheel-dir /wheels /src
+
+FROM python:3.11-slim
+COPY constraints.txt /constraints.txt
+COPY --from=build /wheels /wheels
+RUN pip install --no-cache-dir --constraint /constraints.txt /wheels/*.whl \
+    && rm -rf /wheels \
     && useradd --create-home fgrecon
 
 USER fgrecon

@@ -230,11 +230,8 @@ DISCARDED = (
         GRAPH,
         (
             (
-                "        for _, factors in self.terms(weights):\n",
-                (
-                    "        for name, factors in [*self.terms(weights)]:\n"
-                    "            self.extra = [] if name == EXTRA else self.extra\n"
-                ),
+                "        for factor in [*told, *own, *self.extra]:\n",
+                "        extra, self.extra = self.extra, []\n        for factor in [*told, *own, *extra]:\n",
             ),
         ),
         (TEST_EXTRA,),
@@ -294,7 +291,7 @@ WRONG_ANSWERS = (
         "aspnp-unweighted",
         "ASPnP trusts every keypoint alike",
         PROPOSALS,
-        (("found = aspnp(prior.mean[used], rays, weights[used])", "found = aspnp(prior.mean[used], rays)"),),
+        (("aspnp(prior.mean[used], rays, weights[used], every=False)", "aspnp(prior.mean[used], rays, every=False)"),),
         (TEST_PROPOSALS,),
     ),
     Mutation(
@@ -364,7 +361,7 @@ WRONG_ANSWERS = (
         "fgrecon/solve/track.py",
         (
             ("seen.append(Seen(problem, image=number))", "seen.append(Seen(problem, vehicle=number, image=number))"),
-            ("history=joint_steps(adjusted.stages)", "history=()"),
+            ("history=Deferred(lambda: joint_steps(adjusted.stages)) if keep else (),", "history=(),"),
         ),
         (TEST_TRACK,),
         red=2,

@@ -51,26 +51,20 @@ DROPPED_TERMS = (
         (("        coefficient_term(total, h)\n        return total, weights\n", "        return total, weights\n"),),
         (EVERY_TERM,),
     ),
-    _dropped_from_the_graph("laplacian", '            terms["laplacian"] = [factor]\n'),
+    _dropped_from_the_graph("laplacian", '            present["laplacian"] = self._laplacian\n'),
     _dropped_from_the_graph(
-        "planarity", '        terms["planarity"] = self._planarity(category)\n', 'terms["planarity"] = []'
+        "planarity",
+        '        self._faces = [] if "planarity" in disabled else self._bent_faces(category)\n',
+        "self._faces = []",
     ),
-    _dropped_from_the_graph(
-        "symmetry", '        terms["symmetry"] = self._symmetry(category)\n', 'terms["symmetry"] = []'
-    ),
+    _dropped_from_the_graph("symmetry", '            present["symmetry"] = self._symmetry\n'),
     _dropped_from_the_graph(
         "rectangularity",
-        '        terms["rectangularity"] = [factor for factor in rectangles if not self._vanishes(factor)]\n',
-        'terms["rectangularity"] = []',
+        "        self._rectangles = [face for face in faces if not self._vanishes(face)]\n",
+        "self._rectangles = []",
     ),
-    _dropped_from_the_graph(
-        "coefficients",
-        '            terms["coefficients"] = [factors.'
-        "coefficients_prior(self.shape.coefficients_key, prior.dimension)]\n",
-    ),
-    _dropped_from_the_graph(
-        "offsets", '            terms["offsets"] = [factors.offsets_prior(self.shape.offsets_key, spread)]\n'
-    ),
+    _dropped_from_the_graph("coefficients", '            present["coefficients"] = self._coefficients\n'),
+    _dropped_from_the_graph("offsets", '            present["offsets"] = self._offsets\n'),
     _dropped_from_the_graph(
         "ground", '        terms["ground"] = self._ground(weights.depth, share)\n', file=OBSERVATION
     ),

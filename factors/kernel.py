@@ -119,6 +119,14 @@ class ProjectionKernel:
         self._projection = last
         return last
 
+    def pose(self, values: gtsam.Values) -> NDArray[np.float64]:
+        """(4, 4) camera_T_object at the values."""
+        if self.pose_key is None:
+            assert self._pose is not None
+            return self._pose
+        pose: NDArray[np.float64] = values.atPose3(self.pose_key).matrix()
+        return pose
+
     def _project(self, points: NDArray[np.float64], camera_T_object: NDArray[np.float64]) -> Projection:
         rotation = camera_T_object[:3, :3]
         pixels, camera, depths = project(self.camera_matrix, rotation, camera_T_object[:3, 3], points)

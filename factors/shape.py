@@ -36,8 +36,10 @@ class LinearShape:
     """
 
     __slots__ = (
+        "_coefficients",
         "_constant",
         "_linear",
+        "_offsets",
         "_points",
         "_stamp",
         "basis",
@@ -78,18 +80,22 @@ class LinearShape:
         blocks: dict[int, NDArray[np.float64]] = {}
         self.coefficients_key: int | None = None
         self.offsets_key: int | None = None
+        self._coefficients: NDArray[np.float64] = np.zeros(count)
+        self._offsets: NDArray[np.float64] | None = None
         if isinstance(coefficients, int):
             if not count:
                 raise InvalidInputError("coefficients", "a key", "Give the value (0,) where the basis is empty.")
             self.coefficients_key = coefficients
             blocks[coefficients] = flat_basis
         else:
-            constant += flat_basis @ finite_array("coefficients", coefficients, (count,))
+            self._coefficients = finite_array("coefficients", coefficients, (count,))
+            constant += flat_basis @ self._coefficients
         if isinstance(offsets, int):
             self.offsets_key = offsets
             blocks[offsets] = np.eye(3 * size)
         elif offsets is not None:
-            constant += finite_array("offsets", offsets, (size, 3)).ravel()
+            self._offsets = np.ascontiguousarray(finite_array("offsets", offsets, (size, 3))).ravel()
+            constant += self._offsets
         self.keys: tuple[int, ...] = tuple(blocks)
         self.dims: tuple[int, ...] = tuple(block.shape[1] for block in blocks.values())
         derivative = np.hstack([*blocks.values(), np.zeros((3 * size, 0))])
@@ -104,6 +110,20 @@ class LinearShape:
     def size(self) -> int:
         """Number of keypoints K."""
         return len(self.mean)
+
+    def coefficients(self, values: gtsam.Values) -> NDArray[np.float64]:
+        """(N,) lambda at the values."""
+        if self.coefficients_key is None:
+            return self._coefficients
+        coefficients: NDArray[np.float64] = values.atVector(self.coefficients_key)
+        return coefficients
+
+    def offsets(self, values: gtsam.Values) -> NDArray[np.float64] | None:
+        """(3K,) offsets at the values; None where there are none."""
+        if self.offsets_key is None:
+            return self._offsets
+        offsets: NDArray[np.float64] = values.atVector(self.offsets_key)
+        return offsets
 
     def chain(self, gradient: NDArray[np.float64]) -> NDArray[np.float64]:
         """(rows, D) derivative of a residual whose derivative with respect to X, flattened to (rows, 3K), is given."""

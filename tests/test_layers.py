@@ -15,7 +15,7 @@ ROOMS = {
     "io": {"core"},
     "io/annotations": {"core", "io"},
     "io/export": {"core", "io"},
-    "solve/vehicle": {"core"},
+    "solve/vehicle": {"factors", "core"},
     "solve/proposals": {"factors", "core", "solve/vehicle"},
     "solve/graph": {"factors", "core", "solve/vehicle", "solve/proposals"},
     "solve": {"factors", "core", "io", "solve/vehicle", "solve/proposals", "solve/graph"},

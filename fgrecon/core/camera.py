@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -182,6 +183,10 @@ class Ground:
         """Standard deviation in metres of an origin's height over the plane at depths (...,) in metres."""
         sigma: NDArray[np.float64] = np.hypot(self.height_sigma, self.slope_sigma * depth)
         return sigma
+
+    def height_sigma_at_depth(self, depth: float) -> float:
+        """The same at one depth."""
+        return math.hypot(self.height_sigma, self.slope_sigma * depth)
 
     @classmethod
     def level(cls, camera_height: float) -> Ground:

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.deferred import Deferred
+
 __all__ = ["array", "indices", "numbers", "pairs", "plain", "square"]
 
 
@@ -26,7 +28,7 @@ def plain(value: Any) -> Any:
         return int(value)
     if isinstance(value, Mapping):
         return {key: plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
+    if isinstance(value, list | tuple | Deferred):
         return [plain(item) for item in value]
     if is_dataclass(value):
         return {f.name: plain(getattr(value, f.name)) for f in fields(value)}

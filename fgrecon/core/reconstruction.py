@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from pathlib import Path
@@ -132,7 +132,7 @@ class Reconstruction:
         keypoint_covariance: (K, 3, 3) covariance of each 3D keypoint in the object frame, or None.
         energies: Energy by term at the result.
         alternatives: Other poses that the search ended in, best first.
-        history: Every step, in order.
+        history: Every step, in order; made when it is first looked at, as is the graph.
         milliseconds: Wall time by stage.
         surface_vertices: (V, 3) surface in the object frame, or None.
         surface_faces: (F, 3) its triangles, or None.
@@ -163,13 +163,13 @@ class Reconstruction:
     keypoint_covariance: NDArray[np.float64] | None
     energies: Mapping[str, float]
     alternatives: tuple[Alternative, ...]
-    history: tuple[Iteration, ...]
+    history: Sequence[Iteration]
     milliseconds: Mapping[str, float]
     surface_vertices: NDArray[np.float64] | None = None
     surface_faces: NDArray[np.int64] | None = None
     faces: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     symmetric_pairs: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
-    graph: tuple[GraphFactor, ...] = ()
+    graph: Sequence[GraphFactor] = ()
     graph_iterations: int = 0
     graph_gain: float = float("nan")
 

@@ -175,10 +175,11 @@ class RobustStrategy:
             progress: 0 at the first update, 1 at the last; only `gnc` reads it.
         """
         if self.name is StrategyName.MIXTURE:
-            inlier, outlier = self._mixture(squared_distance, evidence, visibility)
-            total = np.where(evidence.measured, inlier + outlier, 1.0)
+            right, wrong = self.densities(evidence, visibility)
+            inlier = right * np.exp(-0.5 * squared_distance)
+            total = inlier + wrong
             mixture_energy: Array = -np.log(total).sum(axis=-1)
-            return np.where(evidence.measured, inlier, 0.0) / total, mixture_energy
+            return inlier / total, mixture_energy
         initial = self.initial_weights(evidence, visibility)
         energy: Array = (initial * self.robust_loss.losses_of_squares(squared_distance)).sum(axis=-1)
         if not self.is_paper:
@@ -200,14 +201,17 @@ class RobustStrategy:
             return loss
         return RobustLoss(loss.loss, loss.constant * float(self.gnc_start ** (0.5 * (1.0 - progress))))
 
-    def _mixture(self, squared_distance: Array, evidence: Evidence, visibility: Array) -> tuple[Array, Array]:
-        """Densities of being a right point, and of being anything else, relative to a right point's peak."""
+    def densities(self, evidence: Evidence, visibility: Array) -> tuple[Array, Array]:
+        """Mixture: densities (..., K) of a right point and of anything else, relative to a right one's peak.
+
+        Where nothing was measured they are 0 and 1.
+        """
         right, hidden = evidence.right, 1.0 - visibility
         seen = visibility * right
-        inlier = seen * (1.0 - self.gross) * np.exp(-0.5 * squared_distance)
         unsure = (visibility * self.missed + hidden * (1.0 - self.false_alarm)) * (1.0 - right)
         outlier = (seen * self.gross + unsure + hidden * self.false_alarm * right) * evidence.outlier
-        return inlier, outlier
+        measured = evidence.measured
+        return np.where(measured, seen * (1.0 - self.gross), 0.0), np.where(measured, outlier, 1.0)
 
 
 def strategy(value: RobustStrategy | StrategyName | str) -> RobustStrategy:

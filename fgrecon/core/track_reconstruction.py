@@ -62,8 +62,8 @@ class TrackReconstruction:
     frames: tuple[Reconstruction, ...]
     refused: Mapping[int, str]
     energies: Mapping[str, float]
-    history: tuple[JointStep, ...]
-    graph: tuple[GraphFactor, ...]
+    history: Sequence[JointStep]
+    graph: Sequence[GraphFactor]
     milliseconds: Mapping[str, float]
 
     @property

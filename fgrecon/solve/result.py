@@ -8,6 +8,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.deferred import Deferred
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status, rotation_y
 from fgrecon.solve.graph.adjust import Adjusted
@@ -50,7 +51,9 @@ def results(
     marginals = factorise(graph.build(weights), values) if optimum.failure is None else None
     alone = len(seen) == 1
     keep = seen[0].problem.options.keep_history
-    structure = graph_factors(graph, weights) if keep and alone and optimum.failure is None else ()
+    structure: Sequence[GraphFactor] = ()
+    if keep and alone and optimum.failure is None:
+        structure = Deferred(lambda: graph_factors(graph, weights))
     found = []
     for i, (part, start) in enumerate(zip(graph.observations, starts, strict=True)):
         if optimum.failure is not None:
@@ -59,12 +62,17 @@ def results(
             energies = optimum.energies
         else:
             energies = part.energies(values, weights[i])
-        history = start.history + iterations(adjusted.stages, i, alone=alone)
+        history = _history(start, adjusted, i, alone=alone) if keep else ()
         uncertainty = read_covariances(part, weights[i], values, marginals)
         found.append(
             _result(part, optimum, i, adjusted.alternatives[i], uncertainty, energies, history, structure, milliseconds)
         )
     return found
+
+
+def _history(start: PoseEstimate, adjusted: Adjusted, index: int, *, alone: bool) -> Sequence[Iteration]:
+    """Every step of an observation, made when it is looked at."""
+    return Deferred(lambda: (*start.history, *iterations(adjusted.stages, index, alone=alone)))
 
 
 def _result(
@@ -74,8 +82,8 @@ def _result(
     alternatives: tuple[Alternative, ...],
     uncertainty: Covariances | None,
     energies: dict[str, float],
-    history: tuple[Iteration, ...],
-    structure: tuple[GraphFactor, ...],
+    history: Sequence[Iteration],
+    structure: Sequence[GraphFactor],
     milliseconds: dict[str, float],
 ) -> Reconstruction:
     problem, prior = part.problem, part.problem.model.prior

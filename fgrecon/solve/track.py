@@ -22,6 +22,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.deferred import Deferred
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
@@ -123,8 +124,8 @@ def reconstruct_track(
         frames=tuple(frames),
         refused=refused,
         energies=optimum.energies,
-        history=joint_steps(adjusted.stages),
-        graph=graph_factors(adjusted.graph, optimum.state.weights) if keep else (),
+        history=Deferred(lambda: joint_steps(adjusted.stages)) if keep else (),
+        graph=Deferred(lambda: graph_factors(adjusted.graph, optimum.state.weights)) if keep else (),
         milliseconds=milliseconds,
     )
 

@@ -57,7 +57,7 @@ class Playback:
         """The history; where none was kept the result as its only step, of stage `result`; none where it failed."""
         result = self.reconstruction
         if result.history or not np.isfinite(result.camera_T_object).all():
-            return result.history
+            return tuple(result.history)
         last = Iteration(
             stage=RESULT,
             irls=0,

@@ -158,7 +158,7 @@ class _Track:
         import rerun as rr
 
         chosen = np.arange(self.joint_steps) if rows is None else np.array(rows)
-        updates = np.array([self.track.history[row].irls for row in chosen], dtype=np.int64)
+        updates = np.array([self.track.history[int(row)].irls for row in chosen], dtype=np.int64)
         return [
             rr.TimeColumn(entities.STEP, sequence=self.first_joint + chosen),
             rr.TimeColumn(entities.STAGE, sequence=np.full(len(chosen), _STAGE)),

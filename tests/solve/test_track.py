@@ -193,7 +193,7 @@ def test_a_solve_that_gives_up_says_so_and_keeps_the_state_before(car, monkeypat
     def give_up(*_arguments, **_settings):
         raise DegenerateProblemError("keypoints", "a singular system", "Give more.")
 
-    monkeypatch.setattr("fgrecon.solve.graph.optimise.minimise", give_up)
+    monkeypatch.setattr("fgrecon.solve.graph.newton.Descent._iterate", give_up)
     track = reconstruct_track(seen, KITTI_CAMERA)
     assert track.status is Status.FAILED
     assert "singular" in track.message

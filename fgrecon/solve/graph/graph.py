@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from factors import check_in_front
 from factors.keys import key_name
+from factors.mixture import Form
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import Options
 from fgrecon.solve.graph.observation import ObservationPart, Weights
@@ -93,6 +94,7 @@ class Graph:
             InvalidInputError: A factor of the caller's own has a key of no variable.
         """
         self.options: Options = seen[0].problem.options
+        self._built: gtsam.NonlinearFactorGraph | None = None
         self.vehicles: dict[int, VehiclePart] = {}
         self.observations: list[ObservationPart] = []
         counts = Counter(one.vehicle for one in seen)
@@ -138,6 +140,11 @@ class Graph:
         for part in self.observations:
             check_in_front(part.kernel, values)
 
+    @property
+    def is_robust(self) -> bool:
+        """Whether one solve finds the minimum of the robust energy: its losses are inside the factors."""
+        return all(part.is_robust for part in self.observations)
+
     def reweigh(
         self, values: gtsam.Values, before: Sequence[Weights], progress: float, *, hold: bool = False
     ) -> list[Weights]:
@@ -147,21 +154,27 @@ class Graph:
             for part, weights in zip(self.observations, before, strict=True)
         ]
 
-    def build(self, weights: Sequence[Weights]) -> gtsam.NonlinearFactorGraph:
-        """All factors."""
-        graph = gtsam.NonlinearFactorGraph()
-        for _, factors in self.terms(weights):
-            for factor in factors:
-                graph.add(factor)
-        return graph
+    def build(self, weights: Sequence[Weights], form: Form = Form.WEIGHTED) -> gtsam.NonlinearFactorGraph:
+        """All factors, as the solver gets them; graphs built before are not to be used any more.
+
+        Args:
+            weights: Weights of each observation.
+            form: How a mixture is handed to the solver: with these weights, or with its loss and curvature.
+        """
+        pairs = zip(self.observations, weights, strict=True)
+        told = [factor for part, weight in pairs for factor in part.solved(weight, form)]
+        if self._built is not None and self.is_robust:
+            return self._built  # the same factors, which know what has changed
+        own = [factor for vehicle in self.vehicles.values() for factor in vehicle.solved]
+        self._built = gtsam.NonlinearFactorGraph()
+        for factor in [*told, *own, *self.extra]:
+            self._built.add(factor)
+        return self._built
 
     def terms(self, weights: Sequence[Weights]) -> Iterator[tuple[str, list[gtsam.NonlinearFactor]]]:
         """Name and factors of each term, observation by observation, then vehicle by vehicle, then the extra ones."""
         for part, weight in zip(self.observations, weights, strict=True):
             yield from part.terms(weight).items()
-        yield from self._own_terms()
-
-    def _own_terms(self) -> Iterator[tuple[str, list[gtsam.NonlinearFactor]]]:
         for vehicle in self.vehicles.values():
             yield from vehicle.terms.items()
         if self.extra:
@@ -170,8 +183,11 @@ class Graph:
     def own_energies(self, values: gtsam.Values) -> dict[str, float]:
         """Energy of the terms that belong to no single observation, nats."""
         told: dict[str, float] = {}
-        for name, factors in self._own_terms():
-            told[name] = told.get(name, 0.0) + sum(factor.error(values) for factor in factors)
+        for vehicle in self.vehicles.values():
+            for name, energy in vehicle.energies(values):
+                told[name] = told.get(name, 0.0) + energy
+        if self.extra:
+            told[EXTRA] = sum(factor.error(values) for factor in self.extra)
         return told
 
     def energies(self, values: gtsam.Values, weights: Sequence[Weights]) -> dict[str, float]:

@@ -10,6 +10,7 @@ factors.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import gtsam
@@ -18,7 +19,11 @@ from numpy.typing import NDArray
 
 import factors
 from factors import ProjectionKernel, RobustLoss, X
+from factors.ground import ground_rows
+from factors.mixture import Form
+from factors.observation import BoxRows, GroundRows, ObservationRows, observation_factor
 from factors.shape import LinearShape
+from fgrecon.core.robust import StrategyName
 from fgrecon.solve.graph.vehicle import VehiclePart
 from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
 from fgrecon.solve.proposals.terms import Hypotheses
@@ -30,6 +35,27 @@ Array = NDArray[np.float64]
 _SMALLEST_EDGE = 1e-6  # a box edge of less weight says nothing
 SMALLEST_WEIGHT = 1e-12
 """A keypoint of less weight is left out."""
+
+
+@dataclass(frozen=True)
+class _Assessed:
+    """What the compiled kernel makes of a state, kept since weights and energies are wanted one after the other.
+
+    Attributes:
+        values: The state.
+        visibility: (K,) visibility it was assessed with.
+        densities: (K,) of right points and (K,) of wrong ones.
+        keypoints: (K,) weights.
+        box: (4,) weights of the box's edges.
+        energies: Of keypoints and box, nats.
+    """
+
+    values: gtsam.Values
+    visibility: Array
+    densities: tuple[Array, Array]
+    keypoints: Array
+    box: Array
+    energies: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -92,10 +118,64 @@ class ObservationPart:
         self._covariances = None if isotropic else covariances
         self._sigma = float(np.sqrt(covariances[0, 0, 0]))
         self._box_kernel = None
+        self._factor: gtsam.CustomFactor | None = None
+        self._last: _Assessed | None = None
         if problem.energy.box is not None:
             box = problem.energy.box
             box_shape = LinearShape(box.mean, box.basis, vehicle.coefficients)
             self._box_kernel = ProjectionKernel(box_shape, problem.camera.matrix, bound)
+        self.stacked = self._stacked()
+
+    @property
+    def is_robust(self) -> bool:
+        """Whether the factors that are solved have the robust loss inside, so that one solve finds its minimum."""
+        return self.stacked is not None
+
+    def _stacked(self) -> ObservationRows | None:
+        """All terms in one factor, where the strategy is the mixture."""
+        energy = self.problem.energy
+        if energy.keypoints.strategy.name is not StrategyName.MIXTURE or not self.kernel.keys:
+            return None
+        box, ground, whitener = energy.box, energy.ground, energy.keypoints.whitener
+        return ObservationRows(
+            self.kernel,
+            energy.keypoints.pixels,
+            np.ascontiguousarray(whitener.reshape(-1, 4)[:, [0, 2, 3]]),
+            box=None
+            if box is None or self._box_kernel is None
+            else BoxRows(self._box_kernel, box.edges, box.used, box.sigma, box.outlier, box.softness),
+            ground=None
+            if ground is None or self.pose_key is None
+            else GroundRows(ground.ground.normal, ground.ground.distance, ground.ground.tilt_sigma),
+            compiled=energy.compiled,
+            share=self.share,
+        )
+
+    def solved(self, weights: Weights, form: Form = Form.NEWTON) -> list[gtsam.NonlinearFactor]:
+        """The factors of all terms as the solver gets them.
+
+        With the mixture they are one and the same factor whatever the weights: it is told of visibility and depth.
+
+        Args:
+            weights: The weights; of the mixture those are used that `form` says.
+            form: How the mixture is handed to the solver.
+        """
+        rows = self.stacked
+        if rows is None:
+            return [factor for term in self.terms(weights).values() for factor in term]
+        term, ground = self.problem.energy.keypoints, self.problem.energy.ground
+        rows.form, rows.edge_weights = form, weights.box
+        if form is Form.WEIGHTED:
+            rows.right = weights.keypoints
+        elif self._last is not None and self._last.visibility is weights.visibility:
+            rows.right, rows.wrong = self._last.densities
+        else:
+            rows.right, rows.wrong = term.strategy.densities(term.evidence, weights.visibility)
+        if ground is not None:
+            rows.height_sigma = ground.ground.height_sigma_at_depth(weights.depth)
+        if self._factor is None:
+            self._factor = observation_factor(rows)
+        return [self._factor]
 
     def pose(self, values: gtsam.Values) -> gtsam.Pose3:
         """camera_T_object at the values."""
@@ -111,6 +191,10 @@ class ObservationPart:
             hold: Keep visibility and the ground's uncertainty as they are.
         """
         term, box = self.problem.energy.keypoints, self.problem.energy.box
+        if self.problem.energy.compiled is not None:
+            seen = self._assess(values, before.visibility if hold else None)
+            depth = before.depth if hold else float(self.kernel.pose(values)[2, 3])
+            return Weights(seen.keypoints, seen.visibility, seen.box, depth)
         pose = self.pose(values)
         visibility, depth = before.visibility, before.depth
         if not hold:
@@ -142,14 +226,19 @@ class ObservationPart:
     def energies(self, values: gtsam.Values, weights: Weights) -> dict[str, float]:
         """Energy of each term, nats: of keypoints and box the robust one that the weights stand for."""
         term, box, ground = self.problem.energy.keypoints, self.problem.energy.box, self.problem.energy.ground
-        robust = term.strategy.evaluate(self._squares(values), term.evidence, weights.visibility)[1]
-        told = {"reprojection": self.share * float(robust), "cheirality": 0.0}
+        if self.problem.energy.compiled is not None:
+            robust, edges = self._assess(values, weights.visibility).energies
+        else:
+            robust = float(term.strategy.evaluate(self._squares(values), term.evidence, weights.visibility)[1])
+            edges = 0.0 if box is None else float(box.energy(box.residuals(self._hypothesis(values)))[0])
+        told = {"reprojection": self.share * robust, "cheirality": 0.0}
         if box is not None:
-            told["box"] = self.share * float(box.energy(box.residuals(self._hypothesis(values)))[0])
+            told["box"] = self.share * edges
         if ground is not None and self.pose_key is not None:
-            sigma = float(ground.ground.height_sigma_at(np.array(weights.depth)))
-            told["ground"] = sum(f.error(values) for f in self._ground(weights.depth, self.share))
-            told["ground"] += self.share * float(np.log(sigma))
+            pose, sigma = self.kernel.pose(values), ground.ground.height_sigma_at_depth(weights.depth)
+            rows, _ = ground_rows(ground.ground.normal, ground.ground.distance, pose[:3, :3], pose[:3, 3])
+            lean = rows[1:] / ground.ground.tilt_sigma
+            told["ground"] = self.share * float(0.5 * ((rows[0] / sigma) ** 2 + lean @ lean) + math.log(sigma))
         if self.problem.energy.direction is not None:
             told["direction"] = self.share * float(self.problem.energy.direction.energy(self._hypothesis(values))[0])
         return told
@@ -157,6 +246,19 @@ class ObservationPart:
     def projections(self, values: gtsam.Values) -> Array:
         """(K, 2) projected keypoints, pixels."""
         return self.kernel.evaluate(values).pixels
+
+    def _assess(self, values: gtsam.Values, visibility: Array | None) -> _Assessed:
+        """Weights and energies by the compiled kernel, with a visibility or with that of the pose."""
+        last = self._last
+        if last is not None and last.values is values and (visibility is None or visibility is last.visibility):
+            return last
+        shape, compiled = self.vehicle.shape, self.problem.energy.compiled
+        seen = np.empty(shape.size) if visibility is None else visibility
+        keypoints, right, wrong, box, robust, edges = compiled.assess(
+            self.kernel.pose(values), shape.coefficients(values), shape.offsets(values), seen, visibility is None
+        )
+        self._last = _Assessed(values, seen, (right, wrong), keypoints, box, (robust, edges))
+        return self._last
 
     def _squares(self, values: gtsam.Values) -> Array:
         """(K,) squared Mahalanobis distances of the keypoints' residuals."""
@@ -214,7 +316,7 @@ class ObservationPart:
         if term is None or self.pose_key is None:
             return []
         ground = term.ground
-        height = float(ground.height_sigma_at(np.array(depth))) / share**0.5
+        height = ground.height_sigma_at_depth(depth) / share**0.5
         tilt = ground.tilt_sigma / share**0.5
         return [
             factors.ground_height_factor(self.pose_key, ground.normal, ground.distance, height),

@@ -1,9 +1,11 @@
-"""Iteratively re-weighted least squares on a graph: the one loop, for one image of a car as for a track.
+"""The minimum of a graph's energy, for one image of a car as for a track.
 
-The weights are made from the residuals, visibility from the poses; GTSAM solves under them; and so on. With visibility
-held every such solve lowers the robust energy (the weights are those of a majorising function: EM for the mixture), and
-a state that weights and solve leave alone is a minimum of it. Visibility is not part of that argument: made anew each
-time it can swing between two views of a car for ever. So the loop has two parts:
+Where the robust losses are inside the factors Newton's method finds it (`fgrecon.solve.graph.newton`). The m-estimators
+and the paper's strategies are iteratively re-weighted least squares: weights are made from the residuals, visibility
+from the poses; GTSAM solves under them; and so on. With visibility held every such solve lowers the robust energy (the
+weights are those of a majorising function), and a state that weights and solve leave alone is a minimum of it.
+Visibility is not part of that argument: made anew each time it can swing between two views of a car for ever. So the
+loop has two parts:
 
 1. updates with visibility made anew until the weights settle, at most four times `RobustStrategy.updates`; where they
    swing, the best of these states is taken;
@@ -16,15 +18,16 @@ The strategies of the paper's Eqs. 4 and 5, whose weights belong to no energy, m
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from factors.mixture import Form
 from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.solve.graph.graph import Graph, State
+from fgrecon.solve.graph.newton import Descent, Step
 from fgrecon.solve.graph.observation import Weights
 from fgrecon.solve.graph.solver import minimise
 
@@ -45,23 +48,6 @@ _REFRESHED = 4  # times the strategy's updates: how often visibility is made ane
 _MOST_UPDATES = 60  # with visibility held
 _LONGEST_GUESS = 20.0  # steps that a guess may go ahead
 _DRIFT = 0.1  # nats that settled weights may cost: what moves visibility is no force of the solver's
-
-
-@dataclass(frozen=True)
-class Step:
-    """One step of the loop.
-
-    Attributes:
-        update: Index of the weight update.
-        step: Index of the solver's iteration within it.
-        values: Where it ended.
-        weights: Weights that it was made under.
-    """
-
-    update: int
-    step: int
-    values: gtsam.Values
-    weights: Sequence[Weights]
 
 
 @dataclass(frozen=True)
@@ -104,7 +90,7 @@ def optimise(graph: Graph, start: State) -> Optimum:
     Returns:
         The end. Where the start is behind the camera or a system is singular, the state so far and why.
     """
-    loop = _Loop(graph, start)
+    loop = Descent(graph, start) if graph.is_robust else _Loop(graph, start)
     failure = None
     try:
         graph.check_in_front(loop.values)
@@ -118,7 +104,9 @@ def optimise(graph: Graph, start: State) -> Optimum:
         energies=energies,
         steps=tuple(loop.steps),
         iterations=loop.iterations,
-        gain=loop.first - sum(energies.values()) if failure is None and loop.strategy.descends else float("nan"),
+        gain=loop.first - sum(energies.values())
+        if failure is None and graph.options.strategy.descends
+        else float("nan"),
         failure=failure,
         unfinished=None if loop.converged else f"after {loop.iterations} iterations",
     )
@@ -194,7 +182,7 @@ class _Loop:
 
     def solve(self, tolerance: float) -> None:
         record = self.graph.options.keep_history
-        graph = self.graph.build(self.weights)
+        graph = self.graph.build(self.weights, Form.NEWTON)
         solution = minimise(graph, self.values, relative_tolerance=tolerance, record=record)
         self.steps += [Step(self.update, i, values, self.weights) for i, values in enumerate(solution.path)]
         self.values, self.converged = solution.values, solution.converged

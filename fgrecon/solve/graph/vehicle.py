@@ -15,7 +15,7 @@ zero and are not built.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
 import gtsam
 import numpy as np
@@ -23,6 +23,8 @@ from numpy.typing import NDArray
 
 import factors
 from factors import L, LinearShape, M, O, P
+from factors.native import native
+from factors.shape_terms import ShapeTerms
 from fgrecon.core.category import Category, Face
 from fgrecon.core.options import Options
 from fgrecon.solve.vehicle.model import VehicleModel
@@ -46,7 +48,6 @@ class VehiclePart:
         number: Number of the vehicle in the keys.
         shape: The keypoints as a function of lambda and the offsets.
         coefficients: Key of lambda, or its value where it is held.
-        terms: Factors by energy term.
     """
 
     def __init__(self, model: VehicleModel, options: Options, number: int = 0, *, held: Held | None = None) -> None:
@@ -69,9 +70,21 @@ class VehiclePart:
         self._held = held
         self.shape = LinearShape(prior.mean, prior.basis, self.coefficients, offsets)
         self._planes: dict[int, NDArray[np.intp] | None] = {}  # keypoints to fit each plane to; None: the medial plane
-        disabled = options.disabled_terms
-        terms = self._terms() if self.shape.keys else {}
-        self.terms: Terms = {name: term for name, term in terms.items() if term and name not in disabled}
+        self._makers = self._present() if self.shape.keys else {}
+        self._made: dict[str, list[gtsam.NonlinearFactor]] = {}
+        self._stack = self._stacked()
+        self._solved: list[gtsam.NonlinearFactor] = [self._stack.factor()] if self._stack is not None else []
+        self._solved += [factor for name in self._others for factor in self._term(name)]
+
+    @property
+    def terms(self) -> Terms:
+        """Factors by energy term: one for each thing that is said, as they are shown and tested."""
+        return {name: self._term(name) for name in self._makers}
+
+    def _term(self, name: str) -> list[gtsam.NonlinearFactor]:
+        if name not in self._made:  # on use: what the solver gets is stacked
+            self._made[name] = self._makers[name]()
+        return self._made[name]
 
     def insert(self, values: gtsam.Values, coefficients: Array, offsets: Array) -> None:
         """Add every variable to the values; planes are fitted to the keypoints."""
@@ -94,41 +107,107 @@ class VehiclePart:
         offsets = np.zeros((self.shape.size, 3)) if offsets_key is None else values.atVector(offsets_key).reshape(-1, 3)
         return coefficients, offsets
 
-    def _terms(self) -> dict[str, list[gtsam.NonlinearFactor]]:
-        prior, options, size = self.model.prior, self.options.shape, self.model.size
-        category = prior.category
-        terms: dict[str, list[gtsam.NonlinearFactor]] = {}
-        if self.shape.coefficients_key is not None:
-            terms["coefficients"] = [factors.coefficients_prior(self.shape.coefficients_key, prior.dimension)]
-        if self.shape.offsets_key is not None:
-            spread = np.maximum(prior.offset_sigma, _SMALLEST_OFFSET)
-            if "symmetry" not in self.options.disabled_terms:  # which makes one offset of the two of a pair
-                spread = spread * np.where(category.mirror != np.arange(category.size), np.sqrt(2.0), 1.0)
-            terms["offsets"] = [factors.offsets_prior(self.shape.offsets_key, spread)]
-        terms["planarity"] = self._planarity(category)
-        faces = [face.keypoints for face in category.faces if face.rectangular]
-        rectangles = [factors.rectangularity_factor(self.shape, f, options.rectangularity_sigma) for f in faces]
-        terms["rectangularity"] = [factor for factor in rectangles if not self._vanishes(factor)]
-        terms["symmetry"] = self._symmetry(category)
-        if size is not None:
-            operator = category.dimension_operator
-            terms["dimensions"] = [factors.dimensions_factor(self.shape, operator, size.mean, size.sigma)]
-        if any(category.neighbours):
-            adapted = not options.literal_laplacian
-            factor = factors.laplacian_factor(
-                self.shape,
-                category.neighbours,
-                options.laplacian_sigma,
-                normalised=adapted,
-                relative_to_mean=adapted,
-            )
-            terms["laplacian"] = [factor]
-        return terms
+    @property
+    def solved(self) -> Sequence[gtsam.NonlinearFactor]:
+        """The factors of all terms as the solver gets them: the stacked ones in one."""
+        return self._solved
 
-    def _vanishes(self, factor: gtsam.CustomFactor) -> bool:
-        """Whether a factor on the shape alone is zero for every lambda, as wheels that the prior has in a rectangle."""
+    def energies(self, values: gtsam.Values) -> Iterator[tuple[str, float]]:
+        """Name and energy of each term at the values, nats."""
+        if self._stack is not None:
+            yield from self._stack.energies(values)
+        for name in self._others:
+            yield name, sum(factor.error(values) for factor in self._term(name))
+
+    @property
+    def _others(self) -> list[str]:
+        """Terms that are not in the stack."""
+        stacked: Collection[str] = () if self._stack is None else self._stack.slices
+        return [name for name in self._makers if name not in stacked]
+
+    def _stacked(self) -> ShapeTerms | None:
+        """Symmetry, rectangularity and dimensions, as far as they are there, in the compiled kernel."""
+        kernel, options, size = native("factors._shape"), self.options.shape, self.model.size
+        category, terms = self.model.prior.category, self._makers
+        if kernel is None or not terms.keys() & {"symmetry", "rectangularity", "dimensions"}:
+            return None
+        symmetric, sized = "symmetry" in terms, "dimensions" in terms and size is not None
+        return ShapeTerms(
+            kernel,
+            self.shape,
+            pairs=category.symmetric_pairs if symmetric else (),
+            middle=_middle(category) if symmetric else (),
+            plane_key=M(self.number) if symmetric else None,
+            pair_sigma=options.symmetry_sigma,
+            quads=self._rectangles if "rectangularity" in terms else (),
+            quad_sigma=options.rectangularity_sigma,
+            operator=category.dimension_operator if sized else None,
+            size=size.mean if sized and size is not None else None,
+            size_sigma=size.sigma if sized and size is not None else None,
+        )
+
+    def _present(self) -> dict[str, Callable[[], list[gtsam.NonlinearFactor]]]:
+        """What makes the factors of each term that there is."""
+        category, disabled = self.model.prior.category, self.options.disabled_terms
+        present: dict[str, Callable[[], list[gtsam.NonlinearFactor]]] = {}
+        if self.shape.coefficients_key is not None:
+            present["coefficients"] = self._coefficients
+        if self.shape.offsets_key is not None:
+            present["offsets"] = self._offsets
+        self._faces = [] if "planarity" in disabled else self._bent_faces(category)
+        self._planes |= {P(self.number, i): np.array(category.faces[i].keypoints) for i in self._faces}
+        if self._faces:
+            present["planarity"] = lambda: [f for i in self._faces for f in self._face(category.faces[i], i)]
+        faces = [face.keypoints for face in category.faces if face.rectangular]
+        self._rectangles = [face for face in faces if not self._vanishes(face)]
+        if self._rectangles:
+            present["rectangularity"] = lambda: [self._rectangle(face) for face in self._rectangles]
+        if category.symmetric_pairs and not self._always_symmetric and "symmetry" not in disabled:
+            self._planes[M(self.number)] = None
+            present["symmetry"] = self._symmetry
+        if self.model.size is not None:
+            present["dimensions"] = self._dimensions
+        if any(category.neighbours):
+            present["laplacian"] = self._laplacian
+        return {name: maker for name, maker in present.items() if name not in disabled}
+
+    def _coefficients(self) -> list[gtsam.NonlinearFactor]:
+        assert self.shape.coefficients_key is not None
+        return [factors.coefficients_prior(self.shape.coefficients_key, self.model.prior.dimension)]
+
+    def _offsets(self) -> list[gtsam.NonlinearFactor]:
+        assert self.shape.offsets_key is not None
+        category = self.model.prior.category
+        spread = np.maximum(self.model.prior.offset_sigma, _SMALLEST_OFFSET)
+        if "symmetry" not in self.options.disabled_terms:  # which makes one offset of the two of a pair
+            spread = spread * np.where(category.mirror != np.arange(category.size), np.sqrt(2.0), 1.0)
+        return [factors.offsets_prior(self.shape.offsets_key, spread)]
+
+    def _rectangle(self, face: tuple[int, ...]) -> gtsam.CustomFactor:
+        return factors.rectangularity_factor(self.shape, face, self.options.shape.rectangularity_sigma)
+
+    def _dimensions(self) -> list[gtsam.NonlinearFactor]:
+        size = self.model.size
+        assert size is not None
+        operator = self.model.prior.category.dimension_operator
+        return [factors.dimensions_factor(self.shape, operator, size.mean, size.sigma)]
+
+    def _laplacian(self) -> list[gtsam.NonlinearFactor]:
+        options, adapted = self.options.shape, not self.options.shape.literal_laplacian
+        factor = factors.laplacian_factor(
+            self.shape,
+            self.model.prior.category.neighbours,
+            options.laplacian_sigma,
+            normalised=adapted,
+            relative_to_mean=adapted,
+        )
+        return [factor]
+
+    def _vanishes(self, face: tuple[int, ...]) -> bool:
+        """Whether a face is a rectangle for every lambda, as wheels that the prior has in one."""
         if self.shape.coefficients_key is None or self.shape.offsets_key is not None:
             return False
+        factor = self._rectangle(face)
         for coefficients in np.vstack([np.zeros(self.shape.dims[0]), 3.0 * np.eye(self.shape.dims[0])]):
             values = gtsam.Values()
             values.insert(self.shape.coefficients_key, coefficients)
@@ -140,21 +219,16 @@ class VehiclePart:
     def _always_symmetric(self) -> bool:
         return self.model.prior.is_symmetric and self.shape.offsets_key is None
 
-    def _planarity(self, category: Category) -> list[gtsam.NonlinearFactor]:
-        """Each face's planarity, and the direction of the ground-parallel ones."""
-        if "planarity" in self.options.disabled_terms:
-            return []
-        term: list[gtsam.NonlinearFactor] = []
-        for index, face in enumerate(category.faces):
-            if self._always_symmetric and not face.ground_parallel and _is_mirrored(face, category):
-                continue  # planar for every lambda, and in no particular direction
-            key = P(self.number, index)
-            self._planes[key] = np.array(face.keypoints)
-            term += self._face(face, key)
-        return term
+    def _bent_faces(self, category: Category) -> list[int]:
+        """Faces whose planarity and direction say something: not those that are planar for every lambda anyway."""
+        return [
+            index
+            for index, face in enumerate(category.faces)
+            if not self._always_symmetric or face.ground_parallel or not _is_mirrored(face, category)
+        ]
 
-    def _face(self, face: Face, key: int) -> list[gtsam.NonlinearFactor]:
-        options, indices = self.options.shape, face.keypoints
+    def _face(self, face: Face, index: int) -> list[gtsam.NonlinearFactor]:
+        options, indices, key = self.options.shape, face.keypoints, P(self.number, index)
         sigma, mu, parallel = options.planarity_sigma, options.plane_penalty, options.parallel_sigma
         term: list[gtsam.NonlinearFactor]
         if mu is None:
@@ -163,14 +237,10 @@ class VehiclePart:
         term = [factors.penalty_planarity_factor(self.shape, indices, key, sigma, mu=mu)]
         return [*term, factors.penalty_ground_parallel_factor(key, parallel)] if face.ground_parallel else term
 
-    def _symmetry(self, category: Category) -> list[gtsam.NonlinearFactor]:
-        pairs = category.symmetric_pairs
-        if self._always_symmetric or not pairs or "symmetry" in self.options.disabled_terms:
-            return []
-        key = M(self.number)
-        self._planes[key] = None
-        middle = np.flatnonzero(category.mirror == np.arange(category.size))
-        return [factors.symmetry_factor(self.shape, pairs, key, self.options.shape.symmetry_sigma, on_plane=middle)]
+    def _symmetry(self) -> list[gtsam.NonlinearFactor]:
+        category, sigma = self.model.prior.category, self.options.shape.symmetry_sigma
+        pairs, middle = category.symmetric_pairs, _middle(category)
+        return [factors.symmetry_factor(self.shape, pairs, M(self.number), sigma, on_plane=middle)]
 
 
 Held = tuple[Array, Array]
@@ -180,6 +250,11 @@ Held = tuple[Array, Array]
 def _is_mirrored(face: Face, category: Category) -> bool:
     """Whether a face consists of two mirrored pairs: such a quad is planar in every symmetric shape."""
     return len(face.keypoints) == 4 and {int(category.mirror[i]) for i in face.keypoints} == set(face.keypoints)
+
+
+def _middle(category: Category) -> NDArray[np.intp]:
+    """Keypoints that are their own mirror image."""
+    return np.flatnonzero(category.mirror == np.arange(category.size))
 
 
 def _medial_plane() -> gtsam.OrientedPlane3:

@@ -28,6 +28,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from factors.native import native
+
 __all__ = ["PAIRS", "Minima", "minima", "products"]
 
 Array = NDArray[np.float64]
@@ -72,26 +74,43 @@ def products(q: Array) -> Array:
     return q[..., PAIRS[:, 0]] * q[..., PAIRS[:, 1]]
 
 
-def minima(S: Array, L: Array) -> Minima:
+def minima(S: Array, L: Array, *, every: bool = True) -> Minima:
     """All local minima of F(q) = m(q)' S m(q) + q' L q apart from q = 0.
 
     Args:
         S: (10, 10) symmetric, with m' S m > 0 for q != 0.
         L: (4, 4) symmetric.
+        every: Whether to make sure that none is missing. Else those are returned to which Newton's method descends
+            from 48 starts all around: a tenth of the work.
     """
     # q = scale * p brings both parts to size one: F(q) = size * F_scaled(p)
     norm_S, norm_L = float(np.linalg.norm(S)), float(np.linalg.norm(L))
     if norm_L == 0:
         return Minima(np.zeros((0, 4)), np.zeros(0), complete=True)
     S, L = S / norm_S, L / norm_L
-    starts, complete = _stationary_directions(S, L)
     derivatives = _derivatives(S)
+    if not every:
+        p, value = _from_seeds(derivatives, L)
+        return Minima(p * np.sqrt(norm_L / norm_S), value * (norm_L**2 / norm_S), complete=False)
+    starts, complete = _stationary_directions(S, L)
     starts = _lengthen(derivatives, L, starts)
     if not complete:
         seeds = _lengthen(derivatives, L, _tables().seeds)
         starts = np.concatenate([starts, _descend(derivatives, L, seeds)])
     p, value = _polish(derivatives, L, starts)
     return Minima(p * np.sqrt(norm_L / norm_S), value * (norm_L**2 / norm_S), complete)
+
+
+def _from_seeds(derivatives: Array, L: Array) -> tuple[Array, Array]:
+    """Minima (B, 4) that are found by descending from the seeds, and F there (B,), best first."""
+    starts = _lengthen(derivatives, L, _tables().seeds)
+    kernel = native("fgrecon.solve._native")
+    if kernel is None:
+        return _polish(derivatives, L, _descend(derivatives, L, starts))
+    found, value = kernel.descend(
+        np.ascontiguousarray(derivatives), np.ascontiguousarray(L), starts, _DESCENT_STEPS, _CONVERGED, _SAME
+    )
+    return found, value
 
 
 def _stationary_directions(S: Array, L: Array) -> tuple[Array, bool]:

@@ -8,13 +8,14 @@ the energy decides; poses that come close to the best are kept as alternatives.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.box3d import Box3D
+from fgrecon.core.deferred import Deferred
 from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.reconstruction import Alternative, Iteration
 from fgrecon.solve.proposals.aspnp import aspnp
@@ -55,7 +56,7 @@ class PoseEstimate:
     visibility: Array
     energy: float
     alternatives: tuple[Alternative, ...]
-    history: tuple[Iteration, ...]
+    history: Sequence[Iteration]
 
 
 def adjust_pose(problem: Problem, initial: Box3D | float | None = None) -> PoseEstimate:
@@ -85,8 +86,14 @@ def _padded(estimate: PoseEstimate, missing: int) -> PoseEstimate:
         estimate,
         coefficients=pad(estimate.coefficients),
         alternatives=tuple(replace(a, coefficients=pad(a.coefficients)) for a in estimate.alternatives),
-        history=tuple(replace(step, coefficients=pad(step.coefficients)) for step in estimate.history),
+        history=_padded_history(estimate.history, pad),
     )
+
+
+def _padded_history(history: Sequence[Iteration], pad: Callable[[Array], Array]) -> Sequence[Iteration]:
+    if not isinstance(history, Deferred):
+        return history
+    return Deferred(lambda: [replace(step, coefficients=pad(step.coefficients)) for step in history])
 
 
 def _adjusted(problem: Problem, initial: Box3D | float | None) -> PoseEstimate:
@@ -138,7 +145,7 @@ def _from_aspnp(problem: Problem) -> Hypotheses:
         return from_pose(none, prior.dimension)
     rays = problem.camera.rays(problem.observation.keypoints[used])[:, :2]
     try:
-        found = aspnp(prior.mean[used], rays, weights[used])
+        found = aspnp(prior.mean[used], rays, weights[used], every=False)
     except DegenerateProblemError:
         return from_pose(none, prior.dimension)
     return from_pose(np.array([solution.camera_T_object for solution in found]), prior.dimension)
@@ -173,17 +180,21 @@ def turn_between(first: Array, second: Array) -> float:
 
 def distinct(poses: Sequence[Array] | Array) -> list[int]:
     """Indices of poses (4, 4) that are not within `DISTINCT` of an earlier one."""
+    flat = np.reshape([pose[:3, :3] for pose in poses], (-1, 9))
+    alike = (flat @ flat.T - 1.0) / 2.0 >= np.cos(DISTINCT)
     kept: list[int] = []
-    for i, pose in enumerate(poses):
-        if all(turn_between(poses[j], pose) > DISTINCT for j in kept):
+    for i in range(len(flat)):
+        if not alike[i, kept].any():
             kept.append(i)
     return kept
 
 
-def _history(problem: Problem, path: Hypotheses, weights: Array) -> tuple[Iteration, ...]:
-    """The steps of the search; none where they are not wanted."""
-    if not problem.options.keep_history:
-        return ()
+def _history(problem: Problem, path: Hypotheses, weights: Array) -> Sequence[Iteration]:
+    """The steps of the search, made when they are looked at; none where they are not wanted."""
+    return Deferred(lambda: _steps(problem, path, weights)) if problem.options.keep_history else ()
+
+
+def _steps(problem: Problem, path: Hypotheses, weights: Array) -> tuple[Iteration, ...]:
     energies, keypoints = problem.energy.energies(path), problem.energy.keypoints
     points = keypoints.mean + np.tensordot(path.coefficients, keypoints.basis, axes=1)
     camera = points @ path.rotation.transpose(0, 2, 1) + path.translation[:, None]

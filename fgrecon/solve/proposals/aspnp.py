@@ -59,7 +59,12 @@ class PnPSolution:
 
 
 def aspnp(
-    points: ArrayLike, image_points: ArrayLike, weights: ArrayLike | None = None, *, tolerance: float = 0.05
+    points: ArrayLike,
+    image_points: ArrayLike,
+    weights: ArrayLike | None = None,
+    *,
+    tolerance: float = 0.05,
+    every: bool = True,
 ) -> tuple[PnPSolution, ...]:
     """All poses that explain the correspondences about as well as the best one does, best first.
 
@@ -74,6 +79,7 @@ def aspnp(
             whatever they hold.
         tolerance: How much larger a solution's rms may be than the best one's, relative to the weighted rms distance
             of the image points from their centroid; `inf` for all local minima.
+        every: Whether to make sure that no minimum is missing; else Newton's method looks for them from 48 starts.
 
     Returns:
         At least one solution, by increasing cost.
@@ -91,7 +97,7 @@ def aspnp(
     centroid = w @ points
     X, scale = _scaled(points - centroid, w)
     A, b = _residuals(X, image_points, w)
-    found = _polynomial.minima(_ROWS.T @ (A.T @ A) @ _ROWS, np.tensordot(-2 * b @ A, _FORMS, axes=1))
+    found = _polynomial.minima(_ROWS.T @ (A.T @ A) @ _ROWS, np.tensordot(-2 * b @ A, _FORMS, axes=1), every=every)
 
     squared_length = (found.q * found.q).sum(axis=1)
     r = _polynomial.products(found.q) @ _ROWS.T

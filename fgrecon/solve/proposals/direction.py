@@ -33,14 +33,21 @@ class DirectionTerm:
 
     azimuth: Array
 
+    @property
+    def probability(self) -> Array:
+        """(A,) probability of each direction, relative to the greatest, with what the detector may be wrong by."""
+        probability = (1.0 - _DOUBT) * self.azimuth + _DOUBT / len(self.azimuth)
+        relative: Array = probability / probability.max()
+        return relative
+
     def energy(self, h: Hypotheses) -> Array:
         """(H,) energies of the hypotheses, nats."""
         bins = len(self.azimuth)
         place = np.mod(view_azimuth(h.rotation, h.translation), 2.0 * np.pi) / (2.0 * np.pi) * bins
         low, share = place.astype(int) % bins, place % 1.0
-        probability = (1.0 - _DOUBT) * self.azimuth + _DOUBT / bins
+        probability = self.probability
         here = (1.0 - share) * probability[low] + share * probability[(low + 1) % bins]
-        return np.asarray(np.log(probability.max() / here), dtype=np.float64)
+        return np.asarray(-np.log(here), dtype=np.float64)
 
     def add(self, total: Quadratic, h: Hypotheses) -> None:
         """Add this term: energies alone."""

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from factors.native import native
+from fgrecon.core.camera import MIN_DEPTH
 from fgrecon.core.geometry import exponential
+from fgrecon.core.robust import StrategyName
 from fgrecon.solve.proposals.direction import DirectionTerm
 from fgrecon.solve.proposals.terms import (
     BoxTerm,
@@ -19,6 +24,7 @@ from fgrecon.solve.proposals.terms import (
     SizeTerm,
     coefficient_term,
 )
+from fgrecon.solve.vehicle.visibility import VisibilityTable
 
 __all__ = ["PoseEnergy", "SearchResult", "search"]
 
@@ -49,6 +55,11 @@ class PoseEnergy:
     size: SizeTerm | None = None
     ground: GroundTerm | None = None
     direction: DirectionTerm | None = None
+
+    @cached_property
+    def compiled(self) -> Any:
+        """The same energy compiled (`factors._observation.Observation`); None where that cannot evaluate it."""
+        return _compile(self)
 
     def evaluate(self, h: Hypotheses, progress: float = 1.0) -> tuple[Quadratic, Array]:
         """Energy, gradient and Gauss-Newton matrix at the hypotheses, and the keypoints' weights (H, K)."""
@@ -96,6 +107,36 @@ class PoseEnergy:
         return terms
 
 
+def _compile(energy: PoseEnergy) -> Any:
+    kernel, keypoints = native("factors._observation"), energy.keypoints
+    table = getattr(energy.visibility, "__self__", None)  # a function of the caller's own is not known there
+    strategy, evidence = keypoints.strategy, keypoints.evidence
+    if kernel is None or strategy.name is not StrategyName.MIXTURE or not isinstance(table, VisibilityTable):
+        return None
+    box, ground, size = energy.box, energy.ground, energy.size
+    whitener = keypoints.whitener.reshape(-1, 4)[:, [0, 2, 3]]
+    count = len(keypoints.basis)
+    compiled = kernel.Observation(
+        np.ascontiguousarray(keypoints.matrix, dtype=np.float64),
+        np.ascontiguousarray(keypoints.mean),
+        np.ascontiguousarray(keypoints.basis).reshape(count, 3 * len(keypoints.mean)),
+        np.ascontiguousarray(keypoints.pixels),
+        np.ascontiguousarray(whitener),
+        None if box is None else box.packed(),
+        None if ground is None else ground.packed(),
+    )
+    compiled.search_by(
+        np.ascontiguousarray(evidence.right, dtype=np.float64),
+        np.ascontiguousarray(evidence.outlier, dtype=np.float64),
+        np.ascontiguousarray(evidence.measured).view(np.uint8),
+        (strategy.gross, strategy.missed, strategy.false_alarm),
+        *table.packed(),
+        None if size is None else size.packed(),
+        None if energy.direction is None else energy.direction.probability,
+    )
+    return compiled
+
+
 @dataclass(frozen=True)
 class SearchResult:
     """What the search ends with.
@@ -127,6 +168,8 @@ def search(energy: PoseEnergy, starts: Hypotheses, iterations: int, keep: Mappin
     Returns:
         The survivors, best first.
     """
+    if energy.compiled is not None:
+        return _compiled_search(energy.compiled, starts, iterations, keep)
     h = starts
     damping = np.full(len(h), 1e-2)
     total, weights = energy.evaluate(h, 0.0)
@@ -153,6 +196,28 @@ def search(energy: PoseEnergy, starts: Hypotheses, iterations: int, keep: Mappin
     order = np.argsort(total.energy, kind="stable")
     path, path_weights = _path(snapshots, int(order[0]))
     return SearchResult(h.take(order), total.energy[order], weights[order], path, path_weights)
+
+
+def _compiled_search(compiled: Any, starts: Hypotheses, iterations: int, keep: Mapping[int, int]) -> SearchResult:
+    kept = np.zeros(iterations, dtype=np.intc)
+    for iteration, count in keep.items():
+        kept[iteration : iteration + 1] = count  # beyond the last iteration there is none
+    kernel = native("factors._search")
+    assert kernel is not None
+    final, energy, path = kernel.search(
+        compiled,
+        np.ascontiguousarray(starts.rotation),
+        np.ascontiguousarray(starts.translation),
+        np.ascontiguousarray(starts.coefficients),
+        MIN_DEPTH,
+        kept,
+        _LARGEST_TURN,
+        _SETTLED,
+        np.cos(_ALIKE),
+        _CALMER,
+        _BOLDER,
+    )
+    return SearchResult(Hypotheses(*final[:3]), energy, final[3], Hypotheses(*path[:3]), path[3])
 
 
 def _best_distinct(h: Hypotheses, energy: Array, count: int) -> NDArray[np.intp]:

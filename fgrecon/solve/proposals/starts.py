@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from factors.native import native
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.camera import MIN_DEPTH, Camera, Ground
 from fgrecon.core.errors import DegenerateProblemError
@@ -55,17 +56,30 @@ def at_azimuths(
     rotation = yaw_rotation(angles)
     if ground is not None:
         rotation = _align(ground.normal) @ rotation
-    points = model.outline.mean @ rotation.transpose(0, 2, 1)
-    # What shows is the extent across the viewing ray, which off the optical axis is not along the camera's x and y.
-    across = points[..., :2] - ray[:2] * points[..., 2:]
-    low, high = across.min(axis=1), across.max(axis=1)
+    low, high, nearest = _extents(model.outline.mean, rotation, ray)
     width, height = (high - low)[:, 0], (high - low)[:, 1]
     # The mean of what width and height say about the depth: a shape unlike the mean errs less so.
     depth = np.sqrt(camera.matrix[0, 0] * width / (box[2] - box[0]) * camera.matrix[1, 1] * height / (box[3] - box[1]))
-    depth = np.maximum(depth, 2.0 * MIN_DEPTH - points[..., 2].min(axis=1))
+    depth = np.maximum(depth, 2.0 * MIN_DEPTH - nearest)
     translation = ray * depth[:, None]
     translation[:, :2] -= (low + high) / 2.0
     return Hypotheses(rotation, translation, np.zeros((len(angles), model.prior.dimension)))
+
+
+def _extents(points: Array, rotation: Array, ray: Array) -> tuple[Array, Array, Array]:
+    """Least and greatest (H, 2) place of turned points across the viewing ray, and the least depth (H,).
+
+    Off the optical axis what shows is not the extent along the camera's x and y.
+    """
+    kernel = native("fgrecon.solve._native")
+    if kernel is not None:
+        low, high, nearest = kernel.extents(
+            np.ascontiguousarray(points), np.ascontiguousarray(rotation), float(ray[0]), float(ray[1])
+        )
+        return low, high, nearest
+    turned = points @ rotation.transpose(0, 2, 1)
+    across = turned[..., :2] - ray[:2] * turned[..., 2:]
+    return across.min(axis=1), across.max(axis=1), turned[..., 2].min(axis=1)
 
 
 def from_box3d(box: Box3D, model: VehicleModel, ground: Ground | None) -> Hypotheses:

@@ -10,6 +10,7 @@ perturbation, radians), translation in the camera frame (metres), coefficients.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,6 +160,18 @@ class BoxTerm:
     outlier: float
     softness: float
 
+    def packed(self) -> tuple[Any, ...]:
+        """Arguments of the compiled kernel."""
+        return (
+            np.ascontiguousarray(self.mean),
+            np.ascontiguousarray(self.basis).reshape(len(self.basis), 3 * len(self.mean)),
+            np.ascontiguousarray(self.edges, dtype=np.float64),
+            np.ascontiguousarray(self.used).view(np.uint8),
+            self.sigma,
+            self.outlier,
+            self.softness,
+        )
+
     def residuals(self, h: Hypotheses) -> Array:
         """Whitened residuals (H, 4)."""
         pixels = _project(self.matrix, self._points(h), h)[0]
@@ -206,6 +219,10 @@ class SizeTerm:
     jacobian: Array
     prior: SizePrior
 
+    def packed(self) -> tuple[Array, Array, Array]:
+        """Arguments of the compiled kernel."""
+        return self.mean - self.prior.mean, np.ascontiguousarray(self.jacobian), self.prior.sigma
+
     def add(self, total: Quadratic, h: Hypotheses) -> None:
         """Add this term."""
         residual = (self.mean + h.coefficients @ self.jacobian.T - self.prior.mean) / self.prior.sigma
@@ -219,6 +236,11 @@ class GroundTerm:
     """The object's origin on the ground plane, its down axis along the plane's normal (`factors.ground`)."""
 
     ground: Ground
+
+    def packed(self) -> tuple[Any, ...]:
+        """Arguments of the compiled kernel."""
+        ground = self.ground
+        return ground.normal, ground.distance, ground.height_sigma, ground.slope_sigma, ground.tilt_sigma
 
     def add(self, total: Quadratic, h: Hypotheses) -> None:
         """Add this term."""

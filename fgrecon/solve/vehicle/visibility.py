@@ -29,6 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from factors.native import native
 from fgrecon.core.shape_prior import ShapePrior, Surface
 
 __all__ = ["TOLERANCE", "VisibilityTable", "cast", "clearance", "occluder", "probability"]
@@ -74,9 +75,16 @@ def clearance(
         faces = faces[(z > 0.0)[faces].all(axis=1)]
     x, y, depth = frame @ rays.T
     inverse = 1.0 / z  # linear over a triangle's image
-    k, value = _hits(u * inverse, v * inverse, inverse, faces, x / depth, y / depth)
-    nearest = depth.copy()
-    np.minimum.at(nearest, k, 1.0 / value)
+    kernel = native("fgrecon.solve._native")
+    if kernel is not None:
+        faces = np.ascontiguousarray(faces, dtype=np.intc)
+        nearest = kernel.nearest_hits(
+            u * inverse, v * inverse, inverse, faces, x / depth, y / depth, depth, _EDGE, inverse=True
+        )
+    else:
+        k, value = _hits(u * inverse, v * inverse, inverse, faces, x / depth, y / depth)
+        nearest = depth.copy()
+        np.minimum.at(nearest, k, 1.0 / value)
     behind: NDArray[np.float64] = (1.0 - nearest / depth) * np.sqrt((rays * rays).sum(axis=1))
     return behind
 
@@ -173,6 +181,10 @@ class VisibilityTable:
         else:
             values[:, done:] = values[:, :1]
         return cls(keypoints, values)
+
+    def packed(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Arguments of the compiled kernel: values, keypoints, elevations."""
+        return np.ascontiguousarray(self.values), np.ascontiguousarray(self.keypoints), _ELEVATIONS
 
     def lookup(self, camera_T_object: ArrayLike) -> NDArray[np.float64]:
         """Probability of each keypoint to be visible from each of H poses.

@@ -74,7 +74,7 @@ def test_stages(settings, stages):
     assert last.energies == pytest.approx(result.energies, abs=1e-6)
 
 
-@pytest.mark.parametrize(("seed", "strategy"), [(2, "mixture"), (4, "huber"), (5, "paper"), (6, "gnc")])
+@pytest.mark.parametrize(("seed", "strategy"), [(2, "cauchy"), (4, "huber"), (5, "paper"), (6, "gnc")])
 def test_every_update_starts_where_the_last_one_ended_and_goes_down(seed, strategy):
     """With visibility made anew each update's weights are those at the end of the last one, its steps a solve's."""
     # Without planarity pose and lambda are all there is: the state is what the history holds.

@@ -162,6 +162,7 @@ def test_a_loop_that_never_comes_to_rest_says_so(monkeypatch, strategy):
     problem, start = problem_of(1, strategy=strategy)
     assert end_of(problem, start).unfinished is None
     monkeypatch.setattr("fgrecon.solve.graph.optimise.STILL", -1.0)
+    monkeypatch.setattr("fgrecon.solve.graph.newton.STEADY", -1.0)
     optimum = end_of(problem, start)
     assert optimum.failure is None
     assert optimum.unfinished == f"after {optimum.iterations} iterations"

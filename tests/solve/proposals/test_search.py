@@ -86,9 +86,9 @@ def test_no_energy_above_any_start(noisy):
     before = problem.evaluate(starts)[0].energy
     for iterations in (0, 1, 3, 10):
         result = search(problem, starts, iterations, {2: 12, 4: 5})
-        assert result.energy[0] <= before.min()
+        assert result.energy[0] <= before.min() + 1e-9
         assert (np.diff(result.energy) >= 0).all()
-        np.testing.assert_allclose(result.energy, problem.evaluate(result.hypotheses)[0].energy, rtol=1e-12)
+        np.testing.assert_allclose(result.energy, problem.evaluate(result.hypotheses)[0].energy, rtol=1e-11)
 
 
 def test_pruning_keeps_the_winner(noisy):

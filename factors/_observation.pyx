@@ -1,0 +1,399 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+# cython: freethreading_compatible=True
+"""What an image says of a vehicle, compiled: the rows of `factors.observation`, and what the mixture makes of a state.
+
+The equations are those of `factors.projection`, `factors.box`, `factors.ground` and `factors.mixture`; what costs in
+their numpy versions is a call for every few numbers, not the arithmetic. Arrays are checked where they come in, inside
+nothing is. Poses come as R (9,), row by row, and t (3,); lambda as x (N,).
+"""
+
+from libc.math cimport INFINITY, atan2, exp, log, sqrt
+from libc.string cimport memset
+
+from factors._terms cimport WEIGHTED, cross, mixture, project, robust, turned
+
+import numpy as np
+
+cdef double PI = 3.14159265358979323846
+cdef double LEAST = 1e-3  # metres: depth at which nearer points are evaluated (`factors.projection.MIN_DEPTH`)
+cdef double FARTHEST = 40.0  # softnesses behind the outermost point beyond which one has no share in an extent
+
+
+cdef inline void shaped(
+    const double *mean, const double[:, ::1] basis, int k, const double *x, const double *offsets, double *X
+) noexcept nogil:
+    """Point k of a linear shape (P, 3), (N, 3P) at coefficients x (N,), with its offset where there are any."""
+    cdef int a, n
+    for a in range(3):
+        X[a] = mean[3 * k + a]
+        if offsets != NULL:
+            X[a] += offsets[3 * k + a]
+    for n in range(basis.shape[0]):
+        for a in range(3):
+            X[a] += x[n] * basis[n, 3 * k + a]
+
+
+cdef class Observation:
+    """What is seen of a vehicle in an image, and how its residuals follow from pose and shape.
+
+    Rows are, in this order: two for each of the K keypoints, four for the box's edges, one for the height over the
+    ground, three for the lean. What does not apply is zero.
+    """
+
+    def __init__(self, camera, mean, basis, pixels, whitener, box, ground):
+        """Bind the arrays; see `factors.observation.ObservationRows` for what they are.
+
+        Args:
+            camera: (3, 3). mean: (K, 3). basis: (N, 3K). pixels: (K, 2). whitener: (K, 3) lower triangular.
+            box: None, or (points (P, 3), basis (N, 3P), edges (4,), used (4,), sigma, wrong, softness).
+            ground: None, or (normal (3,), distance, height sigma, slope sigma, tilt sigma).
+        """
+        self.camera, self.mean, self.basis, self.pixels, self.whitener = camera, mean, basis, pixels, whitener
+        self.keypoints, self.coefficients = len(mean), len(basis)
+        self.rows = 2 * self.keypoints + 8
+        self.has_box, self.has_ground = box is not None, ground is not None
+        self.has_size = self.has_direction = self.is_bound = False
+        if box is not None:
+            self.outline, self.outline_basis, self.edges, self.used = box[0], box[1], box[2], box[3]
+            self.box_sigma, self.box_wrong, self.softness = box[4], box[5], box[6]
+            self.points = len(box[0])
+        if ground is not None:
+            self.normal = ground[0]
+            self.distance, self.height_sigma, self.slope_sigma, self.tilt_sigma = ground[1:]
+        sizes = [self.camera.shape[0] == 3, self.camera.shape[1] == 3, self.mean.shape[1] == 3,
+                 self.basis.shape[1] == 3 * self.keypoints, self.pixels.shape[0] == self.keypoints,
+                 self.pixels.shape[1] == 2, self.whitener.shape[0] == self.keypoints, self.whitener.shape[1] == 3]
+        if box is not None:
+            sizes += [self.outline.shape[1] == 3, self.outline_basis.shape[0] == self.coefficients,
+                      self.outline_basis.shape[1] == 3 * self.points, self.edges.shape[0] == 4,
+                      self.used.shape[0] == 4]
+        if ground is not None:
+            sizes += [self.normal.shape[0] == 3]
+        if not all(sizes):
+            raise ValueError(f"arrays that do not belong together: {sizes}")
+
+    def search_by(self, right, outlier, measured, mix, table, seen_from, elevations, size, direction):
+        """Bind what the search needs beside: evidence, visibility, size and direction.
+
+        Args:
+            right: (K,). outlier: (K,). measured: (K,) bytes. mix: gross, missed, false_alarm.
+            table: (K, A, E) visibility. seen_from: (K, 3). elevations: (E,).
+            size: None, or (mean (3,), basis (3, N), prior's sigma (3,)), the mean relative to the prior's.
+            direction: None, or (A,) energies in nats of directions evenly spaced over the circle.
+        """
+        self.right, self.outlier, self.measured = right, outlier, measured
+        self.gross, self.missed, self.false_alarm = mix
+        self.table, self.seen_from, self.elevations = table, seen_from, elevations
+        self.has_size = size is not None
+        if size is not None:
+            self.size_mean, self.size_basis, self.size_sigma = size
+        self.has_direction = direction is not None
+        if direction is not None:
+            self.direction = direction
+        sizes = [self.right.shape[0] == self.keypoints, self.outlier.shape[0] == self.keypoints,
+                 self.measured.shape[0] == self.keypoints, self.table.shape[0] == self.keypoints,
+                 self.seen_from.shape[0] == self.keypoints, self.seen_from.shape[1] == 3, self.table.shape[1] > 1,
+                 self.elevations.shape[0] == self.table.shape[2], self.table.shape[2] > 1]
+        if direction is not None:
+            sizes += [self.direction.shape[0] > 0]
+        if size is not None:
+            sizes += [self.size_mean.shape[0] == 3, self.size_basis.shape[0] == 3, self.size_sigma.shape[0] == 3,
+                      self.size_basis.shape[1] == self.coefficients]
+        if not all(sizes):
+            raise ValueError(f"arrays that do not belong together: {sizes}")
+        self.is_bound = True
+
+    cdef double keypoint(
+        self, int k, const double *R, const double *t, const double *x, const double *offsets, double least,
+        double *r, double *X, double *camera, double *body
+    ) noexcept nogil:
+        """Whitened residual r (2,) of keypoint k, and its derivatives (2, 3) by camera and object point; the depth."""
+        cdef double uv[2]
+        cdef double G[6]
+        cdef double a = self.whitener[k, 0], b = self.whitener[k, 1], c = self.whitener[k, 2], depth
+        cdef int i
+        shaped(&self.mean[0, 0], self.basis, k, x, offsets, X)
+        depth = project(&self.camera[0, 0], R, t, X, least, uv, G)
+        uv[0] -= self.pixels[k, 0]
+        uv[1] -= self.pixels[k, 1]
+        r[0] = a * uv[0]
+        r[1] = b * uv[0] + c * uv[1]
+        for i in range(3):
+            camera[i] = a * G[i]
+            camera[3 + i] = b * G[i] + c * G[3 + i]
+        turned(camera, R, body)
+        turned(camera + 3, R, body + 3)
+        return depth
+
+    cdef double box(
+        self, const double *R, const double *t, const double *x, double least, double *r, double *J, double *work
+    ) noexcept nogil:
+        """Whitened residuals (4,) of the box's edges, and where J is given their derivatives (4, 6 + N) by a turn about
+        the object's axes, a shift along the camera's, and the coefficients; the least depth."""
+        cdef int e, p, n, a, b, N = self.coefficients, P = self.points, D = 6 + self.coefficients
+        cdef double *U = work  # (2, P) pixels, (P, 6) their derivatives, (P, 3) object points, (P,) shares
+        cdef double *G = U + 2 * P
+        cdef double *X = G + 6 * P
+        cdef double *share = X + 3 * P
+        cdef double uv[2]
+        cdef double g[3]
+        cdef double h[3]
+        cdef double moment[9]
+        cdef double sign, outermost, total, mean, away, depth, nearest = INFINITY
+        for p in range(P):
+            shaped(&self.outline[0, 0], self.outline_basis, p, x, NULL, X + 3 * p)
+            depth = project(&self.camera[0, 0], R, t, X + 3 * p, least, uv, G + 6 * p)
+            nearest = depth if depth < nearest else nearest
+            U[p], U[P + p] = uv[0], uv[1]
+        for e in range(4):
+            sign = -1.0 if e < 2 else 1.0
+            outermost = -INFINITY
+            for p in range(P):
+                away = sign * U[(e % 2) * P + p]
+                outermost = away if away > outermost else outermost
+            total = mean = 0.0
+            for p in range(P):
+                away = (sign * U[(e % 2) * P + p] - outermost) / self.softness
+                share[p] = exp(away) if away > -FARTHEST else 0.0
+                total += share[p]
+                mean += share[p] * away
+            mean /= total
+            r[e] = (sign * (outermost + self.softness * mean) - self.edges[e]) / self.box_sigma
+            if J == NULL:
+                continue
+            memset(J + e * D, 0, D * sizeof(double))
+            memset(moment, 0, 9 * sizeof(double))
+            for p in range(P):
+                if share[p] == 0.0:
+                    continue
+                away = (sign * U[(e % 2) * P + p] - outermost) / self.softness
+                share[p] *= (1.0 + away - mean) / (total * self.box_sigma)
+                for a in range(3):
+                    g[a] = share[p] * G[6 * p + 3 * (e % 2) + a]
+                    J[e * D + 3 + a] += g[a]
+                    for b in range(3):
+                        moment[3 * b + a] += X[3 * p + b] * g[a]
+                if N:
+                    turned(g, R, h)
+                    for n in range(N):
+                        for a in range(3):
+                            J[e * D + 6 + n] += h[a] * self.outline_basis[n, 3 * p + a]
+            for a in range(3):  # sum of X x (g R), from the sums of X g'
+                turned(moment + 3 * a, R, h)
+                J[e * D + (a + 2) % 3] += h[(a + 1) % 3]
+                J[e * D + (a + 1) % 3] -= h[(a + 2) % 3]
+        return nearest
+
+    cdef void ground(
+        self, const double *R, const double *t, double height_sigma, double *r, double *turn, double *shift
+    ) noexcept nogil:
+        """Whitened residuals (4,) of height and lean, their derivatives (4, 3) by the turn, and (3,) of the first by
+        the shift along the camera's axes."""
+        cdef int a
+        r[0] = -self.distance
+        for a in range(3):
+            r[0] += self.normal[a] * t[a]
+            r[1 + a] = (R[3 * a + 1] - self.normal[a]) / self.tilt_sigma
+            shift[a] = self.normal[a] / height_sigma
+            turn[a] = 0.0
+            turn[3 + 3 * a] = R[3 * a + 2] / self.tilt_sigma
+            turn[4 + 3 * a] = 0.0
+            turn[5 + 3 * a] = -R[3 * a] / self.tilt_sigma
+        r[0] /= height_sigma
+
+    cdef void visible(self, const double *R, const double *t, double *visibility) noexcept nogil:
+        """Visibility (K,) of the keypoints from a pose (`fgrecon.solve.vehicle.visibility.VisibilityTable`)."""
+        cdef int k, a, i, j, A = self.table.shape[1], E = self.table.shape[2]
+        cdef double centre[3]
+        cdef double x, y, z, azimuth, elevation, e, f
+        for a in range(3):
+            centre[a] = -(R[a] * t[0] + R[3 + a] * t[1] + R[6 + a] * t[2])
+        for k in range(self.keypoints):
+            x, y = centre[0] - self.seen_from[k, 0], centre[1] - self.seen_from[k, 1]
+            z = centre[2] - self.seen_from[k, 2]
+            azimuth = atan2(z, x)
+            azimuth = (azimuth if azimuth >= 0.0 else azimuth + 2.0 * PI) / (2.0 * PI) * (A - 1)
+            elevation = atan2(-y, sqrt(x * x + z * z))
+            i = <int> azimuth
+            i = 0 if i < 0 else (i if i < A - 2 else A - 2)  # NaN as well
+            j = 0
+            while j < E - 2 and elevation >= self.elevations[j + 1]:
+                j += 1
+            f = azimuth - i
+            e = (elevation - self.elevations[j]) / (self.elevations[j + 1] - self.elevations[j])
+            e = 0.0 if e < 0.0 else (1.0 if e > 1.0 else e)
+            visibility[k] = (
+                (1.0 - f) * ((1.0 - e) * self.table[k, i, j] + e * self.table[k, i, j + 1])
+                + f * ((1.0 - e) * self.table[k, i + 1, j] + e * self.table[k, i + 1, j + 1])
+            )
+
+    cdef void densities(self, int k, double visibility, double *right, double *wrong) noexcept nogil:
+        """Densities of a right and of a wrong point k (`fgrecon.core.robust.RobustStrategy.densities`)."""
+        cdef double seen, hidden, unsure
+        if not self.measured[k]:
+            right[0], wrong[0] = 0.0, 1.0
+            return
+        seen, hidden = visibility * self.right[k], 1.0 - visibility
+        unsure = (visibility * self.missed + hidden * (1.0 - self.false_alarm)) * (1.0 - self.right[k])
+        right[0] = seen * (1.0 - self.gross)
+        wrong[0] = (seen * self.gross + unsure + hidden * self.false_alarm * self.right[k]) * self.outlier[k]
+
+    def rows_at(
+        self, const double[:, :] pose, const double[::1] x, const double[::1] offsets, const double[::1] right,
+        const double[::1] wrong, const double[::1] edges, double height_sigma, int form, double[::1] residual,
+        double[:, ::1] jacobian
+    ):
+        """Fill residual (rows,) and, where it is given, the Jacobian (rows, 6 + N + 3K) of the graph.
+
+        Args:
+            pose: (4, 4) camera_T_object. x: (N,). offsets: (3K,) or None.
+            right: (K,) densities of right points, or their weights.
+            wrong: (K,) densities of wrong points.
+            edges: (4,) weights of the box's edges.
+            height_sigma: Of the origin over the ground, metres.
+            form: WEIGHTED, LOSS or NEWTON of `factors.mixture`.
+            residual: (rows,) to fill.
+            jacobian: None, or to fill: columns turn and shift about and along the object's axes, coefficients, offsets.
+
+        Returns:
+            The least depth in metres.
+        """
+        cdef int K = self.keypoints, N = self.coefficients, a, i, k, n, D = 6 + N, row
+        cdef double R[9]
+        cdef double t[3]
+        cdef double r[4]
+        cdef double X[3]
+        cdef double camera[6]
+        cdef double body[6]
+        cdef double turn[12]
+        cdef double shift[3]
+        cdef double along[3]
+        cdef double depth, nearest = INFINITY, s, weight, loss, stretch, bend, p
+        cdef const double *o = NULL
+        cdef double *J
+        cdef double[::1] work = np.empty(12 * self.points + 4 * D)
+        cdef double *box = &work[0] + 12 * self.points if jacobian is not None else NULL
+        if x.shape[0] != N or right.shape[0] != K or wrong.shape[0] != K or residual.shape[0] != self.rows:
+            raise ValueError("arrays of another number of keypoints or coefficients")
+        if edges.shape[0] != 4 or pose.shape[0] != 4 or pose.shape[1] != 4:
+            raise ValueError("a pose (4, 4) and four edges are wanted")
+        if offsets is not None:
+            if offsets.shape[0] != 3 * K:
+                raise ValueError("offsets (3K,) are wanted")
+            o = &offsets[0]
+        if jacobian is not None and (jacobian.shape[0] != self.rows or jacobian.shape[1] != D + 3 * K):
+            raise ValueError("a Jacobian (rows, 6 + N + 3K) is wanted")
+        for i in range(3):
+            t[i] = pose[i, 3]
+            for a in range(3):
+                R[3 * i + a] = pose[i, a]
+        with nogil:
+            if jacobian is not None:
+                memset(&jacobian[0, 0], 0, self.rows * (D + 3 * K) * sizeof(double))
+            for k in range(K):
+                depth = self.keypoint(k, R, t, &x[0] if N else NULL, o, LEAST, r, X, camera, body)
+                nearest = depth if depth < nearest else nearest
+                s = r[0] * r[0] + r[1] * r[1]
+                robust(form, right[k], wrong[k], s, &stretch, &weight, &bend)
+                residual[2 * k], residual[2 * k + 1] = stretch * r[0], stretch * r[1]
+                if jacobian is None or weight == 0.0:
+                    continue
+                p = bend / s if s > 0.0 else 0.0
+                for a in range(3):  # sqrt(w) (I - bend r r' / s) on the derivatives by the object point
+                    loss = p * (r[0] * body[a] + r[1] * body[3 + a])
+                    body[a] = weight * (body[a] - r[0] * loss)
+                    body[3 + a] = weight * (body[3 + a] - r[1] * loss)
+                for i in range(2):
+                    J = &jacobian[2 * k + i, 0]
+                    cross(X, body + 3 * i, J)
+                    for a in range(3):
+                        J[3 + a] = body[3 * i + a]
+                        J[6 + N + 3 * k + a] = body[3 * i + a]
+                        for n in range(N):
+                            J[6 + n] += body[3 * i + a] * self.basis[n, 3 * k + a]
+            row = 2 * K
+            memset(&residual[row], 0, 8 * sizeof(double))
+            if self.has_box:
+                self.box(R, t, &x[0] if N else NULL, LEAST, r, box, &work[0])
+                for i in range(4):
+                    if not self.used[i]:
+                        continue
+                    s = r[i] * r[i]
+                    robust(form, edges[i] if form == WEIGHTED else 1.0, self.box_wrong, s, &stretch, &weight, &bend)
+                    residual[row + i] = stretch * r[i]
+                    if jacobian is None:
+                        continue
+                    weight *= 1.0 - bend
+                    J = &jacobian[row + i, 0]
+                    turned(box + i * D + 3, R, along)
+                    for a in range(3):
+                        J[a] = weight * box[i * D + a]
+                        J[3 + a] = weight * along[a]
+                    for n in range(N):
+                        J[6 + n] = weight * box[i * D + 6 + n]
+            row += 4
+            if self.has_ground:
+                self.ground(R, t, height_sigma, r, turn, shift)
+                for i in range(4):
+                    residual[row + i] = r[i]
+                if jacobian is not None:
+                    turned(shift, R, &jacobian[row, 3])
+                    for i in range(4):
+                        for a in range(3):
+                            jacobian[row + i, a] = turn[3 * i + a]
+        return nearest
+
+    def assess(
+        self, const double[:, :] pose, const double[::1] x, const double[::1] offsets, double[::1] visibility, bint look
+    ):
+        """What the mixture makes of a state: weights and energies.
+
+        Args:
+            pose: (4, 4) camera_T_object. x: (N,). offsets: (3K,) or None.
+            visibility: (K,) to be used, or with `look` to be filled from the pose.
+            look: Whether to look the visibility up.
+
+        Returns:
+            weights (K,); densities (K,) of right and of wrong points; weights (4,) of the edges; energies of keypoints
+            and box in nats.
+        """
+        cdef int K = self.keypoints, i, k
+        cdef double R[9]
+        cdef double t[3]
+        cdef double r[4]
+        cdef double X[3]
+        cdef double camera[6]
+        cdef double body[6]
+        cdef double weight, loss, inlier, keypoint_energy = 0.0, box_energy = 0.0
+        cdef double[::1] work = np.empty(12 * self.points + 1)
+        cdef double[::1] weights = np.zeros(K), right = np.empty(K), wrong = np.empty(K), edges = np.zeros(4)
+        cdef const double *o = NULL
+        if not self.is_bound:
+            raise ValueError("bind the observation by `search_by` first")
+        if x.shape[0] != self.coefficients or visibility.shape[0] != K or pose.shape[0] != 4 or pose.shape[1] != 4:
+            raise ValueError("arrays of another number of keypoints or coefficients")
+        if offsets is not None:
+            if offsets.shape[0] != 3 * K:
+                raise ValueError("offsets (3K,) are wanted")
+            o = &offsets[0]
+        for i in range(3):
+            t[i] = pose[i, 3]
+            for k in range(3):
+                R[3 * i + k] = pose[i, k]
+        with nogil:
+            if look:
+                self.visible(R, t, &visibility[0])
+            for k in range(K):
+                self.keypoint(k, R, t, &x[0] if self.coefficients else NULL, o, LEAST, r, X, camera, body)
+                self.densities(k, visibility[k], &right[k], &wrong[k])
+                if self.measured[k]:
+                    mixture(right[k], wrong[k], r[0] * r[0] + r[1] * r[1], &weights[k], &loss)
+                    keypoint_energy += loss - log(right[k] + wrong[k])
+            if self.has_box:
+                self.box(R, t, &x[0] if self.coefficients else NULL, LEAST, r, NULL, &work[0])
+                for i in range(4):
+                    if self.used[i]:
+                        inlier = exp(-0.5 * r[i] * r[i])
+                        edges[i] = inlier / (inlier + self.box_wrong)
+                        box_energy -= log(inlier + self.box_wrong)
+        return np.asarray(weights), np.asarray(right), np.asarray(wrong), np.asarray(edges), keypoint_energy, box_energy

@@ -1,0 +1,32 @@
+"""The compiled kernels, where they are there and wanted.
+
+The modules `factors._observation`, `factors._search`, `factors._shape` and `fgrecon.solve._native` are built when the
+package is installed, if there is a C compiler. Without them, or with the environment variable ``FGRECON_KERNEL`` set to
+``numpy``, the numpy versions of the same functions do the work: the same results, several times slower.
+"""
+
+from __future__ import annotations
+
+import os
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+__all__ = ["native"]
+
+_VARIABLE = "FGRECON_KERNEL"
+_FOUND: dict[str, ModuleType | None] = {}
+
+
+def native(name: str) -> ModuleType | None:
+    """A compiled module by its name, or None where it was not built or is not wanted."""
+    if os.environ.get(_VARIABLE) == "numpy":
+        return None
+    if name not in _FOUND:
+        try:
+            _FOUND[name] = import_module(name)
+        except ImportError:
+            _FOUND[name] = None
+    return _FOUND[name]

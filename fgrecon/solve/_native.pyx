@@ -1,0 +1,225 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+# cython: freethreading_compatible=True
+"""What surrounds the solver and costs, compiled: minima of a quartic, extents of a turned outline, a ray cast.
+
+Each has a numpy version beside the function that calls it, which the tests compare with.
+"""
+
+from libc.math cimport INFINITY, fabs, sqrt
+
+import numpy as np
+
+
+cdef double parts(const double *D, const double *L, const double *q, double *g, double *H) noexcept nogil:
+    """F(q) = m(q)' S m(q) + q' L q with gradient (4,) and Hessian (4, 4); D (10, 16) are S's derivatives."""
+    cdef int i, j, k, n
+    cdef double m, h, l, value = 0.0
+    for i in range(16):
+        H[i] = 0.0
+    k = 0
+    for i in range(4):
+        for j in range(i, 4):
+            m = q[i] * q[j]
+            for n in range(16):
+                H[n] += m * D[16 * k + n]
+            k += 1
+    for i in range(4):
+        h = l = 0.0
+        for j in range(4):
+            h += H[4 * i + j] * q[j]
+            l += L[4 * i + j] * q[j]
+        value += (h / 12.0 + l) * q[i]
+        g[i] = h / 3.0 + 2.0 * l
+    for i in range(16):
+        H[i] += 2.0 * L[i]
+    return value
+
+
+cdef bint solve(const double *H, double damping, const double *g, double *x) noexcept nogil:
+    """x = -(H + damping I)^-1 g (4,) by Cholesky; False where the matrix is not positive definite."""
+    cdef double C[16]
+    cdef double s
+    cdef int i, j, k
+    for i in range(4):
+        for j in range(i + 1):
+            s = H[4 * i + j] + (damping if i == j else 0.0)
+            for k in range(j):
+                s -= C[4 * i + k] * C[4 * j + k]
+            if i != j:
+                C[4 * i + j] = s / C[4 * j + j]
+            elif s > 0.0:
+                C[4 * i + i] = sqrt(s)
+            else:
+                return False
+    for i in range(4):
+        s = -g[i]
+        for k in range(i):
+            s -= C[4 * i + k] * x[k]
+        x[i] = s / C[4 * i + i]
+    for i in range(3, -1, -1):
+        s = x[i]
+        for k in range(i + 1, 4):
+            s -= C[4 * k + i] * x[k]
+        x[i] = s / C[4 * i + i]
+    return True
+
+
+def descend(
+    const double[:, ::1] derivatives, const double[:, ::1] L, const double[:, ::1] starts, int steps, double converged,
+    double same
+):
+    """Minima of F from many starts, by damped Newton steps (`fgrecon.solve.proposals._polynomial`).
+
+    Args:
+        derivatives: (10, 16). L: (4, 4). starts: (B, 4).
+        steps: At most.
+        converged: Largest component of the last step.
+        same: Cosine beyond which two minima are one, whatever their signs.
+
+    Returns:
+        (B', 4) minima and (B',) F there, best first.
+    """
+    cdef int B = starts.shape[0], b, i, j, step, count = 0
+    cdef double[:, ::1] found = np.empty((B, 4))
+    cdef double[::1] values = np.empty(B)
+    cdef double q[4]
+    cdef double x[4]
+    cdef double trial[4]
+    cdef double g[4]
+    cdef double H[16]
+    cdef double trial_g[4]
+    cdef double trial_H[16]
+    cdef double value, trial_value, damping, size, cosine, first, second, least
+    cdef bint done, known
+    if derivatives.shape[0] != 10 or derivatives.shape[1] != 16 or L.shape[0] != 4 or L.shape[1] != 4:
+        raise ValueError("derivatives (10, 16) and L (4, 4) are wanted")
+    if starts.shape[1] != 4:
+        raise ValueError("starts (B, 4) are wanted")
+    with nogil:
+        for b in range(B):
+            for i in range(4):
+                q[i] = starts[b, i]
+            value = parts(&derivatives[0, 0], &L[0, 0], q, g, H)
+            damping, done = 0.0, False
+            for step in range(steps):
+                least = 1e-3 * (fabs(H[0]) + fabs(H[5]) + fabs(H[10]) + fabs(H[15])) + 1e-12
+                while damping < INFINITY and not solve(H, damping, g, x):
+                    damping = 4.0 * damping if damping >= least else least
+                if not damping < INFINITY:
+                    break
+                size = 0.0
+                for i in range(4):
+                    trial[i] = q[i] + x[i]
+                    size = fabs(x[i]) if fabs(x[i]) > size else size
+                done = size < converged
+                trial_value = parts(&derivatives[0, 0], &L[0, 0], trial, trial_g, trial_H)
+                if trial_value < value or done:
+                    value, damping = trial_value, (0.1 * damping if damping > least else 0.0)
+                    for i in range(4):
+                        q[i], g[i] = trial[i], trial_g[i]
+                    for i in range(16):
+                        H[i] = trial_H[i]
+                else:
+                    damping = 4.0 * damping if damping >= least else least
+                if done:
+                    break
+            if not done or value >= 0.0:
+                continue
+            known = False
+            for j in range(count):
+                cosine = first = second = 0.0
+                for i in range(4):
+                    cosine += q[i] * found[j, i]
+                    first += q[i] * q[i]
+                    second += found[j, i] * found[j, i]
+                known |= fabs(cosine) > same * sqrt(first * second)
+            if not known:
+                values[count] = value
+                for i in range(4):
+                    found[count, i] = q[i]
+                count += 1
+    order = np.argsort(np.asarray(values)[:count], kind="stable")
+    return np.asarray(found)[order], np.asarray(values)[order]
+
+
+def extents(const double[:, ::1] points, const double[:, :, ::1] rotation, double u, double v):
+    """Extents of turned points across a ray (u, v, 1).
+
+    Args:
+        points: (P, 3). rotation: (H, 3, 3).
+
+    Returns:
+        (H, 2) least and (H, 2) greatest x - u z and y - v z, and (H,) least z.
+    """
+    cdef int P = points.shape[0], H = rotation.shape[0], p, h, a, b
+    cdef double turned[3]
+    cdef double[:, ::1] low = np.full((H, 2), np.inf), high = np.full((H, 2), -np.inf)
+    cdef double[::1] near = np.full(H, np.inf)
+    cdef double x, y, z
+    if points.shape[1] != 3 or rotation.shape[1] != 3 or rotation.shape[2] != 3:
+        raise ValueError("points (P, 3) and rotations (H, 3, 3) are wanted")
+    with nogil:
+        for h in range(H):
+            for p in range(P):
+                for a in range(3):
+                    turned[a] = 0.0
+                    for b in range(3):
+                        turned[a] += rotation[h, a, b] * points[p, b]
+                x, y, z = turned[0], turned[1], turned[2]
+                x -= u * z
+                y -= v * z
+                low[h, 0] = x if x < low[h, 0] else low[h, 0]
+                low[h, 1] = y if y < low[h, 1] else low[h, 1]
+                high[h, 0] = x if x > high[h, 0] else high[h, 0]
+                high[h, 1] = y if y > high[h, 1] else high[h, 1]
+                near[h] = z if z < near[h] else near[h]
+    return np.asarray(low), np.asarray(high), np.asarray(near)
+
+
+def nearest_hits(
+    const double[::1] u, const double[::1] v, const double[::1] value, const int[:, ::1] faces,
+    const double[::1] point_u, const double[::1] point_v, const double[::1] depth, double edge, bint inverse
+):
+    """Depth of the first triangle before each point of an image, or the point's own.
+
+    Args:
+        u, v, value: (V,) image coordinates of the vertices, and what is linear over a triangle's image.
+        faces: (F, 3). point_u, point_v: (K,).
+        depth: (K,) the points' own depths.
+        edge: How far below zero a barycentric coordinate may be.
+        inverse: Whether the values are inverse depths.
+
+    Returns:
+        (K,).
+    """
+    cdef int F = faces.shape[0], K = point_u.shape[0], V = u.shape[0], f, k
+    cdef double[::1] nearest = np.array(depth)
+    cdef double ua, va, ub, vb, uc, vc, area, left, right, top, bottom, du, dv, alpha, beta, gamma, hit
+    if v.shape[0] != V or value.shape[0] != V or faces.shape[1] != 3 or point_v.shape[0] != K or depth.shape[0] != K:
+        raise ValueError("arrays of different lengths")
+    if F and (np.min(faces) < 0 or np.max(faces) >= V):
+        raise ValueError("a face has no such vertex")
+    with nogil:
+        for f in range(F):
+            ua, va = u[faces[f, 0]], v[faces[f, 0]]
+            ub, vb = u[faces[f, 1]] - ua, v[faces[f, 1]] - va
+            uc, vc = u[faces[f, 2]] - ua, v[faces[f, 2]] - va
+            area = ub * vc - uc * vb
+            if not area < 0.0:
+                continue
+            left, right = (ub if ub < uc else uc), (ub if ub > uc else uc)
+            top, bottom = (vb if vb < vc else vc), (vb if vb > vc else vc)
+            left, right = (left if left < 0.0 else 0.0) + ua, (right if right > 0.0 else 0.0) + ua
+            top, bottom = (top if top < 0.0 else 0.0) + va, (bottom if bottom > 0.0 else 0.0) + va
+            for k in range(K):
+                if not (left <= point_u[k] <= right and top <= point_v[k] <= bottom):
+                    continue
+                du, dv = point_u[k] - ua, point_v[k] - va
+                beta, gamma = (du * vc - uc * dv) / area, (ub * dv - du * vb) / area
+                alpha = 1.0 - beta - gamma
+                if alpha < -edge or beta < -edge or gamma < -edge:
+                    continue
+                hit = alpha * value[faces[f, 0]] + beta * value[faces[f, 1]] + gamma * value[faces[f, 2]]
+                hit = 1.0 / hit if inverse else hit
+                nearest[k] = hit if hit < nearest[k] else nearest[k]
+    return np.asarray(nearest)

@@ -1,0 +1,196 @@
+"""Newton's method on a graph whose robust losses are inside its factors: one loop, for one image as for a track.
+
+An iteration looks what each pose lets the camera see, linearises the factors there (`factors.mixture.Form.NEWTON`) and
+solves. What such a step neglects (the curvature of outline and projection, that visibility follows the pose) makes the
+steps shrink by a factor of 0.1 to 0.5 from one to the next; Anderson's acceleration learns that from the last steps and
+takes the iteration to where they would lead: ten iterations where forty of re-weighting were needed.
+
+A step that does not lower the energy, visibility held, is given up for the plain one, and that for a few of
+Levenberg-Marquardt's. Visibility is no force of the solver's and can swing between two views of a car for ever: where
+the steps have not ended after `_FOLLOWED` of them, it is held at the best state and the iteration goes on from there.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from factors.mixture import Form
+from fgrecon.core.errors import FactorCallbackError
+from fgrecon.solve.graph.graph import Graph, State
+from fgrecon.solve.graph.observation import Weights
+from fgrecon.solve.graph.solver import minimise
+
+__all__ = ["STEADY", "Descent", "Step"]
+
+Array = NDArray[np.float64]
+
+STEADY = 1e-8
+"""A step that moves no variable by more (radians, metres, standard deviations of lambda) is the last."""
+
+_FOLLOWED = 25  # iterations for which visibility follows the pose
+_MOST = 60  # iterations after that
+_REMEMBERED = 4  # steps that the acceleration learns from
+_RESCUE = 3  # iterations of Levenberg-Marquardt in place of a bad step
+_DAMPED = 1e-10  # of the normal equations' diagonal
+_ROUNDING = 1e-12  # relative rise of the energy that is none
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of the loop.
+
+    Attributes:
+        update: Index of the weight update.
+        step: Index of the solver's iteration within it.
+        values: Where it ended.
+        weights: Weights that it was made under; Newton's method has those of where it ended.
+    """
+
+    update: int
+    step: int
+    values: gtsam.Values
+    weights: Sequence[Weights]
+
+
+class Descent:
+    """The loop's variables: values and weights, and what it has done.
+
+    Attributes:
+        values: Where it is.
+        weights: Weights and visibility of each observation there.
+        steps: Every iteration, where the history is kept.
+        iterations: How many were made.
+        first: Energy at the start, nats.
+        converged: Whether the last step was `STEADY`.
+    """
+
+    def __init__(self, graph: Graph, start: State) -> None:
+        """Begin at a state of a graph that `is_robust`."""
+        self.graph = graph
+        self.values = graph.values(start)
+        self.weights: list[Weights] = list(start.weights)
+        self.steps: list[Step] = []
+        self.iterations = 0
+        self.first = float("nan")
+        self.converged = False
+
+    def run(self) -> None:
+        """Go to a minimum.
+
+        Raises:
+            DegenerateProblemError: The start has an infinite energy, or Levenberg-Marquardt gives up.
+        """
+        self.weights = self.graph.reweigh(self.values, self.weights, 1.0)
+        self.first = self._energy()
+        best = self.first, self.values, self.weights
+        steps = _Anderson()
+        for iteration in range(_FOLLOWED):
+            self.converged = self._iterate(steps)
+            self.weights = self.graph.reweigh(self.values, self.weights, 1.0)
+            self._record()
+            if self.converged:
+                return
+            if iteration >= _FOLLOWED // 2 and (energy := self._energy()) < best[0]:
+                best = energy, self.values, self.weights
+        if best[0] < self._energy():
+            _, self.values, self.weights = best
+        steps = _Anderson()
+        for _ in range(_MOST):
+            self.converged = self._iterate(steps)
+            self.weights = self.graph.reweigh(self.values, self.weights, 1.0, hold=True)
+            self._record()
+            if self.converged:
+                return
+
+    def _energy(self) -> float:
+        return sum(self.graph.energies(self.values, self.weights).values())
+
+    def _record(self) -> None:
+        if self.graph.options.keep_history:
+            self.steps.append(Step(self.iterations, 0, self.values, self.weights))
+        self.iterations += 1
+
+    def _iterate(self, steps: _Anderson) -> bool:
+        """One step; whether it was the last."""
+        built = self.graph.build(self.weights, Form.NEWTON)
+        try:
+            linear = built.linearize(self.values)
+            newton = linear.optimize()
+        except FactorCallbackError:
+            raise
+        except RuntimeError:  # GTSAM's only sign of a direction that nothing determines
+            return self._rescue(built, steps)
+        step = newton.vector()
+        length = float(np.abs(step).max(initial=0.0))
+        energy = built.error(self.values) * (1.0 + _ROUNDING) + _ROUNDING
+        further = steps.propose(step)
+        for proposed in (further, step) if further is not None else (step,):
+            moved = self.values.retract(newton if proposed is step else _like(newton, self.values, proposed))
+            if built.error(moved) <= energy or length <= STEADY:
+                steps.took(proposed)
+                self.values = moved
+                return length <= STEADY
+            steps.forget()
+        return self._rescue(built, steps)
+
+    def _rescue(self, built: gtsam.NonlinearFactorGraph, steps: _Anderson) -> bool:
+        """A few iterations of Levenberg-Marquardt instead; whether they moved nothing."""
+        steps.forget()
+        solution = minimise(built, self.values, relative_tolerance=_ROUNDING, max_iterations=_RESCUE)
+        moved = self.values.localCoordinates(solution.values).vector()
+        self.values = solution.values
+        return bool(np.abs(moved).max(initial=0.0) <= STEADY)
+
+
+class _Anderson:
+    """Anderson's acceleration of the iteration x -> x + f(x), from the last steps (Walker and Ni 2011, type II).
+
+    The tangent spaces of successive iterates are taken for one: near the end they are.
+    """
+
+    def __init__(self) -> None:
+        self._changes: deque[tuple[Array, Array]] = deque(maxlen=_REMEMBERED)  # of f, and what was moved meanwhile
+        self._last: Array | None = None
+        self._moved: Array | None = None
+
+    def propose(self, step: Array) -> Array | None:
+        """Where to go, given the plain step f; None where nothing is known but that."""
+        if self._last is not None and self._moved is not None:
+            self._changes.append((step - self._last, self._moved))
+        self._last = step
+        if not self._changes:
+            return None
+        changes = np.array([change for change, _ in self._changes]).T
+        moves = np.array([move for _, move in self._changes]).T
+        # Normal equations, a little damped: of several changes that are nearly one any mixture will do.
+        squares = changes.T @ changes
+        index = np.arange(len(squares))
+        squares[index, index] *= 1.0 + _DAMPED
+        share = np.linalg.solve(squares, changes.T @ step)
+        further: Array = step - (moves + changes) @ share
+        return further
+
+    def took(self, step: Array) -> None:
+        """Say what step was made."""
+        self._moved = step
+
+    def forget(self) -> None:
+        """Forget what was learnt: the steps were not those of one iteration."""
+        self._changes.clear()
+        self._last = self._moved = None
+
+
+def _like(newton: gtsam.VectorValues, values: gtsam.Values, step: Array) -> gtsam.VectorValues:
+    """A step (D,) as values by key, which are in ascending order."""
+    result, start = gtsam.VectorValues(), 0
+    for key in values.keys():  # noqa: SIM118  # a key vector, not a mapping
+        size = len(newton.at(key))
+        result.insert(key, step[start : start + size])
+        start += size
+    return result

@@ -1,0 +1,197 @@
+"""The factor of a whole observation: compiled as in numpy, as its terms' factors, and with numeric derivatives."""
+
+import gtsam
+import numpy as np
+import pytest
+
+from factors import (
+    L,
+    LinearShape,
+    O,
+    ProjectionKernel,
+    X,
+    box_factor,
+    ground_height_factor,
+    stacked_reprojection_factor,
+    upright_factor,
+)
+from factors.mixture import Form
+from factors.native import native
+from factors.observation import BoxRows, GroundRows, ObservationRows, observation_factor
+from tests.factors.support import CAMERA, assert_jacobian, car_like, graph_of, project, random_pose
+
+KERNEL = native("factors._observation")
+BOTH = pytest.mark.parametrize(
+    "compiled", [False, pytest.param(True, marks=pytest.mark.skipif(KERNEL is None, reason="no compiled kernel"))]
+)
+SIZE, VECTORS = 14, 5
+NORMAL = np.array([0.02, 1.0, -0.03]) / np.linalg.norm([0.02, 1.0, -0.03])
+
+
+class Case:
+    """A random observation; some points are not seen, some far off."""
+
+    def __init__(self, seed, *, compiled, offsets=True, pose_free=True, shape_free=True, box=True, ground=True):
+        rng = np.random.default_rng(seed)
+        mean, basis = car_like(rng, SIZE, VECTORS)
+        x, o = rng.normal(size=VECTORS), 0.05 * rng.normal(size=3 * SIZE)
+        self.pose = random_pose(rng)
+        bound = (L(), O() if offsets else None) if shape_free else (x, o.reshape(-1, 3) if offsets else None)
+        self.shape = LinearShape(mean, basis, *bound)
+        self.kernel = ProjectionKernel(self.shape, CAMERA, X() if pose_free else self.pose)
+        self.values = gtsam.Values()
+        if pose_free:
+            self.values.insert(X(), self.pose)
+        if shape_free:
+            self.values.insert(L(), x)
+        if shape_free and offsets:
+            self.values.insert(O(), o)
+        truth = mean + np.tensordot(x, basis, axes=1)
+        scale = 700.0 / self.pose.z()
+        self.pixels = project(truth, self.pose) + 0.04 * scale * rng.normal(size=(SIZE, 2))
+        self.pixels[[3, 7]] += 0.5 * scale
+        sigma = 0.03 * scale
+        self.sigma = sigma
+        self.whitener = np.tile([1.0 / sigma, 0.0, 1.0 / sigma], (SIZE, 1))
+        self.right = np.where(rng.random(SIZE) < 0.8, rng.uniform(0.2, 0.9, SIZE), 0.0)
+        self.wrong = rng.uniform(0.001, 0.05, SIZE)
+        self.weights = rng.uniform(0, 1, SIZE) * (self.right > 0)
+        self.edge_weights = rng.uniform(0.1, 1, 4)
+        self.used = np.array([True, True, False, True])
+        outline, outline_basis = car_like(rng, 30, VECTORS)
+        low, high = np.min(project(outline, self.pose), axis=0), np.max(project(outline, self.pose), axis=0)
+        self.edges = np.concatenate([low, high]) + 0.5 * sigma * rng.normal(size=4)
+        outline_shape = LinearShape(outline, outline_basis, L() if shape_free else x)
+        self.outline = ProjectionKernel(outline_shape, CAMERA, X() if pose_free else self.pose)
+        self.box = BoxRows(self.outline, self.edges, self.used, sigma, 0.02, sigma / 2) if box else None
+        self.ground = GroundRows(NORMAL, 1.6, 0.03) if ground and pose_free else None
+        seen = None
+        if compiled:
+            seen = KERNEL.Observation(
+                CAMERA,
+                mean,
+                np.ascontiguousarray(basis).reshape(VECTORS, -1),
+                self.pixels,
+                self.whitener,
+                (
+                    outline,
+                    np.ascontiguousarray(outline_basis).reshape(VECTORS, -1),
+                    self.edges,
+                    self.used.view(np.uint8),
+                    sigma,
+                    0.02,
+                    sigma / 2,
+                )
+                if box
+                else None,
+                (NORMAL, 1.6, 0.1, 0.0, 0.03) if ground else None,
+            )
+        self.rows = ObservationRows(
+            self.kernel, self.pixels, self.whitener, self.box, self.ground, seen, share=0.7, height_sigma=0.12
+        )
+
+    def tell(self, form):
+        self.rows.form, self.rows.edge_weights = form, self.edge_weights
+        self.rows.right = self.weights if form is Form.WEIGHTED else self.right
+        self.rows.wrong = self.wrong
+        return self.rows
+
+
+VARIANTS = {
+    "all": {},
+    "no offsets": {"offsets": False},
+    "fixed pose": {"pose_free": False},
+    "fixed shape": {"shape_free": False},
+    "fixed shape without offsets": {"shape_free": False, "offsets": False},
+    "no box": {"box": False},
+    "no ground": {"ground": False},
+}
+
+
+@pytest.mark.skipif(KERNEL is None, reason="no compiled kernel")
+@pytest.mark.parametrize("form", list(Form))
+@pytest.mark.parametrize("name", VARIANTS)
+def test_the_compiled_rows_are_numpys(name, form):
+    for seed in range(6):
+        one, other = (Case(seed, compiled=compiled, **VARIANTS[name]).tell(form) for compiled in (True, False))
+        values = Case(seed, compiled=False, **VARIANTS[name]).values
+        for want in (False, True):
+            (residual, jacobian), (residual_too, jacobian_too) = one(values, want), other(values, want)
+            np.testing.assert_allclose(residual, residual_too, atol=1e-12 * max(1.0, np.abs(residual).max()))
+            if want:
+                np.testing.assert_allclose(jacobian, jacobian_too, atol=1e-12 * np.abs(jacobian).max())
+            else:
+                assert jacobian is jacobian_too is None
+
+
+@BOTH
+@pytest.mark.parametrize("name", VARIANTS)
+def test_weighted_rows_have_the_numeric_jacobian(name, compiled):
+    case = Case(1, compiled=compiled, **VARIANTS[name])
+    assert_jacobian(observation_factor(case.tell(Form.WEIGHTED)), case.values, step=1e-4, relative=1e-5)
+
+
+@BOTH
+@pytest.mark.parametrize("name", VARIANTS)
+def test_newtons_gradient_is_that_of_the_loss(name, compiled):
+    case = Case(2, compiled=compiled, **VARIANTS[name])
+    factor = observation_factor(case.tell(Form.NEWTON))
+    told = graph_of(factor).linearize(case.values).gradientAtZero()
+    zero, step = case.values.zeroVectors(), 1e-6
+    for key in list(factor.keys()):
+        for axis, analytic in zip(np.eye(len(zero.at(key))), told.at(key), strict=True):
+            errors = []
+            for sign in (step, -step):
+                change = gtsam.VectorValues()
+                change.insert(key, sign * axis)
+                errors.append(factor.error(case.values.retract(change)))
+            scale = max(1.0, np.abs(told.vector()).max())
+            assert (errors[0] - errors[1]) / (2 * step) == pytest.approx(analytic, abs=2e-5 * scale)
+
+
+@BOTH
+def test_weighted_rows_are_those_of_the_terms_factors(compiled):
+    """Error and linear system, whichever factors they come from."""
+    case = Case(3, compiled=compiled)
+    rows = case.tell(Form.WEIGHTED)
+    rows.share = 1.0
+    noise = gtsam.noiseModel.Diagonal.Sigmas(case.sigma / np.sqrt(case.edge_weights[case.used]))
+    alone = graph_of(
+        stacked_reprojection_factor(case.kernel, case.pixels, case.weights, case.sigma),
+        box_factor(case.outline, case.edges, noise, softness=case.sigma / 2, edges=case.used.tolist()),
+        ground_height_factor(X(), NORMAL, 1.6, 0.12),
+        upright_factor(X(), NORMAL, 0.03),
+    )
+    together = graph_of(observation_factor(rows))
+    assert together.error(case.values) == pytest.approx(alone.error(case.values), rel=1e-12)
+    ordering = gtsam.Ordering()
+    for key in (X(), L(), O()):
+        ordering.push_back(key)
+    mine, theirs = (graph.linearize(case.values).augmentedHessian(ordering) for graph in (together, alone))
+    np.testing.assert_allclose(mine, theirs, atol=1e-11 * np.abs(theirs).max())
+
+
+@BOTH
+def test_behind_the_camera_the_energy_is_infinite(compiled):
+    case = Case(4, compiled=compiled)
+    case.values.update(X(), gtsam.Pose3(case.pose.rotation(), np.array([0.0, 1.0, 0.5])))
+    assert observation_factor(case.tell(Form.NEWTON)).error(case.values) == np.inf
+
+
+@pytest.mark.skipif(KERNEL is None, reason="no compiled kernel")
+def test_arrays_that_do_not_fit_are_refused_at_the_border():
+    rng = np.random.default_rng(0)
+    mean, basis = rng.normal(size=(4, 3)), rng.normal(size=(2, 12))
+    pixels, whitener = rng.normal(size=(4, 2)), np.ones((4, 3))
+    with pytest.raises(ValueError, match="do not belong together"):
+        KERNEL.Observation(CAMERA, mean, basis[:, :9].copy(), pixels, whitener, None, None)
+    with pytest.raises(ValueError, match="do not belong together"):
+        KERNEL.Observation(CAMERA, mean, basis, pixels[:3], whitener, None, None)
+    seen = KERNEL.Observation(CAMERA, mean, basis, pixels, whitener, None, None)
+    arrays = [np.eye(4), np.zeros(2), np.zeros(12), np.ones(4), np.ones(4), np.ones(4), 1.0, 0, np.empty(16), None]
+    seen.rows_at(*arrays)
+    for place, wrong in [(0, np.eye(3)), (1, np.zeros(3)), (2, np.zeros(9)), (3, np.ones(3)), (5, np.ones(3))]:
+        with pytest.raises(ValueError, match=r"wanted|number of"):
+            seen.rows_at(*arrays[:place], wrong, *arrays[place + 1 :])
+    with pytest.raises(ValueError, match="Jacobian"):
+        seen.rows_at(*arrays[:9], np.empty((16, 5)))

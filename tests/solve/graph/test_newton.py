@@ -1,0 +1,103 @@
+"""Newton's method with acceleration: it ends at a minimum, few steps from anywhere, and says where it does not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fgrecon.solve.graph import newton
+from fgrecon.solve.graph.adjust import start_state
+from fgrecon.solve.graph.graph import Graph, Seen
+from fgrecon.solve.graph.newton import Descent, _Anderson
+from fgrecon.solve.graph.optimise import _Loop
+from tests.solve.graph.support import half_a_car, problem_of
+
+
+def descent_of(problem, start):
+    state = start_state([Seen(problem)], [start])
+    graph = Graph([Seen(problem)], state, pose_free=True)
+    assert graph.is_robust
+    return Descent(graph, state)
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize(
+    "settings", [{}, {"free_offsets": True, "disabled_terms": ("planarity", "laplacian")}], ids=str
+)
+def test_the_end_is_where_re_weighting_stays(seed, settings):
+    """The loop of re-weighting, another algorithm for the same energy, does not leave it; and there it is steady."""
+    problem, start = problem_of(seed, **settings)
+    descent = descent_of(problem, start)
+    descent.run()
+    assert descent.converged
+    assert descent.iterations < 25
+    graph = descent.graph
+    loop = _Loop(graph, graph.read(descent.values, descent.weights))
+    energy = sum(graph.energies(descent.values, descent.weights).values())
+    loop.reweigh(1.0)
+    loop.settle()
+    assert loop.converged
+    moved = descent.values.localCoordinates(loop.values).vector()
+    assert np.abs(moved).max() < 1e-5
+    assert loop.energy() == pytest.approx(energy, abs=1e-8)
+    (again,) = graph.reweigh(descent.values, descent.weights, 1.0)
+    np.testing.assert_allclose(again.visibility, descent.weights[0].visibility, atol=1e-9)  # followed to the end
+
+
+def test_the_energy_is_lower_than_at_the_start_and_every_iterate_is_kept():
+    problem, start = problem_of(1)
+    descent = descent_of(problem, start)
+    descent.run()
+    assert len(descent.steps) == descent.iterations > 3
+    assert descent.steps[-1].values is descent.values
+    energy = sum(descent.graph.energies(descent.values, descent.weights).values())
+    assert energy < descent.first
+
+
+def test_visibility_that_swings_is_held(monkeypatch):
+    """Every look shows another half of the car: the steps end all the same, with what was seen where it was best."""
+    problem, start = problem_of(2)
+    looks = []
+
+    def swinging(poses):
+        looks.append(None)
+        half = np.arange(14) % 2 == len(looks) % 2
+        return np.tile(np.where(half, 0.9, 0.1), (len(poses), 1))
+
+    problem = replace(problem, energy=replace(problem.energy, visibility=swinging))
+    descent = descent_of(problem, start)
+    descent.run()
+    assert descent.converged
+    assert newton._FOLLOWED < descent.iterations < newton._FOLLOWED + 30
+
+
+def test_a_direction_that_nothing_determines_is_levenberg_marquardts():
+    """Gauss and Newton's system is singular there: GTSAM damps it, and the covariance is not there."""
+    problem, start = half_a_car()
+    descent = descent_of(problem, start)
+    descent.graph.vehicles[0]._solved.clear()  # without lambda's prior nothing but five points is left
+    descent.run()
+    assert np.isfinite(sum(descent.graph.energies(descent.values, descent.weights).values()))
+
+
+def test_a_step_up_is_not_taken(monkeypatch):
+    problem, start = problem_of(3)
+    monkeypatch.setattr(_Anderson, "propose", lambda _self, step: -50.0 * step)
+    descent = descent_of(problem, start)
+    descent.run()
+    assert descent.converged
+
+
+def test_acceleration_solves_a_linear_iteration_at_once():
+    """Of x -> A x + b in three dimensions the fixed point is known after four steps."""
+    rng = np.random.default_rng(0)
+    A, b = 0.3 * rng.normal(size=(3, 3)), rng.normal(size=3)
+    fixed = np.linalg.solve(np.eye(3) - A, b)
+    steps, x = _Anderson(), np.zeros(3)
+    for _ in range(5):
+        plain = A @ x + b - x
+        further = steps.propose(plain)
+        step = plain if further is None else further
+        steps.took(step)
+        x = x + step
+    np.testing.assert_allclose(x, fixed, atol=1e-7)
