@@ -21,7 +21,7 @@ import numpy as np
 import torch
 
 from fgrecon.perception.keypoints import KeypointCascade
-from fgrecon.perception.vehicles import YoloVehicleDetector
+from fgrecon.perception.vehicles import NanodetVehicleDetector
 
 CONDITIONS = {
     "KNet": {"refine": False, "mirror": False},
@@ -77,7 +77,7 @@ def main() -> None:
             print(row(f"{name}, per car of {count}", take_turns(runs, arguments.repeats), count), flush=True)
     runs = {}
     for runtime in ("opencv", *onnx):
-        detector = YoloVehicleDetector(runtime=runtime)
+        detector = NanodetVehicleDetector(runtime=runtime)
         runs[runtime] = lambda detector=detector: detector(image)
     print(row("car detector, per image", take_turns(runs, arguments.repeats)))
 

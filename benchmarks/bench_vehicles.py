@@ -1,16 +1,20 @@
-"""How many cars of KITTI's images the detector finds, how many of its boxes are none, and how long it takes.
+"""How many cars the detectors find on KITTI's images and drives and on photographs, how many boxes are none, and time.
 
 Run from the repository root:
-    python -m benchmarks.bench_vehicles --images training/image_2 --labels training/label_2 [--threads 1]
-Prints recall by regime, precision and the time per image. A box counts for a label that it overlaps by more than 0.5
-(0.7), each label for one box. Precision is that of boxes of at least 25 pixels' height; vans are no mistakes, and boxes
-in areas that were not labelled are left out.
+    OMP_NUM_THREADS=2 python -m benchmarks.bench_vehicles --data DATA [--yolo FILE] [--every 1] [--threads 2]
+DATA holds kitti_object, kitti_video and posed_cars; --yolo is a file by `fgrecon vehicles convert --cfg --weights`, to
+be measured beside the shipped detector, in turns. A box counts for a label that it overlaps by more than 0.5 (0.7),
+each label for one box. Precision is that of boxes of at least 25 pixels' height; vans are no mistakes, and boxes in
+areas that were not labelled, or on cars that are drawn over, are left out. By size: the cars of the regime Hard and the
+boxes by their height, pixels.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -19,56 +23,135 @@ import numpy as np
 from fgrecon.evaluation.kitti_devkit import REGIMES, match_detections, regime_members
 from fgrecon.evaluation.kitti_overlap import box_overlap
 from fgrecon.io.images import read_image
-from fgrecon.io.kitti_files import Objects, read_labels
-from fgrecon.perception.vehicles import YoloVehicleDetector
+from fgrecon.io.kitti_drives import DriveFrame, read_images
+from fgrecon.io.kitti_files import Objects
+from fgrecon.perception.vehicles import NanodetVehicleDetector, Vehicles, YoloVehicleDetector
+from fgrecon.perception.vehicles.detect import NetworkDetector
+from fgrecon.training.keypoints.posed_cars import read_posed_cars
+
+OVERLAPS = (0.5, 0.7)
+HEIGHTS = (25.0, 40.0, 80.0, np.inf)
+PHOTOGRAPHS, ENLARGED = 300, 4.0
 
 
-def recall(labels: Objects, found: Objects, least: float) -> np.ndarray:
-    """(3, 2) cars that are found and cars that there are, by regime."""
+def recall(frame: DriveFrame, found: Objects, least: float) -> np.ndarray:
+    """(6, 2) cars that are found and cars that there are, by regime, and by height those of the regime Hard."""
+    labels = frame.objects.take(frame.usable & np.array([kind == "Car" for kind in frame.objects.kind], dtype=bool))
+    groups = [regime_members(labels, regime) for regime in REGIMES]
+    heights = labels.box[:, 3] - labels.box[:, 1]
+    groups += [groups[-1] & (heights >= low) & (heights < high) for low, high in pairwise(HEIGHTS)]
     counts = []
-    for regime in REGIMES:
-        cars = labels.take(regime_members(labels, regime) & np.array([kind == "Car" for kind in labels.kind]))
+    for group in groups:
+        cars = labels.take(group)
         counts.append([(match_detections(cars, found, least) >= 0).sum(), len(cars)])
     return np.array(counts)
 
 
-def precision(labels: Objects, found: Objects, least: float) -> np.ndarray:
-    """(2,) boxes that are right and boxes that are judged."""
-    tall = found.take(found.box[:, 3] - found.box[:, 1] >= REGIMES[-1].height)
-    cars = labels.take(np.array([kind in ("Car", "Van") for kind in labels.kind]))
-    matched = match_detections(cars, tall, least)
-    right = np.zeros(len(tall), dtype=bool)
+def precision(frame: DriveFrame, found: Objects, least: float) -> np.ndarray:
+    """(4, 2) boxes that are right and boxes that are judged: of all, and by height."""
+    labels, usable = frame.objects, frame.usable
+    kinds = np.array(labels.kind)
+    matched = match_detections(labels.take(usable & np.isin(kinds, ["Car", "Van"])), found, least)
+    right = np.zeros(len(found), dtype=bool)
     right[matched[matched >= 0]] = True
-    unlabelled = labels.take(np.array([kind == "DontCare" for kind in labels.kind]))
-    ignored = ~right & (box_overlap(tall.box, unlabelled.box, of_first=True) > 0.5).any(axis=1)
-    return np.array([right.sum(), (~ignored).sum()])
+    ignored = ~right & (box_overlap(found.box, labels.box[~usable | (kinds == "DontCare")], of_first=True) > 0.5).any(1)
+    heights = found.box[:, 3] - found.box[:, 1]
+    limits = [(HEIGHTS[0], HEIGHTS[-1]), *pairwise(HEIGHTS)]
+    groups = [~ignored & (heights >= low) & (heights < high) for low, high in limits]
+    return np.array([[(right & group).sum(), group.sum()] for group in groups])
+
+
+def report(name: str, frames: list[tuple[DriveFrame, Vehicles]]) -> None:
+    """Print a detector's line for each overlap."""
+    for least in OVERLAPS:
+        cars, boxes = np.zeros((6, 2), dtype=int), np.zeros((4, 2), dtype=int)
+        for frame, vehicles in frames:
+            found = Objects.detections(["Car"] * len(vehicles), vehicles.boxes, vehicles.scores)
+            cars += recall(frame, found, least)
+            boxes += precision(frame, found, least)
+        regimes = ", ".join(f"{regime.name} {part(count)}" for regime, count in zip(REGIMES, cars, strict=False))
+        sizes = ", ".join(
+            f"{low:.0f}-{high:.0f} {part(found)} | {part(right)}"
+            for low, high, found, right in zip(HEIGHTS, HEIGHTS[1:], cars[3:], boxes[1:], strict=False)
+        )
+        print(
+            f"  {name:8s} {least}: {regimes}; {part(boxes[0])} boxes right; found | right by size: {sizes}", flush=True
+        )
+
+
+def part(count: np.ndarray) -> str:
+    """Such as `9 of 10`."""
+    return f"{count[0]} of {count[1]}"
+
+
+def photographs(data: Path, enlarged: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Photographs that a car fills, and its box (1, 4)."""
+    cars = read_posed_cars(data / "posed_cars")
+    for car in cars[:: len(cars) // PHOTOGRAPHS][:PHOTOGRAPHS]:
+        image = read_image(car.image)
+        larger = cv2.resize(image, None, fx=enlarged, fy=enlarged, interpolation=cv2.INTER_CUBIC)
+        yield larger, (car.box[None] + 0.5) * enlarged - 0.5
+
+
+def close_ups(detectors: Mapping[str, NetworkDetector], data: Path) -> None:
+    """Print how many cars that fill an image are found."""
+    for enlarged in (1.0, ENLARGED):
+        best: dict[str, list[float]] = {name: [] for name in detectors}
+        for image, box in photographs(data, enlarged):
+            for name, detector in detectors.items():
+                best[name].append(box_overlap(detector(image).boxes, box).max(initial=0.0))
+        for name, overlaps in best.items():
+            counts = ", ".join(f"{np.mean(np.array(overlaps) > least):.1%} above {least}" for least in OVERLAPS)
+            print(f"  {name:8s} {len(overlaps)} photographs, enlarged {enlarged:.0f} times: {counts}", flush=True)
 
 
 def main() -> None:
     """Measure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--images", type=Path, required=True)
-    parser.add_argument("--labels", type=Path, required=True)
-    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--yolo", type=Path)
+    parser.add_argument("--every", type=int, default=1, help="one of so many frames of the drives")
+    parser.add_argument("--threads", type=int, default=2)
     arguments = parser.parse_args()
     cv2.setNumThreads(arguments.threads)
-    files = sorted(arguments.images.glob("*.png"))
-    labels, _ = read_labels(arguments.labels, [file.stem for file in files])
-    detector, found, times = YoloVehicleDetector(), {}, []
-    for file in files:
-        image = read_image(file)
-        started = time.perf_counter()
-        cars = detector(image)
-        times.append(time.perf_counter() - started)
-        found[file.stem] = Objects.detections(["Car"] * len(cars), cars.boxes, cars.scores)
-    for least in (0.5, 0.7):
-        cars = sum(recall(labels[name], found[name], least) for name in found)
-        right, judged = sum(precision(labels[name], found[name], least) for name in found)
-        regimes = ", ".join(
-            f"{regime.name} {hits} of {count}" for regime, (hits, count) in zip(REGIMES, cars, strict=True)
-        )
-        print(f"overlap {least}: {regimes}; {right} of {judged} boxes are right")
-    print(f"{1e3 * min(times):.0f} ms per image (median {1e3 * np.median(times):.0f}), {arguments.threads} threads")
+    runs: dict[str, dict[str, NetworkDetector]] = {}
+    for runtime in ("onnx", "opencv"):
+        runs[runtime] = {"nanodet": NanodetVehicleDetector(runtime=runtime)}
+        if arguments.yolo is not None:
+            runs[runtime]["yolo"] = YoloVehicleDetector(arguments.yolo, runtime=runtime)
+    detectors = runs["onnx"]
+    images = read_images(arguments.data / "kitti_object" / "training").frames
+    drives = [read_images(folder) for folder in sorted((arguments.data / "kitti_video").iterdir()) if folder.is_dir()]
+    film = {drive.name: [frame for frame in drive.frames if frame.labelled][:: arguments.every] for drive in drives}
+    everywhere: dict[str, list[tuple[DriveFrame, Vehicles]]] = {name: [] for name in detectors}
+    for place, frames in {"images": list(images), **film}.items():
+        print(f"{place}, {len(frames)} frames")
+        seen: dict[str, list[tuple[DriveFrame, Vehicles]]] = {name: [] for name in detectors}
+        for frame in frames:
+            image = read_image(frame.image)
+            for name, detector in detectors.items():
+                seen[name].append((frame, detector(image)))
+        for name, found in seen.items():
+            report(name, found)
+            everywhere[name] += found if place in film else []
+    print("all drives")
+    for name, found in everywhere.items():
+        report(name, found)
+    close_ups(detectors, arguments.data)
+    for runtime, some in runs.items():
+        times: dict[str, list[float]] = {name: [] for name in some}
+        for frame in images:
+            image = read_image(frame.image)
+            for name, detector in some.items():
+                started = time.perf_counter()
+                detector(image)
+                times[name].append(1e3 * (time.perf_counter() - started))
+        for name, spent in times.items():
+            ratio = np.median(np.divide(spent, times["nanodet"]))
+            print(
+                f"  {name:8s} {runtime}: {np.median(spent):.0f} ms per image (least {min(spent):.0f}), "
+                f"{ratio:.2f} of nanodet's, {arguments.threads} threads"
+            )
 
 
 if __name__ == "__main__":

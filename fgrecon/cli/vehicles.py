@@ -35,11 +35,11 @@ def detect_command(
     Exit code 1: no car in any image.
     """
     from fgrecon.io.images import read_image
-    from fgrecon.perception.vehicles import YoloVehicleDetector
+    from fgrecon.perception.vehicles import NanodetVehicleDetector
 
     check_output(out)
     screen = terminal.screen(error=out is None)
-    detector = YoloVehicleDetector()
+    detector = NanodetVehicleDetector()
     lines: list[str] = []
     for path in screen.watch(images, "Images"):
         found = detector(read_image(path))

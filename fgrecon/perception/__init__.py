@@ -2,7 +2,7 @@
 
 `reconstruct_image` does all of it. `VehicleDetector` and `KeypointDetector` say what a detector of your own is called
 with and what it returns: a `Vehicles`, and an `fgrecon.Observation` or a `Detection` for each box. The package's are
-`YoloVehicleDetector` and `KeypointCascade`.
+`NanodetVehicleDetector` and `KeypointCascade`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.perception.from_image import FromImage, reconstruct_detection, reconstruct_image
     from fgrecon.perception.keypoints.detect import CascadeDetection, KeypointCascade, detect_keypoints
     from fgrecon.perception.protocols import KeypointDetector, VehicleDetector
-    from fgrecon.perception.vehicles.detect import Vehicles, YoloVehicleDetector
+    from fgrecon.perception.vehicles.detect import NanodetVehicleDetector, Vehicles, YoloVehicleDetector
 
 __all__ = [
     "CascadeDetection",
@@ -25,6 +25,7 @@ __all__ = [
     "FromImage",
     "KeypointCascade",
     "KeypointDetector",
+    "NanodetVehicleDetector",
     "VehicleDetector",
     "Vehicles",
     "YoloVehicleDetector",

@@ -15,7 +15,7 @@ from fgrecon.core.options import BoxModel
 from fgrecon.io.boxes import NamedBox, read_boxes
 from fgrecon.perception.keypoints.detect import SMALLEST_BOX
 from fgrecon.perception.protocols import VehicleDetector, find_vehicles
-from fgrecon.perception.vehicles.detect import YoloVehicleDetector
+from fgrecon.perception.vehicles.detect import NanodetVehicleDetector
 
 __all__ = ["boxes_of", "detected_boxes", "find_boxes"]
 
@@ -73,6 +73,6 @@ def find_boxes(image: NDArray[np.uint8], detector: VehicleDetector | None = None
     Raises:
         InvalidInputError: The image is none, the detector returns something else, or this installation has none.
     """
-    boxes = find_vehicles(YoloVehicleDetector() if detector is None else detector, image).boxes
+    boxes = find_vehicles(NanodetVehicleDetector() if detector is None else detector, image).boxes
     large: NDArray[np.bool_] = (boxes[:, 2:] - boxes[:, :2]).max(axis=1) >= SMALLEST_BOX
     return boxes[large]

@@ -29,7 +29,7 @@ def test_either_boxes_or_a_file(tmp_path):
 
 def test_detected_cars_are_outlines_and_large_enough_for_keypoints(monkeypatch):
     boxes = np.array([[10.0, 10, 90, 60], [5, 5, 12, 10], [0, 0, 8, 6]])
-    monkeypatch.setattr(module, "YoloVehicleDetector", lambda: lambda image: Vehicles(boxes, np.ones(3)))
+    monkeypatch.setattr(module, "NanodetVehicleDetector", lambda: lambda image: Vehicles(boxes, np.ones(3)))
     found = detected_boxes(np.zeros((100, 100, 3), np.uint8))
     assert [(box.name, box.model) for box in found] == [("0", BoxModel.SURFACE), ("1", BoxModel.SURFACE)]
     np.testing.assert_array_equal([box.corners for box in found], boxes[[0, 2]])

@@ -17,7 +17,7 @@ from fgrecon.io.images import write_png
 from fgrecon.perception import KeypointDetector, VehicleDetector, Vehicles, reconstruct_image
 from fgrecon.perception.from_image import direction_penalty
 from fgrecon.perception.keypoints import CascadeDetection, KeypointCascade
-from fgrecon.perception.vehicles import YoloVehicleDetector
+from fgrecon.perception.vehicles import NanodetVehicleDetector
 from tests.cars import CAMERA, observe, yaw_pose
 
 FAST = Options(keep_history=False, box="off")
@@ -185,7 +185,7 @@ def test_a_detector_without_directions_prefers_none(seen):
 
 def test_the_detectors_of_the_package_fit_their_protocols():
     assert isinstance(Own(), KeypointDetector)
-    assert isinstance(YoloVehicleDetector(), VehicleDetector)
+    assert isinstance(NanodetVehicleDetector(), VehicleDetector)
     cascade = KeypointCascade()
     assert isinstance(cascade, KeypointDetector)
     assert cascade.category == "car14"
@@ -197,8 +197,8 @@ def test_the_detectors_of_the_package_fit_their_protocols():
     [
         ("fgrecon.perception.keypoints", "Detector", KeypointCascade),
         ("fgrecon.perception.keypoints.detect", "Detector", KeypointCascade),
-        ("fgrecon.perception.vehicles", "VehicleDetector", YoloVehicleDetector),
-        ("fgrecon.perception.vehicles.detect", "VehicleDetector", YoloVehicleDetector),
+        ("fgrecon.perception.vehicles", "VehicleDetector", NanodetVehicleDetector),
+        ("fgrecon.perception.vehicles.detect", "VehicleDetector", NanodetVehicleDetector),
     ],
 )
 def test_old_names_work_with_a_warning(module, old, new):

@@ -1,8 +1,8 @@
-"""Boxes of the cars in an image, by YOLOv4-tiny on ONNX Runtime or on OpenCV's network module."""
+"""Boxes of the cars in an image, by a network on ONNX Runtime or on OpenCV's network module."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -17,47 +17,65 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.renamed import renamed
 from fgrecon.perception.keypoints.detect import as_rgb8
 from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, open_session
+from fgrecon.perception.vehicles import nanodet, yolo
 
-__all__ = ["HEADS", "INPUT", "Head", "Vehicles", "YoloVehicleDetector", "decode", "shipped", "suppress"]
+__all__ = [
+    "INPUT",
+    "DetectorSettings",
+    "Look",
+    "NanodetVehicleDetector",
+    "NetworkDetector",
+    "Vehicles",
+    "YoloVehicleDetector",
+    "shipped",
+    "suppress",
+]
 
-__getattr__ = renamed(__name__, {"VehicleDetector": "YoloVehicleDetector"})
+__getattr__ = renamed(__name__, {"VehicleDetector": "NanodetVehicleDetector"})
 
 Array = NDArray[np.float64]
 
 
+INPUT = "image"
+"""Name of the networks' input: (1, 3, H, W) RGB from 0 to 1, less a mean; H and W are multiples of 32, from 64."""
+
+_NAME = "vehicles-nanodet-g.onnx"
+_MULTIPLE = 32
+_LEAST_SIDE = 64  # OpenCV 5.0 enlarges a map of one column to garbage
+
+
 @dataclass(frozen=True)
-class Head:
-    """One of the network's outputs.
+class Look:
+    """One run of a network over the image.
 
     Attributes:
-        stride: Pixels of the input from one cell to the next.
-        anchors: Width and height of the boxes that each cell starts from, pixels of the input.
-        stretch: Width of the range of a box's centre, in cells (Darknet's `scale_x_y`).
+        area: Of the input, pixels. Images are not enlarged.
+        least_side: Boxes whose longer side is a smaller share of the image's are left to another look.
     """
 
-    stride: int
-    anchors: tuple[tuple[float, float], ...]
-    stretch: float
+    area: int
+    least_side: float = 0.0
 
 
-HEADS = (
-    Head(32, ((81.0, 82.0), (135.0, 169.0), (344.0, 319.0)), 1.05),
-    Head(16, ((23.0, 27.0), (37.0, 58.0), (81.0, 82.0)), 1.05),
-)
-"""Outputs of YOLOv4-tiny, in the order of its layers."""
+@dataclass(frozen=True)
+class DetectorSettings:
+    """How a kind of network is asked, and how its answer is read.
 
-INPUT = "image"
-"""Name of its input: (1, 3, H, W) RGB from 0 to 1; H and W are multiples of 32."""
+    Attributes:
+        mean: Red, green and blue from 0 to 255 that are taken off.
+        looks: One for cars in a street, one for those that fill the image, which the first does not see as a whole.
+        least_score: Boxes below this are left out.
+        overlap: Of two boxes from which on they are one car, intersection over union.
+        channels: Of each of the network's maps.
+        decode: Boxes and scores from the maps, the input's width and the least score.
+    """
 
-_NAME = "vehicles-yolov4-tiny.onnx"
-_MULTIPLE = 32
-_LOOKS = (1024 * 320, 256 * 80)
-"""Areas of the input in pixels: one for cars in a street, one for those that fill the image, which the first does not
-see as a whole."""
-
-_CLASSES, _CAR = 80, 2  # of COCO
-_LEAST_SCORE = 0.3
-_OVERLAP = 0.45  # of two boxes of one car, intersection over union
+    mean: tuple[float, float, float]
+    looks: tuple[Look, ...]
+    least_score: float
+    overlap: float
+    channels: tuple[int, ...]
+    decode: Callable[[Sequence[NDArray[np.floating]], int, float], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +84,7 @@ class Vehicles:
 
     Attributes:
         boxes: (N, 4) x1, y1, x2, y2 of the cars' outlines, as far as they are in the image, pixels.
-        scores: (N,) from 0 to 1; not calibrated.
+        scores: (N,) from 0 to 1; whether they are probabilities is said by what found them.
     """
 
     boxes: Array
@@ -93,28 +111,31 @@ class Vehicles:
         return len(self.boxes)
 
 
-class YoloVehicleDetector:
-    """YOLOv4-tiny, loaded once. One thread at a time may use it.
+class NetworkDetector:
+    """A network, loaded once. One thread at a time may use it.
 
     Attributes:
+        settings: How it is asked.
         runtime: What runs it: "opencv" or "onnx". Boxes are the same to 0.01 pixels.
     """
 
-    def __init__(self, weights: str | Path | None = None, *, runtime: str = "auto") -> None:
+    settings: DetectorSettings
+
+    def __init__(self, weights: str | Path, *, runtime: str = "auto") -> None:
         """Load it.
 
         Args:
-            weights: ONNX file by `fgrecon vehicles convert`; None for the one that comes with the package.
+            weights: ONNX file by `fgrecon vehicles convert`.
             runtime: What runs the network: "opencv"; "onnx", which is ONNX Runtime, with as many threads as OpenCV has
                 now; or "auto", "onnx" where it is installed.
 
         Raises:
-            InvalidInputError: There is no such file, no network in it, or the runtime is not installed.
+            InvalidInputError: There is no such file, no network or another one in it, or the runtime is not installed.
         """
         import cv2
 
         self.runtime = chosen_runtime(runtime, "opencv", packages=["onnxruntime"])
-        path = shipped() if weights is None else Path(weights)
+        path = Path(weights)
         fix = "Give an ONNX file that `fgrecon vehicles convert` wrote."
         if not path.is_file():
             raise InvalidInputError("weights", str(path), fix)
@@ -123,40 +144,82 @@ class YoloVehicleDetector:
             self._network = open_session(model, cv2.getNumThreads()) if self.runtime == "onnx" else _on_opencv(model)
         except (OSError, InvalidInputError, cv2.error) as error:
             raise InvalidInputError("weights", str(path), fix) from error
+        channels = tuple(
+            found.shape[1] for found in self._network(np.zeros((1, 3, _LEAST_SIDE, _LEAST_SIDE), np.float32))
+        )
+        if channels != self.settings.channels:
+            raise InvalidInputError(
+                "weights", f"{path} with maps of {channels} numbers", f"Give {type(self).__name__} its own."
+            )
 
-    def __call__(self, image: NDArray[Any], *, least_score: float = _LEAST_SCORE) -> Vehicles:
+    def __call__(self, image: NDArray[Any], *, least_score: float | None = None) -> Vehicles:
         """The cars in an image.
 
         Args:
             image: (H, W, 3) RGB or (H, W) grey, 8 or 16 bits; or (H, W, 4) with transparency, which is dropped.
-            least_score: Boxes below this are left out, 0 to 1.
+            least_score: Boxes below this are left out, 0 to 1; None for what suits the network.
 
         Raises:
             InvalidInputError: The image is none, or the score is not between 0 and 1.
         """
-        if not 0.0 < least_score <= 1.0:
+        least = self.settings.least_score if least_score is None else least_score
+        if not 0.0 < least <= 1.0:
             raise InvalidInputError("least_score", least_score, "Give a number above 0 and up to 1.")
         pixels = as_rgb8(image)
         height, width = pixels.shape[:2]
-        looks = [self._look(pixels, min(area, width * height), least_score) for area in _LOOKS]
+        looks = [self._look(pixels, look, least) for look in self.settings.looks]
         boxes = np.concatenate([boxes for boxes, _ in looks])
         scores = np.concatenate([scores for _, scores in looks])
-        kept = suppress(boxes, scores)
+        kept = suppress(boxes, scores, self.settings.overlap)
         inside = np.clip(boxes[kept], 0.0, [width - 1.0, height - 1.0] * 2)
         seen = (inside[:, 2:] > inside[:, :2]).all(axis=1)  # not beyond the border as a whole
         return Vehicles(inside[seen], scores[kept][seen])
 
-    def _look(self, pixels: NDArray[np.uint8], area: int, least_score: float) -> tuple[Array, Array]:
-        """Boxes (M, 4) in pixels of the image and scores (M,), from the image scaled to about an area."""
+    def _look(self, pixels: NDArray[np.uint8], look: Look, least_score: float) -> tuple[Array, Array]:
+        """Boxes (M, 4) in pixels of the image and scores (M,), from the image scaled to about the look's area."""
         import cv2
 
         height, width = pixels.shape[:2]
-        scale = np.sqrt(area / (width * height))
-        size = tuple(_MULTIPLE * max(1, round(side * scale / _MULTIPLE)) for side in (width, height))
+        scale = np.sqrt(min(look.area, width * height) / (width * height))
+        size = tuple(max(_LEAST_SIDE, _MULTIPLE * round(side * scale / _MULTIPLE)) for side in (width, height))
         scaled = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR)
-        maps = self._network(cv2.dnn.blobFromImage(scaled, 1.0 / 255.0))
-        boxes, scores = decode(maps, size[0], least_score)
-        return boxes * np.tile([width / size[0], height / size[1]], 2) - 0.5, scores  # pixel centres are at integers
+        maps = self._network(cv2.dnn.blobFromImage(scaled, 1.0 / 255.0, mean=self.settings.mean))
+        boxes, scores = self.settings.decode(maps, size[0], least_score)
+        boxes = boxes * np.tile([width / size[0], height / size[1]], 2) - 0.5  # pixel centres are at integers
+        inside = np.clip(boxes, 0.0, [width, height] * 2)
+        large = (inside[:, 2:] - inside[:, :2]).max(axis=1) >= look.least_side * max(width, height)
+        return boxes[large], scores[large]
+
+
+class NanodetVehicleDetector(NetworkDetector):
+    """NanoDet-g, the detector that comes with the package.
+
+    Scores are the probability that the box overlaps a car's by more than half, as on KITTI's images.
+    """
+
+    settings = DetectorSettings(
+        nanodet.MEAN, (Look(928 * 288), Look(256 * 80, 0.4)), 0.35, 0.5, nanodet.CHANNELS, nanodet.decode
+    )
+
+    def __init__(self, weights: str | Path | None = None, *, runtime: str = "auto") -> None:
+        """Load it.
+
+        Args:
+            weights: ONNX file by `fgrecon vehicles convert --package`; None for the one that comes with fgrecon.
+            runtime: As for `NetworkDetector`.
+
+        Raises:
+            InvalidInputError: There is no such file, no network in it, or the runtime is not installed.
+        """
+        super().__init__(shipped() if weights is None else weights, runtime=runtime)
+
+
+class YoloVehicleDetector(NetworkDetector):
+    """YOLOv4-tiny, from a file that `fgrecon vehicles convert --cfg --weights` wrote. Scores are no probabilities."""
+
+    settings = DetectorSettings(
+        (0.0, 0.0, 0.0), (Look(1024 * 320), Look(256 * 80)), 0.3, 0.45, yolo.CHANNELS, yolo.decode
+    )
 
 
 def _on_opencv(model: bytes) -> Network:
@@ -174,51 +237,15 @@ def _on_opencv(model: bytes) -> Network:
     return run
 
 
-def decode(maps: Sequence[NDArray[np.floating]], width: int, least_score: float) -> tuple[Array, Array]:
-    """Boxes (M, 4) of cars and their scores (M,) from the network's raw maps, one car in many boxes.
-
-    A box's centre is its cell's centre moved by the stretched sigmoids of the first two numbers, its size the anchor's
-    times the exponentials of the next two; its score is the sigmoid of the fifth (something is here) times that of the
-    class.
-
-    Args:
-        maps: (1, 3 * 85, h, w) of every head, in any order.
-        width: Of the network's input, which tells the heads apart, pixels.
-        least_score: Boxes below this are left out.
-
-    Returns:
-        Boxes as x1, y1, x2, y2 in pixels of the input, its left and upper edge at 0.
-    """
-    heads = {head.stride: head for head in HEADS}
-    boxes, scores = [], []
-    for numbers in maps:
-        rows, columns = numbers.shape[2:]
-        head = heads[width // columns]
-        cells = np.asarray(numbers, dtype=np.float64).reshape(len(head.anchors), 5 + _CLASSES, rows, columns)
-        score = _sigmoid(cells[:, 4]) * _sigmoid(cells[:, 5 + _CAR])
-        anchor, row, column = np.nonzero(score >= least_score)
-        x, y, w, h = cells[anchor, :4, row, column].T
-        offset = head.stretch * (_sigmoid(np.stack([x, y], axis=1)) - 0.5) + 0.5
-        centre = head.stride * (offset + np.stack([column, row], axis=1))
-        half = np.exp(np.stack([w, h], axis=1)) * np.array(head.anchors)[anchor] / 2.0
-        boxes.append(np.hstack([centre - half, centre + half]))
-        scores.append(score[anchor, row, column])
-    return np.concatenate(boxes), np.concatenate(scores)
-
-
-def suppress(boxes: Array, scores: Array) -> NDArray[np.int64]:
-    """Which boxes (M, 4) stay, by falling score (M,): those that no better one overlaps by more than 0.45."""
+def suppress(boxes: Array, scores: Array, overlap: float) -> NDArray[np.int64]:
+    """Which boxes (M, 4) stay, by falling score (M,): those that no better one overlaps by more than that."""
     import cv2
 
     corner_and_size = np.hstack([boxes[:, :2], boxes[:, 2:] - boxes[:, :2]])
-    kept = cv2.dnn.NMSBoxes(corner_and_size.tolist(), scores.tolist(), 0.0, _OVERLAP)
+    kept = cv2.dnn.NMSBoxes(corner_and_size.tolist(), scores.tolist(), 0.0, overlap)
     return np.asarray(kept, dtype=np.int64).reshape(-1)
 
 
 def shipped() -> Path:
     """The file that comes with the package; an installation may lack it."""
     return Path(str(resources.files("fgrecon") / "data" / "weights" / _NAME))
-
-
-def _sigmoid(x: Array) -> Array:
-    return np.asarray(0.5 * (1.0 + np.tanh(0.5 * x)))

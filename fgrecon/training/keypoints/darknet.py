@@ -1,14 +1,12 @@
 """YOLOv4-tiny from Darknet's two files, layers (cfg) and numbers (weights), to one ONNX file.
 
-Batch normalisation is folded into the convolutions, and their kernels are kept in half precision: each passes a cast to
-single precision, which readers of ONNX do once. Height and width of the input stay open, so that the network runs on
-wide images as they are. Outputs are the raw maps before each `[yolo]` layer; `fgrecon.perception.vehicles.detect` makes
-boxes of them.
+Batch normalisation is folded into the convolutions. Outputs are the raw maps before each `[yolo]` layer;
+`fgrecon.perception.vehicles.yolo` makes boxes of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +15,12 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import write_bytes
-from fgrecon.perception.vehicles.detect import HEADS, INPUT
+from fgrecon.perception.vehicles.detect import INPUT
+from fgrecon.perception.vehicles.yolo import HEADS
+from fgrecon.training.keypoints.onnx_graph import OnnxGraph
 
 __all__ = ["convert", "read_layers"]
 
-_OPSET, _IR = 13, 8  # old enough for OpenCV 4.10
 _CHANNELS = 3
 _LEAK = 0.1  # of Darknet's leaky ReLU
 _EPSILON = 1e-5  # Darknet adds it to the variance
@@ -66,11 +65,6 @@ def convert(cfg: Path, weights: Path, out: Path) -> Path:
         InvalidInputError: A file cannot be read, they do not belong together, a layer is not one of YOLOv4-tiny's, its
             anchors are others, or the package `onnx` is not installed.
     """
-    try:
-        import onnx
-        from onnx import helper
-    except ImportError as error:
-        raise InvalidInputError("onnx", "not installed", "Run pip install 'fgrecon[training]'.") from error
     layers = read_layers(cfg)
     if not layers or layers[0][0] not in ("net", "network"):
         raise InvalidInputError("cfg", str(cfg), _FIX)
@@ -83,24 +77,7 @@ def convert(cfg: Path, weights: Path, out: Path) -> Path:
     graph.numbers.finish()
     if len(graph.outputs) != len(HEADS):
         raise InvalidInputError("cfg", f"{cfg}: {len(graph.outputs)} yolo layers", _FIX)
-
-    def described(name: str, channels: int) -> Any:
-        return helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, [1, channels, f"{name}_h", f"{name}_w"])
-
-    model = helper.make_model(
-        helper.make_graph(
-            graph.nodes,
-            "yolov4-tiny",
-            [described(INPUT, _CHANNELS)],
-            [described(name, channels) for name, channels in graph.outputs],
-            graph.constants,
-        ),
-        producer_name="fgrecon",
-        ir_version=_IR,
-        opset_imports=[helper.make_opsetid("", _OPSET)],
-    )
-    onnx.checker.check_model(model, full_check=True)
-    return write_bytes(out, model.SerializeToString())
+    return write_bytes(out, graph.onnx.model("yolov4-tiny", (INPUT, _CHANNELS), graph.outputs))
 
 
 class _Numbers:
@@ -131,12 +108,11 @@ class _Numbers:
 
 
 class _Graph:
-    """ONNX nodes and constants, layer after layer, with every layer's tensor and its number of channels."""
+    """The network, layer after layer, with every layer's tensor and its number of channels."""
 
     def __init__(self, numbers: _Numbers) -> None:
         self.numbers = numbers
-        self.nodes: list[Any] = []
-        self.constants: list[Any] = []
+        self.onnx = OnnxGraph()
         self.outputs: list[tuple[str, int]] = []
         self.layers: list[tuple[str, int]] = []
 
@@ -148,12 +124,11 @@ class _Graph:
             made = self._convolution(name, before, width, settings)
         elif kind == "maxpool":
             size, stride = int(settings["size"]), int(settings["stride"])
-            made = self._node("MaxPool", [before], name, kernel_shape=[size] * 2, strides=[stride] * 2), width
+            made = self.onnx.node("MaxPool", [before], name, kernel_shape=[size] * 2, strides=[stride] * 2), width
         elif kind == "upsample":
             factor = float(settings["stride"])
-            scales = self._constant(f"{name}.scales", np.array([1, 1, factor, factor], dtype=np.float32))
             nearest = {"mode": "nearest", "nearest_mode": "floor", "coordinate_transformation_mode": "asymmetric"}
-            made = self._node("Resize", [before, "", scales], name, **nearest), width
+            made = self.onnx.enlarged(name, before, factor, **nearest), width
         elif kind == "route":
             made = self._route(name, settings)
         elif kind == "yolo":
@@ -175,35 +150,32 @@ class _Graph:
             factor = scale / np.sqrt(variance + _EPSILON)
             bias -= factor * mean
         kernel = self.numbers.take(filters, width, size, size) * factor[:, None, None, None]
-        stored = self._constant(f"{name}.half", kernel.astype(np.float16))
-        single = self._node("Cast", [stored], f"{name}.kernel", to=1)  # to FLOAT
-        inputs = [before, single, self._constant(f"{name}.bias", bias.astype(np.float32))]
         margin = size // 2 if settings.get("pad", "0") == "1" else 0
-        sizes = {"kernel_shape": [size] * 2, "strides": [int(settings["stride"])] * 2, "pads": [margin] * 4}
+        sizes: dict[str, Any] = {"stride": int(settings["stride"]), "pads": [margin] * 4}
         activation = settings["activation"]
         if activation == "linear":
-            return self._node("Conv", inputs, name, **sizes), filters
+            return self.onnx.convolution(name, before, kernel, bias, **sizes), filters
         if activation != "leaky":
             raise ValueError(f"activation {activation}")
-        linear = self._node("Conv", inputs, f"{name}.linear", **sizes)
-        return self._node("LeakyRelu", [linear], name, alpha=_LEAK), filters
+        linear = self.onnx.convolution(f"{name}.linear", before, kernel, bias, **sizes)
+        return self.onnx.node("LeakyRelu", [linear], name, alpha=_LEAK), filters
 
     def _route(self, name: str, settings: Mapping[str, str]) -> tuple[str, int]:
         chosen = [self.layers[int(text)] for text in settings["layers"].split(",")]  # negative: counted from here
         tensors, widths = [tensor for tensor, _ in chosen], [width for _, width in chosen]
         groups = int(settings.get("groups", "1"))
         if groups == 1:
-            made = tensors[0] if len(tensors) == 1 else self._node("Concat", tensors, name, axis=1)
+            made = tensors[0] if len(tensors) == 1 else self.onnx.node("Concat", tensors, name, axis=1)
             return made, sum(widths)
         if len(tensors) > 1:
             raise ValueError("groups of several layers")
         width = widths[0] // groups
         start = width * int(settings["group_id"])
         limits = [
-            self._constant(f"{name}.{what}", np.array([value]))
+            self.onnx.constant(f"{name}.{what}", np.array([value]))
             for what, value in (("from", start), ("to", start + width), ("axis", 1))
         ]
-        return self._node("Slice", [tensors[0], *limits], name), width
+        return self.onnx.node("Slice", [tensors[0], *limits], name), width
 
     def _check_head(self, settings: Mapping[str, str]) -> None:
         """Refuse a head that the decoding does not know."""
@@ -213,15 +185,3 @@ class _Graph:
         anchors = np.array(numbers).reshape(-1, 2)[mask]
         if not np.array_equal(anchors, head.anchors) or float(settings.get("scale_x_y", "1")) != head.stretch:
             raise ValueError("anchors or scale_x_y are not YOLOv4-tiny's")
-
-    def _node(self, operator: str, inputs: Sequence[str], name: str, **attributes: Any) -> str:
-        from onnx import helper
-
-        self.nodes.append(helper.make_node(operator, list(inputs), [name], name=name, **attributes))
-        return name
-
-    def _constant(self, name: str, values: NDArray[Any]) -> str:
-        from onnx import numpy_helper
-
-        self.constants.append(numpy_helper.from_array(values, name))
-        return name

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.perception.vehicles import YoloVehicleDetector
 from fgrecon.training.keypoints.darknet import convert, read_layers
 
 torch = pytest.importorskip("torch")
@@ -118,6 +119,33 @@ def test_the_converted_network_computes_the_same(files, numbers, tmp_path, size)
     for got, wanted in zip(found, reference(image, numbers), strict=True):
         assert got.shape == wanted.shape
         np.testing.assert_allclose(got, wanted, atol=5e-3 * wanted.std())  # kernels are in half precision
+
+
+@pytest.mark.parametrize("runtime", ["opencv", "onnx"])
+def test_the_detector_runs_what_was_converted(tmp_path, runtime):
+    """A network of YOLOv4-tiny's strides that sees nothing but the bias: a car in the middle of each coarse cell."""
+    pytest.importorskip("onnx", reason="the converter needs the package onnx")
+    if runtime == "onnx":
+        pytest.importorskip("onnxruntime")
+    halved = "[maxpool]\nsize=2\nstride=2\n"
+    head = "[convolutional]\nsize=1\nstride=1\npad=1\nfilters=255\nactivation=linear\n[yolo]\n"
+    coarse, fine = (f"{head}mask = {mask}\n{ANCHORS}" for mask in ("3,4,5", "1,2,3"))
+    (tmp_path / "bias.cfg").write_text(f"[net]\n{5 * halved}{coarse}[route]\nlayers = 3\n{fine}")
+    sees = np.full((3, 85), -50.0)
+    sees[0, [0, 1, 2, 3, 4, 7]] = [0.0, 0.0, 0.0, 0.0, 50.0, 50.0]
+    biases = [sees, np.full((3, 85), -50.0)]
+    header = np.array([0, 2, 5, 0, 0], "<i4").tobytes()
+    numbers = [np.concatenate([bias.ravel(), np.zeros(255 * 3)]).astype("<f4").tobytes() for bias in biases]
+    (tmp_path / "bias.weights").write_bytes(header + b"".join(numbers))
+    model = convert(tmp_path / "bias.cfg", tmp_path / "bias.weights", tmp_path / "bias.onnx")
+    found = YoloVehicleDetector(model, runtime=runtime)(np.zeros((64, 64, 3), np.uint8))
+    np.testing.assert_allclose(found.scores, 1.0)
+    corners = found.boxes[np.lexsort(found.boxes.T[:2])]
+    middles = np.array([[16, 16], [48, 16], [16, 48], [48, 48]])  # each 81 x 82, as far as it is in the image
+    expected = np.clip(np.tile(middles, 2) + np.array([-40.5, -41, 40.5, 41]) - 0.5, 0.0, 63.0)
+    kept = {tuple(box) for box in expected.tolist()}
+    assert len(corners) > 0
+    assert {tuple(box) for box in corners.tolist()} <= kept
 
 
 @pytest.mark.parametrize(
