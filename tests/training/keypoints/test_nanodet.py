@@ -210,7 +210,7 @@ def test_links_and_large_files_are_not_read(small, tmp_path, monkeypatch):
     monkeypatch.setattr(nanodet, "_FILES", {"models/nanodet.json": 2**20, "models/nanodet.bin": 1000})
     packed = archive(tmp_path / "p.tgz", {"models/nanodet.bin": numbers})
     for path in (packed, folder(tmp_path / "package", described, numbers)):
-        with pytest.raises(InvalidInputError, match=r"nanodet\.bin .* 1000 b"):
+        with pytest.raises(InvalidInputError, match=r"nanodet\.bin"):
             read_package(path)
     monkeypatch.setattr(nanodet, "_ARCHIVE_LIMIT", 4000)
     with pytest.raises(InvalidInputError, match="more than 4000 bytes"):
