@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 __all__ = ["DegenerateProblemError", "FactorCallbackError", "FgreconError", "InvalidInputError"]
 
 _SHOWN_CHARACTERS = 120
@@ -25,6 +27,11 @@ class InvalidInputError(FgreconError, ValueError):
         self.value = value
         self.fix = fix
         super().__init__(f"{field}: got {_shorten(value)}. {fix}")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle, as from a worker process: a value that is not plain goes as its text."""
+        value = self.value if isinstance(self.value, str | int | float | None) else _shorten(self.value)
+        return type(self), (self.field, value, self.fix)
 
 
 class DegenerateProblemError(InvalidInputError):

@@ -44,6 +44,7 @@ _ELSEWHERE = {
     "evaluation.kitti_files": "io.kitti_files",
     "evaluation.metrics": "core.metrics",
     "evaluation.paper": "paper.run",
+    "evaluation.processes": "core.processes",
     "evaluation.shape": "paper.shape",
     "evaluation.simulated": "paper.simulated",
     "evaluation.tracks": "io.track_file",

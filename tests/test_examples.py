@@ -90,3 +90,13 @@ def test_own_network(capsys):
     assert output.startswith("Reconstruction: converged")
     yaw, true_yaw = map(float, re.findall(f"rotation_y {NUMBER} degrees", output))
     assert abs(yaw - true_yaw) < 5.0
+
+
+def test_many_cars(capsys):
+    lines = run("08", capsys).splitlines()
+    assert len(lines) == 6
+    assert lines[4].startswith("car-4: refused: box: got [5.0, 5.0, 5.0, 9.0]")
+    yaws = [tuple(map(float, re.findall(NUMBER, line.partition(",")[2]))) for line in lines if "yaw" in line]
+    turns = [abs((yaw - true + 180) % 360 - 180) for yaw, true in yaws]
+    assert len(turns) == 5
+    assert np.median(turns) < 5.0

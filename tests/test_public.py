@@ -14,6 +14,7 @@ from .conftest import REPOSITORY
 
 FACES = (
     "fgrecon",
+    "fgrecon.batch",
     "fgrecon.errors",
     "fgrecon.io.export",
     "fgrecon.perception",

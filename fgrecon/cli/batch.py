@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.batch.pool import WorkerDiedError, work
 from fgrecon.cli.common import ground_plane, parse_numbers
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.category import Category
@@ -19,24 +22,37 @@ from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as parse_size
-from fgrecon.io.catalogue import load_prior
+from fgrecon.io.catalogue import load_prior, shipped_priors
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.keypoint_file import Instance, parse_keypoints
 from fgrecon.io.kitti_calibration import read_calibration
 from fgrecon.io.track_file import parse_track
 from fgrecon.solve.pipeline import reconstruct
 
-__all__ = ["CameraSource", "Outcome", "Settings", "Task", "check_any", "read_tasks", "run"]
+__all__ = ["CameraSource", "Outcome", "Settings", "Task", "check_any", "read_tasks", "run", "run_all"]
+
+_PIECE = 8  # vehicles that a process gets at once
+
+_Solved = tuple[int, Reconstruction | None, tuple[type[FgreconError], tuple[Any, ...]] | None]
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What holds for every vehicle of a run."""
+    """What holds for every vehicle of a run.
+
+    Attributes:
+        prior: The shape prior.
+        ground: The ground plane, or None.
+        size_prior: How large vehicles are, or None.
+        options: How they are solved.
+        prior_file: Where the prior is from; None for a shipped one.
+    """
 
     prior: ShapePrior
     ground: Ground | None
     size_prior: SizePrior | None
     options: Options
+    prior_file: Path | None = None
 
     @classmethod
     def of(
@@ -53,6 +69,7 @@ class Settings:
             ground=None if plane is None else plane[0],
             size_prior=None if size_prior is None else parse_size(size_prior),
             options=options,
+            prior_file=None if prior in shipped_priors() else Path(prior).resolve(),
         )
 
 
@@ -218,6 +235,49 @@ def run(task: Task, settings: Settings) -> Outcome:
     except FgreconError as error:
         return Outcome(task, None, error)
     return Outcome(task, result, None)
+
+
+def run_all(tasks: Sequence[Task], settings: Settings, jobs: int, done: Callable[[int], None]) -> list[Outcome]:
+    """Reconstruct vehicles by several processes; see `run`.
+
+    Args:
+        tasks: The vehicles.
+        settings: What holds for all of them.
+        jobs: Number of processes, each with one thread.
+        done: Called with the number of vehicles that are done.
+
+    Returns:
+        One outcome per task, in order.
+    """
+    numbers = range(len(tasks))
+    pieces = ([(n, tasks[n]) for n in numbers[start : start + _PIECE]] for start in numbers[::_PIECE])
+    found: dict[int, Outcome] = {}
+    for solved in work(partial(_run_piece, settings), pieces, jobs, lambda piece: [[item] for item in piece], _lost):
+        for number, result, error in solved:
+            found[number] = Outcome(tasks[number], result, None if error is None else error[0](*error[1]))
+        done(len(found))
+    return [found[number] for number in numbers]
+
+
+def _run_piece(settings: Settings, piece: Sequence[tuple[int, Task]]) -> list[_Solved]:
+    """What a worker does; errors as what makes them, since they cannot be pickled."""
+    return [(number, outcome.result, _made_of(outcome.error)) for number, outcome in _outcomes(piece, settings)]
+
+
+def _outcomes(piece: Sequence[tuple[int, Task]], settings: Settings) -> Iterator[tuple[int, Outcome]]:
+    for number, task in piece:
+        yield number, run(task, settings)
+
+
+def _made_of(error: FgreconError | None) -> tuple[type[FgreconError], tuple[Any, ...]] | None:
+    if error is None:
+        return None
+    told = (error.field, error.value, error.fix) if isinstance(error, InvalidInputError) else error.args
+    return type(error), told
+
+
+def _lost(piece: Sequence[tuple[int, Task]], error: WorkerDiedError) -> list[_Solved]:
+    return [(number, None, _made_of(error)) for number, _ in piece]
 
 
 def check_any(path: Path, outcomes: Sequence[Outcome]) -> bool:

@@ -8,33 +8,75 @@ from typing import Annotated
 import typer
 
 from fgrecon.cli.common import check_output
+from fgrecon.cli.options import PRIORS, fitting_names
 from fgrecon.cli.terminal import Verbosity
 
 __all__ = ["export_command"]
 
+_FORMATS = "nuscenes or coco for .json; foxglove or vision_msgs for .mcap."
+
+
+def _kinds() -> list[str]:
+    from fgrecon.io.export import KINDS
+
+    return list(KINDS)
+
 
 def export_command(
     results: Annotated[
-        Path, typer.Argument(metavar="FILE.json", help="Results as written by --json of reconstruct or track, or demo.")
+        Path,
+        typer.Argument(
+            metavar="RESULTS",
+            help="Results as written by --json of reconstruct or track, or demo; or a batch's folder.",
+        ),
     ],
     out: Annotated[
         Path,
-        typer.Argument(metavar="OUT", help="File to write: .ply, .glb, .csv, .parquet, or .txt for KITTI's lines."),
+        typer.Argument(metavar="OUT", help="File to write: .ply, .glb, .csv, .parquet, .txt (KITTI), .json, .mcap."),
     ],
     terminal: Verbosity,
+    kind: Annotated[
+        str | None,
+        typer.Option(
+            "--format",
+            metavar="NAME",
+            help=_FORMATS,
+            show_default="by the ending",
+            autocompletion=fitting_names(_kinds),
+        ),
+    ] = None,
+    images: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.json", help="Tokens, ids, times and camera poses of the images (see File formats)."),
+    ] = None,
+    prior: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Shape prior that the results' surfaces are made from.",
+            show_default="as the results say",
+            autocompletion=PRIORS,
+        ),
+    ] = None,
 ) -> None:
-    """Write results for other programs; the ending of OUT chooses the kind of file.
+    """Write results for other programs; the ending of OUT, or --format, chooses the kind of file.
 
     PLY and GLB: surfaces and wireframes in the camera frame. CSV and Parquet: one row per vehicle. TXT: KITTI's result
-    lines, in the frame of KITTI's labels where the results know it. --verbose names the vehicles.
+    lines, in the frame of KITTI's labels where the results know it. JSON: nuScenes' detections, or COCO's keypoints
+    with cuboids. MCAP: Foxglove's scenes, or ROS 2's Detection3DArray. --verbose names the vehicles.
     """
-    from fgrecon.io.export import export, read_results
+    from fgrecon.io.export import export, read_images_file, read_results
     from fgrecon.io.export.files import check_format
 
-    check_format(out)
+    check_format(out, kind)
     check_output(out)
-    found = read_results(results)
-    export(out, found)
+    if results.is_dir():
+        from fgrecon.batch import read_folder
+
+        found = read_folder(results, prior)
+    else:
+        found = read_results(results, prior)
+    export(out, found, kind, None if images is None else read_images_file(images))
     screen = terminal.screen()
     for vehicle in found:
         screen.detail(f"{vehicle.name}: {vehicle.result.status.value}")

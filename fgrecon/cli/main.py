@@ -16,6 +16,7 @@ from fgrecon.cli import evaluate, keypoints, prior, vehicles
 from fgrecon.cli.commands import add_command
 from fgrecon.cli.demo import demo_command
 from fgrecon.cli.export import export_command
+from fgrecon.cli.many import batch_command
 from fgrecon.cli.reconstruct import reconstruct_command
 from fgrecon.cli.replay import replay_command
 from fgrecon.cli.sample import sample_command
@@ -38,6 +39,7 @@ app = typer.Typer(
 add_command(app, "demo", demo_command, once_flags={"--json": "-"})
 add_command(app, "sample", sample_command)
 add_command(app, "reconstruct", reconstruct_command)
+add_command(app, "batch", batch_command)
 add_command(app, "track", track_command)
 add_command(app, "replay", replay_command, once_flags={"--json": "-"})
 add_command(app, "export", export_command)

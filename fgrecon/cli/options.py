@@ -30,6 +30,7 @@ __all__ = [
     "KITTI_CAMERA_HEIGHT",
     "CameraOptions",
     "DataOption",
+    "HistoryOption",
     "JsonOption",
     "LabelledScene",
     "MarkdownOption",
@@ -89,6 +90,9 @@ WeightsOption = Annotated[
 ]
 JsonOption = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="Write the results as JSON; - for the output.")
+]
+HistoryOption = Annotated[
+    bool, typer.Option("--history", help="Keep every step of the optimisation and its graph in the JSON.")
 ]
 MarkdownOption = Annotated[
     Path | None, typer.Option("--markdown", metavar="FILE", help="Write the tables as Markdown.")

@@ -10,7 +10,7 @@ import typer
 
 from fgrecon.cli.common import check_outputs
 from fgrecon.cli.deliver import Delivery
-from fgrecon.cli.options import BOX_MODEL_HELP, CameraOptions, JsonOption, SceneOptions, VehicleBoxes
+from fgrecon.cli.options import BOX_MODEL_HELP, CameraOptions, HistoryOption, JsonOption, SceneOptions, VehicleBoxes
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import BoxModel
@@ -57,6 +57,11 @@ class Drawings:
         Path | None, typer.Option(metavar="FILE", help="Animate the optimisation of a single vehicle (gif, mp4).")
     ] = None
 
+    @property
+    def wanted(self) -> bool:
+        """Whether anything is to be drawn."""
+        return self.picture is not None or self.animation is not None
+
     def check(self) -> None:
         """Refuse before the work what could not be drawn after it.
 
@@ -95,6 +100,8 @@ def reconstruct_command(
     delivery: Delivery,
     terminal: Terminal,
     json_out: JsonOption = None,
+    history: HistoryOption = False,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes; for thousands of vehicles see `fgrecon batch`.")] = 1,
 ) -> None:
     """Reconstruct the pose and shape of the vehicles in a keypoint file, or in an image (--box, --boxes or --detect).
 
@@ -115,6 +122,7 @@ def reconstruct_command(
         strategy=scene.strategy,
         box=solving.box_model or BoxModel.SURFACE,
         shape=ShapeOptions(joint=solving.joint, free_offsets=solving.free_offsets),
+        keep_history=history or drawings.wanted or delivery.wanted,
     )
     settings = scene.settings(options)
     pictured = picture_tasks.is_image(file)
@@ -132,12 +140,16 @@ def reconstruct_command(
             screen.warn(warning)
     else:
         tasks, ignored = batch.read_tasks(file, settings.prior.category, source)
-    outcomes = [batch.run(task, settings) for task in screen.watch(tasks, "Vehicles")]
+    if jobs == 1:
+        outcomes = [batch.run(task, settings) for task in screen.watch(tasks, "Vehicles")]
+    else:
+        with screen.bar() as advance:
+            outcomes = batch.run_all(tasks, settings, jobs, lambda done: advance("Vehicles", done, len(tasks)))
 
     show.print_table(screen, outcomes)
     if ignored:
         screen.print(f"Fields of the file without a meaning here: {', '.join(ignored)}.")
-    screen.write_json(show.document(file, outcomes, settings))
+    screen.write_json(show.document(file, outcomes, settings, history=history))
     drawings.draw(outcomes, photograph, screen)
     if delivery.wanted:
         recordings = show.recordings(outcomes, photograph, settings.ground)

@@ -15,11 +15,12 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
-from fgrecon.cli.batch import Outcome, Settings
+from fgrecon.cli.batch import Outcome, Settings, Task
 from fgrecon.cli.deliver import recordings_of
 from fgrecon.cli.terminal import Screen
 from fgrecon.core.camera import Camera, Ground
-from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.digits import shortened
+from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.solve.track import TrackReconstruction
@@ -27,17 +28,22 @@ from fgrecon.viz import Recording, Sight, animate, contact_sheet, picture, save_
 
 __all__ = [
     "FORMAT",
+    "SCHEMA_VERSION",
     "details",
     "document",
     "draw",
     "draw_moving",
+    "entry_of",
     "plain_camera",
     "plain_settings",
     "print_table",
     "recordings",
 ]
 
-FORMAT = "fgrecon.reconstructions/1"
+SCHEMA_VERSION = 2
+"""Of the results files, those of tracks included."""
+
+FORMAT = f"fgrecon.reconstructions/{SCHEMA_VERSION}"
 
 _TRUSTED = 0.5  # weight from which a keypoint counts as trusted
 _HEADINGS = ("id", "status", "yaw °", "x, y, z m", "l, w, h m", "trusted", "message")
@@ -108,23 +114,32 @@ def _cells(outcome: Outcome) -> tuple[str, ...]:
     )
 
 
-def document(path: Path, outcomes: Sequence[Outcome], settings: Settings) -> str:
-    """The JSON text of a run: settings, and result or error of every vehicle."""
+def document(path: Path, outcomes: Sequence[Outcome], settings: Settings, *, history: bool = False) -> str:
+    """The JSON text of a run: settings, and result or error of every vehicle.
+
+    Args:
+        path: The input.
+        outcomes: One per vehicle.
+        settings: What held for all.
+        history: Whether results keep their history and graph.
+    """
     content = {
         "format": FORMAT,
+        "schema_version": SCHEMA_VERSION,
         "fgrecon": metadata.version("fgrecon"),
         "file": str(path),
         "settings": plain_settings(settings)
         | {"joint": settings.options.shape.joint, "free_offsets": settings.options.shape.free_offsets},
-        "instances": [_entry(outcome) for outcome in outcomes],
+        "instances": [_entry(outcome, history=history) for outcome in outcomes],
     }
     return json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n"
 
 
 def plain_settings(settings: Settings) -> dict[str, Any]:
-    """What held for all vehicles of a run, for JSON."""
+    """What held for all vehicles of a run, for JSON; with `prior_file` surfaces can be made again."""
     return {
         "prior": settings.prior.name,
+        "prior_file": None if settings.prior_file is None else str(settings.prior_file),
         "ground": _plain_ground(settings.ground),
         "size_prior": _plain_size(settings.size_prior),
         "strategy": settings.options.strategy.name.value,
@@ -151,23 +166,29 @@ def plain_camera(camera: Camera) -> dict[str, Any]:
     }
 
 
-def _entry(outcome: Outcome) -> dict[str, Any]:
-    result, error, offset = outcome.result, outcome.error, outcome.task.label_offset
-    box = outcome.task.instance.box
+def entry_of(task: Task, result: Reconstruction | None, error: FgreconError | None, *, history: bool) -> dict[str, Any]:
+    """A vehicle for JSON: id, camera, box, and pose and result, or the error with which it was refused."""
+    offset, box = task.label_offset, task.instance.box
     entry: dict[str, Any] = {
-        "id": outcome.name,
-        "camera": plain_camera(outcome.task.camera),
+        "id": task.instance.name,
+        "camera": plain_camera(task.camera),
         "box": None if box is None else np.asarray(box, dtype=np.float64).tolist(),
     }
     if result is not None:
-        entry |= {"rotation_y": result.rotation_y, "location": result.location.tolist()}
+        small = result.to_dict(compact=True, history=history)
+        location = [row[3] for row in small["camera_T_object"][:3]]
+        entry |= {"rotation_y": shortened("coefficients", result.rotation_y), "location": location}
         if offset is not None:
-            entry["location_in_label_frame"] = (result.location - offset).tolist()
-        return entry | {"error": None, "result": result.to_dict()}
+            entry["location_in_label_frame"] = shortened("camera_T_object", (result.location - offset).tolist())
+        return entry | {"error": None, "result": small}
     told = {"type": type(error).__name__, "message": str(error)}
     if isinstance(error, InvalidInputError):
         told |= {"field": error.field, "fix": error.fix}
     return entry | {"error": told, "result": None}
+
+
+def _entry(outcome: Outcome, *, history: bool) -> dict[str, Any]:
+    return entry_of(outcome.task, outcome.result, outcome.error, history=history)
 
 
 def draw(path: Path, outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None) -> list[Path]:

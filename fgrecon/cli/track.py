@@ -9,7 +9,7 @@ import typer
 
 from fgrecon.cli.common import check_outputs
 from fgrecon.cli.deliver import Delivery
-from fgrecon.cli.options import BOX_MODEL_HELP, CameraOptions, JsonOption, SceneOptions
+from fgrecon.cli.options import BOX_MODEL_HELP, CameraOptions, HistoryOption, JsonOption, SceneOptions
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.options import BoxModel
 
@@ -31,6 +31,7 @@ def track_command(
     ] = None,
     picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw a sheet of all images.")] = None,
     json_out: JsonOption = None,
+    history: HistoryOption = False,
 ) -> None:
     """Reconstruct one vehicle in several images: a pose for each, and one shape for all of them.
 
@@ -46,7 +47,7 @@ def track_command(
     delivery.check()
     check_outputs(json_out, picture)
     screen = terminal.screen(json_out)
-    settings = scene.settings(Options(strategy=scene.strategy, box=box_model))
+    settings = scene.settings(Options(strategy=scene.strategy, box=box_model, keep_history=history or delivery.wanted))
     source = camera.source()
     solved = [track_report.solve(file, source, settings, images) for file in screen.watch(files, "Tracks")]
 
@@ -54,7 +55,7 @@ def track_command(
     for track in solved:
         screen.print(f"{track.name}: {track.result.status.value}: {track.result.message}")
         screen.detail(*track_report.details(track))
-    screen.write_json(track_report.document(solved, settings))
+    screen.write_json(track_report.document(solved, settings, history=history))
     if picture is not None:
         track_report.draw(picture, solved)
         screen.wrote(picture)

@@ -16,9 +16,11 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from fgrecon.cli.batch import CameraSource, Settings, Task, read_tasks, run
+from fgrecon.cli.show import SCHEMA_VERSION, entry_of, plain_settings
 from fgrecon.cli.show import details as result_details
-from fgrecon.cli.show import plain_camera, plain_settings
+from fgrecon.core.digits import shortened
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.plain import plain
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.io.images import read_image
@@ -30,7 +32,7 @@ from fgrecon.viz import Recording, Sight, TrackSight, Truth, contact_sheet, save
 
 __all__ = ["FORMAT", "Solved", "details", "document", "draw", "image_numbers", "solve", "table", "truth_of"]
 
-FORMAT = "fgrecon.track/1"
+FORMAT = f"fgrecon.track/{SCHEMA_VERSION}"
 
 _ENDINGS = (".png", ".jpg", ".jpeg")
 
@@ -188,14 +190,21 @@ def details(track: Solved) -> list[str]:
     return refused + result_details(track.result)
 
 
-def document(tracks: Sequence[Solved], settings: Settings) -> str:
-    """The JSON text of a run; its instances are the images of all tracks, as `fgrecon export` reads them."""
+def document(tracks: Sequence[Solved], settings: Settings, *, history: bool = False) -> str:
+    """The JSON text of a run; its instances are the images of all tracks, as `fgrecon export` reads them.
+
+    Args:
+        tracks: The tracks.
+        settings: What held for all.
+        history: Whether results keep their history.
+    """
     content = {
         "format": FORMAT,
+        "schema_version": SCHEMA_VERSION,
         "fgrecon": metadata.version("fgrecon"),
         "settings": plain_settings(settings),
         "tracks": [_entry(track) for track in tracks],
-        "instances": [entry for track in tracks for entry in _instances(track)],
+        "instances": [entry for track in tracks for entry in _instances(track, history=history)],
     }
     return json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n"
 
@@ -207,32 +216,19 @@ def _entry(track: Solved) -> dict[str, Any]:
         "file": str(track.file),
         "status": result.status.value,
         "message": result.message,
-        "coefficients": result.coefficients.tolist(),
-        "box_size": result.box_size.tolist(),
-        "energies": dict(result.energies),
-        "milliseconds": dict(result.milliseconds),
+        "coefficients": shortened("coefficients", result.coefficients.tolist()),
+        "box_size": shortened("box_size", result.box_size.tolist()),
+        "energies": shortened("energies", plain(result.energies)),
+        "milliseconds": shortened("milliseconds", plain(result.milliseconds)),
         "refused": {track.tasks[index].instance.name: reason for index, reason in result.refused.items()},
     }
 
 
-def _instances(track: Solved) -> list[dict[str, Any]]:
+def _instances(track: Solved, *, history: bool) -> list[dict[str, Any]]:
     """One entry per image that was solved."""
-    entries = []
-    for index, frame in zip(track.result.numbers, track.result.frames, strict=True):
-        task = track.tasks[index]
-        box = task.instance.box
-        entry: dict[str, Any] = {
-            "id": task.instance.name,
-            "track": track.name,
-            "camera": plain_camera(task.camera),
-            "box": None if box is None else np.asarray(box, dtype=np.float64).tolist(),
-            "rotation_y": frame.rotation_y,
-            "location": frame.location.tolist(),
-        }
-        if task.label_offset is not None:
-            entry["location_in_label_frame"] = (frame.location - task.label_offset).tolist()
-        entries.append(entry | {"error": None, "result": frame.to_dict()})
-    return entries
+    solved = zip(track.result.numbers, track.result.frames, strict=True)
+    named = {"track": track.name}
+    return [entry_of(track.tasks[index], frame, None, history=history) | named for index, frame in solved]
 
 
 def draw(path: Path, tracks: Sequence[Solved]) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.brief import brief_repr
+from fgrecon.core.digits import shortened
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.plain import array, indices, numbers, pairs, plain, square
@@ -24,6 +25,13 @@ if TYPE_CHECKING:
 __all__ = ["TRUSTED", "Alternative", "GraphFactor", "Iteration", "Reconstruction", "Status", "rotation_y"]
 
 FORMAT = "fgrecon.reconstruction/1"
+COMPACT = "fgrecon.reconstruction/2"
+
+_LARGE: Mapping[str, Any] = {"history": (), "graph": (), "surface_vertices": None, "surface_faces": None}
+"""Fields that the compact form leaves out, and what stands for them."""
+
+_STEPS = ("history", "graph")
+"""Those of them that it can have."""
 
 TRUSTED = 0.5
 """Keypoints of at least this weight count as trusted where results are told in words."""
@@ -256,25 +264,36 @@ class Reconstruction:
         """A `pyarrow.Table` of one row, arrays as lists: the columns of an exported Parquet file."""
         return as_arrow([self.to_row(name, flat=False)])
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain lists, numbers and strings for JSON; numbers keep every bit, NaN and infinity become strings."""
-        return {"format": FORMAT, **{f.name: plain(getattr(self, f.name)) for f in fields(self)}}
+    def to_dict(self, *, compact: bool = False, history: bool = False) -> dict[str, Any]:
+        """Plain lists, numbers and strings for JSON; NaN and infinity become strings.
+
+        Args:
+            compact: A few kilobytes, as in results files: without surface, history and graph, and with the digits of
+                `fgrecon.core.digits`. Else everything, and numbers keep every bit.
+            history: Keep history and graph in the compact form too, with every bit.
+        """
+        if not compact:
+            return {"format": FORMAT, **{f.name: plain(getattr(self, f.name)) for f in fields(self)}}
+        kept = [f.name for f in fields(self) if f.name not in _LARGE]
+        small = {name: shortened(name, plain(getattr(self, name))) for name in kept}
+        return {"format": COMPACT, **small, **({n: plain(getattr(self, n)) for n in _STEPS} if history else {})}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Reconstruction:
-        """Read back what `to_dict` wrote.
+        """Read back what `to_dict` wrote, compact or not.
 
         Raises:
             InvalidInputError: Another format, or a field is missing.
         """
-        if data.get("format") != FORMAT:
-            raise InvalidInputError("format", data.get("format"), f"Give a result written as {FORMAT}.")
+        if data.get("format") not in (FORMAT, COMPACT):
+            raise InvalidInputError("format", data.get("format"), f"Give a result written as {COMPACT} or {FORMAT}.")
+        absent = _LARGE if data["format"] == COMPACT else {}
         later = ("graph_iterations", "graph_gain")  # files of the first release have them not
-        names = [f.name for f in fields(cls) if f.name in data or f.name not in later]
+        names = [f.name for f in fields(cls) if f.name in data or f.name not in (*later, *absent)]
         missing = [name for name in names if name not in data]
         if missing:
             raise InvalidInputError("reconstruction", f"no field {missing[0]}", "Give a whole result.")
-        return cls(**{name: _read(name, data[name]) for name in names})
+        return cls(**{**absent, **{name: _read(name, data[name]) for name in names}})
 
     def _scalars(self) -> dict[str, Any]:
         x, y, z = self.location.tolist()

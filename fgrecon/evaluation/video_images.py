@@ -24,9 +24,9 @@ from fgrecon.core.detection import facing_probability
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import view_azimuth, yaw_rotation
 from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error, translation_error, wrap_angle
+from fgrecon.core.processes import single_threaded
 from fgrecon.evaluation.kitti_images import Setup, reconstruct_boxes
 from fgrecon.evaluation.methods import SceneKnowledge, Solver, select
-from fgrecon.evaluation.processes import single_threaded
 from fgrecon.evaluation.run import score_pose
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_calibration import KittiCalibration

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import write_bytes
 
-__all__ = ["read_image", "write_png"]
+__all__ = ["decode_image", "read_image", "write_png"]
 
 
 def read_image(path: str | Path) -> NDArray[np.uint8]:
@@ -19,16 +19,29 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
     Raises:
         InvalidInputError: The file cannot be read or is no image.
     """
-    import cv2  # on use: importing fgrecon must not import OpenCV
-
     try:
-        content = np.frombuffer(Path(path).read_bytes(), dtype=np.uint8)
+        content = Path(path).read_bytes()
     except OSError as error:
         raise InvalidInputError("image", str(path), f"Give a file that can be read ({error.strerror}).") from error
+    return decode_image(content, str(path))
+
+
+def decode_image(content: bytes, name: str) -> NDArray[np.uint8]:
+    """The content of an image file as (H, W, 3) RGB bytes; see `read_image`.
+
+    Args:
+        content: The file's bytes.
+        name: What it is called in an error.
+
+    Raises:
+        InvalidInputError: It is no image.
+    """
+    import cv2  # on use: importing fgrecon must not import OpenCV
+
     flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-    image = cv2.imdecode(content, flags) if len(content) else None
+    image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), flags) if content else None
     if image is None:
-        raise InvalidInputError("image", str(path), "Give an image that OpenCV reads, such as PNG or JPEG.")
+        raise InvalidInputError("image", name, "Give an image that OpenCV reads, such as PNG or JPEG.")
     return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
 
 

@@ -21,10 +21,10 @@ from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.geometry import transform
 from fgrecon.core.metrics import FAILURE_DEGREES, keypoint_error, rotation_error
 from fgrecon.core.options import BoxModel, KeypointOptions, Options
+from fgrecon.core.processes import single_threaded
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
-from fgrecon.evaluation.processes import single_threaded
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.files import write_bytes
 from fgrecon.paper.apollocar3d import MarkedCar, MarkedCars, marking_offsets

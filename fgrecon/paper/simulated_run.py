@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
+from fgrecon.core.processes import single_threaded
 from fgrecon.core.robust import StrategyName
 from fgrecon.evaluation.methods import SceneKnowledge
-from fgrecon.evaluation.processes import single_threaded
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.kitti_calibration import read_calibration
 from fgrecon.io.kitti_files import Fault, Objects, read_detections, read_image_set, read_labels

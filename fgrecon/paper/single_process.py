@@ -14,10 +14,10 @@ from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
 
+from fgrecon.core.processes import single_threaded
 from fgrecon.core.robust import StrategyName
 from fgrecon.evaluation import report
 from fgrecon.evaluation.methods import METHODS, SceneKnowledge, select
-from fgrecon.evaluation.processes import single_threaded
 from fgrecon.evaluation.run import MethodScores, score_tracks
 from fgrecon.io.track_file import Track
 from fgrecon.paper.network import NetworkScores, score_network

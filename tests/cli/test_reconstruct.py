@@ -41,7 +41,8 @@ def test_one_car(write, instance):
 
 
 def test_json_stands_alone_on_the_output_and_is_a_whole_result(write, instance):
-    done = run(write(instance), INTRINSICS, "--json", "-", "--size-prior", "4.58,1.8,1.59", "--camera-height", 1.65)
+    known = ("--size-prior", "4.58,1.8,1.59", "--camera-height", 1.65)
+    done = run(write(instance), INTRINSICS, "--json", "-", "--history", *known)
     assert done.exit_code == 0, done.output
     document = json.loads(done.stdout)
     assert document["settings"]["ground"] == {"normal": [0.0, 1.0, 0.0], "distance": 1.65}
@@ -67,6 +68,18 @@ def test_several_cars_of_which_one_is_refused(write, tmp_path):
     assert entries["flat"]["result"] is None
     assert entries["flat"]["error"]["field"] == "box"
     assert entries["7"]["rotation_y"] == pytest.approx(0.5, abs=0.02)
+
+
+def test_several_processes_give_the_same_results(write, tmp_path):
+    cars = [car(0.3 * i, (0.4 * i - 2, 1.65, 9.0 + i)) | {"id": f"car {i}"} for i in range(10)]
+    cars[3]["box"], cars[6]["keypoints"] = [5, 5, 5, 9], [None] * 14
+    file = write({"K": K.tolist(), "instances": cars})
+    told = [json.loads(run(file, "--json", "-", "--jobs", jobs).stdout)["instances"] for jobs in (1, 2)]
+    for entry in (*told[0], *told[1]):
+        (entry["result"] or {}).pop("milliseconds", None)
+    assert told[0] == told[1]
+    assert told[1][3]["error"]["field"] == "box"
+    assert told[1][6]["error"]["type"] == "DegenerateProblemError"
 
 
 def test_pictures_and_recordings(write, tmp_path):

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_category
-from fgrecon.io.export import read_coco_keypoints, write_coco_keypoints
+from fgrecon.io.export import read_coco_keypoints, read_results, write_coco_keypoints
 from fgrecon.io.keypoint_file import parse_keypoints
 from fgrecon.io.track_file import parse_track
 from tests.conftest import REPOSITORY
@@ -59,6 +59,22 @@ def test_results_of_reconstruct_refused_ones_included(example, tmp_path):
     written = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))
     assert [entry["error"] is None for entry in written["instances"]] == [True, False]
     check("results", written)
+    run("reconstruct", example, "--history", "--json", tmp_path / "whole.json")
+    whole = json.loads((tmp_path / "whole.json").read_text(encoding="utf-8"))
+    assert whole["instances"][0]["result"]["history"]
+    check("results", whole)
+
+
+def test_results_of_the_first_release_have_a_schema_of_their_own(example, tmp_path):
+    run("reconstruct", example, "--json", tmp_path / "out.json")
+    written = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))
+    (found,) = read_results(tmp_path / "out.json")
+    written["instances"][0]["result"] = found.result.to_dict()
+    check("results-1", written | {"format": "fgrecon.reconstructions/1"})
+    with pytest.raises(ValidationError):
+        check("results-1", written)
+    with pytest.raises(ValidationError):
+        check("results", written | {"format": "fgrecon.reconstructions/1"})
 
 
 def test_tracks_and_their_results(content, tmp_path):

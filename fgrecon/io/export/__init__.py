@@ -1,12 +1,24 @@
-"""Results as files for other programs: meshes (PLY, GLB), tables (CSV, Parquet) and KITTI's result lines.
+"""Results as files for other programs: meshes, tables, results of KITTI, nuScenes and COCO, messages in MCAP.
 
 `export` chooses by the ending of the name; `read_results` reads what `fgrecon reconstruct --json`, `fgrecon demo` and
-`fgrecon track --json` write. trimesh and pyarrow are imported on use. Keypoint labels have a file of their own, COCO's:
+`fgrecon track --json` write. trimesh, pyarrow and mcap are imported on use. `read_images_file` reads
+what other programs want to know of the images. Keypoint labels have a file of their own, COCO's:
 `write_coco_keypoints` and `read_coco_keypoints`.
 """
 
 from fgrecon.io.export.coco_keypoints import read_coco_keypoints, write_coco_keypoints
-from fgrecon.io.export.files import FORMATS, export
+from fgrecon.io.export.files import FORMATS, KINDS, export
+from fgrecon.io.export.frames import ImageInfo, read_images_file
 from fgrecon.io.export.results import NamedResult, read_results
 
-__all__ = ["FORMATS", "NamedResult", "export", "read_coco_keypoints", "read_results", "write_coco_keypoints"]
+__all__ = [
+    "FORMATS",
+    "KINDS",
+    "ImageInfo",
+    "NamedResult",
+    "export",
+    "read_coco_keypoints",
+    "read_images_file",
+    "read_results",
+    "write_coco_keypoints",
+]

@@ -1,4 +1,4 @@
-"""Chooses the kind of file by the ending of its name."""
+"""Chooses the kind of file, by the ending of its name where that says enough."""
 
 from __future__ import annotations
 
@@ -7,24 +7,44 @@ from pathlib import Path
 from typing import Any
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.export.coco_results import coco_results_text
+from fgrecon.io.export.frames import ImageInfo
 from fgrecon.io.export.kitti import kitti_text
+from fgrecon.io.export.mcap import detections_bytes, scene_bytes
 from fgrecon.io.export.mesh import glb_bytes, ply_bytes
+from fgrecon.io.export.nuscenes import nuscenes_text
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.export.table import csv_of_rows, csv_text, parquet_bytes, parquet_of_rows
 from fgrecon.io.files import check_ending, write_bytes
 
-__all__ = ["FORMATS", "TABLE_FORMATS", "check_format", "export", "export_rows"]
+__all__ = ["FORMATS", "KINDS", "TABLE_FORMATS", "check_format", "export", "export_rows"]
 
-_WRITERS: dict[str, Callable[[Sequence[NamedResult]], bytes]] = {
-    "ply": ply_bytes,
-    "glb": glb_bytes,
-    "csv": lambda results: csv_text(results).encode(),
-    "parquet": parquet_bytes,
-    "txt": lambda results: kitti_text(results).encode(),
+Images = Mapping[str, ImageInfo]
+
+_WRITERS: dict[str, Callable[[Sequence[NamedResult], Images], bytes]] = {
+    "ply": lambda results, _: ply_bytes(results),
+    "glb": lambda results, _: glb_bytes(results),
+    "csv": lambda results, _: csv_text(results).encode(),
+    "parquet": lambda results, _: parquet_bytes(results),
+    "kitti": lambda results, _: kitti_text(results).encode(),
+    "nuscenes": lambda results, images: nuscenes_text(results, images).encode(),
+    "coco": lambda results, images: coco_results_text(results, images).encode(),
+    "foxglove": scene_bytes,
+    "vision_msgs": detections_bytes,
 }
 
-FORMATS = tuple(_WRITERS)
-"""File types that `export` writes, by the ending of the name."""
+KINDS = tuple(_WRITERS)
+"""Kinds of files that `export` writes."""
+
+_ENDINGS: dict[str, tuple[str, ...]] = {
+    **{kind: (kind,) for kind in ("ply", "glb", "csv", "parquet")},
+    "txt": ("kitti",),
+    "json": ("nuscenes", "coco"),
+    "mcap": ("foxglove", "vision_msgs"),
+}
+
+FORMATS = tuple(_ENDINGS)
+"""The endings of their names."""
 
 _TABLES: dict[str, Callable[[Sequence[Mapping[str, Any]]], bytes]] = {
     "csv": lambda rows: csv_of_rows(rows).encode(),
@@ -35,33 +55,48 @@ TABLE_FORMATS = tuple(_TABLES)
 """Those of them that are tables, which `export_rows` writes."""
 
 
-def check_format(path: str | Path) -> str:
-    """The ending of the name, in lower case.
+def check_format(path: str | Path, kind: str | None = None) -> str:
+    """The kind of file.
+
+    Args:
+        path: The file.
+        kind: One of `KINDS`, or None for what the ending says.
 
     Raises:
-        InvalidInputError: Nothing is written with that ending.
+        InvalidInputError: Nothing is written with that ending, it stands for several kinds, or not for this one.
     """
-    return check_ending(path, FORMATS)
+    kinds = _ENDINGS[check_ending(path, FORMATS)]
+    if kind is None and len(kinds) > 1:
+        raise InvalidInputError("format", f"none for {Path(path).name}", f"Give {' or '.join(kinds)}.")
+    if kind is not None and kind not in kinds:
+        raise InvalidInputError("format", f"{kind} for {Path(path).name}", f"Give {' or '.join(kinds)}.")
+    return kind or kinds[0]
 
 
-def export(path: str | Path, results: Sequence[NamedResult]) -> Path:
-    """Write results to a file, whole or not at all; the ending of the name chooses the type (see `FORMATS`).
+def export(
+    path: str | Path, results: Sequence[NamedResult], kind: str | None = None, images: Images | None = None
+) -> Path:
+    """Write results to a file, whole or not at all.
 
     Args:
         path: `.ply` or `.glb`: surfaces and wireframes in the camera frame; `.csv` or `.parquet`: one row per vehicle;
-            `.txt`: KITTI's result lines.
+            `.txt`: KITTI's result lines; `.json`: nuScenes' or COCO's results; `.mcap`: Foxglove's or ROS 2's messages.
         results: Vehicles; those without a pose are left out, except in tables.
+        kind: One of `KINDS`, where the ending stands for several.
+        images: What is known of their images (`fgrecon.io.export.frames`), for nuScenes, COCO and MCAP.
 
     Returns:
         The path written to.
 
     Raises:
-        InvalidInputError: Another ending, the file cannot be written, or there is nothing to write.
+        InvalidInputError: Another ending, the file cannot be written, there is nothing to write, or something is not
+            known of an image.
+        MissingPackageError: A package for MCAP is not installed.
     """
-    kind = check_format(path)
+    check_ending(path, FORMATS)
     if not results:
         raise InvalidInputError("results", "none", "Give at least one reconstructed vehicle.")
-    return write_bytes(path, _WRITERS[kind](results))
+    return write_bytes(path, _WRITERS[check_format(path, kind)](results, images or {}))
 
 
 def export_rows(path: str | Path, rows: Sequence[Mapping[str, Any]]) -> Path:

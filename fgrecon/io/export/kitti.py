@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.metrics import wrap_angle
+from fgrecon.io.export.frames import score
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.kitti_files import Objects, format_results
 
 __all__ = ["kitti_text"]
 
 _UNKNOWN = -1.0
-_VISIBLE = 0.5
 
 
 def kitti_text(results: Sequence[NamedResult]) -> str:
@@ -35,9 +35,7 @@ def _row(item: NamedResult) -> list[float]:
     yaw = result.rotation_y
     alpha = float(wrap_angle(yaw - np.arctan2(x, z)))
     box = _box(result.wireframe_uv) if item.box is None else item.box
-    visible = result.visibility >= _VISIBLE
-    score = float(result.weights[visible].mean()) if visible.any() else 0.0
-    return [_UNKNOWN, _UNKNOWN, alpha, *box, height, width, length, x, y, z, yaw, score]
+    return [_UNKNOWN, _UNKNOWN, alpha, *box, height, width, length, x, y, z, yaw, score(item)]
 
 
 def _box(pixels: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,15 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.brief import brief_repr
+from fgrecon.core.camera import Camera
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.reconstruction import FORMAT as ONE
-from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.reconstruction import COMPACT, FORMAT, Reconstruction
+from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.io.catalogue import load_prior
+from fgrecon.io.export.surfaces import Surfaces
 from fgrecon.io.json_fields import read_json
 
 __all__ = ["NamedResult", "read_results"]
 
-_MANY = ("fgrecon.reconstructions/1", "fgrecon.track/1")
+_ONE = (FORMAT, COMPACT)
+_MANY = ("fgrecon.reconstructions/2", "fgrecon.track/2", "fgrecon.reconstructions/1", "fgrecon.track/1")
 _DEMO = "fgrecon.demo/1"
 
 
@@ -32,12 +37,16 @@ class NamedResult:
         box: (4,) 2D box that it was observed in, pixels, or None.
         label_offset: (3,) where KITTI's label frame lies from the camera's (a labelled point is at X + offset), or
             None.
+        image: Name of the image; empty where the file has only one.
+        camera: The camera that took it, or None.
     """
 
     name: str
     result: Reconstruction
     box: NDArray[np.float64] | None = None
     label_offset: NDArray[np.float64] | None = None
+    image: str = ""
+    camera: Camera | None = None
 
     __repr__ = brief_repr
 
@@ -47,25 +56,31 @@ class NamedResult:
         return bool(np.isfinite(self.result.camera_T_object).all())
 
 
-def read_results(path: str | Path) -> list[NamedResult]:
-    """Read the results of a JSON file, those that were refused left out.
+def read_results(path: str | Path, prior: ShapePrior | str | Path | None = None) -> list[NamedResult]:
+    """Read the results of a JSON file, those that were refused left out; surfaces are made again from the prior.
 
     Args:
         path: What `fgrecon reconstruct --json`, `fgrecon track --json` or `fgrecon demo` wrote, or a
-            `Reconstruction.to_dict()`.
+            `Reconstruction.to_dict()`; of this release or of one before.
+        prior: The shape prior, where the file does not find it: a result whose prior is gone has no surface.
 
     Raises:
-        InvalidInputError: It is none of these.
+        InvalidInputError: It is none of these, or the prior that was given cannot be read.
     """
+    given = None if prior is None else load_prior(prior)
     data = read_json(Path(path))
     kind = data.get("format") if isinstance(data, dict) else None
     try:
-        if kind == ONE:
-            return [NamedResult(Path(path).stem, Reconstruction.from_dict(data))]
+        if kind in _ONE:
+            result = Reconstruction.from_dict(data)
+            surfaces = Surfaces({"prior": result.prior}, given)
+            return [NamedResult(Path(path).stem, surfaces.complete(result))]
         if kind == _DEMO:
             return [NamedResult("demo", Reconstruction.from_dict(data["result"]))]
         if kind in _MANY:
-            return [_named(entry) for entry in data["instances"] if entry["result"] is not None]
+            surfaces = Surfaces(data.get("settings", {"prior": None}), given)
+            solved = [entry for entry in data["instances"] if entry["result"] is not None]
+            return [_named(entry, surfaces, of_track="tracks" in data) for entry in solved]
     except InvalidInputError as error:
         raise InvalidInputError(f"{path}: {error.field}", error.value, error.fix) from error
     except (KeyError, TypeError, ValueError) as error:
@@ -74,12 +89,24 @@ def read_results(path: str | Path) -> list[NamedResult]:
     raise InvalidInputError(f"{path}: format", kind, fix)
 
 
-def _named(entry: dict[str, Any]) -> NamedResult:
-    result = Reconstruction.from_dict(entry["result"])
+def _named(entry: dict[str, Any], surfaces: Surfaces, *, of_track: bool) -> NamedResult:
+    """A vehicle; `IMAGE:VEHICLE` names its image, and an image of a track has one."""
+    result = surfaces.complete(Reconstruction.from_dict(entry["result"]))
     box, labelled = entry.get("box"), entry.get("location_in_label_frame")
+    name = str(entry["id"])
     return NamedResult(
-        name=str(entry["id"]),
+        name=name,
         result=result,
         box=None if box is None else as_finite("box", box, (4,)),
         label_offset=None if labelled is None else result.location - as_finite("location", labelled, (3,)),
+        image=name if of_track else name.rpartition(":")[0],
+        camera=_camera(entry.get("camera")),
     )
+
+
+def _camera(fields: Mapping[str, Any] | None) -> Camera | None:
+    if fields is None:
+        return None
+    distortion, size = fields["distortion"], fields["image_size"]
+    coefficients = None if distortion is None else np.array(distortion)
+    return Camera(np.array(fields["matrix"]), coefficients, None if size is None else (size[0], size[1]))

@@ -12,7 +12,7 @@ __all__ = ["single_threaded"]
 @contextmanager
 def single_threaded() -> Iterator[None]:
     """Processes started inside use one thread each: the parallelism is between them."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
     before = {name: os.environ.get(name) for name in names}
     os.environ.update(dict.fromkeys(names, "1"))
     try:

@@ -1,0 +1,57 @@
+"""The results of a run's folder, for whatever takes results by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fgrecon.batch.parts import RUN, Parts
+from fgrecon.batch.rows import reconstruction_of
+from fgrecon.core.camera import Camera
+from fgrecon.core.category import Category
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.io.catalogue import load_prior
+from fgrecon.io.export.results import NamedResult
+from fgrecon.io.export.surfaces import Surfaces
+from fgrecon.io.json_fields import read_json
+
+__all__ = ["read_folder"]
+
+
+def read_folder(folder: Path, prior: ShapePrior | str | Path | None = None) -> list[NamedResult]:
+    """The results in a run's folder, those without a pose left out; surfaces are made again from the prior.
+
+    Args:
+        folder: What `fgrecon batch` wrote.
+        prior: The shape prior, where it is not where the run found it.
+
+    Raises:
+        InvalidInputError: It is no such folder, or the prior is not to be found.
+    """
+    if not (folder / RUN).is_file():
+        raise InvalidInputError("results", str(folder), "Give a folder that `fgrecon batch` wrote.")
+    settings = read_json(folder / RUN)["settings"]
+    shape = load_prior(prior if prior is not None else settings.get("prior_file") or settings.get("prior", "car14"))
+    surfaces = Surfaces(settings, shape)
+    return [_named(row, shape.category, surfaces) for row in Parts(folder).rows() if row["camera_T_object"] is not None]
+
+
+def _named(row: Mapping[str, Any], category: Category, surfaces: Surfaces) -> NamedResult:
+    result = reconstruction_of(row, category)
+    assert result is not None
+    distortion, size, box = row["distortion"], row["image_size"], row["box"]
+    return NamedResult(
+        name=row["id"],
+        result=surfaces.complete(result),
+        box=None if box is None else np.array(box),
+        image=row["row_id"],
+        camera=Camera(
+            np.array(row["camera_matrix"]).reshape(3, 3),
+            None if distortion is None else np.array(distortion),
+            None if size is None else (size[0], size[1]),
+        ),
+    )

@@ -1,0 +1,249 @@
+"""The files of a run as rows of tasks: counted first, then read as a stream, each row with an id of its own.
+
+| file | rows | row_id |
+|---|---|---|
+| `.jsonl`, `.ndjson` | a line each: an instance of a keypoint file | `FILE#LINE` |
+| `.json` | a keypoint file or a track: an instance each | `FILE#NUMBER` |
+| `.parquet` | a row each: its columns are the fields of an instance, or `instance`, `image` | `FILE#NUMBER` |
+| an image | one | `FILE` |
+| a video | a frame each | `FILE#FRAME` |
+
+A folder stands for the images and videos below it, in order; where there are none, for its keypoint files. KITTI's
+folders (`image_2` or `image_02` with `calib`) bring their cameras.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from fgrecon.batch.pictures import count_frames
+from fgrecon.batch.reconstructor import instance_text
+from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.io.json_fields import read_json
+from fgrecon.io.kitti_calibration import read_calibration
+
+__all__ = ["IMAGES", "VIDEOS", "InputFile", "sources_of"]
+
+IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
+VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")
+
+_LEFT_COLOUR = ("image_2", "image_02")
+_SHARED = ("K", "intrinsics", "distortion", "image_size")
+_CHUNK = 1024  # rows of Parquet in memory
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class InputFile:
+    """A file of a run.
+
+    Attributes:
+        path: The file, as it was given.
+        every: Of a video every so many frames.
+    """
+
+    path: Path
+    every: int = 1
+
+    @property
+    def is_picture(self) -> bool:
+        """Whether its rows are images, each of which takes a moment."""
+        return self.path.suffix.lower() in (*IMAGES, *VIDEOS)
+
+    def count(self) -> int:
+        """How many rows it has; a file that cannot be read has one, which tells why."""
+        try:
+            return _READERS[self.path.suffix.lower()].count(self)
+        except (FgreconError, OSError):
+            return 1
+
+    def rows(self) -> Iterator[Row]:
+        """Its rows, one after the other; what cannot be read becomes a row that says so, and ends the file."""
+        try:
+            for row in _READERS[self.path.suffix.lower()].rows(self):
+                yield {"source": str(self.path), **row}
+        except (FgreconError, OSError) as error:
+            yield {"row_id": f"{self.path}#unreadable", "source": str(self.path), "problem": str(error)}
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """How a kind of file is counted and read."""
+
+    count: Callable[[InputFile], int]
+    rows: Callable[[InputFile], Iterator[Row]]
+
+
+def sources_of(inputs: Sequence[str | Path], every: int = 1) -> list[InputFile]:
+    """The files that inputs stand for, each once.
+
+    Args:
+        inputs: Files and folders.
+        every: Of videos every so many frames.
+
+    Raises:
+        InvalidInputError: One does not exist, has another ending, or is a folder without anything.
+    """
+    found: dict[Path, None] = {}
+    for item in map(Path, inputs):
+        if not item.exists():
+            raise InvalidInputError("input", str(item), "Give files and folders that exist.")
+        if item.is_file() and item.suffix.lower() not in _READERS:
+            raise InvalidInputError("input", str(item), f"Give a folder, or files ending in {', '.join(_READERS)}.")
+        found |= dict.fromkeys(_files(item) if item.is_dir() else [item])
+    return [InputFile(path, every) for path in found]
+
+
+def _files(folder: Path) -> list[Path]:
+    """The files of a folder, in order."""
+    (left, *_) = [folder / name for name in _LEFT_COLOUR if (folder / name).is_dir()] or [folder]
+    below = sorted(path for path in left.rglob("*") if path.suffix.lower() in _READERS and path.is_file())
+    visible = [p for p in below if not any(part.startswith(".") for part in p.relative_to(folder).parts)]
+    pictures = [path for path in visible if path.suffix.lower() in (*IMAGES, *VIDEOS)]
+    if not visible:
+        raise InvalidInputError("input", str(folder), "Give a folder with images, videos or keypoint files.")
+    return pictures or visible
+
+
+def _count_lines(source: InputFile) -> int:
+    with source.path.open("rb") as file:
+        return sum(1 for line in file if line.strip())
+
+
+def _lines(source: InputFile) -> Iterator[Row]:
+    with source.path.open(encoding="utf-8", errors="replace") as file:
+        for number, line in enumerate(file, start=1):
+            if line.strip():
+                yield {"row_id": f"{source.path}#{number}", "instance": line.strip()}
+
+
+def _instances(source: InputFile) -> list[Any]:
+    """The instances of a JSON file, each with the camera that all share."""
+    data = read_json(source.path)
+    if isinstance(data, Mapping) and "frames" in data and "keypoints" not in data:
+        return _frames(data, source.path)
+    if not isinstance(data, Mapping) or "instances" not in data:
+        return data if isinstance(data, list) else [data]
+    if not isinstance(data["instances"], list):
+        raise InvalidInputError(f"{source.path}: instances", data["instances"], "Give a list.")
+    shared = {name: data[name] for name in _SHARED if data.get(name) is not None}
+    cameras = {"K", "intrinsics"}
+    return [
+        {**shared, **item} if isinstance(item, Mapping) and not cameras & {k for k in item if item[k]} else item
+        for item in data["instances"]
+    ]
+
+
+def _frames(track: Mapping[str, Any], path: Path) -> list[Any]:
+    """The frames of a track as instances."""
+    try:
+        names = track["keypoint_names"]
+        return [
+            {
+                "id": f"{path.stem}:{frame['frame']}",
+                "K": track["K"],
+                "box": frame["box_xyxy"],
+                "keypoints": dict(zip(names, frame["keypoints_uv"], strict=True)),
+                "confidence": dict(zip(names, frame["confidence"], strict=True)),
+            }
+            for frame in track["frames"]
+        ]
+    except (KeyError, TypeError, ValueError) as error:
+        raise InvalidInputError(
+            str(path), f"malformed: {error!r}", "Give a track as docs/formats.md has it."
+        ) from error
+
+
+def _json_rows(source: InputFile) -> Iterator[Row]:
+    for number, item in enumerate(_instances(source)):
+        yield {"row_id": f"{source.path}#{number}", "instance": json.dumps(item)}
+
+
+def _count_parquet(source: InputFile) -> int:
+    return int(_parquet(source).metadata.num_rows)
+
+
+def _parquet(source: InputFile) -> Any:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        return pq.ParquetFile(source.path)
+    except pa.ArrowException as error:
+        raise InvalidInputError(str(source.path), str(error), "Give a Parquet file.") from error
+
+
+def _parquet_rows(source: InputFile) -> Iterator[Row]:
+    import pyarrow as pa
+
+    number = 0
+    try:
+        for batch in _parquet(source).iter_batches(batch_size=_CHUNK):
+            for row in batch.to_pylist():
+                yield {"row_id": f"{source.path}#{number}", **_task(row)}
+                number += 1
+    except pa.ArrowException as error:
+        raise InvalidInputError(str(source.path), str(error), "Give a Parquet file that is whole.") from error
+
+
+_ASIDE = {"image": str, "instance": str, "camera": str, "frame": int}
+"""Columns of Parquet that are no fields of an instance."""
+
+
+def _task(row: Row) -> Row:
+    """What a row of Parquet asks for: an image, an instance as text, or an instance by its fields."""
+    aside = {name: row.pop(name) for name in _ASIDE if row.get(name) is not None}
+    if "image" not in aside:
+        aside = {name: value for name, value in aside.items() if isinstance(value, _ASIDE[name])}
+        return {"instance": instance_text(row), **aside}
+    wrong = [name for name, value in aside.items() if not isinstance(value, _ASIDE[name])]
+    if wrong:
+        return {"problem": f"column {wrong[0]} holds {type(aside[wrong[0]]).__name__}, not {_ASIDE[wrong[0]].__name__}"}
+    return aside
+
+
+def _image_row(source: InputFile) -> Iterator[Row]:
+    yield {"row_id": str(source.path), "image": str(source.path), "camera": _kitti_camera(source.path)}
+
+
+def _frame_rows(source: InputFile) -> Iterator[Row]:
+    for frame in range(0, count_frames(source.path), source.every):
+        yield {"row_id": f"{source.path}#{frame}", "image": str(source.path), "frame": frame}
+
+
+def _kitti_camera(image: Path) -> str | None:
+    """The camera that KITTI's layouts have for an image: of the object set, of drives, of the tracking set."""
+    folder = image.resolve().parent
+    named = ((folder, image.stem), (folder.parent, folder.name))
+    for images, name in named:
+        side = images.name.removeprefix("image_")
+        if not (images.name.startswith("image_") and side.isdecimal()):
+            continue
+        for path in (images.parent / "calib" / f"{name}.txt", images.parent / "calib.txt"):
+            if path.is_file():
+                return _calibration(path, f"P{int(side)}")
+    return None
+
+
+@lru_cache(maxsize=64)
+def _calibration(path: Path, projection: str) -> str:
+    return json.dumps({"K": read_calibration(path, projection).camera.matrix.tolist()})
+
+
+_LINES = _Reader(_count_lines, _lines)
+_IMAGE = _Reader(lambda _: 1, _image_row)
+_VIDEO = _Reader(lambda source: -(-count_frames(source.path) // source.every), _frame_rows)
+_READERS: Mapping[str, _Reader] = {
+    ".json": _Reader(lambda source: len(_instances(source)), _json_rows),
+    ".jsonl": _LINES,
+    ".ndjson": _LINES,
+    ".parquet": _Reader(_count_parquet, _parquet_rows),
+    **dict.fromkeys(IMAGES, _IMAGE),
+    **dict.fromkeys(VIDEOS, _VIDEO),
+}

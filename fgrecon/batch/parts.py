@@ -1,0 +1,123 @@
+"""A folder of Parquet parts that grows while a run goes on: each is written whole or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from fgrecon.batch.schema import FORMAT, result_schema
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.files import replacing, write_text
+from fgrecon.io.json_fields import read_json
+
+__all__ = ["RUN", "Parts", "begin", "claimed"]
+
+RUN = "_run.json"
+"""What the run is: readers of Parquet folders leave names alone that begin with an underscore."""
+
+_ROWS, _SECONDS = 4096, 10.0
+"""A part is written when it has so many rows, or so much time has passed since the last one."""
+
+
+class Parts:
+    """The parts of a folder: what is done already, and what is added."""
+
+    def __init__(self, folder: Path) -> None:
+        """Look at a folder, and clear away what a killed run has left half written."""
+        self._folder = folder
+        for torn in folder.glob(".part-*.part"):
+            torn.unlink()
+        numbers = [int(path.stem.removeprefix("part-")) for path in self._paths()]
+        self._next = max(numbers, default=-1) + 1
+        self._tables: list[Any] = []
+        self._written = monotonic()
+
+    def _paths(self) -> list[Path]:
+        return sorted(p for p in self._folder.glob("part-*.parquet") if p.stem.removeprefix("part-").isdecimal())
+
+    def done(self) -> set[str]:
+        """Ids of the rows that are in the parts.
+
+        Raises:
+            InvalidInputError: A part is none of ours.
+        """
+        found: set[str] = set()
+        for path in self._paths():
+            try:
+                found.update(pq.read_table(path, columns=["row_id"]).column("row_id").to_pylist())
+            except (pa.ArrowException, OSError, KeyError) as error:
+                raise InvalidInputError(str(path), str(error), "Take this file out of the folder.") from error
+        return found
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """The rows of all parts, as plain values."""
+        for path in self._paths():
+            yield from pq.read_table(path).to_pylist()
+
+    def add(self, table: Any) -> None:
+        """Add the rows of some tasks; they are in a part soon, all of them in the same one."""
+        self._tables.append(table.cast(result_schema()))
+        if sum(map(len, self._tables)) >= _ROWS or monotonic() - self._written >= _SECONDS:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what has been added."""
+        if self._tables:
+            with replacing(self._folder / f"part-{self._next:06d}.parquet") as part:
+                pq.write_table(pa.concat_tables(self._tables), part, compression="zstd")
+            self._next += 1
+            self._tables = []
+        self._written = monotonic()
+
+
+def begin(folder: Path, settings: Mapping[str, Any]) -> None:
+    """Make the folder of a run, or see that what is in it was solved with the same settings.
+
+    Raises:
+        InvalidInputError: It cannot be made, or holds a run with other settings.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InvalidInputError("out", str(folder), f"Give a folder that can be made ({error.strerror}).") from error
+    told = {"format": FORMAT, "settings": dict(settings)}
+    if not (folder / RUN).exists():
+        if any(folder.glob("part-*.parquet")):
+            raise InvalidInputError("out", f"{folder}, which has parts but no {RUN}", "Give another folder.")
+        write_text(folder / RUN, _json(told))
+        return
+    before = read_json(folder / RUN)
+    if before != told:
+        raise InvalidInputError("out", f"{folder}, a run with other settings", "Give another folder for these.")
+
+
+def _json(content: Any) -> str:
+    import json
+
+    return json.dumps(content, indent=1) + "\n"
+
+
+@contextmanager
+def claimed(folder: Path) -> Iterator[None]:
+    """The folder for one run at a time; a lock that goes with its process, where the system has such.
+
+    Raises:
+        InvalidInputError: Another run is at it.
+    """
+    try:
+        import fcntl
+    except ImportError:  # Windows: nobody is warned there
+        yield
+        return
+    with (folder / "_lock").open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise InvalidInputError("out", f"{folder}, where a run is going on", "Wait for its end.") from error
+        yield

@@ -1,0 +1,228 @@
+"""Work by a few processes, each of which may die at any time without taking more than its own piece along.
+
+Every worker is a pool of one process, so that a death is told of the piece that it was working on and of no other: the
+worker is made again, and the piece tried again, then each of its parts. A part during which a worker dies twice is
+given up.
+"""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import signal
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any, Generic, Protocol, TypeVar
+
+from fgrecon.core.errors import FgreconError
+from fgrecon.core.processes import single_threaded
+
+__all__ = ["STARTS", "Worker", "WorkerDiedError", "drive", "work"]
+
+_TRIES = 2
+"""How often a piece is tried before it is taken apart, and a part before it is given up."""
+
+STARTS = 3
+"""How often in a row a worker may die before it has begun."""
+
+_log = logging.getLogger(__name__)
+
+Piece = TypeVar("Piece")
+Taken_contra = TypeVar("Taken_contra", contravariant=True)
+Result = TypeVar("Result")
+
+
+class WorkerDiedError(FgreconError, RuntimeError):
+    """A process died, killed by the system or by what it was working on."""
+
+
+class Worker(Protocol[Taken_contra, Result]):
+    """Something that works on a piece at a time, and may die of it."""
+
+    def submit(self, piece: Taken_contra) -> Future[Result]:
+        """Let it work on a piece; it is made where there is none yet."""
+
+    def bury(self) -> bool:
+        """Leave it behind dead, so that the next piece has a new one; whether it had begun to work."""
+
+    def end(self, *, whole: bool) -> None:
+        """End it, at once where the work is not done as a whole; another piece may come and make it again."""
+
+
+class _Process(Generic[Piece, Result]):
+    """A process that calls a function; made on use."""
+
+    def __init__(self, function: Callable[[Piece], Result]) -> None:
+        self._function = function
+        self._pool: ProcessPoolExecutor | None = None
+        self._begun: Future[int] | None = None
+        self._deaths = 0
+
+    def submit(self, piece: Piece) -> Future[Result]:
+        """Let it work on a piece."""
+        if self._pool is not None:
+            try:
+                return self._pool.submit(_call, piece)
+            except BrokenProcessPool:  # it died while it had nothing to do
+                self._pool.shutdown(wait=False)
+        self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
+        with single_threaded():
+            self._begun = self._pool.submit(_begin, self._function)
+        return self._pool.submit(_call, piece)
+
+    def bury(self) -> bool:
+        """Leave a dead process behind; the next piece has a new one.
+
+        Returns:
+            Whether it had begun, so that what it worked on may be what killed it.
+
+        Raises:
+            WorkerDiedError: Process after process died before it had begun: there is something wrong with the place.
+            Exception: What kept it from beginning.
+        """
+        assert self._begun is not None
+        error = self._begun.exception()
+        if error is not None and not isinstance(error, BrokenProcessPool):
+            raise error
+        self._deaths = 0 if error is None else self._deaths + 1
+        if self._deaths >= STARTS:
+            fix = "Where there is little memory, give fewer jobs; a script that starts workers needs a main guard."
+            raise WorkerDiedError(f"Workers die before they have begun. {fix}") from error
+        assert self._pool is not None
+        self._pool.shutdown(wait=False)
+        self._pool = None
+        return error is None
+
+    def end(self, *, whole: bool) -> None:
+        """End the process; at once where the work is broken off."""
+        if self._pool is None or self._begun is None:
+            return
+        if not whole and self._begun.done() and self._begun.exception() is None:
+            for child in multiprocessing.active_children():  # and not by its number, which may be another's by now
+                if child.pid == self._begun.result():
+                    child.terminate()
+        self._pool.shutdown(wait=True, cancel_futures=True)
+        self._pool = None
+
+
+def work(
+    function: Callable[[Piece], Result],
+    pieces: Iterable[Piece],
+    jobs: int,
+    parts: Callable[[Piece], list[Piece]],
+    lost: Callable[[Piece, WorkerDiedError], Result],
+) -> Iterator[Result]:
+    """The results of a function of many pieces, as they are done; no piece is taken before a worker is free for it.
+
+    Args:
+        function: Called in the workers, which it is sent to once; it can be pickled.
+        pieces: What it is called with.
+        jobs: Number of processes, each with one thread.
+        parts: The parts of a piece, for one during which workers die.
+        lost: The result of a part that was given up.
+
+    Raises:
+        WorkerDiedError: Workers die before they have begun.
+    """
+    workers: list[Worker[Piece, Result]] = [_Process(function) for _ in range(jobs)]
+    return drive(workers, pieces, parts, lost, BrokenProcessPool)
+
+
+def drive(
+    workers: Sequence[Worker[Piece, Result]],
+    pieces: Iterable[Piece],
+    parts: Callable[[Piece], list[Piece]],
+    lost: Callable[[Piece, WorkerDiedError], Result],
+    death: type[Exception],
+) -> Iterator[Result]:
+    """`work` by workers of any kind.
+
+    Args:
+        workers: One at least.
+        pieces: What they are called with.
+        parts: The parts of a piece, for one during which workers die.
+        lost: The result of a part that was given up.
+        death: What the future of a piece raises whose worker has died.
+    """
+    free, coming = list(reversed(workers)), iter(pieces)
+    again: deque[tuple[Piece, int]] = deque()
+    busy: dict[Future[Result], tuple[Worker[Piece, Result], Piece, int]] = {}
+    whole = False
+    try:
+        while True:
+            while free and (following := _next(again, coming)) is not None:
+                worker = free.pop()
+                busy[worker.submit(following[0])] = (worker, *following)
+            for idle in free:  # what it holds may be what another waits for
+                idle.end(whole=True)
+            if not busy:
+                break
+            for future in wait(busy, return_when=FIRST_COMPLETED).done:
+                worker, piece, deaths = busy.pop(future)
+                free.append(worker)
+                try:
+                    result = future.result()
+                except death:
+                    if not worker.bury():
+                        again.append((piece, deaths))
+                        continue
+                    if not _after_death(piece, deaths + 1, parts, again):
+                        continue
+                    result = lost(piece, WorkerDiedError("The worker died of this row, twice."))
+                yield result
+        whole = True
+    finally:
+        for worker in workers:
+            worker.end(whole=whole)
+
+
+def _next(again: deque[tuple[Piece, int]], coming: Iterator[Piece]) -> tuple[Piece, int] | None:
+    """The next piece, and how many workers have died of it."""
+    if again:
+        return again.popleft()
+    return next(((piece, 0) for piece in coming), None)
+
+
+def _after_death(
+    piece: Piece, deaths: int, parts: Callable[[Piece], list[Piece]], again: deque[tuple[Piece, int]]
+) -> bool:
+    """Put a piece of which a worker died back, whole or in parts; whether it is to be given up instead."""
+    _log.warning("A worker died; it is made again, and its piece tried again.")
+    if deaths < _TRIES:
+        again.append((piece, deaths))
+        return False
+    smaller = parts(piece)
+    if len(smaller) <= 1:
+        return True
+    again.extend((part, 0) for part in smaller)
+    return False
+
+
+_function: Callable[[Any], Any]
+
+
+def _begin(function: Callable[[Any], Any]) -> int:
+    """Make a worker ready; its process number.
+
+    The user's Ctrl-C is for the parent, which ends its workers; a parent that is killed can end none, so they look.
+    """
+    global _function  # noqa: PLW0603 - what a worker does, sent to it once
+    _function = function
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_follow_parent, daemon=True).start()
+    return os.getpid()
+
+
+def _follow_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
+
+
+def _call(piece: Any) -> Any:
+    return _function(piece)

@@ -1,0 +1,269 @@
+"""Tables of vehicles or images in, tables of results out: what every engine that maps tables can call."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import ArrayLike, NDArray
+
+from fgrecon.batch.pictures import Pictures
+from fgrecon.batch.rows import failed_row, origin_of, solved_row, table_of
+from fgrecon.batch.schema import EMPTY
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.checks import as_finite
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.options import Options
+from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.core.size_prior import SizePrior
+from fgrecon.core.size_prior import size_prior as named_size_prior
+from fgrecon.io.catalogue import load_prior
+from fgrecon.io.keypoint_file import Instance, parse_keypoints
+from fgrecon.perception.keypoints.detect import SMALLEST_BOX, KeypointCascade, check_box, shipped_cascade
+from fgrecon.perception.protocols import find_keypoints
+from fgrecon.perception.vehicles.detect import NanodetVehicleDetector, Vehicles
+from fgrecon.solve.pipeline import reconstruct
+
+__all__ = ["Reconstructor", "instance_text"]
+
+Row = dict[str, Any]
+
+
+class Reconstructor:
+    """Pose and shape of the vehicles of a table: called with a `pyarrow.Table`, it returns one.
+
+    A row is one of these; further columns are left aside:
+
+    - a vehicle: the fields of an instance of a keypoint file as columns (`keypoints`, `confidence`, `box`, `K`, ...),
+      or its JSON text in the column `instance`;
+    - an image: `image`, a file or the bytes of one, where wanted with `boxes` (x1, y1, x2, y2 of each vehicle) and
+      `camera`, the JSON text of `{"K": ...}`; with `frame` it is a video. Without boxes the detector looks for cars.
+
+    `row_id`, `source` and `frame` are taken over. Every row gives at least one row of results (`result_schema`),
+    whatever is wrong with it: a vehicle gives one, an image one for each vehicle, or one of status `empty`.
+
+    Prior and networks are loaded at the first call and stay; a pickled reconstructor does not carry them.
+    """
+
+    def __init__(
+        self,
+        *,
+        prior: ShapePrior | str | Path = "car14",
+        camera: Camera | ArrayLike | None = None,
+        ground: Ground | float | None = None,
+        size_prior: SizePrior | str | None = None,
+        options: Options | None = None,
+        weights: str | Path | None = None,
+        threads: int | None = None,
+    ) -> None:
+        """Take the settings; nothing is loaded.
+
+        Args:
+            prior: Shape prior, or its name, or the path of its file.
+            camera: The camera of all rows, which goes before their own; None has each row bring its own, and assumes a
+                horizontal field of view of 60 degrees for images that do not.
+            ground: Ground plane, or the height in metres of a level camera.
+            size_prior: Fleet, or a size prior.
+            options: Settings; histories are not kept.
+            weights: Keypoint network; None for the shipped one.
+            threads: Threads that OpenCV and torch use from the first image on; None leaves them as they are.
+
+        Raises:
+            InvalidInputError: The camera or the options are none.
+        """
+        self._prior, self._ground = prior, ground
+        self._camera = None if camera is None else Camera.of(camera)
+        self._size = size_prior
+        self._options = replace(Options() if options is None else options, keep_history=False)
+        self._weights, self._threads = weights, threads
+        self._pictures = Pictures()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The settings alone: what is loaded is loaded again elsewhere."""
+        loaded = ("prior", "_size_prior", "_networks", "_pictures")
+        return {name: value for name, value in vars(self).items() if name not in loaded}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take the settings."""
+        vars(self).update(state, _pictures=Pictures())
+
+    @cached_property
+    def prior(self) -> ShapePrior:
+        """The shape prior.
+
+        Raises:
+            InvalidInputError: It cannot be loaded.
+        """
+        return load_prior(self._prior)
+
+    @cached_property
+    def _size_prior(self) -> SizePrior | None:
+        return None if self._size is None else named_size_prior(self._size)
+
+    @cached_property
+    def _networks(self) -> tuple[NanodetVehicleDetector, KeypointCascade]:
+        if self._threads is not None:
+            import cv2
+            import torch
+
+            cv2.setNumThreads(self._threads)
+            torch.set_num_threads(self._threads)
+        return NanodetVehicleDetector(), KeypointCascade(self._weights) if self._weights else shipped_cascade()
+
+    def __call__(self, table: pa.Table) -> pa.Table:
+        """The results of a table's rows, in their order."""
+        rows = [row for position, task in enumerate(table.to_pylist()) for row in self._results(task, position)]
+        return table_of(rows)
+
+    def _results(self, task: Mapping[str, Any], position: int) -> list[Row]:
+        """The rows of a task; an error of any kind becomes one."""
+        origin = origin_of(task, position)
+        try:
+            return list(self._solve(task, origin))
+        except Exception as error:  # noqa: BLE001 - one bad row never ends a run: it becomes a row with its error
+            return [failed_row(origin, error)]
+
+    def _solve(self, task: Mapping[str, Any], origin: Row) -> Iterator[Row]:
+        if task.get("problem") is not None:
+            raise InvalidInputError("source", task["problem"], "Give a file that can be read.")
+        if task.get("image") is not None:
+            yield from self._image(task, origin)
+            return
+        record = _nested(_record(task), self.prior.category.size)
+        named = isinstance(record, dict) and record.get("id") is not None
+        for vehicle, instance in enumerate(parse_keypoints(record, self.prior.category).instances):
+            name = instance.name if named or vehicle or isinstance(record, list) else str(origin["row_id"])
+            yield self._vehicle(origin, vehicle, name, instance, self._camera or instance.camera)
+
+    def _vehicle(
+        self,
+        origin: Row,
+        vehicle: int,
+        name: str,
+        instance: Instance,
+        camera: Camera | None,
+        score: float | None = None,
+    ) -> Row:
+        """The row of one vehicle."""
+        try:
+            if camera is None:
+                raise InvalidInputError("intrinsics", "nothing", "Give K with the row, or a camera for all of them.")
+            result = reconstruct(
+                instance.observation,
+                camera,
+                prior=self.prior,
+                ground=self._ground,
+                size_prior=self._size_prior,
+                initial=instance.initial,
+                options=self._options,
+            )
+        except Exception as error:  # noqa: BLE001 - one bad vehicle must not take the others of its image along
+            return failed_row(origin, error, vehicle, name)
+        return solved_row(origin, vehicle, name, result, camera, instance.box, score)
+
+    def _image(self, task: Mapping[str, Any], origin: Row) -> Iterator[Row]:
+        """A row for each vehicle of an image."""
+        image = self._pictures.get(task["image"], task.get("frame"))
+        vehicle_detector, cascade = self._networks
+        given = task.get("boxes")
+        found = vehicle_detector(image) if given is None else _given(given, image)
+        large = (found.boxes[:, 2:] - found.boxes[:, :2]).max(axis=1, initial=0.0) >= SMALLEST_BOX
+        boxes, scores = found.boxes[large], found.scores[large]
+        if not len(boxes):
+            yield {**origin, "status": EMPTY}
+            return
+        camera = self._camera_of(task, image)
+        for vehicle, seen in enumerate(find_keypoints(cascade, image, boxes, self.prior.category)):
+            evidence, name = seen.evidence, f"{origin['row_id']}:{vehicle}"
+            instance = Instance(
+                name,
+                evidence.keypoints,
+                evidence.confidence,
+                evidence.confidence_midpoint,
+                evidence.box,
+                evidence.covariance,
+                evidence.azimuth,
+            )
+            score = None if given is not None else float(scores[vehicle])
+            yield self._vehicle(origin, vehicle, name, instance, camera, score)
+
+    def _camera_of(self, task: Mapping[str, Any], image: NDArray[np.uint8]) -> Camera:
+        """The camera of an image, which knows its size."""
+        height, width = image.shape[:2]
+        text = task.get("camera")
+        own = self._camera or (_camera(json.loads(text)) if text else None)
+        return Camera.of_field_of_view(width, height) if own is None else replace(own, image_size=(width, height))
+
+
+def instance_text(row: Mapping[str, Any]) -> str:
+    """The JSON text of an instance whose fields are the columns of a row; what is missing is left out, NaN is null."""
+    return json.dumps({name: _plain(value) for name, value in row.items() if value is not None})
+
+
+def _record(task: Mapping[str, Any]) -> Any:
+    """What JSON holds of a row's instance.
+
+    Raises:
+        InvalidInputError: Its text is no JSON.
+    """
+    text = task["instance"] if task.get("instance") is not None else instance_text(_fields(task))
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InvalidInputError("instance", str(error), "Give an instance of a keypoint file as JSON.") from error
+
+
+def _fields(task: Mapping[str, Any]) -> Row:
+    aside = ("row_id", "source", "frame", "instance", "image", "camera", "problem", "boxes")
+    return {name: value for name, value in task.items() if name not in aside}
+
+
+def _plain(value: Any) -> Any:
+    """A column's value as JSON has it: NaN is null, and what JSON does not know is text."""
+    if isinstance(value, float):
+        return None if math.isnan(value) else value
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items() if item is not None}
+    if isinstance(value, list):
+        if value and all(isinstance(item, tuple) for item in value):  # a map, as Arrow gives it
+            return {key: _plain(item) for key, item in value if item is not None}
+        return [_plain(item) for item in value]
+    return value if value is None or isinstance(value, str | int) else str(value)
+
+
+def _nested(record: Any, keypoints: int) -> Any:
+    """An instance whose keypoints and K have their rows again where an engine has flattened them."""
+    if not isinstance(record, dict):
+        return record
+    sizes = {"keypoints": keypoints, "K": 3}
+    for name, count in sizes.items():
+        flat = record.get(name)
+        if (
+            isinstance(flat, list)
+            and len(flat) in (2 * count, 3 * count)
+            and not any(isinstance(i, list) for i in flat)
+        ):
+            width = len(flat) // count
+            record = record | {name: [flat[i : i + width] for i in range(0, len(flat), width)]}
+    return record
+
+
+def _camera(fields: Mapping[str, Any]) -> Camera:
+    """A camera from the fields that a keypoint file has for it."""
+    distortion = fields.get("distortion")
+    return Camera(np.array(fields["K"]), None if distortion is None else np.array(distortion))
+
+
+def _given(boxes: Iterable[Iterable[float]], image: NDArray[np.uint8]) -> Vehicles:
+    """Boxes that the row brings, without scores."""
+    corners = np.array([list(box) for box in boxes], dtype=np.float64).reshape(-1, 4)
+    for number, box in enumerate(corners):
+        check_box(as_finite(f"boxes[{number}]", box, (4,)), image, f"boxes[{number}]")
+    return Vehicles(corners, np.zeros(len(corners)))

@@ -1,0 +1,190 @@
+"""Rows of results: of what was solved, of what was refused, and back to a `Reconstruction`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from fgrecon.batch.pool import WorkerDiedError
+from fgrecon.batch.schema import ERROR, REFUSED, result_schema
+from fgrecon.core.camera import Camera
+from fgrecon.core.category import Category
+from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.reconstruction import Alternative, Reconstruction, Status
+
+__all__ = [
+    "failed_row",
+    "lost_rows",
+    "origin_of",
+    "reconstruction_of",
+    "single_rows",
+    "solved_row",
+    "storable",
+    "table_of",
+]
+
+Array = NDArray[np.float64]
+
+
+def origin_of(task: Mapping[str, Any], position: int) -> dict[str, Any]:
+    """What a row of results takes over from its task: `row_id` (else the position in the table), `source`, `frame`."""
+    known = {name: task.get(name) for name in ("row_id", "source", "frame")}
+    return known if known["row_id"] is not None else known | {"row_id": str(position)}
+
+
+def solved_row(
+    origin: Mapping[str, Any],
+    vehicle: int,
+    name: str,
+    result: Reconstruction,
+    camera: Camera,
+    box: Array | None,
+    score: float | None = None,
+) -> dict[str, Any]:
+    """The row of a result.
+
+    Args:
+        origin: What the row takes over from its task.
+        vehicle: Number of the vehicle within the task.
+        name: The vehicle's id.
+        result: The reconstruction.
+        camera: The camera that saw it.
+        box: (4,) 2D box in pixels, or None.
+        score: Of its detection, or None.
+    """
+    return {
+        **origin,
+        "vehicle": vehicle,
+        **result.to_row(name, flat=False),
+        "offsets": _flat(result.offsets),
+        "sigmas": _flat(result.sigmas),
+        "pose_covariance": _flat(result.pose_covariance),
+        "coefficients_covariance": _flat(result.coefficients_covariance),
+        "alternatives": [
+            {"camera_T_object": _flat(a.camera_T_object), "coefficients": _flat(a.coefficients), "excess": a.excess}
+            for a in result.alternatives
+        ],
+        "camera_matrix": _flat(camera.matrix),
+        "distortion": _flat(camera.distortion),
+        "image_size": camera.image_size,
+        "box": _flat(box),
+        "score": score,
+        "milliseconds": sum(result.milliseconds.values()),
+    }
+
+
+def failed_row(
+    origin: Mapping[str, Any], error: Exception, vehicle: int | None = None, name: str | None = None
+) -> dict[str, Any]:
+    """The row of a vehicle, or of a whole task, that gave an error instead of a result."""
+    return {
+        **origin,
+        "vehicle": vehicle,
+        "id": name,
+        "status": REFUSED if isinstance(error, FgreconError) else ERROR,
+        "error_type": type(error).__name__,
+        "error_field": error.field if isinstance(error, InvalidInputError) else None,
+        "error": str(error),
+    }
+
+
+def storable(row: Mapping[str, Any]) -> dict[str, Any]:
+    """The row with texts that can be stored: JSON and names of files have half characters, UTF-8 has none."""
+    return {
+        name: value.encode(errors="backslashreplace").decode() if isinstance(value, str) else value
+        for name, value in row.items()
+    }
+
+
+def table_of(rows: Sequence[Mapping[str, Any]]) -> Any:
+    """Rows as a table; one that the columns cannot hold becomes a row that says so."""
+    fitting = [storable(row) for row in rows]
+    try:
+        return pa.Table.from_pylist(fitting, schema=result_schema())
+    except (pa.ArrowException, OverflowError, TypeError, ValueError):
+        return pa.concat_tables([_table_of(row) for row in fitting])
+
+
+def _table_of(row: Mapping[str, Any]) -> Any:
+    try:
+        return pa.Table.from_pylist([row], schema=result_schema())
+    except (pa.ArrowException, OverflowError, TypeError, ValueError) as error:
+        origin = {name: row.get(name) for name in ("row_id", "source")}
+        return pa.Table.from_pylist([failed_row(origin, error, row.get("vehicle"))], schema=result_schema())
+
+
+def single_rows(table: Any) -> list[Any]:
+    """A table for each row."""
+    return [table.slice(position, 1) for position in range(len(table))]
+
+
+def lost_rows(table: Any, error: WorkerDiedError) -> Any:
+    """The rows of tasks that were given up."""
+    rows = [failed_row(origin_of(task, 0), error) | {"status": ERROR} for task in table.to_pylist()]
+    return pa.Table.from_pylist(rows, schema=result_schema())
+
+
+def _flat(array: Array | None) -> list[float] | None:
+    return None if array is None else np.asarray(array, dtype=np.float64).ravel().tolist()
+
+
+def reconstruction_of(row: Mapping[str, Any], category: Category) -> Reconstruction | None:
+    """The result that a row holds: without history, surface and energies, which rows do not have.
+
+    Args:
+        row: A row of a results table as plain values (`table.to_pylist()`).
+        category: The category that it names (`fgrecon.load_category`, or that of the prior).
+
+    Returns:
+        The result; None where the row has none.
+
+    Raises:
+        InvalidInputError: The category is another one.
+    """
+    if row["camera_T_object"] is None:
+        return None
+    if list(category.keypoints) != row["keypoints"]:
+        raise InvalidInputError("category", category.name, f"Give the category {row['category']}, which the row names.")
+
+    def square(name: str) -> Array | None:
+        side = 6 if name == "pose_covariance" else len(row["coefficients"])
+        return None if row[name] is None else np.array(row[name]).reshape(side, side)
+
+    def vectors(name: str, length: int) -> Array:
+        return np.array(row[name], dtype=np.float64).reshape(-1, length)
+
+    return Reconstruction(
+        status=Status(row["status"]),
+        message=row["message"],
+        category=row["category"],
+        prior=row["prior"],
+        keypoint_names=category.keypoints,
+        camera_T_object=vectors("camera_T_object", 4),
+        coefficients=np.array(row["coefficients"], dtype=np.float64),
+        offsets=vectors("offsets", 3),
+        wireframe=vectors("wireframe", 3),
+        wireframe_uv=vectors("wireframe_uv", 2),
+        edges=np.array(category.edges, dtype=np.int64).reshape(-1, 2),
+        box_size=np.array([row["length"], row["width"], row["height"]]),
+        weights=np.array(row["weights"], dtype=np.float64),
+        sigmas=np.array(row["sigmas"], dtype=np.float64),
+        visibility=np.array(row["visibility"], dtype=np.float64),
+        pose_covariance=square("pose_covariance"),
+        coefficients_covariance=square("coefficients_covariance"),
+        keypoint_covariance=None,
+        energies={},
+        alternatives=tuple(map(_alternative, row["alternatives"])),
+        history=(),
+        milliseconds={"total": row["milliseconds"]},
+        faces={face.name: face.keypoints for face in category.faces},
+        symmetric_pairs=np.array(category.symmetric_pairs, dtype=np.int64).reshape(-1, 2),
+    )
+
+
+def _alternative(data: Mapping[str, Any]) -> Alternative:
+    pose = np.array(data["camera_T_object"], dtype=np.float64).reshape(4, 4)
+    return Alternative(pose, np.array(data["coefficients"], dtype=np.float64), data["excess"])

@@ -1,0 +1,139 @@
+"""A run: files in, Parquet parts out, by a pool of processes or by Ray; killed, it goes on where it was."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from fgrecon.batch.inputs import InputFile
+from fgrecon.batch.parts import Parts, begin, claimed
+from fgrecon.batch.pool import work
+from fgrecon.batch.reconstructor import Reconstructor
+from fgrecon.batch.rows import lost_rows, single_rows, storable
+from fgrecon.batch.schema import task_schema
+from fgrecon.core.errors import InvalidInputError
+
+__all__ = ["Tally", "run"]
+
+_VEHICLES, _PICTURES = 32, 8
+"""Rows that a worker gets at once: about a second's work."""
+
+
+@dataclass
+class Tally:
+    """How far a run has come.
+
+    Attributes:
+        total: Rows of all inputs.
+        before: Of these, done by runs before this one.
+        done: Of these, done by now.
+        statuses: Rows of results of this run, by status; an image gives one for each vehicle.
+        errors: Those with an error, by its class and the field that it names.
+    """
+
+    total: int
+    before: int = 0
+    done: int = 0
+    statuses: Counter[str] = field(default_factory=Counter)
+    errors: Counter[str] = field(default_factory=Counter)
+
+    def add(self, table: Any) -> None:
+        """Count a table of results."""
+        self.done += len(pc.unique(table.column("row_id")))
+        self.statuses.update(table.column("status").to_pylist())
+        kinds, fields = (table.column(name).to_pylist() for name in ("error_type", "error_field"))
+        named = ((kind, place) for kind, place in zip(kinds, fields, strict=True) if kind is not None)
+        self.errors.update(kind if place is None else f"{kind}: {place}" for kind, place in named)
+
+
+def run(
+    sources: Sequence[InputFile],
+    out: str | Path,
+    reconstructor: Reconstructor,
+    *,
+    jobs: int = 1,
+    ray: str | None = None,
+    batch_rows: int | None = None,
+    settings: Mapping[str, Any] | None = None,
+    report: Callable[[Tally], None] = lambda _: None,
+) -> Tally:
+    """Reconstruct every row of some files into a folder of Parquet parts.
+
+    Rows that are in the folder already are not done again, so a run that was killed goes on. Whatever is wrong with a
+    row becomes its status; a row during which its worker dies is tried again, and given up the fourth time.
+
+    Args:
+        sources: The files (`sources_of`).
+        out: The folder, made where it does not exist.
+        reconstructor: What does the work.
+        jobs: Processes here, or actors at most on Ray.
+        ray: Address of a Ray cluster, or `auto`; None for processes of this machine.
+        batch_rows: Rows that a worker gets at once.
+        settings: What the reconstructor was made with, as plain values; a folder is for one such.
+        report: Called whenever rows are done.
+
+    Returns:
+        What was done.
+
+    Raises:
+        InvalidInputError: The folder holds another run, or the prior cannot be loaded.
+        MissingPackageError: Ray is not installed.
+        WorkerDiedError: Workers cannot even begin.
+    """
+    if jobs < 1:
+        raise InvalidInputError("jobs", jobs, "Give at least one.")
+    reconstructor.prior  # noqa: B018 - a prior that cannot be loaded is told before the workers start
+    folder = Path(out)
+    begin(folder, settings or {})
+    with claimed(folder):
+        parts = Parts(folder)
+        done = parts.done()
+        tally = Tally(sum(source.count() for source in sources))
+        batches = _batches(_left(sources, done, tally), batch_rows)
+        report(tally)
+        if ray is None:
+            tables = work(reconstructor, batches, jobs, single_rows, lost_rows)
+        else:
+            from fgrecon.batch.on_ray import work_on_ray
+
+            tables = work_on_ray(reconstructor, batches, jobs, ray)
+        try:
+            for table in tables:
+                parts.add(table)
+                tally.add(table)
+                report(tally)
+        finally:
+            parts.flush()
+    return tally
+
+
+def _left(sources: Sequence[InputFile], done: set[str], tally: Tally) -> Iterator[tuple[bool, dict[str, Any]]]:
+    """The rows that are not done yet, and whether each is an image."""
+    for source in sources:
+        for row in map(storable, source.rows()):
+            if row["row_id"] in done:
+                tally.before += 1
+                tally.done += 1
+            else:
+                yield source.is_picture, row
+
+
+def _batches(rows: Iterable[tuple[bool, dict[str, Any]]], size: int | None) -> Iterator[Any]:
+    """Tables of rows, images apart from others."""
+    waiting: list[dict[str, Any]] = []
+    of_pictures = False
+    for is_picture, row in rows:
+        full = len(waiting) >= (size or (_PICTURES if of_pictures else _VEHICLES))
+        if waiting and (full or is_picture != of_pictures):
+            yield pa.Table.from_pylist(waiting, schema=task_schema())
+            waiting = []
+        waiting.append(row)
+        of_pictures = is_picture
+    if waiting:
+        yield pa.Table.from_pylist(waiting, schema=task_schema())

@@ -1,0 +1,102 @@
+"""`fgrecon batch`: vehicles by the thousand, from files into a folder of Parquet."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fgrecon.cli.options import BOX_MODEL_HELP, CameraOptions, SceneOptions, WeightsOption
+from fgrecon.cli.terminal import Terminal
+from fgrecon.core.options import BoxModel
+
+if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
+    from fgrecon.batch import Tally
+
+__all__ = ["batch_command"]
+
+
+def batch_command(
+    inputs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="INPUT...", help="Keypoints (json, jsonl, parquet), images, videos, or folders of them."
+        ),
+    ],
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="For the parts (Parquet); made where it does not exist.")],
+    camera: CameraOptions,
+    scene: SceneOptions,
+    terminal: Terminal,
+    box_model: Annotated[BoxModel, typer.Option(help=BOX_MODEL_HELP)] = BoxModel.SURFACE,
+    weights: WeightsOption = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes; with --ray actors at most.")] = 1,
+    ray: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Work on a Ray cluster: its address, or auto.")
+    ] = None,
+    every: Annotated[int, typer.Option(min=1, help="Of videos every so many frames.")] = 1,
+    batch_rows: Annotated[
+        int | None, typer.Option(min=1, help="Rows that a worker gets at once.", show_default="32; 8 images")
+    ] = None,
+) -> None:
+    """Reconstruct many vehicles: a row for each, in a folder of Parquet files that grows while the work goes on.
+
+    A run that was ended or killed goes on where it was when it is started again with the same folder. Whatever is wrong
+    with a vehicle is in its row (status, error), and the others go on. Cars in images and videos are found by the
+    shipped networks. --verbose tells how often which error came.
+
+    Exit code 0: at least one vehicle was reconstructed, or all was done before; 1: none; 2: bad usage or input.
+    """
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    from fgrecon.batch import Reconstructor, run, sources_of
+    from fgrecon.cli.show import plain_camera, plain_settings
+    from fgrecon.core.options import Options
+
+    screen = terminal.screen()
+    settings = scene.settings(Options(strategy=scene.strategy, box=box_model, keep_history=False))
+    source = camera.source()
+    seen_by = source.camera()[0]
+    seen_by = None if seen_by is None else source.complete(seen_by, declared=False)
+    reconstructor = Reconstructor(
+        prior=settings.prior if settings.prior_file else scene.prior,
+        camera=seen_by,
+        ground=settings.ground,
+        size_prior=settings.size_prior,
+        options=settings.options,
+        weights=weights,
+        threads=1,
+    )
+    told = plain_settings(settings) | {
+        "camera": None if seen_by is None else plain_camera(seen_by),
+        "weights": None if weights is None else str(weights),
+    }
+    with screen.bar() as advance:
+
+        def report(tally: Tally) -> None:
+            advance("Rows", tally.done, tally.total)
+
+        tally = run(
+            sources_of(inputs, every),
+            out,
+            reconstructor,
+            jobs=jobs,
+            ray=ray,
+            batch_rows=batch_rows,
+            settings=told,
+            report=report,
+        )
+
+    table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True)
+    table.add_column("status")
+    table.add_column("rows", justify="right")
+    for status, count in sorted(tally.statuses.items()):
+        table.add_row(status, str(count))
+    screen.print(table, f"{tally.done} of {tally.total} rows are done, {tally.before} of them before.")
+    screen.detail(*(f"{count} x {error}" for error, count in tally.errors.most_common()))
+    screen.wrote(out)
+    solved = {"converged", "ambiguous", "degenerate"}
+    if tally.statuses and not solved & set(tally.statuses):
+        screen.fail("No vehicle could be reconstructed.")
+        raise typer.Exit(1)

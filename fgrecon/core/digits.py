@@ -1,0 +1,61 @@
+"""How many digits of a result its small JSON keeps: more than anybody measures, far fewer than doubles have."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+__all__ = ["DECIMALS", "SIGNIFICANT", "shortened"]
+
+DECIMALS: Mapping[str, int] = {
+    "camera_T_object": 9,
+    "coefficients": 9,
+    "offsets": 6,
+    "wireframe": 6,
+    "wireframe_uv": 3,
+    "box_size": 6,
+    "weights": 6,
+    "visibility": 6,
+    "milliseconds": 3,
+}
+"""Digits behind the point, by field: nanometres of the pose, micrometres of keypoints, thousandths of pixels."""
+
+SIGNIFICANT: Mapping[str, int] = {
+    "sigmas": 6,
+    "pose_covariance": 6,
+    "coefficients_covariance": 6,
+    "keypoint_covariance": 4,
+    "energies": 9,
+    "excess": 9,
+    "graph_gain": 9,
+}
+"""Significant digits of fields whose numbers are of any size."""
+
+
+def shortened(name: str, value: Any) -> Any:
+    """The plain value of a field (`fgrecon.core.plain.plain`) with the digits that the field keeps.
+
+    Texts, integers and what the tables do not name stay as they are; dictionaries inside lists go by their own names.
+    """
+    if name in DECIMALS:
+        return _each(partial(round, ndigits=DECIMALS[name]), value)
+    if name in SIGNIFICANT:
+        return _each(partial(_significant, SIGNIFICANT[name]), value)
+    if isinstance(value, list) and value and isinstance(value[0], dict):
+        return [{key: shortened(key, item) for key, item in entry.items()} for entry in value]
+    return value
+
+
+def _each(cut: Callable[[float], float], value: Any) -> Any:
+    if isinstance(value, float):
+        return cut(value)
+    if isinstance(value, list):
+        return [_each(cut, item) for item in value]
+    if isinstance(value, dict):
+        return {key: _each(cut, item) for key, item in value.items()}
+    return value
+
+
+def _significant(digits: int, value: float) -> float:
+    return float(f"{value:.{digits}g}")

@@ -1,0 +1,142 @@
+"""What other programs want to know of the images that results are from: tokens, times, poses of the camera."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.brief import brief_repr
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.export.results import NamedResult
+from fgrecon.io.json_fields import Fields, read_json
+
+__all__ = [
+    "EVERY",
+    "ImageInfo",
+    "box_in",
+    "by_image",
+    "info_of",
+    "plain_quaternion",
+    "plain_vector",
+    "quaternion",
+    "read_images_file",
+    "score",
+]
+
+EVERY = "*"
+"""Name of what holds for every image that is not named."""
+
+_VISIBLE = 0.5
+_FORWARD_LEFT_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""From axes x forward, y left, z up, as robots and nuScenes have them, to the object frame."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class ImageInfo:
+    """What is known of an image.
+
+    Attributes:
+        sample_token: nuScenes' token of the sample, or None.
+        image_id: COCO's number or name of the image, or None.
+        timestamp: When it was taken, seconds; or None.
+        world_T_camera: (4, 4) pose of the camera in the world's frame, or None.
+    """
+
+    sample_token: str | None = None
+    image_id: int | str | None = None
+    timestamp: float | None = None
+    world_T_camera: Array | None = None
+
+    __repr__ = brief_repr
+
+
+def read_images_file(path: Path) -> dict[str, ImageInfo]:
+    """What a JSON file tells of images.
+
+    Args:
+        path: An object that has for each image (or `*`, for those not named) an object with `sample_token`, `image_id`,
+            `timestamp` in seconds and `world_T_camera` (4 x 4), as far as they are known.
+
+    Raises:
+        InvalidInputError: The file cannot be read, or a field is of the wrong kind; names image and field.
+    """
+    data = read_json(path)
+    if not isinstance(data, Mapping):
+        raise InvalidInputError(str(path), type(data).__name__, "Give an object by image.")
+    return {str(name): _info(Fields(entry, f"{path}: {name}.")) for name, entry in data.items()}
+
+
+def _info(fields: Fields) -> ImageInfo:
+    number = fields.data.get("image_id")
+    if number is not None and not (isinstance(number, int | str) and not isinstance(number, bool)):
+        raise InvalidInputError(f"{fields.where}image_id", number, "Give an integer or a text.")
+    pose = fields.numbers("world_T_camera", (4, 4)) if "world_T_camera" in fields else None
+    if pose is not None and not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-3):
+        raise InvalidInputError(f"{fields.where}world_T_camera", pose.tolist(), "Give a rotation and a translation.")
+    return ImageInfo(
+        sample_token=fields.get("sample_token", str) if "sample_token" in fields else None,
+        image_id=number,
+        timestamp=float(fields.numbers("timestamp", ())) if "timestamp" in fields else None,
+        world_T_camera=pose,
+    )
+
+
+def info_of(image: str, images: Mapping[str, ImageInfo]) -> ImageInfo:
+    """What is known of an image by its name, that name without folder and ending, or as of every one."""
+    for name in (image, Path(image).name, Path(image).stem, EVERY):
+        if name in images:
+            return images[name]
+    return ImageInfo()
+
+
+def by_image(results: Sequence[NamedResult]) -> dict[str, list[NamedResult]]:
+    """The results that have a pose, by their images, in order."""
+    found: dict[str, list[NamedResult]] = {}
+    for item in results:
+        if item.solved:
+            found.setdefault(item.image, []).append(item)
+    return found
+
+
+def box_in(info: ImageInfo, camera_T_object: Array, size: Array) -> tuple[Array, Array]:
+    """Centre (3,) of a vehicle's box and its axes (3, 3) forward, left, up; in the world's frame, else the camera's.
+
+    Args:
+        info: What is known of the image.
+        camera_T_object: (4, 4) pose, its origin on the ground below the centre.
+        size: (3,) length, width and height, metres.
+    """
+    pose = camera_T_object if info.world_T_camera is None else info.world_T_camera @ camera_T_object
+    centre: Array = pose[:3, 3] - pose[:3, 1] * size[2] / 2.0
+    return centre, pose[:3, :3] @ _FORWARD_LEFT_UP
+
+
+def score(item: NamedResult) -> float:
+    """Mean weight of the keypoints that the pose shows: how much of what should be seen was found in its place."""
+    visible = item.result.visibility >= _VISIBLE
+    return float(item.result.weights[visible].mean()) if visible.any() else 0.0
+
+
+def quaternion(rotation: Array) -> tuple[float, float, float, float]:
+    """(x, y, z, w) of a rotation (3, 3), w not negative."""
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat(canonical=True).tolist()
+    return x, y, z, w
+
+
+def plain_vector(vector: Any) -> dict[str, float]:
+    """x, y and z as messages have them."""
+    return dict(zip("xyz", np.asarray(vector, dtype=np.float64).tolist(), strict=True))
+
+
+def plain_quaternion(rotation: Array) -> dict[str, float]:
+    """A rotation (3, 3) as messages have it."""
+    return dict(zip("xyzw", quaternion(rotation), strict=True))

@@ -1,0 +1,180 @@
+"""Results as MCAP: Foxglove's `SceneUpdate` to look at, ROS 2's `vision_msgs/Detection3DArray` to work with.
+
+A message for each image, at its time, else ten images a second. Boxes have the axes x forward, y left, z up. Their
+frame is `world` where the camera's pose is known, else `camera` (x right, y down, z forward).
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.errors import MissingPackageError
+from fgrecon.core.geometry import transform
+from fgrecon.core.reconstruction import Alternative
+from fgrecon.core.sides import SURFACE
+from fgrecon.io.export.frames import ImageInfo, box_in, by_image, info_of, plain_quaternion, plain_vector, score
+from fgrecon.io.export.messages import DETECTIONS, SCENE_UPDATE
+from fgrecon.io.export.results import NamedResult
+
+__all__ = ["detections_bytes", "pose_covariance", "scene_bytes"]
+
+_PERIOD = 0.1  # seconds between images whose times are not known
+_NANO = 1_000_000_000
+_LINE_LIST = 2  # pairs of points
+_CAR = "car"
+
+Array = NDArray[np.float64]
+
+
+def scene_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> bytes:
+    """MCAP of Foxglove's scene updates (JSON), topic `/fgrecon/scene`: of each vehicle box, wireframe and name.
+
+    Raises:
+        MissingPackageError: mcap is not installed.
+    """
+    try:
+        from mcap.writer import Writer
+    except ImportError as error:
+        raise MissingPackageError("fgrecon[mcap]", "MCAP") from error
+    sink = io.BytesIO()
+    writer = Writer(sink)
+    writer.start(profile="", library="fgrecon")
+    content = json.dumps(SCENE_UPDATE).encode()
+    schema = writer.register_schema("foxglove.SceneUpdate", "jsonschema", content)
+    channel = writer.register_channel("/fgrecon/scene", "json", schema)
+    for time, info, items in _moments(results, images):
+        entities = [_entity(item, info, time) for item in items]
+        clear = {"timestamp": _time(time, "nsec"), "type": 1, "id": ""}  # vehicles of the image before
+        data = json.dumps({"deletions": [clear], "entities": entities}, allow_nan=False).encode()
+        writer.add_message(channel, log_time=time, data=data, publish_time=time)
+    writer.finish()
+    return sink.getvalue()
+
+
+def detections_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> bytes:
+    """MCAP of `vision_msgs/msg/Detection3DArray` (CDR), topic `/fgrecon/detections`.
+
+    The hypotheses of a detection are the result, with its covariance, and then its alternatives, whose covariances are
+    not known (zeros). Their scores share that of the detection as their energies say.
+
+    Raises:
+        MissingPackageError: mcap-ros2-support is not installed.
+    """
+    try:
+        from mcap_ros2.writer import Writer
+    except ImportError as error:
+        raise MissingPackageError("fgrecon[mcap]", "ROS 2 messages") from error
+    sink = io.BytesIO()
+    writer = Writer(sink)
+    schema = writer.register_msgdef("vision_msgs/msg/Detection3DArray", DETECTIONS)
+    for number, (time, info, items) in enumerate(_moments(results, images)):
+        header = {"stamp": _time(time, "nanosec"), "frame_id": _frame(info)}
+        message = {"header": header, "detections": [_detection(item, info, header) for item in items]}
+        writer.write_message("/fgrecon/detections", schema, message, time, time, number)
+    writer.finish()
+    return sink.getvalue()
+
+
+def _moments(
+    results: Sequence[NamedResult], images: Mapping[str, ImageInfo]
+) -> Iterator[tuple[int, ImageInfo, list[NamedResult]]]:
+    """Time in nanoseconds, what is known of the image, and vehicles, of every image."""
+    for number, (image, items) in enumerate(by_image(results).items()):
+        info = info_of(image, images)
+        seconds = number * _PERIOD if info.timestamp is None else info.timestamp
+        yield round(seconds * _NANO), info, items
+
+
+def _time(nanoseconds: int, rest: str) -> dict[str, int]:
+    return {"sec": nanoseconds // _NANO, rest: nanoseconds % _NANO}
+
+
+def _frame(info: ImageInfo) -> str:
+    return "camera" if info.world_T_camera is None else "world"
+
+
+def _pose(info: ImageInfo, camera_T_object: Array, size: Array) -> dict[str, Any]:
+    centre, axes = box_in(info, camera_T_object, size)
+    return {"position": plain_vector(centre), "orientation": plain_quaternion(axes)}
+
+
+def _entity(item: NamedResult, info: ImageInfo, time: int) -> dict[str, Any]:
+    """A vehicle in Foxglove's scene."""
+    result = item.result
+    pose, size = result.camera_T_object, result.box_size
+    placed = pose if info.world_T_camera is None else info.world_T_camera @ pose
+    points = transform(placed, result.wireframe[result.edges.ravel()])
+    red, green, blue = (value / 255 for value in SURFACE)
+    colour = {"r": red, "g": green, "b": blue}
+    box = _pose(info, pose, size)
+    still = {"position": plain_vector([0, 0, 0]), "orientation": plain_quaternion(np.eye(3))}
+    line = {"type": _LINE_LIST, "pose": still, "thickness": 2.0, "scale_invariant": True}
+    text = {"billboard": True, "font_size": 12.0, "scale_invariant": True, "text": item.name}
+    told = {"status": result.status.value, "message": result.message, "score": f"{score(item):.3f}"}
+    return {
+        "timestamp": _time(time, "nsec"),
+        "frame_id": _frame(info),
+        "id": item.name,
+        "lifetime": {"sec": 0, "nsec": 0},
+        "frame_locked": False,
+        "metadata": [{"key": key, "value": value} for key, value in told.items()],
+        **{name: [] for name in ("arrows", "spheres", "cylinders", "triangles", "models")},
+        "cubes": [{"pose": box, "size": plain_vector(size), "color": colour | {"a": 0.3}}],
+        "lines": [
+            line
+            | {"points": [plain_vector(point) for point in points], "color": colour | {"a": 1.0}}
+            | {"colors": [], "indices": []}
+        ],
+        "texts": [text | {"pose": box, "color": colour | {"a": 1.0}}],
+    }
+
+
+def _detection(item: NamedResult, info: ImageInfo, header: dict[str, Any]) -> dict[str, Any]:
+    """A vehicle in ROS 2."""
+    result = item.result
+    known = np.zeros((6, 6)) if result.pose_covariance is None else pose_covariance(item, info)
+    poses = [result.camera_T_object, *(a.camera_T_object for a in result.alternatives)]
+    shares = score(item) * _probabilities(result.alternatives)
+    hypotheses = [
+        {
+            "hypothesis": {"class_id": _CAR, "score": float(share)},
+            "pose": {
+                "pose": _pose(info, pose, result.box_size),
+                "covariance": (known if number == 0 else np.zeros((6, 6))).ravel().tolist(),
+            },
+        }
+        for number, (pose, share) in enumerate(zip(poses, shares, strict=True))
+    ]
+    box = {"center": _pose(info, result.camera_T_object, result.box_size), "size": plain_vector(result.box_size)}
+    return {"header": header, "results": hypotheses, "bbox": box, "id": item.name}
+
+
+def _probabilities(alternatives: Sequence[Alternative]) -> Array:
+    """Of a result and its alternatives, by their energies; where there are none the result is all there is."""
+    excess = np.array([0.0, *(a.excess for a in alternatives)])
+    odds = np.where(np.isnan(excess), 0.0, np.exp(-np.nan_to_num(excess)))
+    shares: Array = odds / odds.sum()
+    return shares
+
+
+def pose_covariance(item: NamedResult, info: ImageInfo) -> Array:
+    """(6, 6) covariance of the box's centre (x, y, z) and of small turns about the axes of the frame of the message.
+
+    GTSAM's is of turn and shift in the object's own frame, at its origin.
+    """
+    result = item.result
+    assert result.pose_covariance is not None
+    rotation = result.camera_T_object[:3, :3]
+    if info.world_T_camera is not None:
+        rotation = info.world_T_camera[:3, :3] @ rotation
+    centre = np.array([0.0, -result.box_size[2] / 2.0, 0.0])
+    jacobian = np.zeros((6, 6))
+    jacobian[:3, :3], jacobian[:3, 3:], jacobian[3:, :3] = -rotation @ np.cross(centre, np.eye(3)).T, rotation, rotation
+    covariance: Array = jacobian @ result.pose_covariance @ jacobian.T
+    return covariance

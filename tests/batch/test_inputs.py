@@ -1,0 +1,149 @@
+"""Files and folders as rows: counted, streamed, each with an id; what cannot be read is a row that says so."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from fgrecon.batch import sources_of
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.images import write_png
+from tests.batch.support import instances, write_lines
+from tests.cli.conftest import K
+
+
+def rows_of(*inputs, **how):
+    sources = sources_of(inputs, **how)
+    rows = [row for source in sources for row in source.rows()]
+    assert len(rows) == sum(source.count() for source in sources)
+    assert len({row["row_id"] for row in rows}) == len(rows)
+    return rows
+
+
+@pytest.fixture
+def cars():
+    return instances(3)
+
+
+def test_lines(cars, tmp_path):
+    file = write_lines(tmp_path / "cars.jsonl", [cars[0], "", "{torn", cars[1]])
+    rows = rows_of(file)
+    assert [row["row_id"] for row in rows] == [f"{file}#1", f"{file}#3", f"{file}#4"]
+    assert json.loads(rows[0]["instance"]) == cars[0]
+    assert rows[1]["instance"] == "{torn"
+
+
+def test_keypoint_files_share_their_camera(cars, tmp_path):
+    bare = [{name: value for name, value in car.items() if name != "K"} for car in cars]
+    own = bare[2] | {"intrinsics": [500, 500, 100, 100]}
+    (file := tmp_path / "cars.json").write_text(json.dumps({"K": K.tolist(), "instances": [*bare[:2], own]}))
+    content = [json.loads(row["instance"]) for row in rows_of(file)]
+    assert [item.get("K") for item in content] == [K.tolist(), K.tolist(), None]
+    (one := tmp_path / "one.json").write_text(json.dumps(cars[0]))
+    (several := tmp_path / "several.json").write_text(json.dumps(cars))
+    assert [len(rows_of(one)), len(rows_of(several))] == [1, 3]
+
+
+def test_tracks(content, tmp_path):
+    (file := tmp_path / "made-up.json").write_text(json.dumps(content))
+    rows = rows_of(file)
+    first = json.loads(rows[0]["instance"])
+    assert len(rows) == len(content["frames"])
+    assert first["id"] == f"made-up:{content['frames'][0]['frame']}"
+    assert first["keypoints"][content["keypoint_names"][3]] == content["frames"][0]["keypoints_uv"][3]
+
+
+def test_parquet(cars, tmp_path):
+    pq.write_table(pa.Table.from_pylist(cars), tmp_path / "cars.parquet")
+    assert [json.loads(row["instance"]) for row in rows_of(tmp_path / "cars.parquet")] == cars
+    texts = [{"instance": json.dumps(car), "weather": "rain"} for car in cars]
+    pq.write_table(pa.Table.from_pylist(texts), tmp_path / "texts.parquet")
+    assert [json.loads(row["instance"]) for row in rows_of(tmp_path / "texts.parquet")] == cars
+
+
+def test_columns_of_parquet_that_are_something_else(cars, tmp_path):
+    odd = [car | {"frame": "left-003", "row_id": "mine"} for car in cars[:2]]
+    pq.write_table(pa.Table.from_pylist(odd), tmp_path / "odd.parquet")
+    rows = rows_of(tmp_path / "odd.parquet")
+    assert all("frame" not in row for row in rows)
+    assert json.loads(rows[0]["instance"])["keypoints"] == cars[0]["keypoints"]
+    pq.write_table(pa.table({"image": [b"bytes"], "frame": ["x"]}), tmp_path / "bytes.parquet")
+    (row,) = rows_of(tmp_path / "bytes.parquet")
+    assert "column image holds bytes" in row["problem"]
+    pq.write_table(pa.table({"image": ["a.png"], "frame": [3]}), tmp_path / "images.parquet")
+    (row,) = rows_of(tmp_path / "images.parquet")
+    assert (row["image"], row["frame"]) == ("a.png", 3)
+
+
+@pytest.mark.parametrize("name", ["torn.json", "torn.parquet", "torn.mp4", "empty.json"])
+def test_a_torn_file_is_a_row_that_says_so(tmp_path, name):
+    (file := tmp_path / name).write_bytes(b"" if "empty" in name else b"{torn")
+    (row,) = rows_of(file)
+    assert str(file) in row["problem"]
+
+
+def test_folders(cars, tmp_path):
+    image = np.zeros((20, 30, 3), np.uint8)
+    for name in ("b/2.png", "a.png", ".hidden/c.png"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        write_png(tmp_path / name, image)
+    write_lines(tmp_path / "cars.jsonl", cars)
+    assert [row["image"] for row in rows_of(tmp_path)] == [str(tmp_path / "a.png"), str(tmp_path / "b/2.png")]
+    assert len(rows_of(tmp_path, tmp_path / "a.png")) == 2, "each file once"
+    write_lines((tmp_path / "lines").mkdir() or tmp_path / "lines/cars.jsonl", cars)
+    assert len(rows_of(tmp_path / "lines")) == 3
+
+
+@pytest.mark.parametrize("layout", ["object", "drive", "tracking"])
+def test_folders_of_kitti_bring_their_cameras(tmp_path, layout):
+    line = "P2: " + " ".join(map(str, np.hstack([K, np.ones((3, 1))]).ravel())) + "\n"
+    images, calib = {
+        "object": ("image_2", "calib/000001.txt"),
+        "drive": ("image_02", "calib.txt"),
+        "tracking": ("image_02/0007", "calib/0007.txt"),
+    }[layout]
+    (tmp_path / images).mkdir(parents=True)
+    (tmp_path / calib).parent.mkdir(exist_ok=True)
+    (tmp_path / calib).write_text(line)
+    (tmp_path / "image_3").mkdir()
+    for folder in (images, "image_3"):
+        write_png(tmp_path / folder / "000001.png", np.zeros((20, 30, 3), np.uint8))
+    (row,) = rows_of(tmp_path)
+    assert row["image"] == str(tmp_path / images / "000001.png")
+    assert json.loads(row["camera"])["K"] == K.tolist()
+
+
+def test_videos_frame_by_frame(tmp_path):
+    from fgrecon.batch.pictures import Pictures
+
+    file = make_video(tmp_path / "drive.avi", 7)
+    assert [row["frame"] for row in rows_of(file)] == list(range(7))
+    assert [row["row_id"] for row in rows_of(file, every=3)] == [f"{file}#0", f"{file}#3", f"{file}#6"]
+    pictures = Pictures()
+    for frame in (0, 1, 4, 2, 6):
+        assert pictures.get(str(file), frame).mean() == pytest.approx(20 + 30 * frame, abs=4)
+    with pytest.raises(InvalidInputError, match="frame 7"):
+        pictures.get(str(file), 7)
+
+
+def make_video(path, count):
+    """Grey frames, each brighter than the one before."""
+    import cv2
+
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10.0, (64, 48))
+    for frame in range(count):
+        writer.write(np.full((48, 64, 3), 20 + 30 * frame, np.uint8))
+    writer.release()
+    return path
+
+
+@pytest.mark.parametrize("name", ["none.json", "x.docx", "empty"])
+def test_what_is_no_input_is_refused(tmp_path, name):
+    (tmp_path / "x.docx").touch()
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InvalidInputError, match="input"):
+        sources_of([tmp_path / name])

@@ -1,0 +1,193 @@
+"""Runs: every row exactly once, whatever is killed and whenever; the same bits as ever; memory that does not grow."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from typer.testing import CliRunner
+
+from fgrecon.batch import Reconstructor, result_schema, run, sources_of
+from fgrecon.batch.parts import Parts
+from fgrecon.batch.schema import task_schema
+from fgrecon.cli import main
+from fgrecon.core.errors import InvalidInputError, MissingPackageError
+from tests.batch.support import Deadly, instances, results, untimed, write_lines
+from tests.conftest import REPOSITORY
+
+
+@pytest.fixture(scope="module")
+def cars(tmp_path_factory):
+    """A file of twenty cars, and what the reconstructor makes of them in this process."""
+    folder = tmp_path_factory.mktemp("cars")
+    content = instances(20)
+    file = write_lines(folder / "cars.jsonl", content)
+    tasks = [
+        {"row_id": f"{file}#{i}", "source": str(file), "instance": json.dumps(c)} for i, c in enumerate(content, 1)
+    ]
+    table = Reconstructor(size_prior="kitti")(pa.Table.from_pylist(tasks, schema=task_schema()))
+    return file, {row["row_id"]: untimed(row) for row in table.to_pylist()}
+
+
+def batch(*arguments):
+    return CliRunner().invoke(main.app, ["batch", *map(str, arguments)])
+
+
+def test_two_processes_give_the_bits_of_one(cars, tmp_path):
+    file, expected = cars
+    done = batch(file, "--out", tmp_path / "out", "--jobs", 2, "--size-prior", "kitti", "--batch-rows", 3)
+    assert done.exit_code == 0, done.output
+    assert "20 of 20 rows are done, 0 of them before." in done.stdout
+    found = results(tmp_path / "out")
+    assert {name: untimed(row) for name, row in found.items()} == expected
+    schema = pq.read_schema(next((tmp_path / "out").glob("part-*.parquet")))
+    assert schema.equals(result_schema())
+    assert schema.metadata[b"fgrecon.format"] == b"fgrecon.batch/1"
+    again = batch(file, "--out", tmp_path / "out", "--size-prior", "kitti")
+    assert again.exit_code == 0
+    assert "20 of 20 rows are done, 20 of them before." in again.stdout
+    assert results(tmp_path / "out") == found
+
+
+def test_a_folder_is_for_one_kind_of_run(cars, tmp_path):
+    file, _ = cars
+    few = write_lines(tmp_path / "few.jsonl", file.read_text().splitlines()[:2])
+    assert batch(few, "--out", tmp_path / "out").exit_code == 0
+    other = batch(few, "--out", tmp_path / "out", "--size-prior", "kitti")
+    assert isinstance(other.exception, InvalidInputError)
+    assert "other settings" in str(other.exception)
+    (tmp_path / "out" / "_run.json").unlink()
+    assert "no _run.json" in str(batch(few, "--out", tmp_path / "out").exception)
+
+
+def test_poison_becomes_a_row_and_the_unlucky_are_tried_again(cars, tmp_path):
+    file, expected = cars
+    content = [json.loads(line) for line in file.read_text().splitlines()[:6]]
+    content[1]["id"], content[4]["id"] = "poison", "unlucky"
+    lines = [json.dumps(item) for item in content]
+    mixed = write_lines(tmp_path / "mixed.jsonl", [*lines[:3], "{torn", *lines[3:]])
+    deadly = Deadly(tmp_path, size_prior="kitti")
+    tally = run(sources_of([mixed]), tmp_path / "out", deadly, jobs=2, batch_rows=4)
+    assert (tally.done, tally.total) == (7, 7)
+    found = results(tmp_path / "out")
+    states = {int(name.rpartition("#")[2]): row["status"] for name, row in found.items()}
+    assert (states.pop(2), states.pop(4)) == ("error", "refused")
+    assert set(states.values()) <= {"converged", "ambiguous", "degenerate"}
+    poisoned = found[f"{mixed}#2"]
+    assert (poisoned["error_type"], poisoned["x"]) == ("WorkerDiedError", None)
+    healthy = expected[f"{file}#1"]
+    assert found[f"{mixed}#1"]["camera_T_object"] == healthy["camera_T_object"]
+
+
+def test_a_killed_run_goes_on_where_it_was(cars, tmp_path):
+    file, expected = cars
+    out = tmp_path / "out"
+    command = [sys.executable, "-c", "from fgrecon.cli.main import main; main()", "batch", str(file), "--out", str(out)]
+    command += ["--jobs", "2", "--size-prior", "kitti", "--batch-rows", "2"]
+    script = f"import fgrecon.batch.parts as p; p._ROWS = 4; import sys; sys.argv = {command[2:]!r}; "
+    code = script + "from fgrecon.cli.main import main\nif __name__ == '__main__': main()"
+    (program := tmp_path / "program.py").write_text(code)
+    environment = os.environ | {"PYTHONPATH": str(REPOSITORY)}
+    running = subprocess.Popen([sys.executable, str(program)], env=environment, start_new_session=True)
+    try:
+        deadline = time.monotonic() + 120
+        while len(list(out.glob("part-*.parquet"))) < 2 and running.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.02)
+    finally:
+        running.kill()
+        running.wait()
+    before = results(out)
+    assert 4 <= len(before) < 20
+    (out / ".part-000009.parquet.torn.part").write_bytes(b"half")
+    _wait_for_orphans(running.pid)
+    done = batch(file, "--out", out, "--jobs", 2, "--size-prior", "kitti")
+    assert done.exit_code == 0, done.output
+    assert f"20 of 20 rows are done, {len(before)} of them before." in done.stdout
+    assert {name: untimed(row) for name, row in results(out).items()} == expected
+    assert not list(out.glob(".part-*"))
+
+
+def _wait_for_orphans(session):
+    """The workers of a killed run end themselves."""
+    deadline = time.monotonic() + 30
+    while time.monotonic() < deadline:
+        try:
+            os.killpg(session, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.1)
+    os.killpg(session, signal.SIGKILL)
+    pytest.fail("workers outlive a run that was killed")
+
+
+def test_one_run_at_a_time(tmp_path):
+    pytest.importorskip("fcntl")
+    from fgrecon.batch.parts import claimed
+
+    with claimed(tmp_path), pytest.raises(InvalidInputError, match="going on"), claimed(tmp_path):
+        pass
+
+
+def test_a_part_that_is_none_is_named(tmp_path):
+    (tmp_path / "part-000000.parquet").write_bytes(b"torn")
+    with pytest.raises(InvalidInputError, match="part-000000"):
+        Parts(tmp_path).done()
+
+
+def test_nothing_solved_is_exit_code_1_and_bad_usage_2(tmp_path):
+    bad = write_lines(tmp_path / "bad.jsonl", ["{", "[]", '{"id": "\\ud800"}'])
+    done = batch(bad, "--out", tmp_path / "out", "--verbose")
+    assert done.exit_code == 1
+    assert "1 x InvalidInputError: instance\n" in done.stdout
+    assert "refused" in done.stdout
+    for arguments, field in ((["none.jsonl"], "input"), ([bad, "--prior", "none"], "prior")):
+        assert batch(*arguments, "--out", tmp_path / "x").exception.field == field
+    assert not (tmp_path / "x").exists()
+
+
+class Copying(Reconstructor):
+    """Gives every row the result of the first: what a run costs beside solving."""
+
+    def __init__(self, row):
+        super().__init__()
+        self.row = row
+
+    def __call__(self, table):
+        rows = [self.row | {"row_id": name} for name in table.column("row_id").to_pylist()]
+        return pa.Table.from_pylist(rows, schema=result_schema())
+
+
+@pytest.mark.slow
+def test_memory_stays_flat_over_many_cars(cars, tmp_path):
+    """Twenty thousand rows cost the parent no more memory than the first four thousand did."""
+    file, expected = cars
+    line = file.read_text().splitlines()[0]
+    many = write_lines(tmp_path / "many.jsonl", [line] * 20_000)
+    seen = []
+
+    def report(tally):
+        if tally.done in (4096, 20_000) or not tally.done % 4096:
+            pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+            seen.append(pages * os.sysconf("SC_PAGE_SIZE") / 2**20)
+
+    copying = Copying(next(iter(expected.values())))
+    tally = run(sources_of([many]), tmp_path / "out", copying, jobs=1, batch_rows=512, report=report)
+    assert tally.done == 20_000
+    assert len(results(tmp_path / "out")) == 20_000
+    assert max(seen) - seen[1] < 60
+
+
+def test_ray_is_asked_for_where_it_is_missing(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    file = write_lines(tmp_path / "one.jsonl", instances(1))
+    done = batch(file, "--out", tmp_path / "out", "--ray", "auto")
+    assert isinstance(done.exception, MissingPackageError)
+    assert "pip install fgrecon[ray]" in str(done.exception)
