@@ -26,11 +26,12 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.core.box3d import Box3D
     from fgrecon.core.camera import Camera, Ground
     from fgrecon.core.category import Category
+    from fgrecon.core.choices import BoxModel, StrategyName
     from fgrecon.core.detection import Detection
     from fgrecon.core.observation import Observation
-    from fgrecon.core.options import BoxModel, BoxOptions, KeypointOptions, Options, SearchOptions, ShapeOptions
+    from fgrecon.core.options import BoxOptions, KeypointOptions, Options, SearchOptions, ShapeOptions
     from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status, rotation_y
-    from fgrecon.core.robust import RobustStrategy, StrategyName, strategy
+    from fgrecon.core.robust import RobustStrategy, strategy
     from fgrecon.core.shape_prior import ShapePrior, Surface
     from fgrecon.core.size_prior import SIZE_PRIORS, SizePrior
     from fgrecon.core.track_reconstruction import JointStep, TrackReconstruction

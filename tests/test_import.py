@@ -11,8 +11,8 @@ HEAVY = ("torch", "rerun", "cv2", "matplotlib", "poselib")
 @pytest.mark.parametrize(
     ("module", "unwanted"),
     [
-        ("fgrecon", (*HEAVY, "typer", "rich", "gtsam", "scipy")),
-        ("fgrecon.cli.main", (*HEAVY, "rich.table")),
+        ("fgrecon", (*HEAVY, "typer", "rich", "gtsam", "scipy", "numpy")),
+        ("fgrecon.cli.main", (*HEAVY, "rich.table", "gtsam", "scipy", "numpy")),
         ("fgrecon.core.reconstruction", (*HEAVY, "typer", "rich", "gtsam", "scipy")),
         ("fgrecon.solve.pipeline", (*HEAVY, "typer", "rich", "scipy")),
         ("factors", ("fgrecon", "gtsam")),

@@ -13,7 +13,7 @@ from fgrecon.cli.common import check_outputs
 from fgrecon.cli.deliver import Delivery, recordings_of
 from fgrecon.cli.options import DATA, DataOption, JsonOption, LabelledScene, WeightsOption
 from fgrecon.cli.terminal import Terminal
-from fgrecon.core.options import BoxModel
+from fgrecon.core.choices import BoxModel
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from rich.table import Table

@@ -9,7 +9,7 @@ import typer
 
 from fgrecon.cli.options import BOX_MODEL_HELP, CameraOptions, SceneOptions, WeightsOption
 from fgrecon.cli.terminal import Terminal
-from fgrecon.core.options import BoxModel
+from fgrecon.core.choices import BoxModel
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from fgrecon.batch import Tally

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fgrecon.cli.common import chosen_boxes, ground_plane
-from fgrecon.core.robust import StrategyName
+from fgrecon.core.choices import StrategyName
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from collections.abc import Callable

@@ -13,7 +13,7 @@ from fgrecon.cli.options import VehicleBoxes
 from fgrecon.cli.terminal import Screen
 from fgrecon.core.camera import DEFAULT_FIELD_OF_VIEW, Camera
 from fgrecon.core.category import Category
-from fgrecon.core.options import BoxModel
+from fgrecon.core.choices import BoxModel
 from fgrecon.io.boxes import NamedBox
 from fgrecon.io.keypoint_file import Instance
 from fgrecon.perception.keypoints.detect import CascadeDetection, KeypointCascade, check_box

@@ -12,8 +12,8 @@ from fgrecon.cli.common import check_outputs
 from fgrecon.cli.deliver import Delivery
 from fgrecon.cli.options import BOX_MODEL_HELP, CameraOptions, HistoryOption, JsonOption, SceneOptions, VehicleBoxes
 from fgrecon.cli.terminal import Terminal
+from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.options import BoxModel
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from collections.abc import Sequence

@@ -11,7 +11,7 @@ from fgrecon.cli.common import check_outputs
 from fgrecon.cli.deliver import Delivery
 from fgrecon.cli.options import BOX_MODEL_HELP, CameraOptions, HistoryOption, JsonOption, SceneOptions
 from fgrecon.cli.terminal import Terminal
-from fgrecon.core.options import BoxModel
+from fgrecon.core.choices import BoxModel
 
 __all__ = ["track_command"]
 

@@ -5,26 +5,15 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
-from enum import StrEnum
 from typing import Any, ClassVar
 
+from fgrecon.core.choices import BoxModel, StrategyName
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.robust import RobustStrategy, StrategyName
+from fgrecon.core.robust import RobustStrategy
 from fgrecon.core.robust import strategy as named_strategy
 from fgrecon.core.settings import check_settings, choice, count, flag, number, one_of
 
 __all__ = ["BoxModel", "BoxOptions", "KeypointOptions", "Options", "SearchOptions", "ShapeOptions"]
-
-
-class BoxModel(StrEnum):
-    """What a 2D box encloses."""
-
-    SURFACE = "surface"
-    """The vehicle's outline, as detectors draw it (the prior's surface; without one, its 3D box)."""
-    CUBOID = "cuboid"
-    """The projected corners of the vehicle's 3D box, as KITTI's labels and detectors trained on them have it."""
-    OFF = "off"
-    """The box places the start and scales the noise, but is no evidence."""
 
 
 @dataclass(frozen=True)

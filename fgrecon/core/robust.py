@@ -24,30 +24,17 @@ The strategies:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from factors.losses import Loss, RobustLoss
+from fgrecon.core.choices import StrategyName
 from fgrecon.core.settings import check_settings, choice, count, number, one_of
 
 __all__ = ["Evidence", "RobustStrategy", "StrategyName", "strategy"]
 
 Array = NDArray[np.float64]
-
-
-class StrategyName(StrEnum):
-    """The robust strategies by name."""
-
-    MIXTURE = "mixture"
-    PAPER = "paper"
-    PAPER_LITERAL = "paper_literal"
-    HUBER = "huber"
-    CAUCHY = "cauchy"
-    GEMAN_MCCLURE = "geman_mcclure"
-    TUKEY = "tukey"
-    GNC = "gnc"
 
 
 _LOSSES = {

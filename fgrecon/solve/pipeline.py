@@ -28,6 +28,7 @@ from fgrecon.solve.graph.graph import Seen
 from fgrecon.solve.proposals.adjust import adjust_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import results
+from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.vehicle.model import prepare
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ __all__ = ["ground_plane", "observe", "reconstruct"]
 Array = NDArray[np.float64]
 
 
+@single_threaded
 def reconstruct(
     keypoints: ArrayLike | Mapping[str, ArrayLike] | Observation,
     intrinsics: Camera | ArrayLike,

@@ -40,6 +40,7 @@ from fgrecon.solve.pipeline import ground_plane, observe
 from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import results
+from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.vehicle.model import prepare
 
 if TYPE_CHECKING:
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
 __all__ = ["JointStep", "TrackReconstruction", "reconstruct_track"]
 
 
+@single_threaded
 def reconstruct_track(
     observations: Sequence[Observation | None],
     cameras: Camera | Sequence[Camera],

@@ -1,0 +1,31 @@
+"""What settings choose between by name, apart from what it does: the command line lists it before numpy is imported."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+__all__ = ["BoxModel", "StrategyName"]
+
+
+class BoxModel(StrEnum):
+    """What a 2D box encloses."""
+
+    SURFACE = "surface"
+    """The vehicle's outline, as detectors draw it (the prior's surface; without one, its 3D box)."""
+    CUBOID = "cuboid"
+    """The projected corners of the vehicle's 3D box, as KITTI's labels and detectors trained on them have it."""
+    OFF = "off"
+    """The box places the start and scales the noise, but is no evidence."""
+
+
+class StrategyName(StrEnum):
+    """The robust strategies by name; `fgrecon.core.robust` says what each does."""
+
+    MIXTURE = "mixture"
+    PAPER = "paper"
+    PAPER_LITERAL = "paper_literal"
+    HUBER = "huber"
+    CAUCHY = "cauchy"
+    GEMAN_MCCLURE = "geman_mcclure"
+    TUKEY = "tukey"
+    GNC = "gnc"
