@@ -35,15 +35,18 @@ from factors.lazy import lazy_names
 if TYPE_CHECKING:  # imported when used
     from factors.box import box_factor
     from factors.cheirality import check_in_front, cheirality_factor
+    from factors.contact import GroundFrame, contact_factor
     from factors.dimensions import dimensions_factor
     from factors.errors import DegenerateProblemError, FactorCallbackError, FgreconError, InvalidInputError
     from factors.ground import ground_height_factor, upright_factor
     from factors.guard import guarded_factor
     from factors.kernel import Projection, ProjectionKernel
-    from factors.keys import DecodedKey, L, M, O, P, X, decode_key, key_name
+    from factors.keys import DecodedKey, G, L, M, O, P, X, decode_key, key_name
     from factors.laplacian import laplacian_factor
     from factors.losses import Loss, RobustLoss
+    from factors.mixture import Form, mixture
     from factors.noise import Noise, as_noise, diagonal_noise, keypoint_noise, keypoint_whiteners
+    from factors.observation import BoxRows, GroundRows, ObservationRows, observation_factor
     from factors.planarity import (
         ground_parallel_factor,
         penalty_ground_parallel_factor,
@@ -58,10 +61,15 @@ if TYPE_CHECKING:  # imported when used
     from factors.symmetry import symmetry_factor
 
 __all__ = [
+    "BoxRows",
     "DecodedKey",
     "DegenerateProblemError",
     "FactorCallbackError",
     "FgreconError",
+    "Form",
+    "G",
+    "GroundFrame",
+    "GroundRows",
     "InvalidInputError",
     "L",
     "LinearShape",
@@ -69,6 +77,7 @@ __all__ = [
     "M",
     "Noise",
     "O",
+    "ObservationRows",
     "P",
     "Projection",
     "ProjectionKernel",
@@ -79,6 +88,7 @@ __all__ = [
     "check_in_front",
     "cheirality_factor",
     "coefficients_prior",
+    "contact_factor",
     "decode_key",
     "diagonal_noise",
     "dimensions_factor",
@@ -91,6 +101,8 @@ __all__ = [
     "keypoint_whiteners",
     "laplacian_factor",
     "make_plane",
+    "mixture",
+    "observation_factor",
     "offsets_prior",
     "penalty_ground_parallel_factor",
     "penalty_planarity_factor",

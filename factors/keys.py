@@ -12,6 +12,7 @@ key        type in `Values`    meaning                                         u
 ``O(v)``   vector (3K,)        free offsets, (K, 3) flattened row by row       metres, object frame
 ``P(v,f)`` ``OrientedPlane3``  plane of face f, n'X + d = 0                    metres, object frame
 ``M(v)``   ``OrientedPlane3``  medial plane, n'X + d = 0                       metres, object frame
+``G(t)``   vector (3,)         ground of frame t: height, pitch, roll          metres, radians
 =========  ==================  ==============================================  ======================
 """
 
@@ -23,7 +24,7 @@ import gtsam
 
 from factors.errors import InvalidInputError
 
-__all__ = ["DecodedKey", "L", "M", "O", "P", "X", "decode_key", "key_name"]
+__all__ = ["DecodedKey", "G", "L", "M", "O", "P", "X", "decode_key", "key_name"]
 
 _LOW_BITS = 32
 _VEHICLES = 1 << (56 - _LOW_BITS)
@@ -34,9 +35,9 @@ class DecodedKey(NamedTuple):
     """What a key stands for.
 
     Attributes:
-        letter: `X`, `L`, `O`, `P` or `M`.
-        vehicle: Number of the vehicle.
-        low: Frame of a pose, face of a plane, 0 for the others.
+        letter: `X`, `L`, `O`, `P`, `M` or `G`.
+        vehicle: Number of the vehicle; 0 for the ground.
+        low: Frame of a pose or of the ground, face of a plane, 0 for the others.
     """
 
     letter: str
@@ -89,8 +90,17 @@ def M(vehicle: int = 0) -> int:
     return _key("M", vehicle, 0, "")
 
 
+def G(t: int = 0) -> int:
+    """Key of the ground of frame t: its plane's difference (h, a, b) from the nominal one (`factors.contact`).
+
+    Raises:
+        InvalidInputError: The number is negative or too large.
+    """
+    return _key("G", 0, t, "t")
+
+
 def decode_key(key: int) -> DecodedKey:
-    """Letter, vehicle and frame or face of a key; the reverse of `X`, `L`, `O`, `P` and `M`."""
+    """Letter, vehicle and frame or face of a key; the reverse of `X`, `L`, `O`, `P`, `M` and `G`."""
     symbol = gtsam.Symbol(key)
     index = symbol.index()
     return DecodedKey(chr(symbol.chr()), index >> _LOW_BITS, index & (_LOWS - 1))
@@ -99,6 +109,8 @@ def decode_key(key: int) -> DecodedKey:
 def key_name(key: int) -> str:
     """A key for people to read, such as `X(v=0,t=3)`, `L(v=0)` or `P(v=0,f=2)`."""
     letter, vehicle, low = decode_key(key)
+    if letter == "G":
+        return f"G(t={low})"
     detail = {"X": f",t={low}", "P": f",f={low}"}.get(letter, "")
     return f"{letter}(v={vehicle}{detail})"
 

@@ -32,6 +32,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.core.options import BoxOptions, KeypointOptions, Options, SearchOptions, ShapeOptions
     from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status, rotation_y
     from fgrecon.core.robust import RobustStrategy, strategy
+    from fgrecon.core.scene_reconstruction import SceneReconstruction
     from fgrecon.core.shape_prior import ShapePrior, Surface
     from fgrecon.core.size_prior import SIZE_PRIORS, SizePrior
     from fgrecon.core.track_reconstruction import JointStep, TrackReconstruction
@@ -41,6 +42,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.perception.protocols import KeypointDetector, VehicleDetector
     from fgrecon.perception.vehicles.detect import Vehicles
     from fgrecon.solve.pipeline import reconstruct
+    from fgrecon.solve.scene import reconstruct_scene
     from fgrecon.solve.track import reconstruct_track
 
 __all__ = [
@@ -63,6 +65,7 @@ __all__ = [
     "Options",
     "Reconstruction",
     "RobustStrategy",
+    "SceneReconstruction",
     "SearchOptions",
     "ShapeOptions",
     "ShapePrior",
@@ -79,6 +82,7 @@ __all__ = [
     "read_image",
     "reconstruct",
     "reconstruct_image",
+    "reconstruct_scene",
     "reconstruct_track",
     "rotation_y",
     "save_prior",

@@ -17,7 +17,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.batch.inputs import InputFile, sources_of
     from fgrecon.batch.reconstructor import Reconstructor
     from fgrecon.batch.rows import reconstruction_of
-    from fgrecon.batch.run import Tally, run
+    from fgrecon.batch.runs import Tally, run
     from fgrecon.batch.schema import result_schema
 
 __all__ = [

@@ -11,7 +11,7 @@ import typer
 
 from fgrecon.cli.common import check_outputs
 from fgrecon.cli.deliver import Delivery, recordings_of
-from fgrecon.cli.options import DATA, DataOption, JsonOption, LabelledScene, WeightsOption
+from fgrecon.cli.options import DATA, DataOption, JsonOption, LabelledScene, TogetherOption, WeightsOption
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.choices import BoxModel
 
@@ -76,6 +76,7 @@ def kitti_command(
         Path | None, typer.Option(metavar="FILE", help="File of frame names.", show_default="all images")
     ] = None,
     weights: WeightsOption = None,
+    together: TogetherOption = False,
     picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Contact sheet of every car.")] = None,
     json_out: JsonOption = None,
 ) -> None:
@@ -92,7 +93,7 @@ def kitti_command(
     check_outputs(json_out, picture)
     delivery.check()
     screen = terminal.screen(json_out)
-    setup, origin = _setup(boxes, labelled, weights)
+    setup, origin = _setup(boxes, labelled, weights, together=together)
     names = None if split is None else read_image_set(split)
     frames, problems = kitti_images.read_frames(*folders.paths(), names, boxes.boxes)
     cars = [car for frame in screen.watch(frames, "Images") for car in kitti_images.score_frame(frame, setup)]
@@ -110,6 +111,7 @@ def kitti_command(
         "ground": origin,
         "size_prior": labelled.size_prior,
         "box_model": boxes.box_model.value,
+        "together": together,
         "network": setup.detector.provenance,
     }
     screen.write_json(json.dumps(kitti_images.document(cars, given), indent=1) + "\n")
@@ -126,7 +128,7 @@ def kitti_command(
         raise typer.Exit(1)
 
 
-def _setup(boxes: KittiBoxes, labelled: LabelledScene, weights: Path | None) -> tuple[Setup, str]:
+def _setup(boxes: KittiBoxes, labelled: LabelledScene, weights: Path | None, *, together: bool) -> tuple[Setup, str]:
     """What every car is reconstructed with, and in words where the ground plane comes from."""
     from fgrecon.core.options import Options
     from fgrecon.core.size_prior import size_prior
@@ -142,6 +144,7 @@ def _setup(boxes: KittiBoxes, labelled: LabelledScene, weights: Path | None) -> 
         size_prior=None if labelled.size_prior == "none" else size_prior(labelled.size_prior),
         options=Options(box=boxes.box_model),
         overlap=boxes.overlap,
+        together=together,
     )
     return setup, origin
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fgrecon.cli.common import check_outputs
-from fgrecon.cli.options import JsonOption, LabelledScene, WeightsOption, fitting_names
+from fgrecon.cli.options import JsonOption, LabelledScene, TogetherOption, WeightsOption, fitting_names
 from fgrecon.cli.progress import counting
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.choices import BoxModel
@@ -66,6 +66,7 @@ def video_command(
         ),
     ] = None,
     box_model: Annotated[BoxModel, typer.Option(help="What the 2D boxes enclose.")] = BoxModel.CUBOID,
+    together: TogetherOption = False,
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE", help=f"Contact sheet of the {_WORST} worst tracks' worst boxes.")
@@ -102,7 +103,7 @@ def video_command(
         fix = "Give drives with labelled cars or vans of at least 25 pixels."
         raise InvalidInputError("drives", ", ".join(drive.name for drive in drives), fix)
     scene, (_, origin) = labelled.scene(), labelled.plane()
-    setups = _setups(files, scene, Options(box=box_model))
+    setups = _setups(files, scene, Options(box=box_model), together=together)
     with screen.bar() as advance:
         boxes = score_drives(
             drives,
@@ -128,6 +129,7 @@ def video_command(
         "ground": origin,
         "size_prior": labelled.size_prior,
         "box_model": box_model.value,
+        "together": together,
     }
     networks = _networks(files, setups)
     screen.write_json(json.dumps(document(boxes, given, networks), indent=1, allow_nan=False) + "\n")
@@ -172,7 +174,7 @@ def read_folds(folds: Sequence[str], drives: Sequence[str], weights: Path | None
     return {name: found.get(name, weights) for name in drives}
 
 
-def _setups(files: dict[str, Path | None], scene: SceneKnowledge, options: Any) -> dict[str, Setup]:
+def _setups(files: dict[str, Path | None], scene: SceneKnowledge, options: Any, *, together: bool) -> dict[str, Setup]:
     """What each drive is reconstructed with, by its name; each network is loaded once."""
     from fgrecon.evaluation.kitti_images import Setup
     from fgrecon.perception.keypoints.detect import KeypointCascade
@@ -184,6 +186,7 @@ def _setups(files: dict[str, Path | None], scene: SceneKnowledge, options: Any) 
             ground=scene.ground,
             size_prior=scene.size,
             options=options,
+            together=together,
         )
         for file in dict.fromkeys(files.values())
     }

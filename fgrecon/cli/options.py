@@ -102,6 +102,11 @@ DATA = Path("../shared/data")
 """Where the data lie if nobody says."""
 
 
+TogetherOption = Annotated[
+    bool, typer.Option("--together", help="Solve the vehicles of an image together, on one ground that is a variable.")
+]
+
+
 @dataclass(frozen=True)
 class CameraOptions:
     """The camera, where the input does not say."""

@@ -65,7 +65,17 @@ class ImageFrame:
 
 @dataclass(frozen=True)
 class Setup:
-    """What every car is reconstructed with, and from which overlap on a detected box is a labelled car's."""
+    """What every car is reconstructed with.
+
+    Attributes:
+        detector: Finds the keypoints.
+        prior: Shape prior.
+        ground: Ground plane, or None.
+        size_prior: Fleet, or None.
+        options: Settings.
+        overlap: From which overlap on a detected box is a labelled car's.
+        together: Whether the vehicles of an image share one ground (`fgrecon.reconstruct_scene`).
+    """
 
     detector: KeypointCascade
     prior: ShapePrior
@@ -73,6 +83,7 @@ class Setup:
     size_prior: SizePrior | None
     options: Options
     overlap: float = MINIMUM_OVERLAP["Car"]
+    together: bool = False
 
 
 @dataclass(frozen=True)
@@ -233,6 +244,7 @@ def reconstruct_boxes(
         ground=setup.ground,
         size_prior=setup.size_prior,
         options=setup.options,
+        together=setup.together,
     )
 
 

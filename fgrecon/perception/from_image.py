@@ -26,6 +26,7 @@ from fgrecon.perception.keypoints.detect import as_rgb8, shipped_cascade
 from fgrecon.perception.protocols import KeypointDetector, VehicleDetector, find_keypoints
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.proposals.direction import direction_penalty as penalty_of
+from fgrecon.solve.scene import reconstruct_scene
 
 __all__ = ["FromImage", "direction_penalty", "reconstruct_detection", "reconstruct_image"]
 
@@ -83,6 +84,7 @@ def reconstruct_image(
     ground: Ground | float | None = None,
     size_prior: SizePrior | str | None = None,
     options: Options | None = None,
+    together: bool = False,
     detector: KeypointDetector | None = None,
 ) -> list[FromImage]:
     """Pose and shape of the vehicles in an image.
@@ -98,6 +100,8 @@ def reconstruct_image(
         ground: Ground plane; a number is the height in metres of a level camera; None assumes nothing.
         size_prior: Fleet (`kitti`, `apollo79`), or a size prior; None takes sizes from the shape prior.
         options: Settings.
+        together: Whether the vehicles share one ground that is a variable (`fgrecon.reconstruct_scene`); else each is
+            solved alone.
         detector: Old name of `keypoint_detector`, for one more release.
 
     Returns:
@@ -116,8 +120,20 @@ def reconstruct_image(
     sized = _camera(camera, pixels)
     corners = find_boxes(pixels, vehicle_detector) if boxes is None else _boxes(boxes)
     networks = shipped_cascade() if keypoint_detector is None else keypoint_detector
+    detections = find_keypoints(networks, pixels, corners, shape_prior.category)
+    if together:
+        scene = reconstruct_scene(
+            [detection.evidence for detection in detections],
+            sized,
+            prior=shape_prior,
+            ground=ground,
+            size_prior=size_prior,
+            options=options,
+        )
+        solved = dict(zip(scene.numbers, scene.vehicles, strict=True))
+        return [FromImage(d, solved.get(i), scene.refused.get(i)) for i, d in enumerate(detections)]
     vehicles = []
-    for detection in find_keypoints(networks, pixels, corners, shape_prior.category):
+    for detection in detections:
         try:
             result = reconstruct_detection(
                 detection, sized, options=options, prior=shape_prior, ground=ground, size_prior=size_prior

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import gtsam
 import numpy as np
@@ -55,11 +55,13 @@ class State:
         poses: camera_T_object of each observation.
         shapes: Lambda (N,) and offsets (K, 3) by the number of the vehicle.
         weights: Weights of each observation.
+        others: Values of variables that are neither: those of factors beside the vehicles', such as the ground's.
     """
 
     poses: list[gtsam.Pose3]
     shapes: dict[int, Held]
     weights: list[Weights]
+    others: gtsam.Values = field(default_factory=gtsam.Values)
 
 
 class Graph:
@@ -109,6 +111,7 @@ class Graph:
                 ObservationPart(one.problem, vehicle, pose, pose_free=pose_free, image=one.image, share=share)
             )
         keys = set(self.values(state).keys())
+        self._own_keys = keys - set(state.others.keys())
         self.extra = [factor for factor in extra if keys.issuperset(factor.keys())]
         if pose_free and not hold_shape and len(self.extra) < len(extra):
             unknown = {key for factor in extra for key in list(factor.keys())} - keys
@@ -124,12 +127,17 @@ class Graph:
                 values.insert(part.pose_key, pose)
         for number, vehicle in self.vehicles.items():
             vehicle.insert(values, *state.shapes[number])
+        values.insert(state.others)
         return values
 
     def read(self, values: gtsam.Values, weights: Sequence[Weights]) -> State:
         """The state at the values."""
         poses = [part.pose(values) for part in self.observations]
-        return State(poses, {n: vehicle.read(values) for n, vehicle in self.vehicles.items()}, list(weights))
+        shapes = {number: vehicle.read(values) for number, vehicle in self.vehicles.items()}
+        others = gtsam.Values(values)
+        for key in self._own_keys:
+            others.erase(key)
+        return State(poses, shapes, list(weights), others)
 
     def check_in_front(self, values: gtsam.Values) -> None:
         """Refuse values with keypoints behind a camera.

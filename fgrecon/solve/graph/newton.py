@@ -5,9 +5,10 @@ solves. What such a step neglects (the curvature of outline and projection, that
 steps shrink by a factor of 0.1 to 0.5 from one to the next; Anderson's acceleration learns that from the last steps and
 takes the iteration to where they would lead: ten iterations where forty of re-weighting were needed.
 
-A step that does not lower the energy, visibility held, is given up for the plain one, and that for a few of
-Levenberg-Marquardt's. Visibility is no force of the solver's and can swing between two views of a car for ever: where
-the steps have not ended after `_FOLLOWED` of them, it is held at the best state and the iteration goes on from there.
+A step that does not lower the energy, visibility held, is given up for the plain one, that for shorter ones, and those
+for a few of Levenberg-Marquardt's. Visibility is no force of the solver's and can swing between two views of a car for
+ever: where the steps have not ended after `_FOLLOWED` of them, it is held at the best state and the iteration goes on
+from there.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ STEADY = 1e-8
 _FOLLOWED = 25  # iterations for which visibility follows the pose
 _MOST = 60  # iterations after that
 _REMEMBERED = 4  # steps that the acceleration learns from
+_SHORTER = (0.3, 0.1)  # of a plain step that goes up
 _RESCUE = 3  # iterations of Levenberg-Marquardt in place of a bad step
 _DAMPED = 1e-10  # of the normal equations' diagonal
 _ROUNDING = 1e-12  # relative rise of the energy that is none
@@ -130,7 +132,8 @@ class Descent:
         length = float(np.abs(step).max(initial=0.0))
         energy = built.error(self.values) * (1.0 + _ROUNDING) + _ROUNDING
         further = steps.propose(step)
-        for proposed in (further, step) if further is not None else (step,):
+        shorter = [share * step for share in _SHORTER]
+        for proposed in (step, *shorter) if further is None else (further, step, *shorter):
             moved = self.values.retract(newton if proposed is step else _like(newton, self.values, proposed))
             if built.error(moved) <= energy or length <= STEADY:
                 steps.took(proposed)

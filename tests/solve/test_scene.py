@@ -1,0 +1,119 @@
+"""All vehicles of an image on one ground: the ground comes out, the vehicles come closer, outliers stay outliers."""
+
+import numpy as np
+import pytest
+
+import fgrecon
+from fgrecon.core.camera import Ground
+from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
+from fgrecon.core.observation import Observation
+from fgrecon.core.options import Options, ShapeOptions
+from fgrecon.core.reconstruction import Status
+from fgrecon.io.catalogue import load_prior
+from fgrecon.solve.scene import reconstruct_scene
+from tests.cars import CAMERA, observe
+
+PITCH = np.radians(1.5)  # the camera looks up: the road falls away from its y axis
+
+
+def on_the_road(rng, *, off=0.0, height=1.65, pitch=PITCH):
+    """A pose on a road that a camera of that pitch sees."""
+    turn = np.array([[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]])
+    yaw = rng.uniform(-np.pi, np.pi)
+    pose = np.eye(4)
+    pose[:3, :3] = [[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]]
+    pose[:3, 3] = [rng.uniform(-6, 6), height + off, rng.uniform(14, 40)]
+    pose[:3] = turn @ pose[:3]
+    return pose, turn @ [0.0, 1.0, 0.0]
+
+
+def street(seed, count=5, **road):
+    rng = np.random.default_rng(seed)
+    prior = load_prior("car14").for_fleet(fgrecon.SIZE_PRIORS["kitti"])
+    poses = [on_the_road(rng, **road)[0] for _ in range(count)]
+    seen = [observe(prior, pose, 0.7 * rng.normal(size=5), noise=1.5, seed=seed + i) for i, pose in enumerate(poses)]
+    return poses, seen
+
+
+def errors_of(scene, poses):
+    return np.array(
+        [
+            np.linalg.norm(vehicle.location - poses[number][:3, 3])
+            for number, vehicle in zip(scene.numbers, scene.vehicles, strict=True)
+        ]
+    )
+
+
+def test_a_pitched_camera_is_found_and_cars_come_closer():
+    """Told a level camera 1.65 m up; the road is pitched by 1.5 degrees."""
+    alone, together, pitches = [], [], []
+    for seed in range(4):
+        poses, seen = street(10 * seed)
+        single = [fgrecon.reconstruct(one, CAMERA, ground=1.65, size_prior="kitti") for one in seen]
+        alone += [np.linalg.norm(one.location - pose[:3, 3]) for one, pose in zip(single, poses, strict=True)]
+        scene = reconstruct_scene(seen, CAMERA, ground=1.65, size_prior="kitti")
+        together += errors_of(scene, poses).tolist()
+        pitches.append(np.arctan2(scene.ground.normal[2], scene.ground.normal[1]))
+        assert scene.ground_covariance.shape == (3, 3)
+        sigma = np.sqrt(np.diag(scene.ground_covariance))
+        assert (sigma[0] < 0.2, sigma[1] < 0.0125) == (True, True)  # surer than what was told
+    _, normal = on_the_road(np.random.default_rng(0))
+    truth = np.arctan2(normal[2], normal[1])
+    assert np.abs(np.array(pitches) - truth).mean() < 0.5 * abs(truth)
+    assert np.mean(together) < 0.85 * np.mean(alone)
+
+
+def test_with_nothing_told_a_roadside_camera_is_found():
+    """6 m up, 15 degrees down."""
+    poses, seen = street(3, count=6, height=6.0, pitch=np.radians(15.0))
+    scene = reconstruct_scene(seen, CAMERA, size_prior="kitti")
+    _, normal = on_the_road(np.random.default_rng(0), pitch=np.radians(15.0))
+    assert np.degrees(np.arccos(scene.ground.normal @ normal)) < 1.5
+    assert scene.ground.distance == pytest.approx(6.0, rel=0.1)
+    assert np.median(errors_of(scene, poses) / np.linalg.norm(np.array(poses)[:, :3, 3], axis=1)) < 0.05
+
+
+def test_one_vehicle_is_as_alone():
+    _, seen = street(0, count=1)
+    scene = reconstruct_scene(seen, CAMERA, ground=1.65)
+    alone = fgrecon.reconstruct(seen[0], CAMERA, ground=1.65)
+    np.testing.assert_array_equal(scene.vehicles[0].camera_T_object, alone.camera_T_object)
+    assert scene.ground_covariance is None
+    assert "one by one" in scene.message
+
+
+def test_a_vehicle_on_another_road_leaves_the_plane_to_the_others():
+    poses, seen = street(5, count=5)
+    rng = np.random.default_rng(99)
+    above, _ = on_the_road(rng, off=-1.5)
+    prior = load_prior("car14").for_fleet(fgrecon.SIZE_PRIORS["kitti"])
+    with_it = reconstruct_scene([*seen, observe(prior, above, noise=1.5)], CAMERA, ground=1.65, size_prior="kitti")
+    without = reconstruct_scene(seen, CAMERA, ground=1.65, size_prior="kitti")
+    assert np.degrees(np.arccos(with_it.ground.normal @ without.ground.normal)) < 0.35
+    assert errors_of(with_it, [*poses, above])[:-1].mean() < errors_of(without, poses).mean() + 0.2
+
+
+def test_what_cannot_be_solved_is_refused_and_the_rest_goes_on():
+    _, seen = street(1, count=3)
+    nothing = Observation(np.full((14, 2), np.nan), np.zeros(14))
+    scene = reconstruct_scene([seen[0], nothing, *seen[1:]], CAMERA, ground=Ground.level(1.65))
+    assert scene.numbers == (0, 2, 3)
+    assert list(scene.refused) == [1]
+    assert isinstance(scene.refused[1], DegenerateProblemError)
+    assert all(vehicle.status in (Status.CONVERGED, Status.AMBIGUOUS) for vehicle in scene.vehicles)
+    assert {step.stage for step in scene.vehicles[0].history} == {"initialisation", "pose", "joint", "scene"}
+    assert scene.vehicles[0].energies["ground"] >= 0.0
+    assert "3 vehicles, 1 refused" in repr(scene)
+
+
+def test_the_same_input_gives_the_same_bits():
+    _, seen = street(2, count=3)
+    first, second = (reconstruct_scene(seen, CAMERA, ground=1.65) for _ in range(2))
+    for one, other in zip(first.vehicles, second.vehicles, strict=True):
+        assert one.camera_T_object.tobytes() == other.camera_T_object.tobytes()
+
+
+def test_a_fixed_pose_is_refused():
+    with pytest.raises(InvalidInputError, match="joint"):
+        reconstruct_scene([], CAMERA, options=Options(shape=ShapeOptions(joint=False)))
+    assert reconstruct_scene([], CAMERA).vehicles == ()
