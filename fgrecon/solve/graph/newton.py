@@ -38,7 +38,8 @@ _FOLLOWED = 25  # iterations for which visibility follows the pose
 _MOST = 60  # iterations after that
 _REMEMBERED = 4  # steps that the acceleration learns from
 _SHORTER = (0.3, 0.1)  # of a plain step that goes up
-_RESCUE = 3  # iterations of Levenberg-Marquardt in place of a bad step
+_RESCUE = 20  # iterations of Levenberg-Marquardt in place of a bad step
+_RESCUED = 8  # times in a row that it takes over: nothing will determine such a problem any more
 _DAMPED = 1e-10  # of the normal equations' diagonal
 _ROUNDING = 1e-12  # relative rise of the energy that is none
 
@@ -81,6 +82,7 @@ class Descent:
         self.iterations = 0
         self.first = float("nan")
         self.converged = False
+        self._rescued = 0
 
     def run(self) -> None:
         """Go to a minimum.
@@ -96,7 +98,7 @@ class Descent:
             self.converged = self._iterate(steps)
             self.weights = self.graph.reweigh(self.values, self.weights, 1.0)
             self._record()
-            if self.converged:
+            if self.converged or self._rescued >= _RESCUED:
                 return
             if iteration >= _FOLLOWED // 2 and (energy := self._energy()) < best[0]:
                 best = energy, self.values, self.weights
@@ -107,7 +109,7 @@ class Descent:
             self.converged = self._iterate(steps)
             self.weights = self.graph.reweigh(self.values, self.weights, 1.0, hold=True)
             self._record()
-            if self.converged:
+            if self.converged or self._rescued >= _RESCUED:
                 return
 
     def _energy(self) -> float:
@@ -137,7 +139,7 @@ class Descent:
             moved = self.values.retract(newton if proposed is step else _like(newton, self.values, proposed))
             if built.error(moved) <= energy or length <= STEADY:
                 steps.took(proposed)
-                self.values = moved
+                self.values, self._rescued = moved, 0
                 return length <= STEADY
             steps.forget()
         return self._rescue(built, steps)
@@ -145,6 +147,7 @@ class Descent:
     def _rescue(self, built: gtsam.NonlinearFactorGraph, steps: _Anderson) -> bool:
         """A few iterations of Levenberg-Marquardt instead; whether they moved nothing."""
         steps.forget()
+        self._rescued += 1
         solution = minimise(built, self.values, relative_tolerance=_ROUNDING, max_iterations=_RESCUE)
         moved = self.values.localCoordinates(solution.values).vector()
         self.values = solution.values
