@@ -9,8 +9,8 @@ From a photograph, and from keypoints:
     print(result.status, result.camera_T_object, result.wireframe)
 
 `reconstruct_image` takes networks of your own for boxes and keypoints (`VehicleDetector`, `KeypointDetector`),
-`reconstruct` keypoints of any origin. `Reconstruction` is what comes back, `Options` the settings, `fgrecon.errors` has
-the errors. The factors of the graph are in the package `factors`.
+`reconstruct` keypoints of any origin; `keypoints_from` takes what other networks return. `Reconstruction` is what comes
+back, `Options` the settings, `fgrecon.errors` has the errors. The factors of the graph are in the package `factors`.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.core.track_reconstruction import JointStep, TrackReconstruction
     from fgrecon.io.catalogue import load_category, load_prior, save_prior
     from fgrecon.io.images import read_image
+    from fgrecon.io.keypoints.reader import keypoints_from
     from fgrecon.perception.from_image import FromImage, reconstruct_image
     from fgrecon.perception.protocols import KeypointDetector, VehicleDetector
     from fgrecon.perception.vehicles.detect import Vehicles
@@ -77,6 +78,7 @@ __all__ = [
     "VehicleDetector",
     "Vehicles",
     "__version__",
+    "keypoints_from",
     "load_category",
     "load_prior",
     "read_image",

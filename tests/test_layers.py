@@ -14,6 +14,8 @@ ROOMS = {
     "core": {"factors"},
     "io": {"core"},
     "io/annotations": {"core", "io"},
+    "io/keypoints": {"core", "io", "io/annotations"},
+    "io/cameras": {"core", "io"},
     "solve/vehicle": {"factors", "core"},
     "io/export": {"core", "io", "solve/vehicle"},
     "solve/proposals": {"factors", "core", "solve/vehicle"},
@@ -24,7 +26,15 @@ ROOMS = {
     "perception": {
         *("factors", "core", "io", "solve", "solve/proposals", "perception/keypoints", "perception/vehicles"),
     },
-    "": {"factors", "core", "io", "solve", "perception", "perception/vehicles"},  # the public face: fgrecon/__init__.py
+    "": {
+        "factors",
+        "core",
+        "io",
+        "io/keypoints",
+        "solve",
+        "perception",
+        "perception/vehicles",
+    },  # the public face: fgrecon/__init__.py
     "batch": {
         "factors",
         "core",
@@ -45,7 +55,7 @@ ROOMS = {
         *("core", "io", "solve", "solve/vehicle", "solve/proposals", "perception", "perception/keypoints"),
         "annotation",
     },
-    "training/priors": {"core", "io", "solve/vehicle"},
+    "training/priors": {"core", "io", "io/annotations", "io/keypoints", "solve/vehicle"},
     "training": {"factors", "training/priors"},
     "training/keypoints": {
         *("factors", "core", "io", "io/annotations", "io/export", "solve/vehicle", "simulation"),
@@ -56,8 +66,8 @@ ROOMS = {
         *("perception", "perception/keypoints", "evaluation", "training/priors", "training/keypoints"),
     },
     "cli": {
-        *("core", "io", "io/export", "solve", "simulation", "perception", "perception/keypoints"),
-        *("perception/vehicles", "batch", "viz", "evaluation", "training/priors"),
+        *("core", "io", "io/cameras", "io/export", "io/keypoints", "solve", "simulation", "perception"),
+        *("perception/keypoints", "perception/vehicles", "batch", "viz", "evaluation", "training/priors"),
     },
     "cli/training": {
         *("core", "io", "io/annotations", "io/export", "perception", "perception/keypoints", "viz"),
@@ -144,6 +154,8 @@ def test_factors_depend_on_gtsam_and_numpy_alone():
         "core",
         "io",
         "io/annotations",
+        "io/keypoints",
+        "io/cameras",
         "io/export",
         "batch",
         "simulation",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -22,14 +22,16 @@ from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as parse_size
+from fgrecon.io.cameras import MountedCamera, read_camera
 from fgrecon.io.catalogue import load_prior, shipped_priors
 from fgrecon.io.json_fields import read_json
-from fgrecon.io.keypoint_file import Instance, parse_keypoints
+from fgrecon.io.keypoint_file import Instance
+from fgrecon.io.keypoints import NOT_JSON, parse_any_keypoints, read_any_keypoints
 from fgrecon.io.kitti_calibration import read_calibration
 from fgrecon.io.track_file import parse_track
 from fgrecon.solve.pipeline import reconstruct
 
-__all__ = ["CameraSource", "Outcome", "Settings", "Task", "check_any", "read_tasks", "run", "run_all"]
+__all__ = ["CameraSource", "Outcome", "Settings", "Task", "check_any", "ground_of", "read_tasks", "run", "run_all"]
 
 _PIECE = 8  # vehicles that a process gets at once
 
@@ -82,28 +84,49 @@ class CameraSource:
         intrinsics: `fx,fy,cx,cy`.
         distortion: OpenCV's coefficients, separated by commas.
         image: (H, W, 3) photograph, which tells the image's size.
+        file: Calibration file of any format, as `fgrecon.io.cameras.read_camera` takes it.
     """
 
     calib: Path | None
     intrinsics: str | None
     distortion: str | None
     image: NDArray[np.uint8] | None
+    file: str | None = None
 
-    def camera(self) -> tuple[Camera | None, NDArray[np.float64] | None]:
+    def camera(self, image: str | None = None) -> tuple[Camera | None, NDArray[np.float64] | None]:
         """The camera, and where KITTI's label frame lies from it; None where the command line does not say.
 
+        Args:
+            image: File name of the photograph, which tells the camera where a calibration has several.
+
         Raises:
-            InvalidInputError: Both ways are used, or a value is no camera.
+            InvalidInputError: Several ways are used, or a value is no camera.
         """
         if self.calib is not None and self.intrinsics is not None:
             raise InvalidInputError("intrinsics", self.intrinsics, "Give either --calib or --intrinsics.")
-        if self.calib is not None:
-            calibration = read_calibration(self.calib)
-            return calibration.camera, calibration.label_offset
+        mounted = self.mounted(image)
+        if mounted is not None:
+            return mounted.camera, mounted.label_offset
         if self.intrinsics is None:
             return None, None
         wanted = "fx,fy,cx,cy: four numbers in pixels"
         return Camera.of(parse_numbers("intrinsics", self.intrinsics, wanted, (4,))), None
+
+    def mounted(self, image: str | None = None) -> MountedCamera | None:
+        """The camera of the command line's calibration file and what the file says beside it; None without a file.
+
+        Args:
+            image: File name of the photograph.
+
+        Raises:
+            InvalidInputError: Another way is used as well, or the file is none.
+        """
+        if self.file is not None and (self.calib is not None or self.intrinsics is not None):
+            raise InvalidInputError("camera", self.file, "Give either --camera, --calib or --intrinsics.")
+        if self.calib is not None:
+            calibration = read_calibration(self.calib)
+            return MountedCamera(calibration.camera, calibration.label_offset)
+        return None if self.file is None else read_camera(self.file, image)
 
     def complete(self, camera: Camera, *, declared: bool) -> Camera:
         """The camera with the distortion of the command line and the size of the photograph.
@@ -167,13 +190,17 @@ class Outcome:
         return self.task.instance.name
 
 
-def read_tasks(path: Path, category: Category, source: CameraSource) -> tuple[list[Task], tuple[str, ...]]:
-    """The vehicles of a keypoint file or a track.
+def read_tasks(
+    path: Path, category: Category, source: CameraSource, names: str | None = None, image: str | None = None
+) -> tuple[list[Task], tuple[str, ...]]:
+    """The vehicles of a file of keypoints, of any format, or of a track.
 
     Args:
         path: The file.
         category: Category of its keypoints.
         source: The command line's camera, which goes before the file's.
+        names: What is known of the keypoints' names, or None.
+        image: File name of the photograph, whose vehicles are wanted; None for all.
 
     Returns:
         The vehicles, and names of fields that mean nothing to fgrecon.
@@ -181,25 +208,47 @@ def read_tasks(path: Path, category: Category, source: CameraSource) -> tuple[li
     Raises:
         InvalidInputError: The file is malformed, or a vehicle has no camera.
     """
-    given, offset = source.camera()
-    data = read_json(path)
+    offset = None
     ignored: tuple[str, ...] = ()
+    data = None if path.suffix.lower() in NOT_JSON else read_json(path)
     is_track = isinstance(data, dict) and "frames" in data and "keypoints" not in data
     if is_track:
-        instances, own_offset = _track_instances(data, path, category)
-        offset = own_offset if given is None else offset
+        instances, offset = _track_instances(data, path, category)
     else:
-        file = parse_keypoints(data, category, where=f"{path}: ")
+        file = (
+            read_any_keypoints(path, category, names, image)
+            if data is None
+            else parse_any_keypoints(data, category, names, image, where=f"{path}: ")
+        )
         instances, ignored = list(file.instances), file.ignored
+    camera_of = cache(source.camera)
     tasks = []
     for instance in instances:
+        given, own_offset = camera_of(instance.image or image)
         camera = given or instance.camera
         if camera is None:
             value = f"no camera for instance {instance.name}"
-            raise InvalidInputError("intrinsics", value, "Give --calib, --intrinsics, or K in the file.")
+            raise InvalidInputError("intrinsics", value, "Give --camera, --intrinsics, or K in the file.")
         declared = given is None and not is_track
-        tasks.append(Task(instance, source.complete(camera, declared=declared), offset))
+        tasks.append(
+            Task(instance, source.complete(camera, declared=declared), offset if given is None else own_offset)
+        )
     return tasks, ignored
+
+
+def ground_of(source: CameraSource, image: str | None) -> list[str]:
+    """A line that says how to use the ground plane that a calibration file tells; none where it does not.
+
+    Args:
+        source: The command line's camera.
+        image: File name of the photograph.
+    """
+    mounted = source.mounted(image)
+    if mounted is None or mounted.ground is None:
+        return []
+    x, y, z = mounted.ground.normal
+    plane = f"{x:.5g},{y:.5g},{z:.5g},{mounted.ground.distance:.5g}"
+    return [f"{source.file} says where the ground is; --ground={plane} uses it."]
 
 
 def _track_instances(data: object, path: Path, category: Category) -> tuple[list[Instance], NDArray[np.float64]]:

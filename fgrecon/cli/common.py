@@ -82,7 +82,7 @@ def chosen_boxes(
 
     wanted = "x1,y1,x2,y2: four numbers in pixels"
     given = [parse_numbers("box", text, wanted, (4,)) for text in box or ()]
-    return boxes_of(path, given, boxes, image if detect else None)
+    return boxes_of(path, given, boxes, image if detect else None, (image.shape[1], image.shape[0]))
 
 
 def check_output(path: Path | None) -> None:

@@ -34,6 +34,7 @@ __all__ = [
     "JsonOption",
     "LabelledScene",
     "MarkdownOption",
+    "NamesOption",
     "SceneOptions",
     "VehicleBoxes",
     "WeightsOption",
@@ -70,6 +71,18 @@ def _fleets() -> list[str]:
 PRIORS, FLEETS = fitting_names(_priors), fitting_names(_fleets)
 
 CalibOption = Annotated[Path | None, typer.Option(metavar="FILE", help="KITTI calibration file; its P2 is the camera.")]
+CameraOption = Annotated[
+    str | None,
+    typer.Option(metavar="FILE[#NAME]", help="Calibration: KITTI, ROS, OpenCV, nuScenes, Waymo, or K in JSON."),
+]
+NamesOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME|FILE|A=B,...",
+        help="What the keypoints are called: apollo24, apollo66, carfusion, pascal12; pairs theirs=ours; or a file.",
+        show_default="from the file",
+    ),
+]
 PriorOption = Annotated[
     str, typer.Option(help="Shape prior: a shipped name or an npz file.", autocompletion=PRIORS, metavar="NAME|FILE")
 ]
@@ -118,6 +131,7 @@ class CameraOptions:
     distortion: Annotated[
         str | None, typer.Option(metavar="K1,K2,P1,P2,...", help="OpenCV's distortion coefficients.")
     ] = None
+    camera: CameraOption = None
 
     def source(self, image: NDArray[Any] | None = None) -> CameraSource:
         """The camera as the commands use it.
@@ -127,7 +141,7 @@ class CameraOptions:
         """
         from fgrecon.cli.batch import CameraSource
 
-        return CameraSource(self.calib, self.intrinsics, self.distortion, image)
+        return CameraSource(self.calib, self.intrinsics, self.distortion, image, self.camera)
 
 
 @dataclass(frozen=True)
@@ -216,7 +230,8 @@ class VehicleBoxes:
         typer.Option("--box", metavar="X1,Y1,X2,Y2", help="2D box of a car, pixels; repeat for more."),
     ] = None
     boxes: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="File of boxes: KITTI labels or detections, or COCO JSON.")
+        Path | None,
+        typer.Option(metavar="FILE|FOLDER", help="Boxes: KITTI, COCO, YOLO, nuScenes; a folder: a file per image."),
     ] = None
     detect: Annotated[bool, typer.Option("--detect", help="Find the cars in the image with the shipped detector.")] = (
         False

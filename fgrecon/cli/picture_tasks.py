@@ -82,13 +82,13 @@ def read_image_tasks(
         InvalidInputError: A box cannot be used, there is no car, or there is no network.
     """
     named = boxes.choose(path, image)
-    camera, offset = source.camera()
+    camera, offset = source.camera(path.name)
     warning = None
     if camera is None:
         camera = Camera.of_field_of_view(image.shape[1], image.shape[0])
         warning = (
             f"No camera is given: a horizontal field of view of {DEFAULT_FIELD_OF_VIEW:g} degrees is assumed, and "
-            "distances are rough. Give --calib or --intrinsics."
+            "distances are rough. Give --camera or --intrinsics."
         )
     complete = source.complete(camera, declared=False)
     found = find_keypoints(image, named, boxes.weights, screen, category)

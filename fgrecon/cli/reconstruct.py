@@ -10,7 +10,15 @@ import typer
 
 from fgrecon.cli.common import check_outputs
 from fgrecon.cli.deliver import Delivery
-from fgrecon.cli.options import BOX_MODEL_HELP, CameraOptions, HistoryOption, JsonOption, SceneOptions, VehicleBoxes
+from fgrecon.cli.options import (
+    BOX_MODEL_HELP,
+    CameraOptions,
+    HistoryOption,
+    JsonOption,
+    NamesOption,
+    SceneOptions,
+    VehicleBoxes,
+)
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError
@@ -91,7 +99,9 @@ class Drawings:
 
 
 def reconstruct_command(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Keypoints (JSON), a track, or an image.")],
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Keypoints (of any known format), a track, or an image.")
+    ],
     camera: CameraOptions,
     scene: SceneOptions,
     solving: Solving,
@@ -99,11 +109,12 @@ def reconstruct_command(
     drawings: Drawings,
     delivery: Delivery,
     terminal: Terminal,
+    names: NamesOption = None,
     json_out: JsonOption = None,
     history: HistoryOption = False,
     jobs: Annotated[int, typer.Option(min=1, help="Processes; for thousands of vehicles see `fgrecon batch`.")] = 1,
 ) -> None:
-    """Reconstruct the pose and shape of the vehicles in a keypoint file, or in an image (--box, --boxes or --detect).
+    """Reconstruct the pose and shape of the vehicles in a keypoint file or an image (--box, --boxes or --detect).
 
     A vehicle that is refused is reported, and the others go on. --verbose tells all messages, energies and times.
 
@@ -139,7 +150,11 @@ def reconstruct_command(
         if warning is not None:
             screen.warn(warning)
     else:
-        tasks, ignored = batch.read_tasks(file, settings.prior.category, source)
+        image = None if drawings.image is None else drawings.image.name
+        tasks, ignored = batch.read_tasks(file, settings.prior.category, source, names, image)
+    if settings.ground is None and tasks:
+        shown = tasks[0].instance.image or (None if path is None else path.name)
+        screen.print(*batch.ground_of(source, shown))
     if jobs == 1:
         outcomes = [batch.run(task, settings) for task in screen.watch(tasks, "Vehicles")]
     else:

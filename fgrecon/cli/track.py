@@ -9,7 +9,7 @@ import typer
 
 from fgrecon.cli.common import check_outputs
 from fgrecon.cli.deliver import Delivery
-from fgrecon.cli.options import BOX_MODEL_HELP, CameraOptions, HistoryOption, JsonOption, SceneOptions
+from fgrecon.cli.options import BOX_MODEL_HELP, CameraOptions, HistoryOption, JsonOption, NamesOption, SceneOptions
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.choices import BoxModel
 
@@ -30,6 +30,7 @@ def track_command(
         typer.Option(metavar="FOLDER", help="Folder with the photographs, named by number: 000012.png or .jpg."),
     ] = None,
     picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw a sheet of all images.")] = None,
+    names: NamesOption = None,
     json_out: JsonOption = None,
     history: HistoryOption = False,
 ) -> None:
@@ -49,7 +50,7 @@ def track_command(
     screen = terminal.screen(json_out)
     settings = scene.settings(Options(strategy=scene.strategy, box=box_model, keep_history=history or delivery.wanted))
     source = camera.source()
-    solved = [track_report.solve(file, source, settings, images) for file in screen.watch(files, "Tracks")]
+    solved = [track_report.solve(file, source, settings, images, names) for file in screen.watch(files, "Tracks")]
 
     screen.print(track_report.table(solved))
     for track in solved:

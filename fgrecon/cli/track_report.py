@@ -25,6 +25,7 @@ from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.io.images import read_image
 from fgrecon.io.json_fields import read_json
+from fgrecon.io.keypoints import NOT_JSON
 from fgrecon.io.track_file import Track, parse_track
 from fgrecon.simulation.vehicles import yaw_pose
 from fgrecon.solve.track import reconstruct_track
@@ -69,7 +70,9 @@ class Solved:
         return [None if truths is None else truths[index] for index in self.result.numbers]
 
 
-def solve(file: Path, source: CameraSource, settings: Settings, images: Path | None) -> Solved:
+def solve(
+    file: Path, source: CameraSource, settings: Settings, images: Path | None, names: str | None = None
+) -> Solved:
     """Read a track and solve it.
 
     Args:
@@ -77,11 +80,12 @@ def solve(file: Path, source: CameraSource, settings: Settings, images: Path | N
         source: The command line's camera.
         settings: What holds for all images.
         images: Folder with photographs, or None.
+        names: What is known of the keypoints' names, or None.
 
     Raises:
         InvalidInputError: The file is malformed, or an image is missing.
     """
-    tasks, _ = read_tasks(file, settings.prior.category, source)
+    tasks, _ = read_tasks(file, settings.prior.category, source, names)
     labelled = _labels(file, settings)
     numbers = image_numbers([task.instance.name for task in tasks])
     truths = None if labelled is None else [truth_of(labelled, index) for index in range(len(tasks))]
@@ -110,7 +114,7 @@ def solve(file: Path, source: CameraSource, settings: Settings, images: Path | N
 
 def _labels(file: Path, settings: Settings) -> Track | None:
     """The track with its labels; None where the file is a keypoint file."""
-    data = read_json(file)
+    data = None if file.suffix.lower() in NOT_JSON else read_json(file)
     if not isinstance(data, dict) or "frames" not in data:
         return None
     return parse_track(data, file.stem, settings.prior.category, where=f"{file}: ")

@@ -14,12 +14,20 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import BoxModel
 from fgrecon.io.json_fields import Fields, read_json
 from fgrecon.io.kitti_files import DETECTION_CLASSES, LABEL_COLUMNS, parse_detection, parse_object
+from fgrecon.io.nuscenes import is_nuscenes, open_nuscenes
+from fgrecon.io.nuscenes_boxes import cuboid_boxes
 
 __all__ = ["NamedBox", "read_boxes"]
 
 _COCO_CAR = 3  # COCO's number of cars, where the file names no categories
+_YOLO_CAR = 2  # the place of cars among COCO's 80 classes, as which YOLO numbers them
+_YOLO_COLUMNS = 5
 _LEAST_SCORE = 0.5
-_FIX = "Give KITTI labels, detections `image class score x1 y1 x2 y2`, or COCO JSON."
+_CLASSES = "classes.txt"
+_FIX = (
+    "Give KITTI labels (object, tracking), detections `image class score x1 y1 x2 y2`, YOLO's `class x y w h`, COCO "
+    "JSON, or nuScenes' tables."
+)
 
 
 @dataclass(frozen=True)
@@ -37,66 +45,140 @@ class NamedBox:
     model: BoxModel
 
 
-def read_boxes(file: Path, image: str) -> list[NamedBox]:
-    """The cars of an image in a file: of KITTI's labels (type `Car`), of detections with a score from 0.5, of COCO.
+def read_boxes(file: Path, image: str, size: tuple[int, int] | None = None) -> list[NamedBox]:
+    """The cars of an image in a file; of those with a score, the ones from 0.5.
 
-    KITTI's boxes enclose the projected 3D box, and so do those of detectors trained on them; COCO's the outline.
+    KITTI's boxes enclose the projected 3D box, and so do those of detectors trained on them and nuScenes' projected
+    cuboids; those of COCO and YOLO the outline.
 
     Args:
-        file: KITTI label or result file, detections with lines `image class score x1 y1 x2 y2`, or COCO JSON.
+        file: KITTI label or result file (object or tracking, type `Car`), detections with lines
+            `image class score x1 y1 x2 y2`, YOLO's lines `class x y w h [score]` in parts of the image (cars are class
+            2, or the line `car` of a `classes.txt` beside the file), COCO JSON, the folder of nuScenes' tables; or a
+            folder with such a file for each image, of its name.
         image: Name of the image, without ending.
+        size: Width and height of the image, pixels, which YOLO's boxes need.
 
     Raises:
         InvalidInputError: The file cannot be read or has another format; names line or field.
     """
+    if is_nuscenes(file):
+        found = cuboid_boxes(open_nuscenes(file), image, "vehicle.car")
+        return [NamedBox(token, corners, BoxModel.CUBOID) for token, corners in found]
+    if file.is_dir():
+        file = next((path for ending in (".txt", ".json") if (path := file / f"{image}{ending}").is_file()), file)
     if file.suffix.lower() == ".json":
         return _coco(read_json(file), file, image)
     try:
         lines = file.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInputError("boxes", str(file), _FIX) from error
-    boxes = []
+    boxes: list[NamedBox] = []
     for number, line in enumerate(lines):
-        if not line.strip():
-            continue
-        columns = len(line.split())
-        try:
-            if columns in (LABEL_COLUMNS, LABEL_COLUMNS + 1):
-                kind, numbers = parse_object(line, scored=columns > LABEL_COLUMNS)
-                if kind == "Car":
-                    boxes.append(NamedBox(str(number), np.array(numbers[3:7]), BoxModel.CUBOID))
-            else:
-                found = parse_detection(line)
-                is_car = DETECTION_CLASSES.get(found.label) == "Car" and found.score >= _LEAST_SCORE
-                if is_car and Path(found.image).stem == image:
-                    boxes.append(NamedBox(str(len(boxes)), np.array(found.box), BoxModel.CUBOID))
-        except ValueError as error:
-            raise InvalidInputError(f"{file}:{number + 1}", line, _FIX) from error
+        if line.strip():
+            try:
+                box = _of_line(line.split(), line, image)
+            except ValueError as error:
+                raise InvalidInputError(f"{file}:{number + 1}", line, _FIX) from error
+            if isinstance(box, _Relative):
+                box = box.in_image(file, number, size)
+            if box is not None:
+                corners, model, named = box
+                boxes.append(NamedBox(str(number if named else len(boxes)), corners, model))
     return boxes
+
+
+_Box = tuple[NDArray[np.float64], BoxModel, bool]  # corners, what they enclose, and whether its line is its name
+
+
+@dataclass(frozen=True)
+class _Relative:
+    """A line of YOLO's: number of the class, centre and size of the box in parts of the image, score."""
+
+    kind: int
+    box: NDArray[np.float64]
+    score: float
+
+    def in_image(self, file: Path, number: int, size: tuple[int, int] | None) -> _Box | None:
+        """The box in pixels; None where it is of no car, or too doubtful."""
+        if size is None:
+            raise InvalidInputError(f"{file}:{number + 1}", "a box in parts of the image", "Give the image's size.")
+        if self.kind != _car_class(file) or self.score < _LEAST_SCORE:
+            return None
+        centre, half = self.box[:2] * size, self.box[2:] * size / 2
+        return np.concatenate([centre - half, centre + half]), BoxModel.SURFACE, True
+
+
+def _of_line(words: list[str], line: str, image: str) -> _Box | _Relative | None:
+    """The box of a line, or None where it is of no car of this image.
+
+    Raises:
+        ValueError: The line has no known format.
+    """
+    columns = len(words)
+    if columns in (_YOLO_COLUMNS, _YOLO_COLUMNS + 1) and words[0].isdecimal():
+        numbers = np.array(words[1:], dtype=np.float64)
+        if not ((numbers >= 0) & (numbers <= 1)).all():
+            raise ValueError("parts of the image are from 0 to 1")
+        return _Relative(int(words[0]), numbers[:4], float(numbers[4]) if columns > _YOLO_COLUMNS else 1.0)
+    if columns in (LABEL_COLUMNS + 2, LABEL_COLUMNS + 3) and words[0].isdecimal() and _is_integer(words[1]):
+        if not image.isdecimal() or words[0].lstrip("0") != image.lstrip("0"):
+            return None
+        columns, line = columns - 2, " ".join(words[2:])
+    if columns in (LABEL_COLUMNS, LABEL_COLUMNS + 1):
+        kind, numbers_ = parse_object(line, scored=columns > LABEL_COLUMNS)
+        return (np.array(numbers_[3:7]), BoxModel.CUBOID, True) if kind == "Car" else None
+    found = parse_detection(line)
+    is_car = DETECTION_CLASSES.get(found.label) == "Car" and found.score >= _LEAST_SCORE
+    return (np.array(found.box), BoxModel.CUBOID, False) if is_car and Path(found.image).stem == image else None
+
+
+def _is_integer(word: str) -> bool:
+    """Tracks of KITTI's DontCare regions are -1."""
+    return word.removeprefix("-").isdecimal()
+
+
+def _car_class(file: Path) -> int:
+    """Number of YOLO's class of cars: the line `car` of `classes.txt`, where that lies beside the file."""
+    names = file.parent / _CLASSES
+    try:
+        lines = [line.strip() for line in names.read_text(encoding="utf-8").splitlines()]
+    except FileNotFoundError:
+        return _YOLO_CAR
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidInputError("boxes", str(names), "Give the names of the classes, one a line.") from error
+    if "car" not in lines:
+        raise InvalidInputError(str(names), ", ".join(lines), "Let a line be `car`.")
+    return lines.index("car")
 
 
 def _coco(data: Any, file: Path, image: str) -> list[NamedBox]:
     """COCO's results (a list) or annotations (an object with images, categories and annotations)."""
-    cars: set[Any] = {_COCO_CAR}
-    ids: set[Any] = {image}
+    cars: list[Any] = [_COCO_CAR]
+    ids: list[Any] = [image]
     entries = data
     if isinstance(data, Mapping):
         fields = Fields(data, f"{file}: ")
         entries = fields.get("annotations", list)
         if "categories" in fields:
-            cars = {c.get("id") for c in fields.get("categories", list) if c.get("name") == "car"}
-        ids = {i.get("id") for i in data.get("images", []) if Path(str(i.get("file_name"))).stem == image}
+            cars = [c["id"] for c in _entries(fields, "categories") if c.get("name") == "car" and "id" in c]
+        pictures = _entries(fields, "images") if "images" in fields else []
+        ids = [i["id"] for i in pictures if Path(str(i.get("file_name"))).stem == image and "id" in i]
+    elif image.isdigit():
+        ids = [image, int(image)]
     if not isinstance(entries, list):
         raise InvalidInputError(str(file), type(entries).__name__, _FIX)
-    if image.isdigit() and not isinstance(data, Mapping):
-        ids = {image, int(image)}
     boxes = []
     for number, entry in enumerate(entries):
         fields = Fields(entry, f"{file}: [{number}].")
-        if entry.get("image_id") not in ids or entry.get("category_id") not in cars:
+        if fields.data.get("image_id") not in ids or fields.data.get("category_id") not in cars:
             continue
-        if entry.get("score", 1.0) < _LEAST_SCORE:
+        if "score" in fields and float(fields.numbers("score", ())) < _LEAST_SCORE:
             continue
         x, y, width, height = fields.numbers("bbox", (4,))
         boxes.append(NamedBox(str(number), np.array([x, y, x + width, y + height]), BoxModel.SURFACE))
     return boxes
+
+
+def _entries(fields: Fields, name: str) -> list[Mapping[str, Any]]:
+    return [Fields(item, f"{fields.where}{name}[{i}].").data for i, item in enumerate(fields.get(name, list))]

@@ -13,7 +13,8 @@ The file holds one instance, a list of instances, or an object with `instances` 
       "azimuth": [0.1, 0.7, ...],                          optional: probability of each direction it is seen from, the
                                                            first from ahead, then evenly all around over its left
       "initial": rotation_y in radians, or                 optional
-                 {"location": [x, y, z], "rotation_y": r, "size": [length, width, height]}
+                 {"location": [x, y, z], "rotation_y": r, "size": [length, width, height]},
+      "image": "street.jpg"                                optional: the photograph that it is in
     }
 
 `confidence` and `covariance` may be given by name as well. The camera, for one instance or shared: `K` (3 x 3) or
@@ -40,7 +41,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.io.json_fields import Fields, numbers, read_json
 
-__all__ = ["Instance", "KeypointFile", "parse_keypoints", "read_keypoints"]
+__all__ = ["Instance", "KeypointFile", "parse_camera", "parse_keypoints", "read_keypoints"]
 
 Array = NDArray[np.float64]
 
@@ -54,6 +55,7 @@ _INSTANCE_FIELDS = {
     "box",
     "azimuth",
     "initial",
+    "image",
 } | _CAMERA_FIELDS
 _FILE_FIELDS = {"instances"} | _CAMERA_FIELDS
 
@@ -72,6 +74,7 @@ class Instance:
         azimuth: (A,) probability of each direction that it is seen from, as in `Observation`, or None.
         initial: 3D box, or guess of rotation_y in radians, or None.
         camera: The camera that the file names for it, or None.
+        image: Name of the photograph that it is in, as the file has it, or None.
     """
 
     name: str
@@ -83,6 +86,7 @@ class Instance:
     azimuth: Array | None = None
     initial: Box3D | float | None = None
     camera: Camera | None = None
+    image: str | None = None
 
     @property
     def observation(self) -> Observation:
@@ -139,7 +143,7 @@ def parse_keypoints(data: Any, category: Category, where: str = "") -> KeypointF
         records = data
     elif isinstance(data, Mapping) and "instances" in data:
         fields = Fields(data, where)
-        records, camera = fields.get("instances", list), _camera(fields)
+        records, camera = fields.get("instances", list), parse_camera(fields)
         ignored |= set(data) - _FILE_FIELDS
     if not records:
         raise InvalidInputError(f"{where}instances", records, "Give at least one instance.")
@@ -171,7 +175,8 @@ def _instance(fields: Fields, name: str, category: Category, camera: Camera | No
         covariance=_per_keypoint(fields, "covariance", category, (2, 2)) if "covariance" in fields else None,
         azimuth=_azimuth(fields),
         initial=_initial(fields) if "initial" in fields else None,
-        camera=_camera(fields) or camera,
+        camera=parse_camera(fields) or camera,
+        image=fields.get("image", str) if "image" in fields else None,
     )
 
 
@@ -229,8 +234,12 @@ def _initial(fields: Fields) -> Box3D | float:
         raise InvalidInputError(error.field.replace("box3d", place), error.value, error.fix) from error
 
 
-def _camera(fields: Fields) -> Camera | None:
-    """The camera of an instance or of all; None where its fields are absent."""
+def parse_camera(fields: Fields) -> Camera | None:
+    """The camera of an instance or of all; None where its fields are absent.
+
+    Raises:
+        InvalidInputError: A field is malformed.
+    """
     matrices = [name for name in ("K", "intrinsics") if name in fields]
     if not matrices:
         alone = [name for name in ("distortion", "image_size") if name in fields]

@@ -47,10 +47,11 @@ def rectified_size(matrix: NDArray[np.float64]) -> tuple[int, int] | None:
 
 
 def read_calibration(path: Path, projection: str = "P2") -> KittiCalibration:
-    """Read the camera of one projection from a calibration file of KITTI's object or tracking set.
+    """Read the camera of one projection from a calibration file of KITTI: object, tracking, odometry or raw data.
 
     Args:
-        path: Text file with a line `P2: ` and twelve numbers, K [I | t] row by row.
+        path: Text file with a line `P2: ` and twelve numbers, K [I | t] row by row; in the raw data's
+            `calib_cam_to_cam.txt` it is `P_rect_02: `, and `S_rect_02: ` the size of the rectified image.
         projection: Name of the line; P2 is the left colour camera.
 
     Raises:
@@ -62,20 +63,34 @@ def read_calibration(path: Path, projection: str = "P2") -> KittiCalibration:
         raise InvalidInputError("calib", str(path), f"Give a file that can be read ({error.strerror}).") from error
     except UnicodeDecodeError as error:
         raise InvalidInputError("calib", str(path), "Give a text file of KITTI's calibration.") from error
-    place = f"{path}: {projection}"
+    content = {name.strip(): value.split() for name, _, value in (line.partition(":") for line in lines)}
+    raw = f"P_rect_{projection.removeprefix('P'):0>2}"
+    line = projection if projection in content or raw not in content else raw
+    place = f"{path}: {line}"
     fix = f"Give a KITTI calibration file with a line '{projection}:' and twelve numbers, K [I | t] row by row."
-    found = [line.partition(":")[2].split() for line in lines if line.partition(":")[0].strip() == projection]
-    if not found:
+    if line not in content:
         raise InvalidInputError(place, "no such line", fix)
-    try:
-        numbers = np.array(found[0], dtype=np.float64)
-    except ValueError:
-        raise InvalidInputError(place, " ".join(found[0]), fix) from None
-    if numbers.shape != (12,) or not np.isfinite(numbers).all():
-        raise InvalidInputError(place, " ".join(found[0]), fix)
+    numbers = _numbers(content[line], 12, place, fix)
+    size = None
+    name = f"S_rect_{line[-2:]}"
+    if line.startswith("P_rect_") and name in content:
+        width, height = _numbers(content[name], 2, f"{path}: {name}", "Give width and height in pixels.")
+        if min(width, height) < 1:
+            raise InvalidInputError(f"{path}: {name}", [width, height], "Give width and height in pixels.")
+        size = int(width), int(height)
     matrix = numbers.reshape(3, 4)
     try:
-        camera = Camera(matrix[:, :3], image_size=rectified_size(matrix))
+        camera = Camera(matrix[:, :3], image_size=size or rectified_size(matrix))
     except InvalidInputError as error:
         raise InvalidInputError(place, error.value, error.fix) from error
     return KittiCalibration(camera, np.linalg.solve(matrix[:, :3], matrix[:, 3]).astype(np.float64))
+
+
+def _numbers(words: list[str], count: int, place: str, fix: str) -> NDArray[np.float64]:
+    try:
+        numbers = np.array(words, dtype=np.float64)
+    except ValueError:
+        raise InvalidInputError(place, " ".join(words), fix) from None
+    if numbers.shape != (count,) or not np.isfinite(numbers).all():
+        raise InvalidInputError(place, " ".join(words), fix)
+    return numbers

@@ -59,6 +59,7 @@ class MarkedCar:
         shape: (14, 3) true keypoints, object frame, metres.
         size: (3,) true length, width and height, metres.
         inconsistency: Median distance of the marks from the true keypoints, metres at their distance.
+        all_marks: (66, 2) marks in the order of `apollo66`, NaN where there is none.
     """
 
     name: str
@@ -69,6 +70,7 @@ class MarkedCar:
     shape: Array
     size: Array
     inconsistency: float
+    all_marks: Array
 
     @property
     def marks(self) -> int:
@@ -205,6 +207,7 @@ def _read_car(fields: Fields, name: str, models: Apollo79) -> MarkedCar:
         shape=models.keypoints[number] / scale,
         size=models.size[number] / scale,
         inconsistency=float("nan"),
+        all_marks=np.where(marks[:, 2:] > 0, marks[:, :2], np.nan),
     )
 
 

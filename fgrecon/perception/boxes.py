@@ -21,7 +21,11 @@ __all__ = ["boxes_of", "detected_boxes", "find_boxes"]
 
 
 def boxes_of(
-    image: Path, given: Sequence[ArrayLike], file: Path | None, search: NDArray[Any] | None = None
+    image: Path,
+    given: Sequence[ArrayLike],
+    file: Path | None,
+    search: NDArray[Any] | None = None,
+    size: tuple[int, int] | None = None,
 ) -> list[NamedBox]:
     """The boxes given one by one, those of a file, or those that a detector finds.
 
@@ -30,6 +34,7 @@ def boxes_of(
         given: Boxes x1, y1, x2, y2 in pixels, of the cars' outlines.
         file: File of boxes, or None.
         search: (H, W, 3) the image's pixels, to be searched for cars; or None.
+        size: Width and height of the image, which some files' boxes are parts of; or None.
 
     Raises:
         InvalidInputError: Several or none of these are given, or there is no car in this image.
@@ -46,7 +51,7 @@ def boxes_of(
     if file is None:
         corners = [as_finite(f"box[{number}]", box, (4,)) for number, box in enumerate(given)]
         return [NamedBox(str(number), box, BoxModel.SURFACE) for number, box in enumerate(corners)]
-    found = read_boxes(file, image.stem)
+    found = read_boxes(file, image.stem, size)
     if not found:
         raise InvalidInputError("boxes", str(file), f"Give a file with a car in image {image.stem}.")
     return found

@@ -1,7 +1,8 @@
-"""`fgrecon prior build`: the default shape prior, made again."""
+"""`fgrecon prior build`: the shipped shape priors, made again."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,17 +15,24 @@ from fgrecon.cli.terminal import Terminal
 if TYPE_CHECKING:  # the command line must start fast: what a command needs is imported when it runs
     from rich.table import Table
 
-    from fgrecon.training.priors.apollo79 import LeaveOneOut
+    from fgrecon.core.shape_prior import ShapePrior
+    from fgrecon.training.priors.apollo79 import Apollo79, LeaveOneOut
 
 __all__ = ["build_command"]
 
+_LOCATED = "car14"
 _COUNTS = (0, 1, 2, 3, 5, 8, 10)
 
 
 def build_command(
     terminal: Terminal,
     old_out: Annotated[Path | None, typer.Argument(hidden=True)] = None,
-    out: Annotated[Path, typer.Option(metavar="FILE", help="The npz file to write.")] = Path("car14.npz"),
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The npz file to write.", show_default="CATEGORY.npz")
+    ] = None,
+    category: Annotated[
+        str, typer.Option(help="Keypoints: car14, located on every model; apollo66, apollo24, pascal12: by marks.")
+    ] = "car14",
     data: DataOption = DATA,
     basis: Annotated[int, typer.Option(min=1, help="Number of basis vectors.")] = 5,
     exclude: Annotated[
@@ -34,10 +42,11 @@ def build_command(
         bool, typer.Option("--leave-one-out", help="Hold out each model in turn and print how well it is expressed.")
     ] = False,
 ) -> None:
-    """Make the default prior of 14 keypoints and a surface from the 79 car models of ApolloCar3D.
+    """Make a shipped prior of keypoints and a surface from the 79 car models of ApolloCar3D.
 
-    Without options it makes the shipped file again, bit for bit. --verbose tells all that is known about it.
+    Without further options it makes the shipped file again, bit for bit. --verbose tells all that is known about it.
     """
+    from fgrecon.core.errors import InvalidInputError
     from fgrecon.io.catalogue import save_prior
     from fgrecon.training.priors import apollo79
 
@@ -45,9 +54,15 @@ def build_command(
     if old_out is not None:
         screen.warn(f"say --out {old_out}; the file without --out goes with the next release.")
         out = old_out
+    out = Path(f"{category}.npz") if out is None else out
     check_output(out)
+    if leave_one_out and category != _LOCATED:
+        raise InvalidInputError("leave-one-out", category, f"It is measured for {_LOCATED} alone; leave it out.")
     models = apollo79.load_apollo79(data)
-    prior = apollo79.rounded(apollo79.apollo79_prior(models, basis, exclude or ()))
+    if category == _LOCATED:
+        prior = apollo79.rounded(apollo79.apollo79_prior(models, basis, exclude or ()))
+    else:
+        prior = apollo79.rounded(_of_marks(data, models, category, basis, exclude or ()))
     screen.print(f"{prior.name}: {prior.provenance['source']}")
     screen.detail(*(f"{field}: {value}" for field, value in prior.provenance.items() if field != "source"))
     share = ", ".join(f"{100 * part:.1f}" for part in prior.explained)
@@ -57,6 +72,19 @@ def build_command(
             rows = apollo79.leave_one_out(models, _COUNTS, lambda done, total: advance("Models held out", done, total))
         screen.print(_leave_one_out_table(rows))
     screen.wrote(save_prior(prior, out))
+
+
+def _of_marks(data: Path, models: Apollo79, category: str, basis: int, exclude: Sequence[str]) -> ShapePrior:
+    """The prior of keypoints that people marked in the images of ApolloCar3D."""
+    from fgrecon.io.catalogue import load_category
+    from fgrecon.paper.apollocar3d import read_apollocar3d
+    from fgrecon.training.priors.marked_points import SCHEME, PosedMarks, located_points, marked_prior
+
+    kind = load_category(category)
+    found = read_apollocar3d(data / "apollocar3d_val" / "annotations.json", models)
+    cars = [PosedMarks(models.names.index(car.model), car.all_marks, car.camera_T_object) for car in found.cars]
+    located = located_points(cars, found.camera, models, load_category(SCHEME))
+    return marked_prior(located, models, kind, basis, exclude)
 
 
 def _leave_one_out_table(results: list[LeaveOneOut]) -> Table:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,35 @@ from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.annotations.annotations import Annotations
 
-__all__ = ["read_pascal3d"]
+__all__ = ["AnchoredObject", "read_anchors", "read_pascal3d"]
 
 _VISIBLE = 1
 """Status of an anchor: 1 visible, 2 self-occluded, 3 occluded, 4 truncated, 5 unknown."""
+
+
+@dataclass(frozen=True, eq=False)
+class AnchoredObject:
+    """One object of a file.
+
+    Attributes:
+        anchors: Its anchors as MATLAB has them, by name.
+        box: (4,) x1, y1, x2, y2 in 0-based pixels, or None.
+    """
+
+    anchors: Mapping[str, Any]
+    box: NDArray[np.float64] | None
+
+    def found(self, where: str) -> dict[str, list[float]]:
+        """0-based pixels of the visible anchors, by name.
+
+        Args:
+            where: What an error begins with.
+
+        Raises:
+            InvalidInputError: An anchor has no usable location; names it.
+        """
+        located = {name: _location(f"{where}{name}", anchor) for name, anchor in self.anchors.items()}
+        return {name: pixel.tolist() for name, pixel in located.items() if np.isfinite(pixel).all()}
 
 
 def read_pascal3d(paths: list[Path], category: Category, rename: Mapping[str, str]) -> Annotations:
@@ -40,7 +66,8 @@ def read_pascal3d(paths: list[Path], category: Category, rename: Mapping[str, st
     names: list[str] = []
     met: set[str] = set()
     for path in paths:
-        for number, anchors in enumerate(_objects(path)):
+        for number, item in enumerate(read_anchors(path)):
+            anchors = item.anchors
             present = {name: rename.get(name, name) for name in anchors}
             met.update(anchors)
             if not any(target in category.keypoints for target in present.values()):
@@ -60,8 +87,12 @@ def read_pascal3d(paths: list[Path], category: Category, rename: Mapping[str, st
     return Annotations(category, array, tuple(names), source=f"{len(paths)} PASCAL3D+ files")
 
 
-def _objects(path: Path) -> list[dict[str, Any]]:
-    """The anchors of each object of a file, by name; empty where an object has none."""
+def read_anchors(path: Path) -> list[AnchoredObject]:
+    """The objects of a file with their anchors, none where an object has none.
+
+    Raises:
+        InvalidInputError: The file cannot be read, or is none of PASCAL3D+'s.
+    """
     import zlib
 
     from scipy.io import loadmat
@@ -79,11 +110,20 @@ def _objects(path: Path) -> list[dict[str, Any]]:
         raise InvalidInputError(f"{path}: record.objects", "no such field", fix) from None
     except (MatReadError, zlib.error, OSError, ValueError, TypeError, NotImplementedError) as error:
         raise InvalidInputError(str(path), f"not readable: {error}", fix) from error
-    anchors = [getattr(item, "anchors", None) for item in objects]
-    return [
-        {name: getattr(group, name) for name in getattr(group, "_fieldnames", [])} if group is not None else {}
-        for group in anchors
-    ]
+    return [AnchoredObject(_anchors(item), _box(item)) for item in objects]
+
+
+def _anchors(item: Any) -> dict[str, Any]:
+    group = getattr(item, "anchors", None)
+    return {name: getattr(group, name) for name in getattr(group, "_fieldnames", [])}
+
+
+def _box(item: Any) -> NDArray[np.float64] | None:
+    """The 2D box, whose pixels MATLAB counts from 1."""
+    box = np.asarray(getattr(item, "bbox", ()))
+    if box.size != 4 or box.dtype.kind not in "iuf" or not np.isfinite(box).all():
+        return None
+    return box.astype(np.float64).ravel() - 1.0
 
 
 def _location(where: str, anchor: Any) -> NDArray[np.float64]:

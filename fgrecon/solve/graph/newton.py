@@ -35,13 +35,15 @@ STEADY = 1e-8
 """A step that moves no variable by more (radians, metres, standard deviations of lambda) is the last."""
 
 _FOLLOWED = 25  # iterations for which visibility follows the pose
-_MOST = 60  # iterations after that
+_MOST = 30  # iterations after that
 _REMEMBERED = 4  # steps that the acceleration learns from
 _SHORTER = (0.3, 0.1)  # of a plain step that goes up
 _RESCUE = 20  # iterations of Levenberg-Marquardt in place of a bad step
+_LONGEST = 20.0  # times the plain step that an accelerated one may go
 _RESCUED = 8  # times in a row that it takes over: nothing will determine such a problem any more
 _DAMPED = 1e-10  # of the normal equations' diagonal
-_ROUNDING = 1e-12  # relative rise of the energy that is none
+_RISE = 1e-10  # relative rise of the energy that is none: near the end it is too coarse to judge a step by
+_TOLERANCE = 1e-12  # of Levenberg-Marquardt's, relative decrease
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,7 @@ class Descent:
         steps: Every iteration, where the history is kept.
         iterations: How many were made.
         first: Energy at the start, nats.
-        converged: Whether the last step was `STEADY`.
+        converged: Whether the last step was `STEADY`, or where steps leap over a crease of the energy, gained nothing.
     """
 
     def __init__(self, graph: Graph, start: State) -> None:
@@ -111,6 +113,12 @@ class Descent:
             self._record()
             if self.converged or self._rescued >= _RESCUED:
                 return
+        # Creases of an outline, over which Newton's steps leap to and fro: down to where they gain nothing.
+        built = self.graph.build(self.weights, Form.NEWTON)
+        solution = minimise(built, self.values, relative_tolerance=_TOLERANCE)
+        self.values, self.converged = solution.values, solution.converged
+        self.weights = self.graph.reweigh(self.values, self.weights, 1.0, hold=True)
+        self._record()
 
     def _energy(self) -> float:
         return sum(self.graph.energies(self.values, self.weights).values())
@@ -132,8 +140,10 @@ class Descent:
             return self._rescue(built, steps)
         step = newton.vector()
         length = float(np.abs(step).max(initial=0.0))
-        energy = built.error(self.values) * (1.0 + _ROUNDING) + _ROUNDING
+        energy = built.error(self.values) * (1.0 + _RISE) + _RISE
         further = steps.propose(step)
+        if further is not None and np.abs(further).max() > _LONGEST * length:
+            further = None
         shorter = [share * step for share in _SHORTER]
         for proposed in (step, *shorter) if further is None else (further, step, *shorter):
             moved = self.values.retract(newton if proposed is step else _like(newton, self.values, proposed))
@@ -141,14 +151,13 @@ class Descent:
                 steps.took(proposed)
                 self.values, self._rescued = moved, 0
                 return length <= STEADY
-            steps.forget()
         return self._rescue(built, steps)
 
     def _rescue(self, built: gtsam.NonlinearFactorGraph, steps: _Anderson) -> bool:
         """A few iterations of Levenberg-Marquardt instead; whether they moved nothing."""
         steps.forget()
         self._rescued += 1
-        solution = minimise(built, self.values, relative_tolerance=_ROUNDING, max_iterations=_RESCUE)
+        solution = minimise(built, self.values, relative_tolerance=_TOLERANCE, max_iterations=_RESCUE)
         moved = self.values.localCoordinates(solution.values).vector()
         self.values = solution.values
         return bool(np.abs(moved).max(initial=0.0) <= STEADY)

@@ -28,9 +28,11 @@ __all__ = [
     "LeaveOneOut",
     "apollo79_prior",
     "apollo79_size_relation",
+    "kept_models",
     "leave_one_out",
     "load_apollo79",
     "rounded",
+    "surface_samples",
 ]
 
 DUPLICATE = ("fengtian-puladuo-06", "guangqi-chuanqi-GS4-2015")
@@ -147,14 +149,14 @@ def apollo79_prior(
         InvalidInputError: The file cannot be used, a name is unknown, or too few models are left.
     """
     models = path if isinstance(path, Apollo79) else load_apollo79(path)
-    keep = _kept(models, exclude)
+    keep = kept_models(models, exclude)
     return pca_prior(
         load_category("car14"),
         (models.keypoints if symmetric else models.keypoints_mesh)[keep],
         basis=basis,
         symmetric=symmetric,
         weights=None if weights is None else as_shape("weights", weights, (len(models.names),))[keep],
-        surface=_samples(models, keep, symmetric),
+        surface=surface_samples(models, keep, symmetric),
         name="car14",
         provenance={
             "source": f"{len(keep)} of the 79 car models of ApolloCar3D, 14 keypoints located on each",
@@ -174,7 +176,7 @@ def apollo79_size_relation(models: Apollo79, prior: ShapePrior, exclude: Sequenc
     Raises:
         InvalidInputError: A name is unknown, or too few models are left for the prior's number of vectors.
     """
-    keep = _kept(models, exclude)
+    keep = kept_models(models, exclude)
     return learn_size_relation(prior, models.keypoints[keep], models.size[keep])
 
 
@@ -208,8 +210,8 @@ def leave_one_out(
         advance: Told how many models are done, and how many there are.
     """
     category = load_category("car14")
-    keep = _kept(models, ())
-    shapes, samples, most = models.keypoints[keep], _samples(models, keep, symmetric=True), max(counts)
+    keep = kept_models(models, ())
+    shapes, samples, most = models.keypoints[keep], surface_samples(models, keep, symmetric=True), max(counts)
     explained = np.cumsum(pca_prior(category, shapes, basis=most).explained)
     keypoint = np.zeros((len(counts), len(keep), category.size))
     vertex = np.zeros((len(counts), len(keep), samples.vertices.shape[1]))
@@ -236,8 +238,12 @@ def leave_one_out(
     ]
 
 
-def _kept(models: Apollo79, exclude: Sequence[str]) -> NDArray[np.intp]:
-    """Indices of the models to learn from."""
+def kept_models(models: Apollo79, exclude: Sequence[str]) -> NDArray[np.intp]:
+    """Indices of the models to learn from: all but those named, and of the car with two names one.
+
+    Raises:
+        InvalidInputError: A name is unknown.
+    """
     twice = [name for name in DUPLICATE if name in models.names]
     skip = {*exclude, *(twice if set(exclude) & set(twice) else twice[1:])}
     kept = np.ones(len(models.names), dtype=bool)
@@ -245,7 +251,8 @@ def _kept(models: Apollo79, exclude: Sequence[str]) -> NDArray[np.intp]:
     return np.flatnonzero(kept)
 
 
-def _samples(models: Apollo79, keep: NDArray[np.intp], symmetric: bool) -> SurfaceSamples:
+def surface_samples(models: Apollo79, keep: NDArray[np.intp], symmetric: bool) -> SurfaceSamples:
+    """Surfaces of some models, as they are or cut along the medial plane and mirrored."""
     if not symmetric:
         return SurfaceSamples(models.vertices[keep], models.faces)
     mesh = mirrored_half((models.vertices[keep] + models.mirrored[keep]) / 2, models.faces)

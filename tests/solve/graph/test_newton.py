@@ -88,6 +88,20 @@ def test_a_step_up_is_not_taken(monkeypatch):
     assert descent.converged
 
 
+@pytest.mark.parametrize("rests", [True, False])
+def test_steps_that_never_end_are_left_to_levenberg_marquardt_which_says_whether_it_rests(monkeypatch, rests):
+    problem, start = problem_of(1)
+    usual = descent_of(problem, start)
+    usual.run()
+    original = newton.minimise
+    monkeypatch.setattr(newton, "STEADY", -1.0)
+    monkeypatch.setattr(newton, "minimise", lambda *a, **b: replace(original(*a, **b), converged=rests))
+    descent = descent_of(problem, start)
+    descent.run()
+    assert descent.converged is rests
+    assert np.abs(usual.values.localCoordinates(descent.values).vector()).max() < 1e-6
+
+
 def test_acceleration_solves_a_linear_iteration_at_once():
     """Of x -> A x + b in three dimensions the fixed point is known after four steps."""
     rng = np.random.default_rng(0)

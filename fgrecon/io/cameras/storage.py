@@ -1,0 +1,180 @@
+"""Calibrations as ROS (`camera_info` in YAML) and OpenCV (`FileStorage` in YAML, XML or JSON) write them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from fgrecon.core.camera import Camera
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.json_fields import Fields, numbers
+
+__all__ = ["read_storage", "storage_camera"]
+
+_MATRIX = "camera_matrix", "Camera_Matrix", "cameraMatrix", "K", "k", "intrinsic_matrix"
+_DISTORTION = "distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "dist_coeffs", "D", "d"
+_PROJECTION = "projection_matrix", "P", "p"
+_SIZE = ("image_width", "image_height"), ("image_Width", "image_Height"), ("width", "height")
+_PINHOLE = "plumb_bob", "rational_polynomial", "radtan", "none", ""
+_FISHEYE = "fisheye_model", "is_fisheye", "fisheye"
+_UNDISTORT = (
+    "Only the pinhole models of OpenCV are solved. Undistort points and image (cv2.fisheye) and give that camera."
+)
+_BAD_YAML = yaml.YAMLError, ValueError, TypeError, AttributeError, KeyError, IndexError, RecursionError
+
+
+class _Loader(yaml.SafeLoader):  # type: ignore[misc]  # no types are installed
+    """Plain values, and OpenCV's matrices as mappings."""
+
+
+def _opencv_matrix(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
+    content: dict[Any, Any] = loader.construct_mapping(node, deep=True)
+    return content
+
+
+for _name in ("opencv-matrix", "opencv-nd-matrix"):
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_name}", _opencv_matrix)
+
+
+def read_storage(path: Path) -> Any:
+    """The content of a YAML or XML file as JSON would have it.
+
+    Raises:
+        InvalidInputError: The file cannot be read, or is neither; names it.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InvalidInputError("camera", str(path), f"Give a file that can be read ({error.strerror}).") from error
+    except UnicodeDecodeError as error:
+        raise InvalidInputError(str(path), "no text", "Give a text file in UTF-8.") from error
+    if path.suffix.lower() == ".xml":
+        try:
+            root = ET.fromstring(text)  # noqa: S314  # expat bounds what entities may expand to
+        except (ET.ParseError, ValueError) as error:
+            raise InvalidInputError(str(path), str(error), "Give an XML file of OpenCV's FileStorage.") from error
+        return {child.tag: _of_xml(child) for child in root}
+    # OpenCV's first line is no YAML, and its matrices have a type of their own.
+    text = text.partition("\n")[2] if text.startswith("%YAML:") else text
+    try:
+        return yaml.load(text, Loader=_Loader)  # noqa: S506  # a SafeLoader
+    except _BAD_YAML as error:
+        raise InvalidInputError(str(path), str(error), "Give a YAML file of ROS or OpenCV.") from error
+
+
+def storage_camera(data: Mapping[str, Any], where: str, name: str | None = None) -> Camera:
+    """The camera of a calibration in ROS's or OpenCV's names.
+
+    Args:
+        data: The content of the file.
+        where: What errors begin with.
+        name: `projection_matrix` for the camera of ROS's rectified image; None for that of the image as it was taken.
+
+    Raises:
+        InvalidInputError: A field is missing or malformed, or the lens is none that is solved; names the field.
+    """
+    fields = Fields(data, where)
+    _check_whole_image(fields)
+    rectified = name in _PROJECTION
+    if name is not None and not rectified:
+        fix = f"Give {_PROJECTION[0]} for the rectified image, or nothing for the image as it was taken."
+        raise InvalidInputError(f"{where}camera", name, fix)
+    matrix = _matrix(fields, _PROJECTION if rectified else _MATRIX, (3, 4) if rectified else (3, 3))[:, :3]
+    distortion = None if rectified else _distortion(fields)
+    try:
+        return Camera(matrix, distortion, _size(fields))
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{where}{error.field}", error.value, error.fix) from error
+
+
+def _of_xml(element: ET.Element) -> Any:
+    """An element as YAML would have it: a mapping of what is in it, else its numbers or its text."""
+    if len(element):
+        return {child.tag: _of_xml(child) for child in element}
+    words = (element.text or "").split()
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        return (element.text or "").strip()
+    return values[0] if len(values) == 1 else values
+
+
+def _first(fields: Fields, names: Iterable[str]) -> str | None:
+    return next((name for name in names if name in fields), None)
+
+
+def _matrix(fields: Fields, names: tuple[str, ...], shape: tuple[int, int]) -> NDArray[np.float64]:
+    field = _first(fields, names)
+    if field is None:
+        known = "camera_matrix" if names is _MATRIX else names[0]
+        raise InvalidInputError(f"{fields.where}{known}", "nothing", "Give a calibration of ROS or OpenCV.")
+    values, place = _values(fields, field)
+    if any(isinstance(row, list) for row in values):
+        return numbers(values, shape, place)
+    return numbers(values, (shape[0] * shape[1],), place).reshape(shape)
+
+
+def _values(fields: Fields, field: str) -> tuple[list[Any], str]:
+    """The numbers of a matrix, which is a list or has one in `data`, and what to call them."""
+    value, place = fields.data[field], f"{fields.where}{field}"
+    if isinstance(value, Mapping):
+        value, place = value.get("data"), f"{place}.data"
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        value = [value]
+    if not isinstance(value, list):
+        raise InvalidInputError(place, "nothing" if value is None else value, "Give a list of numbers.")
+    return [_number(item) for item in value], place
+
+
+def _number(value: Any) -> Any:
+    """A number that YAML takes for a text: 1e-05 has no dot."""
+    if isinstance(value, str):
+        try:
+            return float(value)
+        except ValueError:
+            return value
+    return value
+
+
+def _distortion(fields: Fields) -> NDArray[np.float64] | None:
+    model = str(fields.data.get("distortion_model") or "").lower()
+    fisheye = _first(fields, _FISHEYE)
+    if fisheye is not None and fields.data[fisheye] not in (0, False, "0", "false"):
+        raise InvalidInputError(f"{fields.where}{fisheye}", fields.data[fisheye], _UNDISTORT)
+    if model not in _PINHOLE:
+        raise InvalidInputError(f"{fields.where}distortion_model", model, _UNDISTORT)
+    field = _first(fields, _DISTORTION)
+    if field is None:
+        return None
+    values, place = _values(fields, field)
+    flat = [_number(x) for value in values for x in (value if isinstance(value, list) else [value])]
+    return numbers(flat, (len(flat),), place) if flat else None
+
+
+def _size(fields: Fields) -> tuple[int, int] | None:
+    for pair in _SIZE:
+        if all(name in fields for name in pair):
+            width, height = (numbers(_number(fields.data[name]), (), f"{fields.where}{name}") for name in pair)
+            if width == height == 0.0:  # ROS's for "not known"
+                return None
+            if min(width, height) < 1 or width % 1 or height % 1:
+                fix = "Give width and height in pixels."
+                raise InvalidInputError(f"{fields.where}{pair[0]}", [float(width), float(height)], fix)
+            return int(width), int(height)
+    return None
+
+
+def _check_whole_image(fields: Fields) -> None:
+    """Refuse calibrations that are of a larger image than the camera gives."""
+    roi = fields.data.get("roi")
+    parts = {f"roi.{name}": roi.get(name) for name in ("x_offset", "y_offset")} if isinstance(roi, Mapping) else {}
+    for name, value in {**{n: fields.data.get(n) for n in ("binning_x", "binning_y")}, **parts}.items():
+        least = 1 if name.startswith("binning") else 0
+        if isinstance(value, int | float) and value > least:
+            raise InvalidInputError(f"{fields.where}{name}", value, "Give the calibration of the image as it is.")

@@ -1,0 +1,194 @@
+"""One door to keypoints of any format: files, whose format follows from their content, and objects in Python."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from fgrecon.core.category import Category
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.annotations.pascal3d import read_anchors
+from fgrecon.io.catalogue import load_category
+from fgrecon.io.json_fields import read_json
+from fgrecon.io.keypoint_file import Instance, KeypointFile, parse_keypoints
+from fgrecon.io.keypoints.carfusion import carfusion_records
+from fgrecon.io.keypoints.coco import annotation_records, is_annotations, is_result, result_records
+from fgrecon.io.keypoints.names import Names, NamesLike, naming_of, parse_names, scheme_keypoints, shipped_schemes
+from fgrecon.io.keypoints.objects import object_records
+from fgrecon.io.keypoints.translate import translated
+
+__all__ = ["NOT_JSON", "keypoints_from", "parse_any_keypoints", "read_any_keypoints"]
+
+NOT_JSON = ".mat", ".txt"
+"""Endings of files of other formats: PASCAL3D+, CarFusion."""
+
+_Records = Iterable[tuple[Mapping[str, Any], str]]
+
+
+def read_any_keypoints(
+    path: Path, category: Category, names: NamesLike | None = None, image: str | None = None
+) -> KeypointFile:
+    """Read a file of keypoints: fgrecon's own JSON, COCO's or OpenPifPaf's JSON, CarFusion's text, PASCAL3D+'s MATLAB.
+
+    Args:
+        path: The file.
+        category: The category whose keypoints are wanted.
+        names: What is known of the file's names, where neither the file nor a shipped scheme says it; see `NamesLike`.
+        image: Name of a photograph: of a file of several, only its vehicles are wanted.
+
+    Raises:
+        InvalidInputError: The file cannot be read or is none of these, or a value is malformed; names file and field.
+    """
+    ending = path.suffix.lower()
+    if ending not in NOT_JSON:
+        return parse_any_keypoints(read_json(path), category, names, image, where=f"{path}: ")
+    records: _Records = carfusion_records(path)
+    if ending == ".mat":
+        records = _anchors(path, category)
+    known = None if names is None else parse_names(names, category)
+    return _parsed(records, category, known, image, f"{path}: ")
+
+
+def parse_any_keypoints(
+    data: Any, category: Category, names: NamesLike | None = None, image: str | None = None, where: str = ""
+) -> KeypointFile:
+    """Check the content of a JSON file of any of the formats and turn it into instances; see `read_any_keypoints`.
+
+    Args:
+        data: What the file holds.
+        category: The category whose keypoints are wanted.
+        names: What is known of its names.
+        image: Name of the photograph whose vehicles are wanted.
+        where: Put in front of every field that an error names.
+
+    Raises:
+        InvalidInputError: A value is missing or malformed; names the field.
+    """
+    known = None if names is None else parse_names(names, category)
+    if is_annotations(data):
+        return _parsed(annotation_records(data, where), category, known, image, where)
+    entries = data if isinstance(data, list) else [data]
+    if any(is_result(entry) for entry in entries):
+        return _parsed(result_records(entries, category, known, where), category, known, image, where)
+    return _of_this(parse_keypoints(_own(data, category, known, where), category, where), image, where)
+
+
+def keypoints_from(
+    given: Any, names: NamesLike | None = None, category: Category | str | Path = "car14"
+) -> tuple[Instance, ...]:
+    """Vehicles from what a keypoint network returned, as `fgrecon.reconstruct` takes them.
+
+        for vehicle in fgrecon.keypoints_from(model("street.jpg"), names=["left_front_wheel", ...]):
+            result = fgrecon.reconstruct(vehicle.observation, camera)
+
+    Args:
+        given: Results of ultralytics (of one image or a list), `supervision.KeyPoints`, OpenPifPaf's annotations, or
+            the content of a JSON file that `fgrecon reconstruct` reads.
+        names: Which points these are, where nothing says it: names in the order of the points, None for a point that
+            means nothing here; a mapping from their names to those of the category, several to one for their centre;
+            a shipped scheme (`apollo24`, `apollo66`, `carfusion`, `pascal12`); or a file with either.
+        category: The category whose keypoints are wanted, its name or its file.
+
+    Returns:
+        The vehicles; empty where a network found none.
+
+    Raises:
+        InvalidInputError: The object is none of these, or a value is malformed; names the field.
+    """
+    kind = load_category(category)
+    known = None if names is None else parse_names(names, kind)
+    plain = _plain(given)
+    if plain is not None:
+        return parse_any_keypoints(plain, kind, names).instances if plain else ()
+    results = given if isinstance(given, list | tuple) else [given]
+    records = [
+        (dict(record) | ({"id": f"{place}:{record['id']}"} if len(results) > 1 else {}), where)
+        for place, result in enumerate(results)
+        for record, where in object_records(result, kind, known, f"[{place}]: " if len(results) > 1 else "")
+    ]
+    return _parsed(records, kind, known, None, "").instances if records else ()
+
+
+def _plain(given: Any) -> Any:
+    """The content of a JSON file, as which OpenPifPaf's annotations give themselves; None for other objects."""
+    items = given if isinstance(given, list | tuple) else [given]
+    if all(isinstance(item, Mapping) for item in items):
+        return given
+    if all(callable(getattr(item, "json_data", None)) for item in items):
+        return [item.json_data() for item in items]
+    return None
+
+
+def _parsed(records: _Records, category: Category, names: Names | None, image: str | None, where: str) -> KeypointFile:
+    """Instances of another program, in the layout of a keypoint file but for their names."""
+    ours, unused = [], set[str]()
+    for record, place in records:
+        instance, unknown = translated(record, category, names, place)
+        ours.append(instance)
+        unused |= unknown
+    if not ours:
+        fix = f"Give a file with keypoints of {category.name}: {', '.join(category.keypoints)}."
+        raise InvalidInputError(f"{where}keypoints", "no labelled keypoint", fix)
+    file = _of_this(parse_keypoints(ours, category, where), image, where)
+    return KeypointFile(file.instances, (*file.ignored, *(f"keypoint {name}" for name in sorted(unused - _expected()))))
+
+
+@lru_cache
+def _expected() -> frozenset[str]:
+    """Points of other schemes, of which nobody expects that they are ours."""
+    return frozenset(name for scheme in shipped_schemes() for name in scheme_keypoints(scheme))
+
+
+def _own(data: Any, category: Category, names: Names | None, where: str) -> Any:
+    """The content of a keypoint file with each instance's points in the category's names."""
+
+    def instance(record: Any, place: str) -> Any:
+        points = record.get("keypoints") if isinstance(record, Mapping) else None
+        if not isinstance(points, Mapping | list) or not points:
+            return record
+        ours = len(points) == category.size if isinstance(points, list) else _are_ours(points, category)
+        if names is None and ours:
+            return record
+        return translated(record, category, names, place)[0]
+
+    if isinstance(data, Mapping) and isinstance(data.get("instances"), list):
+        entries = enumerate(data["instances"])
+        return dict(data) | {"instances": [instance(item, f"{where}instance {i}: ") for i, item in entries]}
+    if isinstance(data, list):
+        return [instance(item, f"{where}instance {i}: ") for i, item in enumerate(data)]
+    return instance(data, where)
+
+
+def _are_ours(points: Mapping[Any, Any], category: Category) -> bool:
+    """Whether the names are the category's, or near enough to them for its own reader to say what is wrong."""
+    known = naming_of([str(name) for name in points], category)
+    return known is None or not known.groups
+
+
+def _of_this(file: KeypointFile, image: str | None, where: str) -> KeypointFile:
+    """The instances of one photograph, where they say of which they are."""
+    if image is None or all(instance.image is None for instance in file.instances):
+        return file
+    stem = Path(image).stem
+    kept = tuple(i for i in file.instances if i.image is None or _same(Path(i.image).stem, stem))
+    if not kept:
+        known = sorted({str(i.image) for i in file.instances})
+        raise InvalidInputError(f"{where}image", image, f"Give one of the file's images, such as {known[0]}.")
+    return KeypointFile(kept, file.ignored)
+
+
+def _same(one: str, other: str) -> bool:
+    """Whether two names of images are one; numbers may have leading zeros."""
+    return one == other or (one.isdecimal() and other.isdecimal() and one.lstrip("0") == other.lstrip("0"))
+
+
+def _anchors(path: Path, category: Category) -> Iterator[tuple[dict[str, Any], str]]:
+    """Objects of a PASCAL3D+ file that have an anchor of a known name."""
+    for number, item in enumerate(read_anchors(path), start=1):
+        where = f"{path}: object {number}: "
+        found = item.found(where)
+        if found and naming_of(tuple(item.anchors), category) is not None:
+            box = {} if item.box is None else {"box": item.box.tolist()}
+            yield {"id": number, "image": f"{path.stem}.jpg", "keypoints": found, **box}, where

@@ -1,0 +1,114 @@
+"""The tables of nuScenes: JSON lists of records with tokens, of which some name records of other tables.
+
+Quaternions are w, x, y, z. The sensor's pose is on the vehicle (x forward, y left, z up, origin on the ground below the
+rear axle), the vehicle's in the world; a camera's own frame is that of fgrecon.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.json_fields import Fields, read_json
+
+__all__ = ["NuScenesTables", "is_nuscenes", "open_nuscenes", "pose_of"]
+
+_TABLES = "calibrated_sensor", "sample_data"
+
+
+@dataclass(frozen=True)
+class NuScenesTables:
+    """A folder of tables; each is read when it is first asked for.
+
+    Attributes:
+        folder: The folder, such as `v1.0-mini`.
+    """
+
+    folder: Path
+
+    def table(self, name: str) -> Mapping[str, Fields]:
+        """The records of a table by their tokens.
+
+        Raises:
+            InvalidInputError: There is no such table, or it is malformed; names file and record.
+        """
+        path = self.folder / f"{name}.json"
+        try:
+            changed = path.stat().st_mtime_ns
+        except OSError:
+            raise InvalidInputError(str(path), "no such file", "Give a folder with nuScenes' tables.") from None
+        return _table(path, changed)
+
+    def named(self, record: Fields, field: str, table: str) -> Fields:
+        """The record of another table that a record names.
+
+        Raises:
+            InvalidInputError: There is none; names record and field.
+        """
+        token = record.get(field, str)
+        found = self.table(table).get(token)
+        if found is None:
+            fix = f"Give the token of a record in {self.folder / table}.json."
+            raise InvalidInputError(f"{record.where}{field}", token, fix)
+        return found
+
+    def image(self, name: str) -> Fields:
+        """The record of an image by the name of its file.
+
+        Raises:
+            InvalidInputError: There is none.
+        """
+        stem = Path(name).stem
+        for record in self.table("sample_data").values():
+            if Path(record.get("filename", str)).stem == stem:
+                return record
+        raise InvalidInputError("image", name, f"Give an image that {self.folder / 'sample_data.json'} names.")
+
+
+def is_nuscenes(path: Path) -> bool:
+    """Whether a folder, or the folder of a file, has nuScenes' tables, and the file is one of them."""
+    if path.is_dir():
+        return all((path / f"{name}.json").is_file() for name in _TABLES)
+    return path.suffix == ".json" and path.stem in (*_TABLES, "sensor", "ego_pose") and is_nuscenes(path.parent)
+
+
+def open_nuscenes(path: Path) -> NuScenesTables:
+    """The tables of a folder, or of the folder that a table is in."""
+    return NuScenesTables(path if path.is_dir() else path.parent)
+
+
+def pose_of(record: Fields) -> NDArray[np.float64]:
+    """(4, 4) pose of a record's `rotation` (w, x, y, z) and `translation`, metres.
+
+    Raises:
+        InvalidInputError: One is missing or malformed, or the rotation is none; names the field.
+    """
+    quaternion = record.numbers("rotation", (4,))
+    length = float(np.linalg.norm(quaternion))
+    if not abs(length - 1.0) < 1e-3:
+        raise InvalidInputError(f"{record.where}rotation", quaternion.tolist(), "Give a unit quaternion w, x, y, z.")
+    w, x, y, z = quaternion / length
+    pose = np.eye(4)
+    pose[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    pose[:3, 3] = record.numbers("translation", (3,))
+    return pose
+
+
+@lru_cache(maxsize=8)
+def _table(path: Path, changed: int) -> Mapping[str, Fields]:  # noqa: ARG001  # a changed file is read again
+    data: Any = read_json(path)
+    if not isinstance(data, list):
+        raise InvalidInputError(str(path), type(data).__name__, "Give a table of nuScenes: a list of records.")
+    records = [Fields(item, f"{path}: [{number}].") for number, item in enumerate(data)]
+    return {record.get("token", str): record for record in records}

@@ -1,0 +1,135 @@
+"""Boxes of YOLO, KITTI's tracking set and nuScenes; what is malformed is one line."""
+
+import contextlib
+import json
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.options import BoxModel
+from fgrecon.io.boxes import read_boxes
+
+from .formats import spoilt, write
+from .test_cameras import nuscenes
+
+SIZE = 1000, 400
+OBJECT = "Car 0 0 -1.57 10.0 20.0 30.0 40.0 1.5 1.6 4.0 1 2 20 1.5"
+
+
+def test_yolo(tmp_path):
+    lines = "2 0.25 0.5 0.1 0.2 0.9\n0 0.5 0.5 0.1 0.1 0.9\n2 0.5 0.5 0.1 0.1 0.3\n2 0.75 0.5 0.1 0.2\n"
+    found = read_boxes(write(tmp_path / "street.txt", lines), "street", SIZE)
+    assert [(box.name, box.model) for box in found] == [("0", BoxModel.SURFACE), ("3", BoxModel.SURFACE)]
+    assert found[0].corners == pytest.approx([200, 160, 300, 240])
+    assert found[1].corners == pytest.approx([700, 160, 800, 240])
+    write(tmp_path / "classes.txt", "car\nperson\n")
+    (box,) = read_boxes(tmp_path / "street.txt", "street", SIZE)
+    assert box.name == "1"
+    write(tmp_path / "classes.txt", "person\n")
+    with pytest.raises(InvalidInputError, match=r"classes\.txt: got person"):
+        read_boxes(tmp_path / "street.txt", "street", SIZE)
+
+
+@pytest.mark.parametrize("line", ["2 0.5 0.5 0.1 1.2", "2 0.5 0.5 0.1 x", "car 0.5 0.5 0.1 0.1", "2 nan 0.5 0.1 0.1"])
+def test_malformed_yolo_names_the_line(tmp_path, line):
+    path = write(tmp_path / "a.txt", f"2 0.5 0.5 0.1 0.1\n{line}\n")
+    with pytest.raises(InvalidInputError, match=r"a\.txt:2: got "):
+        read_boxes(path, "a", SIZE)
+
+
+def test_yolo_needs_the_size_of_the_image(tmp_path):
+    with pytest.raises(InvalidInputError, match="image's size"):
+        read_boxes(write(tmp_path / "a.txt", "2 0.5 0.5 0.1 0.1"), "a")
+
+
+def test_a_file_for_each_image(tmp_path):
+    write(tmp_path / "a.txt", "2 0.5 0.5 0.1 0.1")
+    write(tmp_path / "b.json", [{"image_id": "b", "category_id": 3, "bbox": [1, 2, 3, 4], "score": 0.9}])
+    assert len(read_boxes(tmp_path, "a", SIZE)) == 1
+    assert read_boxes(tmp_path, "b", SIZE)[0].corners.tolist() == [1, 2, 4, 6]
+    with pytest.raises(InvalidInputError, match="boxes"):
+        read_boxes(tmp_path, "c", SIZE)
+
+
+def test_kittis_tracking_set(tmp_path):
+    lines = [f"0 3 {OBJECT}", f"12 3 {OBJECT}", f"12 -1 {OBJECT.replace('Car', 'DontCare')}", f"12 4 {OBJECT} 0.9"]
+    path = write(tmp_path / "0001.txt", "\n".join(lines))
+    found = read_boxes(path, "000012")
+    assert [(box.name, box.model) for box in found] == [("1", BoxModel.CUBOID), ("3", BoxModel.CUBOID)]
+    assert found[0].corners.tolist() == [10, 20, 30, 40]
+    assert read_boxes(path, "street") == []
+
+
+def labelled(folder, **changes):
+    """nuScenes' tables with a car 20 m ahead, a car behind and a truck."""
+
+    def label(token, instance, x):
+        centre = [413.0 + x, 1180.8, 0.75]
+        place = {"translation": centre, "rotation": [1.0, 0.0, 0.0, 0.0], "size": [1.8, 4.0, 1.5]}
+        return {"token": token, "sample_token": "f1", "instance_token": instance, **place}
+
+    nuscenes(folder)
+    images = json.loads((folder / "sample_data.json").read_text())
+    images[0]["sample_token"] = "f1"
+    tables = {
+        "sample_data": images,
+        "category": [{"token": "k1", "name": "vehicle.car"}, {"token": "k2", "name": "vehicle.truck"}],
+        "instance": [{"token": "i1", "category_token": "k1"}, {"token": "i2", "category_token": "k2"}],
+        "sample_annotation": [label("a1", "i1", 20.0), label("a2", "i1", -20.0), label("a3", "i2", 30.0)],
+    }
+    return nuscenes(folder, **{**tables, **changes})
+
+
+def test_nuscenes(tmp_path):
+    (box,) = read_boxes(labelled(tmp_path), "n015-2018__CAM_FRONT__15")
+    assert (box.name, box.model) == ("a1", BoxModel.CUBOID)
+    near = 20.0 - 2.0  # of the car's rear; f = 721.5 and 722.25, the camera 1.51 m above the ground
+    width, height = box.corners[2:] - box.corners[:2]
+    assert width == pytest.approx(721.5 * 1.8 / near, rel=0.03)
+    assert box.corners[3] == pytest.approx(172.75 + 722.25 * 1.51 / near, abs=5)
+    assert height == pytest.approx(722.25 * 1.5 / near, rel=0.1)
+
+
+def test_nuscenes_as_its_own_library_projects_it(tmp_path):
+    pytest.importorskip("nuscenes.utils.data_classes", exc_type=ImportError)
+    from nuscenes.utils.data_classes import Box
+    from nuscenes.utils.geometry_utils import view_points
+    from pyquaternion import Quaternion
+
+    folder = labelled(tmp_path)
+    label, sensor, pose = (
+        json.loads((folder / f"{name}.json").read_text())[0]
+        for name in ("sample_annotation", "calibrated_sensor", "ego_pose")
+    )
+    box = Box(label["translation"], label["size"], Quaternion(label["rotation"]))
+    for frame in (pose, sensor):
+        box.translate(-np.array(frame["translation"]))
+        box.rotate(Quaternion(frame["rotation"]).inverse)
+    pixels = view_points(box.corners(), np.array(sensor["camera_intrinsic"]), normalize=True)[:2]
+    (found,) = read_boxes(folder, "n015-2018__CAM_FRONT__15")
+    assert found.corners == pytest.approx([*pixels.min(1), *pixels.max(1)], abs=1e-6)
+
+
+COCO = {
+    "images": [{"id": 1, "file_name": "a.jpg"}],
+    "categories": [{"id": 3, "name": "car"}],
+    "annotations": [{"image_id": 1, "category_id": 3, "bbox": [1, 2, 3, 4], "score": 0.9}],
+}
+FUZZ = settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+
+
+@FUZZ
+@given(spoilt(COCO) | spoilt(COCO["annotations"]))
+def test_no_coco_ends_in_another_exception(tmp_path_factory, content):
+    with contextlib.suppress(FgreconError):
+        read_boxes(write(tmp_path_factory.getbasetemp() / "boxes.json", json.dumps(content)), "a", SIZE)
+
+
+@FUZZ
+@given(st.lists(st.sampled_from(["2", "0.5", "-1", "car", "Car", "12", "x", "1e400", "nan", "00"]), max_size=19))
+def test_no_line_ends_in_another_exception(tmp_path_factory, words):
+    with contextlib.suppress(FgreconError):
+        read_boxes(write(tmp_path_factory.getbasetemp() / "boxes.txt", " ".join(words)), "12", SIZE)
