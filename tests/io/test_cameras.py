@@ -130,6 +130,8 @@ def test_files_of_another_kind(tmp_path, name, text):
             read_camera(tmp_path / missing)
     with pytest.raises(InvalidInputError, match="folder with nuScenes"):
         read_camera(tmp_path)
+    with pytest.raises(InvalidInputError, match="too long"):
+        read_camera("x" * 5000)
 
 
 def test_kitti(tmp_path):

@@ -45,6 +45,13 @@ def test_pairs_by_text_mapping_and_files(tmp_path):
         assert names.groups["left_headlight"] == ("a", "b")
 
 
+def test_pairs_may_be_longer_than_a_file_name():
+    pairs = ",".join(f"{'p' * 300}{k}={name}" for k, name in enumerate(CATEGORY.keypoints))
+    assert len(parse_names(pairs, CATEGORY).groups) == 14
+    with pytest.raises(InvalidInputError, match="Give a scheme"):
+        parse_names("x" * 5000, CATEGORY)
+
+
 def test_lists_by_sequence_and_files(tmp_path):
     listed = ["left_front_wheel", None, "right_front_wheel"]
     toml = 'names = ["left_front_wheel", "", "right_front_wheel"]'

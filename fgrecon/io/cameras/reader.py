@@ -61,6 +61,8 @@ def _split(source: str | Path) -> tuple[Path, str | None]:
     """Path and name of a camera; a file may have the sign in its own name."""
     path = Path(source)
     text, sign, name = str(source).rpartition("#")
-    if not sign or not name or path.exists():
-        return path, None
-    return Path(text), name
+    try:
+        whole = path.exists()
+    except OSError as error:
+        raise InvalidInputError("camera", str(source), f"Give a file that can be read ({error.strerror}).") from error
+    return (path, None) if whole or not (sign and name) else (Path(text), name)

@@ -88,7 +88,7 @@ def parse_names(given: NamesLike, category: Category, field: str = "names") -> N
     if isinstance(value, str) and value in _schemes():
         scheme = _schemes()[value]
         return Names(scheme.keypoints, _groups_of(scheme, category, field))
-    if isinstance(value, str) and "=" in value and not _is_file(value):
+    if isinstance(value, str) and "=" in value and not _is_file(Path(value)):
         value = _pairs(value, field)
     elif isinstance(value, str | Path):
         field, value = str(value), _read(Path(value), field)
@@ -198,7 +198,7 @@ def _pairs(text: str, field: str) -> dict[str, str]:
 
 def _read(path: Path, field: str) -> Any:
     if path.suffix.lower() != ".toml":
-        if not path.is_file():
+        if not _is_file(path):
             raise InvalidInputError(field, str(path), _fix())
         return read_json(path)
     try:
@@ -209,12 +209,12 @@ def _read(path: Path, field: str) -> Any:
         raise InvalidInputError(str(path), str(error), "Give a TOML file.") from error
 
 
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # longer than a name may be, as pairs are
+        return False
+
+
 def _fix() -> str:
     return _FIX.format(", ".join(shipped_schemes()))
-
-
-def _is_file(text: str) -> bool:
-    try:
-        return Path(text).is_file()
-    except OSError:  # too long for a name
-        return False
