@@ -62,14 +62,19 @@ class VehicleModel:
         return self.corners if box_model is BoxModel.CUBOID else self.outline
 
     def truncated(self, dimension: int) -> VehicleModel:
-        """The same model with the first `dimension` coefficients alone: what the search for poses moves."""
-        return replace(
-            self,
-            prior=self.prior.truncated(dimension),
-            outline=LinearPoints(self.outline.mean, self.outline.basis[:dimension]),
-            corners=LinearPoints(self.corners.mean, self.corners.basis[:dimension]),
-            dimension_basis=self.dimension_basis[:, :dimension],
-        )
+        """The same model with the first `dimension` coefficients alone: what the search for poses moves; remembered."""
+        return _truncated(self, dimension)
+
+
+@lru_cache(maxsize=16)
+def _truncated(model: VehicleModel, dimension: int) -> VehicleModel:
+    return replace(
+        model,
+        prior=model.prior.truncated(dimension),
+        outline=LinearPoints(model.outline.mean, model.outline.basis[:dimension]),
+        corners=LinearPoints(model.corners.mean, model.corners.basis[:dimension]),
+        dimension_basis=model.dimension_basis[:, :dimension],
+    )
 
 
 @lru_cache(maxsize=16)
