@@ -18,7 +18,6 @@ cdef double PI = 3.14159265358979323846
 cdef double LEAST = 1e-3  # metres: depth at which nearer points are evaluated (`factors.projection.MIN_DEPTH`)
 cdef double FARTHEST = 40.0  # softnesses behind the outermost point beyond which one has no share in an extent
 
-
 cdef inline void shaped(
     const double *mean, const double[:, ::1] basis, int k, const double *x, const double *offsets, double *X
 ) noexcept nogil:
@@ -31,6 +30,14 @@ cdef inline void shaped(
     for n in range(basis.shape[0]):
         for a in range(3):
             X[a] += x[n] * basis[n, 3 * k + a]
+
+
+cdef void unpack(const double[:, :] pose, double *R, double *t) noexcept:
+    cdef int i  # R (9,) and t (3,) of a pose (4, 4)
+    for i in range(9):
+        R[i] = pose[i // 3, i % 3]
+    for i in range(3):
+        t[i] = pose[i, 3]
 
 
 cdef class Observation:
@@ -283,10 +290,7 @@ cdef class Observation:
             o = &offsets[0]
         if jacobian is not None and (jacobian.shape[0] != self.rows or jacobian.shape[1] != D + 3 * K):
             raise ValueError("a Jacobian (rows, 6 + N + 3K) is wanted")
-        for i in range(3):
-            t[i] = pose[i, 3]
-            for a in range(3):
-                R[3 * i + a] = pose[i, a]
+        unpack(pose, R, t)
         with nogil:
             if jacobian is not None:
                 memset(&jacobian[0, 0], 0, self.rows * (D + 3 * K) * sizeof(double))
@@ -376,10 +380,7 @@ cdef class Observation:
             if offsets.shape[0] != 3 * K:
                 raise ValueError("offsets (3K,) are wanted")
             o = &offsets[0]
-        for i in range(3):
-            t[i] = pose[i, 3]
-            for k in range(3):
-                R[3 * i + k] = pose[i, k]
+        unpack(pose, R, t)
         with nogil:
             if look:
                 self.visible(R, t, &visibility[0])

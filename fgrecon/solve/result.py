@@ -22,7 +22,7 @@ from fgrecon.solve.proposals.adjust import PoseEstimate
 from fgrecon.solve.proposals.problem import keypoint_covariances
 from fgrecon.solve.vehicle.visibility import clearance, occluder, probability
 
-__all__ = ["results"]
+__all__ = ["history_of", "results"]
 
 _LOOSE = np.deg2rad(30.0)  # a rotation known no better than this is not determined
 
@@ -62,7 +62,7 @@ def results(
             energies = optimum.energies
         else:
             energies = part.energies(values, weights[i])
-        history = _history(start, adjusted, i, alone=alone) if keep else ()
+        history = history_of(start, adjusted, i, alone=alone) if keep else ()
         uncertainty = read_covariances(part, weights[i], values, marginals)
         found.append(
             _result(part, optimum, i, adjusted.alternatives[i], uncertainty, energies, history, structure, milliseconds)
@@ -70,7 +70,7 @@ def results(
     return found
 
 
-def _history(start: PoseEstimate, adjusted: Adjusted, index: int, *, alone: bool) -> Sequence[Iteration]:
+def history_of(start: PoseEstimate, adjusted: Adjusted, index: int, *, alone: bool) -> Sequence[Iteration]:
     """Every step of an observation, made when it is looked at."""
     return Deferred(lambda: (*start.history, *iterations(adjusted.stages, index, alone=alone)))
 

@@ -26,11 +26,10 @@ from factors.keys import G, X
 from factors.losses import Loss, RobustLoss
 from factors.noise import diagonal_noise
 from fgrecon.core.camera import Camera, Ground
-from fgrecon.core.deferred import Deferred
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
-from fgrecon.core.reconstruction import Iteration, Reconstruction
+from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.scene_reconstruction import SceneReconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
@@ -39,12 +38,11 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph.adjust import Adjusted, SolvedStage, adjust
 from fgrecon.solve.graph.covariance import factorise
 from fgrecon.solve.graph.graph import Graph, Seen, State
-from fgrecon.solve.graph.history import iterations
 from fgrecon.solve.graph.optimise import optimise
 from fgrecon.solve.pipeline import ground_plane, observe
 from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
 from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.result import results
+from fgrecon.solve.result import history_of, results
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.vehicle.model import prepare
 
@@ -174,7 +172,11 @@ def _together(
         (SolvedStage("scene", graph, optimum.steps),),
         tuple(one.adjusted.alternatives[0] for one in alone.values()),
     )
-    starts = [replace(one.start, history=_history(one, options)) for one in alone.values()]
+    starts = [one.start for one in alone.values()]
+    if options.keep_history:  # what led to each vehicle's pose alone; the scene's steps follow
+        starts = [
+            replace(one.start, history=history_of(one.start, one.adjusted, 0, alone=True)) for one in alone.values()
+        ]
     values = graph.values(optimum.state)
     each = results(seen, starts, adjusted, {}, extra)
     told = {
@@ -187,13 +189,6 @@ def _together(
         replace(nominal, normal=normal, distance=max(distance, _LEAST_HEIGHT)),
         _covariance(graph, optimum.state),
     )
-
-
-def _history(one: _Alone, options: Options) -> Sequence[Iteration]:
-    """What led to a vehicle's pose alone; the scene's steps follow."""
-    if not options.keep_history:
-        return ()
-    return Deferred(lambda: (*one.start.history, *iterations(one.adjusted.stages, 0, alone=True)))
 
 
 def _seen_ground(poses: Sequence[Array]) -> Ground:

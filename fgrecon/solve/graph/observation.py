@@ -3,9 +3,10 @@
                     keypoints, box, cheirality
     L(v), O(v) --------------------------------- X(v,t) --- height, upright (the ground)
 
-All keypoints are one stacked factor, whose noise model carries their weights: it is built again when they change. Where
-the strategy is an m-estimator every keypoint has a factor of its own, since GTSAM's robust noise models weigh whole
-factors.
+With the mixture all of it is one factor for the solver, which has the robust loss inside and is told what changes. With
+other strategies all keypoints are one stacked factor, whose noise model carries their weights and which is built again
+when they change; where the strategy is an m-estimator every keypoint has a factor of its own, since GTSAM's robust
+noise models weigh whole factors.
 """
 
 from __future__ import annotations
@@ -136,11 +137,11 @@ class ObservationPart:
         energy = self.problem.energy
         if energy.keypoints.strategy.name is not StrategyName.MIXTURE or not self.kernel.keys:
             return None
-        box, ground, whitener = energy.box, energy.ground, energy.keypoints.whitener
+        box, ground = energy.box, energy.ground
         return ObservationRows(
             self.kernel,
             energy.keypoints.pixels,
-            np.ascontiguousarray(whitener.reshape(-1, 4)[:, [0, 2, 3]]),
+            energy.keypoints.triangles,
             box=None
             if box is None or self._box_kernel is None
             else BoxRows(self._box_kernel, box.edges, box.used, box.sigma, box.outlier, box.softness),

@@ -114,14 +114,13 @@ def _compile(energy: PoseEnergy) -> Any:
     if kernel is None or strategy.name is not StrategyName.MIXTURE or not isinstance(table, VisibilityTable):
         return None
     box, ground, size = energy.box, energy.ground, energy.size
-    whitener = keypoints.whitener.reshape(-1, 4)[:, [0, 2, 3]]
     count = len(keypoints.basis)
     compiled = kernel.Observation(
         np.ascontiguousarray(keypoints.matrix, dtype=np.float64),
         np.ascontiguousarray(keypoints.mean),
         np.ascontiguousarray(keypoints.basis).reshape(count, 3 * len(keypoints.mean)),
         np.ascontiguousarray(keypoints.pixels),
-        np.ascontiguousarray(whitener),
+        keypoints.triangles,
         None if box is None else box.packed(),
         None if ground is None else ground.packed(),
     )

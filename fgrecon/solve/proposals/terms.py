@@ -114,6 +114,11 @@ class KeypointTerm:
     evidence: Evidence
     strategy: RobustStrategy
 
+    @property
+    def triangles(self) -> Array:
+        """(K, 3) entries a, b, c of the whiteners [[a, 0], [b, c]]."""
+        return np.ascontiguousarray(self.whitener.reshape(-1, 4)[:, [0, 2, 3]])
+
     def residuals(self, h: Hypotheses) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
         """Whitened residuals (H, K, 2), object points, camera points, and whether a point is too near."""
         points = self.mean + np.tensordot(h.coefficients, self.basis, axes=1)
