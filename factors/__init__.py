@@ -23,7 +23,8 @@ A second frame adds X(v, t + 1) with reprojection, cheirality, box and ground fa
 
 `LinearShape` evaluates X(lambda, offsets) once per linearisation point for all shape terms, and `ProjectionKernel` its
 projection with all Jacobians for all reprojection factors of a frame. O(v) is optional, and every factor also works
-with the pose, lambda or the offsets held constant. Every callback passes through `factors.guard`.
+with the pose, lambda or the offsets held constant. Where the focal length is not known, F(t) is a variable of every
+factor that projects. Every callback passes through `factors.guard`.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ if TYPE_CHECKING:  # imported when used
     from factors.ground import ground_height_factor, upright_factor
     from factors.guard import guarded_factor
     from factors.kernel import Projection, ProjectionKernel
-    from factors.keys import DecodedKey, G, L, M, O, P, X, decode_key, key_name
+    from factors.keys import DecodedKey, F, G, L, M, O, P, X, decode_key, key_name
     from factors.laplacian import laplacian_factor
     from factors.losses import Loss, RobustLoss
     from factors.mixture import Form, mixture
@@ -64,6 +65,7 @@ __all__ = [
     "BoxRows",
     "DecodedKey",
     "DegenerateProblemError",
+    "F",
     "FactorCallbackError",
     "FgreconError",
     "Form",

@@ -25,7 +25,7 @@ from factors.kernel import ProjectionKernel
 from factors.noise import Noise
 from factors.projection import pixel_jacobian
 
-__all__ = ["box_factor", "extents_by_points", "soft_extents"]
+__all__ = ["box_factor", "extents_by_points", "projected_extents", "soft_extents"]
 
 _OUTWARD = np.array([-1.0, -1.0, 1.0, 1.0])
 
@@ -120,6 +120,24 @@ def extents_by_points(
     return turn, moment[..., 3], by_point
 
 
+def projected_extents(
+    kernel: ProjectionKernel, values: gtsam.Values, softness: float, *, want_jacobian: bool = False
+) -> Evaluation:
+    """Soft extents (4,) of a kernel's points, pixels, and where wanted their derivative (4, D) by its variables."""
+    at, shape = kernel.evaluate(values), kernel.shape
+    extents, share = soft_extents(at.pixels, softness)
+    if not want_jacobian:
+        return extents, None
+    turn, shift, by_point = extents_by_points(at.matrix, at.camera, at.rotation, at.points, share)
+    blocks = [] if kernel.pose_key is None else [turn, shift]
+    if shape.keys:
+        blocks.append(shape.chain(by_point.transpose(0, 2, 1).reshape(4, -1)))
+    if kernel.focal_key is not None:
+        away = (at.pixels - at.matrix[:2, 2]).T
+        blocks.append((share * np.concatenate([away, away])).sum(axis=1, keepdims=True))
+    return extents, np.concatenate(blocks, axis=1) if blocks else np.zeros((4, 0))
+
+
 @dataclass(frozen=True, slots=True)
 class _Box:
     kernel: ProjectionKernel
@@ -128,13 +146,5 @@ class _Box:
     softness: float
 
     def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
-        at, shape = self.kernel.evaluate(values), self.kernel.shape
-        extents, share = soft_extents(at.pixels, self.softness)
-        residual = extents[self.used] - self.box
-        if not want_jacobian:
-            return residual, None
-        turn, shift, by_point = extents_by_points(self.kernel.camera_matrix, at.camera, at.rotation, at.points, share)
-        blocks = [] if self.kernel.pose_key is None else [turn, shift]
-        if shape.keys:
-            blocks.append(shape.chain(by_point.transpose(0, 2, 1).reshape(4, -1)))
-        return residual, np.concatenate(blocks, axis=1)[self.used]
+        extents, jacobian = projected_extents(self.kernel, values, self.softness, want_jacobian=want_jacobian)
+        return extents[self.used] - self.box, None if jacobian is None else jacobian[self.used]

@@ -9,6 +9,7 @@ The equations are those of `factors.projection`, which the search for proposals 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import gtsam
@@ -34,6 +35,7 @@ class Projection:
         camera: (K, 3) points in the camera frame, metres, at least `MIN_DEPTH` deep.
         points: (K, 3) points in the object frame, metres.
         rotation: (3, 3) of camera_T_object.
+        matrix: (3, 3) intrinsics.
         jacobian: (K, 2, D) derivative of the pixels with respect to the kernel's variables in the order of its keys;
             None until it is asked for.
     """
@@ -43,22 +45,25 @@ class Projection:
     camera: NDArray[np.float64]
     points: NDArray[np.float64]
     rotation: NDArray[np.float64]
+    matrix: NDArray[np.float64]
     jacobian: NDArray[np.float64] | None = None
 
 
 class ProjectionKernel:
     """Projects the keypoints of a `LinearShape` in one frame, once per linearisation point.
 
-    The pose is a variable (given by its key) or a constant. Several kernels, one per frame, may share one shape. The
-    last projection is kept and found again by the bytes of the values, so that it cannot be stale; Jacobians are
-    computed when first asked for.
+    The pose is a variable (given by its key) or a constant. Several kernels, one per frame, may share one shape, and
+    several a focal length that is a variable: q, which makes both focal lengths and the skew exp(q) times the nominal
+    ones, with d(u, v)/dq = (u - cx, v - cy). The last projection is kept and found again by the bytes of the values, so
+    that it cannot be stale; Jacobians are computed when first asked for.
 
     Attributes:
         shape: The keypoints in the object frame.
-        camera_matrix: (3, 3) intrinsics [[fx, s, cx], [0, fy, cy], [0, 0, 1]], pixels.
+        camera_matrix: (3, 3) nominal intrinsics [[fx, s, cx], [0, fy, cy], [0, 0, 1]], pixels.
         pose_key: Key of camera_T_object, or None where the pose is a constant.
-        keys: Key of the pose if it is a variable, then the shape's keys.
-        dims: Their dimensions: 6 (rotation in radians, translation in metres, `Pose3`'s local coordinates), N, 3K.
+        focal_key: Key of the focal length q, or None where the camera is a constant.
+        keys: Key of the pose if it is a variable, then the shape's keys, then that of the focal length.
+        dims: Their dimensions: 6 (rotation in radians, translation in metres, `Pose3`'s local coordinates), N, 3K, 1.
     """
 
     __slots__ = (
@@ -68,18 +73,22 @@ class ProjectionKernel:
         "_stamp",
         "camera_matrix",
         "dims",
+        "focal_key",
         "keys",
         "pose_key",
         "shape",
     )
 
-    def __init__(self, shape: LinearShape, camera_matrix: ArrayLike, pose: int | gtsam.Pose3) -> None:
+    def __init__(
+        self, shape: LinearShape, camera_matrix: ArrayLike, pose: int | gtsam.Pose3, focal: int | None = None
+    ) -> None:
         """Bind shape, camera and pose.
 
         Args:
             shape: Keypoints in the object frame.
             camera_matrix: (3, 3) upper triangular intrinsics; a skew is allowed.
             pose: Key of camera_T_object, or its fixed value.
+            focal: Key of the focal length; None where it is that of the camera matrix.
 
         Raises:
             InvalidInputError: The camera matrix has another form, the fixed pose is not finite, or nothing is variable.
@@ -90,8 +99,11 @@ class ProjectionKernel:
         self.shape = shape
         self.camera_matrix = K
         self.pose_key: int | None = pose if isinstance(pose, int) else None
+        self.focal_key = focal
         self.keys: tuple[int, ...] = shape.keys if self.pose_key is None else (self.pose_key, *shape.keys)
         self.dims: tuple[int, ...] = shape.dims if self.pose_key is None else (6, *shape.dims)
+        if focal is not None:
+            self.keys, self.dims = (*self.keys, focal), (*self.dims, 1)
         basis = shape.basis if shape.coefficients_key is not None else shape.basis[:0]
         self._basis = np.ascontiguousarray(basis.transpose(1, 2, 0))
         self._pose: NDArray[np.float64] | None = None
@@ -103,16 +115,16 @@ class ProjectionKernel:
     def evaluate(self, values: gtsam.Values, jacobian: bool = False) -> Projection:
         """The projection of all keypoints at the values, with its Jacobian where that is wanted."""
         points = self.shape.points(values)
-        last = self._projection
+        last, matrix = self._projection, self.matrix(values)
         if self.pose_key is None:
             assert self._pose is not None
-            if last is None or points is not last.points:
-                last = self._project(points, self._pose)
+            if last is None or points is not last.points or matrix[0, 0] != last.matrix[0, 0]:
+                last = self._project(matrix, points, self._pose)
         else:
             camera_T_object = values.atPose3(self.pose_key).matrix()
             stamp = camera_T_object.tobytes()
-            if last is None or points is not last.points or stamp != self._stamp:
-                last = self._project(points, camera_T_object)
+            if last is None or points is not last.points or stamp != self._stamp or matrix[0, 0] != last.matrix[0, 0]:
+                last = self._project(matrix, points, camera_T_object)
                 self._stamp = stamp
         if jacobian and last.jacobian is None:
             last.jacobian = self._differentiate(last)
@@ -127,25 +139,39 @@ class ProjectionKernel:
         pose: NDArray[np.float64] = values.atPose3(self.pose_key).matrix()
         return pose
 
-    def _project(self, points: NDArray[np.float64], camera_T_object: NDArray[np.float64]) -> Projection:
+    def matrix(self, values: gtsam.Values) -> NDArray[np.float64]:
+        """(3, 3) intrinsics at the values."""
+        if self.focal_key is None:
+            return self.camera_matrix
+        matrix = self.camera_matrix.copy()
+        matrix[:2, :2] *= math.exp(values.atVector(self.focal_key)[0])
+        return matrix
+
+    @staticmethod
+    def _project(
+        matrix: NDArray[np.float64], points: NDArray[np.float64], camera_T_object: NDArray[np.float64]
+    ) -> Projection:
         rotation = camera_T_object[:3, :3]
-        pixels, camera, depths = project(self.camera_matrix, rotation, camera_T_object[:3, 3], points)
-        return Projection(pixels, depths, camera, points, rotation)
+        pixels, camera, depths = project(matrix, rotation, camera_T_object[:3, 3], points)
+        return Projection(pixels, depths, camera, points, rotation, matrix)
 
     def _differentiate(self, at: Projection) -> NDArray[np.float64]:
-        by_camera = pixel_jacobian(self.camera_matrix, at.camera)
+        by_camera = pixel_jacobian(at.matrix, at.camera)
         by_turn, by_object = by_pose(at.points, at.rotation, by_camera)
         blocks = [by_object @ self._basis] if self.shape.coefficients_key is not None else []
         if self.pose_key is not None:
             blocks = [by_turn, by_object, *blocks]
+        by_focal = [] if self.focal_key is None else [(at.pixels - at.matrix[:2, 2])[..., None]]
         if self.shape.offsets_key is None:
-            return np.concatenate(blocks, axis=-1)
+            return np.concatenate([*blocks, *by_focal], axis=-1)
         count = len(at.points)
         columns = sum(block.shape[-1] for block in blocks)
         jacobian = np.zeros((count, 2, sum(self.dims)))
         if blocks:
             np.concatenate(blocks, axis=-1, out=jacobian[:, :, :columns])
-        # A keypoint moves with its own three offsets alone: the diagonal blocks of the last 3K columns.
+        if by_focal:
+            jacobian[:, :, -1:] = by_focal[0]
+        # A keypoint moves with its own three offsets alone: the diagonal blocks of the 3K columns after.
         keypoint, row, column = jacobian.strides
         diagonal = as_strided(jacobian[:, :, columns:], (count, 2, 3), (keypoint + 3 * column, row, column))
         diagonal[...] = by_object

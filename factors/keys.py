@@ -13,6 +13,8 @@ key        type in `Values`    meaning                                         u
 ``P(v,f)`` ``OrientedPlane3``  plane of face f, n'X + d = 0                    metres, object frame
 ``M(v)``   ``OrientedPlane3``  medial plane, n'X + d = 0                       metres, object frame
 ``G(t)``   vector (3,)         ground of frame t: height, pitch, roll          metres, radians
+``F(t)``   vector (1,)         focal length of frame t: log of its ratio to     -
+                               the nominal one
 =========  ==================  ==============================================  ======================
 """
 
@@ -24,7 +26,7 @@ import gtsam
 
 from factors.errors import InvalidInputError
 
-__all__ = ["DecodedKey", "G", "L", "M", "O", "P", "X", "decode_key", "key_name"]
+__all__ = ["DecodedKey", "F", "G", "L", "M", "O", "P", "X", "decode_key", "key_name"]
 
 _LOW_BITS = 32
 _VEHICLES = 1 << (56 - _LOW_BITS)
@@ -35,9 +37,9 @@ class DecodedKey(NamedTuple):
     """What a key stands for.
 
     Attributes:
-        letter: `X`, `L`, `O`, `P`, `M` or `G`.
-        vehicle: Number of the vehicle; 0 for the ground.
-        low: Frame of a pose or of the ground, face of a plane, 0 for the others.
+        letter: `X`, `L`, `O`, `P`, `M`, `G` or `F`.
+        vehicle: Number of the vehicle; 0 for the ground and the focal length.
+        low: Frame of a pose, of the ground or of the focal length, face of a plane, 0 for the others.
     """
 
     letter: str
@@ -99,8 +101,17 @@ def G(t: int = 0) -> int:
     return _key("G", 0, t, "t")
 
 
+def F(t: int = 0) -> int:
+    """Key of the focal length of frame t (1,): the logarithm of its ratio to the nominal one (`factors.kernel`).
+
+    Raises:
+        InvalidInputError: The number is negative or too large.
+    """
+    return _key("F", 0, t, "t")
+
+
 def decode_key(key: int) -> DecodedKey:
-    """Letter, vehicle and frame or face of a key; the reverse of `X`, `L`, `O`, `P`, `M` and `G`."""
+    """Letter, vehicle and frame or face of a key; the reverse of `X`, `L`, `O`, `P`, `M`, `G` and `F`."""
     symbol = gtsam.Symbol(key)
     index = symbol.index()
     return DecodedKey(chr(symbol.chr()), index >> _LOW_BITS, index & (_LOWS - 1))
@@ -109,8 +120,8 @@ def decode_key(key: int) -> DecodedKey:
 def key_name(key: int) -> str:
     """A key for people to read, such as `X(v=0,t=3)`, `L(v=0)` or `P(v=0,f=2)`."""
     letter, vehicle, low = decode_key(key)
-    if letter == "G":
-        return f"G(t={low})"
+    if letter in "GF":
+        return f"{letter}(t={low})"
     detail = {"X": f",t={low}", "P": f",f={low}"}.get(letter, "")
     return f"{letter}(v={vehicle}{detail})"
 

@@ -15,7 +15,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from factors.box import extents_by_points, soft_extents
+from factors.box import projected_extents
 from factors.ground import ground_rows
 from factors.guard import Evaluation, guarded_factor
 from factors.kernel import MIN_DEPTH, ProjectionKernel
@@ -68,7 +68,7 @@ class ObservationRows:
         whitener: (K, 3) entries a, b, c of lower triangular whiteners [[a, 0], [b, c]].
         box: The box, or None.
         ground: The ground, or None.
-        compiled: The same as `factors._observation.Observation`, or None.
+        compiled: The same as `factors._observation.Observation`, or None; it knows one focal length.
         share: Factor on the energy of all rows.
         form: How the mixtures are handed to the solver.
         right: (K,) densities of right points, or their weights (`Form.WEIGHTED`); 0 for points that were not seen.
@@ -166,22 +166,17 @@ class ObservationRows:
         box = self.box
         if box is None:
             return
-        at, shape = box.kernel.evaluate(values), box.kernel.shape
-        extents, share = soft_extents(at.pixels, box.softness)
-        white, by = (extents - box.edges) / box.sigma, None
-        if jacobian is not None:
-            turn, shift, by_point = extents_by_points(
-                box.kernel.camera_matrix, at.camera, at.rotation, at.points, share / box.sigma
-            )
-            blocks = [] if box.kernel.pose_key is None else [turn, shift]
-            if shape.keys:
-                blocks.append(shape.chain(by_point.transpose(0, 2, 1).reshape(4, -1)))
-            by = np.concatenate(blocks, axis=1)[:, None] if blocks else np.zeros((4, 1, 0))
+        extents, slope = projected_extents(box.kernel, values, box.softness, want_jacobian=jacobian is not None)
+        white = (extents - box.edges) / box.sigma
+        by = None if slope is None else slope[:, None] / box.sigma
         right = np.where(box.used, self.edge_weights if form is Form.WEIGHTED else 1.0, 0.0)
         rows, by = robust_rows(form, right, np.full(4, box.wrong), white[:, None], by)
         residual[:4] = rows[:, 0]
         if jacobian is not None and by is not None:  # offsets move keypoints, not the outline
-            jacobian[:4, : by.shape[-1]] = by[:, 0]
+            own = by.shape[-1] - (box.kernel.focal_key is not None)
+            jacobian[:4, :own] = by[:, 0, :own]
+            if box.kernel.focal_key is not None:
+                jacobian[:4, -1] = by[:, 0, -1]
 
     def _ground(self, values: gtsam.Values, residual: Array, jacobian: Array | None) -> None:
         ground = self.ground

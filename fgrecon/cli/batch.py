@@ -31,7 +31,17 @@ from fgrecon.io.kitti_calibration import read_calibration
 from fgrecon.io.track_file import parse_track
 from fgrecon.solve.pipeline import reconstruct
 
-__all__ = ["CameraSource", "Outcome", "Settings", "Task", "check_any", "ground_of", "read_tasks", "run", "run_all"]
+__all__ = [
+    "CameraSource",
+    "Outcome",
+    "Settings",
+    "Task",
+    "check_any",
+    "ground_of",
+    "read_tasks",
+    "run",
+    "run_all",
+]
 
 _PIECE = 8  # vehicles that a process gets at once
 
@@ -85,6 +95,7 @@ class CameraSource:
         distortion: OpenCV's coefficients, separated by commas.
         image: (H, W, 3) photograph, which tells the image's size.
         file: Calibration file of any format, as `fgrecon.io.cameras.read_camera` takes it.
+        own: The camera that the photograph's file tells (`fgrecon.io.exif`), where nothing else does.
     """
 
     calib: Path | None
@@ -92,6 +103,7 @@ class CameraSource:
     distortion: str | None
     image: NDArray[np.uint8] | None
     file: str | None = None
+    own: Camera | None = None
 
     def camera(self, image: str | None = None) -> tuple[Camera | None, NDArray[np.float64] | None]:
         """The camera, and where KITTI's label frame lies from it; None where the command line does not say.

@@ -20,7 +20,7 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
     from numpy.typing import NDArray
 
     from fgrecon.cli.batch import CameraSource, Settings
-    from fgrecon.core.camera import Ground
+    from fgrecon.core.camera import Camera, Ground
     from fgrecon.core.options import Options
     from fgrecon.evaluation.methods import SceneKnowledge
     from fgrecon.io.boxes import NamedBox
@@ -36,6 +36,7 @@ __all__ = [
     "MarkdownOption",
     "NamesOption",
     "SceneOptions",
+    "TogetherOption",
     "VehicleBoxes",
     "WeightsOption",
     "fitting_names",
@@ -133,15 +134,16 @@ class CameraOptions:
     ] = None
     camera: CameraOption = None
 
-    def source(self, image: NDArray[Any] | None = None) -> CameraSource:
+    def source(self, image: NDArray[Any] | None = None, own: Camera | None = None) -> CameraSource:
         """The camera as the commands use it.
 
         Args:
             image: (H, W, 3) photograph, which tells the image's size.
+            own: The camera that the photograph's file tells.
         """
         from fgrecon.cli.batch import CameraSource
 
-        return CameraSource(self.calib, self.intrinsics, self.distortion, image, self.camera)
+        return CameraSource(self.calib, self.intrinsics, self.distortion, image, self.camera, own)
 
 
 @dataclass(frozen=True)

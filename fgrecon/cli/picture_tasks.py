@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fgrecon.cli.batch import CameraSource, Task
 from fgrecon.cli.options import VehicleBoxes
 from fgrecon.cli.terminal import Screen
-from fgrecon.core.camera import DEFAULT_FIELD_OF_VIEW, Camera
+from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.choices import BoxModel
 from fgrecon.io.boxes import NamedBox
@@ -63,7 +63,7 @@ def read_image_tasks(
     boxes: VehicleBoxes,
     box_model: BoxModel | None,
     screen: Screen,
-) -> tuple[list[Task], str | None]:
+) -> list[Task]:
     """The vehicles in the boxes of an image, with the keypoints that the networks find; all in one batch.
 
     Args:
@@ -76,20 +76,15 @@ def read_image_tasks(
         screen: Where progress is shown.
 
     Returns:
-        The vehicles, and a warning where the camera had to be assumed.
+        The vehicles, with the photograph's own camera where none is given, or one of unknown focal length.
 
     Raises:
         InvalidInputError: A box cannot be used, there is no car, or there is no network.
     """
     named = boxes.choose(path, image)
     camera, offset = source.camera(path.name)
-    warning = None
     if camera is None:
-        camera = Camera.of_field_of_view(image.shape[1], image.shape[0])
-        warning = (
-            f"No camera is given: a horizontal field of view of {DEFAULT_FIELD_OF_VIEW:g} degrees is assumed, and "
-            "distances are rough. Give --camera or --intrinsics."
-        )
+        camera = source.own or Camera.of_unknown(image.shape[1], image.shape[0])
     complete = source.complete(camera, declared=False)
     found = find_keypoints(image, named, boxes.weights, screen, category)
     tasks = []
@@ -105,4 +100,4 @@ def read_image_tasks(
             detection.azimuth,
         )
         tasks.append(Task(instance, complete, offset, item.model if box_model is None else box_model))
-    return tasks, warning
+    return tasks

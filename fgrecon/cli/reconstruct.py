@@ -17,6 +17,7 @@ from fgrecon.cli.options import (
     JsonOption,
     NamesOption,
     SceneOptions,
+    TogetherOption,
     VehicleBoxes,
 )
 from fgrecon.cli.terminal import Terminal
@@ -31,6 +32,8 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
 
     from fgrecon.cli.batch import Outcome
     from fgrecon.cli.terminal import Screen
+    from fgrecon.cli.together import Scene
+    from fgrecon.core.camera import Camera
 
 __all__ = ["reconstruct_command"]
 
@@ -112,6 +115,7 @@ def reconstruct_command(
     names: NamesOption = None,
     json_out: JsonOption = None,
     history: HistoryOption = False,
+    together: TogetherOption = False,
     jobs: Annotated[int, typer.Option(min=1, help="Processes; for thousands of vehicles see `fgrecon batch`.")] = 1,
 ) -> None:
     """Reconstruct the pose and shape of the vehicles in a keypoint file or an image (--box, --boxes or --detect).
@@ -120,10 +124,13 @@ def reconstruct_command(
 
     Exit code 0: at least one was reconstructed; 1: none, since solving failed; 2: none, since the input is bad, or no
     car was found in the image.
+
+    Without a camera the focal length is the one in the photograph's EXIF data, or one that its cars tell together.
     """
     from fgrecon.cli import batch, picture_tasks, show
+    from fgrecon.cli.together import solve_together, wants_together
     from fgrecon.core.options import Options, ShapeOptions
-    from fgrecon.io.images import read_image
+    from fgrecon.io.images import read_photograph
 
     check_outputs(json_out, drawings.picture, drawings.animation)
     drawings.check()
@@ -140,31 +147,36 @@ def reconstruct_command(
     if not pictured:
         boxes.refuse()
     path = file if pictured else drawings.image
-    photograph = None if path is None else read_image(path)
-    source = camera.source(photograph)
+    photograph, own = (None, None) if path is None else read_photograph(path)
+    source = camera.source(photograph, own)
     ignored: tuple[str, ...] = ()
     if pictured and photograph is not None:
-        tasks, warning = picture_tasks.read_image_tasks(
+        tasks = picture_tasks.read_image_tasks(
             file, photograph, source, settings.prior.category, boxes, solving.box_model, screen
         )
-        if warning is not None:
-            screen.warn(warning)
     else:
         image = None if drawings.image is None else drawings.image.name
         tasks, ignored = batch.read_tasks(file, settings.prior.category, source, names, image)
     if settings.ground is None and tasks:
         shown = tasks[0].instance.image or (None if path is None else path.name)
         screen.print(*batch.ground_of(source, shown))
-    if jobs == 1:
+    scenes: list[Scene] = []
+    if together or wants_together(tasks):
+        outcomes, scenes = solve_together(tasks, settings, screen)
+    elif jobs == 1:
         outcomes = [batch.run(task, settings) for task in screen.watch(tasks, "Vehicles")]
     else:
         with screen.bar() as advance:
             outcomes = batch.run_all(tasks, settings, jobs, lambda done: advance("Vehicles", done, len(tasks)))
 
     show.print_table(screen, outcomes)
+    for found in scenes:
+        screen.print(*found.lines())
+        if found.result.camera.focal_sigma:
+            screen.warn(_about_camera(found, own))
     if ignored:
         screen.print(f"Fields of the file without a meaning here: {', '.join(ignored)}.")
-    screen.write_json(show.document(file, outcomes, settings, history=history))
+    screen.write_json(show.document(file, outcomes, settings, [scene.plain() for scene in scenes], history=history))
     drawings.draw(outcomes, photograph, screen)
     if delivery.wanted:
         recordings = show.recordings(outcomes, photograph, settings.ground)
@@ -172,3 +184,13 @@ def reconstruct_command(
     if not batch.check_any(file, outcomes):
         screen.fail("No vehicle could be reconstructed.")
         raise typer.Exit(1)
+
+
+def _about_camera(scene: Scene, own: Camera | None) -> str:
+    """How far to trust distances where no camera is given."""
+    camera = scene.result.camera
+    source = "what its cars look like" if own is None else "the EXIF data and its cars"
+    return (
+        f"No camera is given: the focal length is {camera.matrix[0, 0]:.0f} px, known to "
+        f"{100 * camera.focal_sigma:.0f} %, from {source}. Distances are as rough. Give --camera or --intrinsics."
+    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -114,13 +114,21 @@ def _cells(outcome: Outcome) -> tuple[str, ...]:
     )
 
 
-def document(path: Path, outcomes: Sequence[Outcome], settings: Settings, *, history: bool = False) -> str:
+def document(
+    path: Path,
+    outcomes: Sequence[Outcome],
+    settings: Settings,
+    scenes: Sequence[Mapping[str, Any]] = (),
+    *,
+    history: bool = False,
+) -> str:
     """The JSON text of a run: settings, and result or error of every vehicle.
 
     Args:
         path: The input.
         outcomes: One per vehicle.
         settings: What held for all.
+        scenes: Images whose vehicles were solved together.
         history: Whether results keep their history and graph.
     """
     content = {
@@ -130,6 +138,7 @@ def document(path: Path, outcomes: Sequence[Outcome], settings: Settings, *, his
         "file": str(path),
         "settings": plain_settings(settings)
         | {"joint": settings.options.shape.joint, "free_offsets": settings.options.shape.free_offsets},
+        **({"scenes": list(scenes)} if scenes else {}),
         "instances": [_entry(outcome, history=history) for outcome in outcomes],
     }
     return json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n"
@@ -163,6 +172,7 @@ def plain_camera(camera: Camera) -> dict[str, Any]:
         "matrix": camera.matrix.tolist(),
         "distortion": None if camera.distortion is None else camera.distortion.tolist(),
         "image_size": camera.image_size,
+        **({"focal_sigma": camera.focal_sigma} if camera.focal_sigma else {}),
     }
 
 

@@ -12,14 +12,18 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["DEFAULT_FIELD_OF_VIEW", "MIN_DEPTH", "Camera", "Ground"]
+__all__ = ["ANY_FOCAL_SIGMA", "DEFAULT_FIELD_OF_VIEW", "MIN_DEPTH", "Camera", "Ground"]
 
 DEFAULT_FIELD_OF_VIEW = 60.0
 """Horizontal field of view in degrees where nothing is known about the camera: distances are then rough."""
 
+ANY_FOCAL_SIGMA = 0.5
+"""Standard deviation of the focal length's logarithm there: 95 % of such cameras see 24 to 114 degrees."""
+
 MIN_DEPTH = 0.3
 """Nothing may be nearer to the camera than this, metres."""
 
+_LARGEST_SIGMA = 2.0  # of a focal length's logarithm: five times longer or shorter is no lens any more
 _LARGEST = 1e9
 """No focal length is longer, in pixels; beyond, squares of numbers soon overflow."""
 
@@ -32,11 +36,14 @@ class Camera:
         matrix: (3, 3) upper triangular intrinsics K with last row (0, 0, 1); a skew is allowed.
         distortion: OpenCV distortion coefficients (4, 5, 8, 12 or 14 numbers), or None.
         image_size: (width, height) in pixels where known, else None.
+        focal_sigma: Standard deviation of the focal lengths' logarithm, about their relative error; 0 where they are
+            known. `fgrecon.reconstruct_scene` and `fgrecon.reconstruct_image` find them where they are not.
     """
 
     matrix: NDArray[np.float64]
     distortion: NDArray[np.float64] | None = None
     image_size: tuple[int, int] | None = None
+    focal_sigma: float = 0.0
 
     def __post_init__(self) -> None:
         """Check the matrix and the coefficients.
@@ -61,6 +68,8 @@ class Camera:
                     "distortion", f"{len(coefficients)} coefficients", "Give 4, 5, 8, 12 or 14 (OpenCV's order)."
                 )
             object.__setattr__(self, "distortion", coefficients if coefficients.any() else None)
+        if not 0.0 <= self.focal_sigma <= _LARGEST_SIGMA:
+            raise InvalidInputError("focal_sigma", self.focal_sigma, f"Give a number from 0 to {_LARGEST_SIGMA:g}.")
 
     @classmethod
     def of(cls, intrinsics: Camera | ArrayLike, distortion: ArrayLike | None = None) -> Camera:
@@ -98,6 +107,25 @@ class Camera:
             raise InvalidInputError("field_of_view", degrees, "Give degrees above 0 and below 180.")
         focal = width / 2 / np.tan(np.radians(degrees) / 2)
         return replace(cls.of([focal, focal, (width - 1) / 2, (height - 1) / 2]), image_size=(width, height))
+
+    @classmethod
+    def of_unknown(cls, width: int, height: int) -> Camera:
+        """A camera whose focal length is to be found, and whose principal point is the middle of its image.
+
+        Args:
+            width: Of the image, pixels.
+            height: Of the image, pixels.
+
+        Raises:
+            InvalidInputError: The image has no pixels.
+        """
+        return replace(cls.of_field_of_view(width, height), focal_sigma=ANY_FOCAL_SIGMA)
+
+    def scaled(self, ratio: float) -> Camera:
+        """The camera with focal lengths (and skew) that many times as long."""
+        matrix = self.matrix.copy()
+        matrix[:2, :2] *= ratio
+        return replace(self, matrix=matrix)
 
     def project(self, points: ArrayLike) -> NDArray[np.float64]:
         """Pixels (..., 2) of points (..., 3) in the camera frame, without distortion."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.camera import Ground
+from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.reconstruction import Reconstruction
 
@@ -27,6 +27,10 @@ class SceneReconstruction:
             where none was.
         ground_covariance: (3, 3) of its distance in metres, and of its pitch and roll in radians; None where it was not
             solved for.
+        camera: The camera; with a focal length that was solved for, at its value and with the standard deviation that
+            is left in `focal_sigma`.
+        focal_lengths: Focal lengths fx in pixels that explain the image, the best first, and how many nats worse each
+            is: more than one where the vehicles leave open which. Empty where it was known.
         message: What was done, in a sentence.
         milliseconds: Wall time by stage.
     """
@@ -36,12 +40,20 @@ class SceneReconstruction:
     refused: Mapping[int, FgreconError]
     ground: Ground | None
     ground_covariance: NDArray[np.float64] | None
+    camera: Camera
+    focal_lengths: tuple[tuple[float, float], ...]
     message: str
     milliseconds: Mapping[str, float]
 
     def __repr__(self) -> str:
         """A few lines: the ground, and a line for each vehicle."""
         lines = [f"SceneReconstruction: {len(self.vehicles)} vehicles, {len(self.refused)} refused. {self.message}"]
+        if self.focal_lengths:
+            told = f"{self.camera.matrix[0, 0]:.0f} px, known to {100 * self.camera.focal_sigma:.0f} %"
+            others = ", ".join(
+                f"{pixels:.0f} px is {excess:.1f} nats worse" for pixels, excess in self.focal_lengths[1:]
+            )
+            lines.append(f"  focal length {told}{f' ({others})' if others else ''}")
         if self.ground is not None:
             pitch, roll = np.degrees(np.arctan2(self.ground.normal[[2, 0]], self.ground.normal[1]))
             lines.append(f"  ground {self.ground.distance:.2f} m below, pitch {pitch:.1f} and roll {roll:.1f} degrees")

@@ -7,23 +7,39 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.exif import exif_camera
 from fgrecon.io.files import write_bytes
 
-__all__ = ["decode_image", "read_image", "write_png"]
+__all__ = ["decode_image", "read_image", "read_photograph", "write_png"]
 
 
 def read_image(path: str | Path) -> NDArray[np.uint8]:
-    """A photograph as (H, W, 3) RGB bytes, in the pixel order of the file (EXIF orientation is not applied).
+    """A photograph as (H, W, 3) RGB bytes, upright as its EXIF data say.
 
     Raises:
         InvalidInputError: The file cannot be read or is no image.
     """
+    return decode_image(_content(path), str(path))
+
+
+def read_photograph(path: str | Path) -> tuple[NDArray[np.uint8], Camera | None]:
+    """A photograph as `read_image` gives it, and its camera where the EXIF data tell one (`fgrecon.io.exif`).
+
+    Raises:
+        InvalidInputError: The file cannot be read or is no image.
+    """
+    content = _content(path)
+    image = decode_image(content, str(path))
+    return image, exif_camera(content, image.shape[1], image.shape[0])
+
+
+def _content(path: str | Path) -> bytes:
     try:
-        content = Path(path).read_bytes()
+        return Path(path).read_bytes()
     except OSError as error:
         raise InvalidInputError("image", str(path), f"Give a file that can be read ({error.strerror}).") from error
-    return decode_image(content, str(path))
 
 
 def decode_image(content: bytes, name: str) -> NDArray[np.uint8]:
@@ -38,8 +54,7 @@ def decode_image(content: bytes, name: str) -> NDArray[np.uint8]:
     """
     import cv2  # on use: importing fgrecon must not import OpenCV
 
-    flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-    image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), flags) if content else None
+    image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_COLOR) if content else None
     if image is None:
         raise InvalidInputError("image", name, "Give an image that OpenCV reads, such as PNG or JPEG.")
     return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.brief import brief_repr
-from fgrecon.core.camera import DEFAULT_FIELD_OF_VIEW, Camera, Ground
+from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite
 from fgrecon.core.detection import Detection
 from fgrecon.core.errors import AssumedCameraWarning, FgreconError
@@ -20,7 +20,7 @@ from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.catalogue import load_prior
-from fgrecon.io.images import read_image
+from fgrecon.io.images import read_photograph
 from fgrecon.perception.boxes import find_boxes
 from fgrecon.perception.keypoints.detect import as_rgb8, shipped_cascade
 from fgrecon.perception.protocols import KeypointDetector, VehicleDetector, find_keypoints
@@ -41,11 +41,14 @@ class FromImage:
         detection: What the keypoint detector found.
         result: The reconstruction, or None where it was refused.
         error: With which error it was refused, or None.
+        camera: The camera that it was solved with; a focal length that was found has the standard deviation of its
+            logarithm in `focal_sigma`.
     """
 
     detection: Detection
     result: Reconstruction | None
     error: FgreconError | None
+    camera: Camera | None = None
 
     __repr__ = brief_repr
 
@@ -91,8 +94,8 @@ def reconstruct_image(
 
     Args:
         image: (H, W, 3) RGB, or grey; 8 or 16 bits; or the path of an image file.
-        camera: The camera that took it, or its matrix (3, 3), or (fx, fy, cx, cy). None assumes a horizontal field of
-            view of 60 degrees and warns: distances are then rough.
+        camera: The camera that took it, or its matrix (3, 3), or (fx, fy, cx, cy). None takes the focal length from the
+            file's EXIF data, or lets the vehicles tell it: distances are then rough.
         boxes: (N, 4) x1, y1, x2, y2 in pixels; None lets the vehicle detector find them.
         vehicle_detector: Finds the boxes where none are given; None for that of the package.
         keypoint_detector: Finds the keypoints; None for the networks of the package. All boxes go to it in one call.
@@ -101,7 +104,7 @@ def reconstruct_image(
         size_prior: Fleet (`kitti`, `apollo79`), or a size prior; None takes sizes from the shape prior.
         options: Settings.
         together: Whether the vehicles share one ground that is a variable (`fgrecon.reconstruct_scene`); else each is
-            solved alone.
+            solved alone. Where the focal length is not known they are solved together in any case.
         detector: Old name of `keypoint_detector`, for one more release.
 
     Returns:
@@ -112,16 +115,16 @@ def reconstruct_image(
             returns something else than its protocol says (`fgrecon.perception.protocols`).
 
     Warns:
-        AssumedCameraWarning: No camera is given.
+        AssumedCameraWarning: No camera is given, and the file does not tell one.
     """
     camera, boxes, keypoint_detector = _of_first_release(camera, boxes, keypoint_detector, detector)
     shape_prior = load_prior(prior)
-    pixels = read_image(image) if isinstance(image, str | Path) else as_rgb8(image)
-    sized = _camera(camera, pixels)
+    pixels, told = read_photograph(image) if isinstance(image, str | Path) else (as_rgb8(image), None)
+    sized = _camera(told if camera is None else camera, pixels)
     corners = find_boxes(pixels, vehicle_detector) if boxes is None else _boxes(boxes)
     networks = shipped_cascade() if keypoint_detector is None else keypoint_detector
     detections = find_keypoints(networks, pixels, corners, shape_prior.category)
-    if together:
+    if together or sized.focal_sigma:
         scene = reconstruct_scene(
             [detection.evidence for detection in detections],
             sized,
@@ -131,16 +134,18 @@ def reconstruct_image(
             options=options,
         )
         solved = dict(zip(scene.numbers, scene.vehicles, strict=True))
-        return [FromImage(d, solved.get(i), scene.refused.get(i)) for i, d in enumerate(detections)]
+        if camera is None and told is None and solved:
+            _warn_of_camera(scene.camera)
+        return [FromImage(d, solved.get(i), scene.refused.get(i), scene.camera) for i, d in enumerate(detections)]
     vehicles = []
     for detection in detections:
         try:
             result = reconstruct_detection(
                 detection, sized, options=options, prior=shape_prior, ground=ground, size_prior=size_prior
             )
-            vehicles.append(FromImage(detection, result, None))
+            vehicles.append(FromImage(detection, result, None, sized))
         except FgreconError as error:
-            vehicles.append(FromImage(detection, None, error))
+            vehicles.append(FromImage(detection, None, error, sized))
     return vehicles
 
 
@@ -148,14 +153,17 @@ def _camera(given: Camera | ArrayLike | None, image: NDArray[np.uint8]) -> Camer
     """The camera, which knows the size of its image."""
     height, width = image.shape[:2]
     if given is None:
-        message = (
-            f"No camera is given: a horizontal field of view of {DEFAULT_FIELD_OF_VIEW:g} degrees is assumed, and "
-            "distances are rough. Give camera=."
-        )
-        warnings.warn(message, AssumedCameraWarning, stacklevel=3)
-        return Camera.of_field_of_view(width, height)
+        return Camera.of_unknown(width, height)
     camera = Camera.of(given)
     return camera if camera.image_size is not None else replace(camera, image_size=(width, height))
+
+
+def _warn_of_camera(found: Camera) -> None:
+    message = (
+        f"No camera is given: the vehicles say that its focal length is {found.matrix[0, 0]:.0f} pixels, to "
+        f"{100 * found.focal_sigma:.0f} %, and distances are as rough. Give camera=."
+    )
+    warnings.warn(message, AssumedCameraWarning, stacklevel=3)
 
 
 def _boxes(given: ArrayLike) -> Array:

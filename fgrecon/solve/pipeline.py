@@ -87,6 +87,9 @@ def reconstruct(
         raise InvalidInputError("options", options, "Give an `fgrecon.Options`.")
     shape_prior = load_prior(prior)
     camera = Camera.of(intrinsics, distortion)
+    if camera.focal_sigma:
+        fix = "`fgrecon.reconstruct_scene([observation], camera)` finds the focal length; or give one that is known."
+        raise InvalidInputError("intrinsics", f"focal length known to {100 * camera.focal_sigma:.0f} %", fix)
     plane = ground_plane(ground)
     start = _initial(initial)
     fleet = None if size_prior is None else named_size_prior(size_prior)

@@ -86,7 +86,7 @@ def _result(
     structure: Sequence[GraphFactor],
     milliseconds: dict[str, float],
 ) -> Reconstruction:
-    problem, prior = part.problem, part.problem.model.prior
+    problem, prior, camera = part.problem, part.problem.model.prior, part.camera(optimum.values)
     weights = optimum.state.weights[index]
     coefficients, offsets = optimum.state.shapes[part.vehicle.number]
     camera_T_object = optimum.state.poses[index].matrix()
@@ -109,7 +109,7 @@ def _result(
         coefficients=coefficients,
         offsets=offsets,
         wireframe=wireframe,
-        wireframe_uv=problem.camera.distort(problem.camera.project(in_camera)),
+        wireframe_uv=camera.distort(camera.project(in_camera)),
         edges=np.array(prior.category.edges, dtype=np.int64).reshape(-1, 2),
         box_size=prior.box_size(coefficients, offsets),
         weights=weights.keypoints,

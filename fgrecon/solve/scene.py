@@ -1,17 +1,20 @@
-"""All vehicles of an image together: each stands on the ground, and the ground is a variable.
+"""All vehicles of an image together: each stands on the ground, and the ground is a variable; so may the camera be.
 
-    keypoints, box --- X(1,0) --- contact ---+
-    keypoints, box --- X(2,0) --- contact --- G(0) --- prior (what is known of the mount)
-    keypoints, box --- X(3,0) --- contact ---+
+    +--- keypoints, box --- X(1,0) --- contact ---+
+    F(0) keypoints, box --- X(2,0) --- contact --- G(0) --- prior (what is known of the mount)
+    +--- keypoints, box --- X(3,0) --- contact ---+
 
 Every vehicle is first solved alone. How far cars lie off a plane that is told beforehand (`Ground`) is mostly the
 plane's fault, pitch above all, and the same for all of them; so that part of the plane's uncertainty is the prior's of
 G, and what is left is each vehicle's own. A vehicle on another road or a kerb is an outlier of its contact alone.
 Without a ground the vehicles' own poses say about where it is, and the prior is wide.
+
+Where the focal length is not known it is the variable F(0) of all keypoints and boxes (`fgrecon.solve.focal`).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from factors.contact import GroundFrame, contact_factor
-from factors.keys import G, X
+from factors.keys import F, G, X
 from factors.losses import Loss, RobustLoss
 from factors.noise import diagonal_noise
 from fgrecon.core.camera import Camera, Ground
@@ -35,16 +38,17 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as named_size_prior
 from fgrecon.io.catalogue import load_prior
+from fgrecon.solve.focal import candidates, focal_prior, log_ratio, starts
 from fgrecon.solve.graph.adjust import Adjusted, SolvedStage, adjust
 from fgrecon.solve.graph.covariance import factorise
 from fgrecon.solve.graph.graph import Graph, Seen, State
-from fgrecon.solve.graph.optimise import optimise
+from fgrecon.solve.graph.optimise import Optimum, optimise
 from fgrecon.solve.pipeline import ground_plane, observe
 from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import history_of, results
 from fgrecon.solve.threads import single_threaded
-from fgrecon.solve.vehicle.model import prepare
+from fgrecon.solve.vehicle.model import VehicleModel, prepare
 
 __all__ = ["reconstruct_scene"]
 
@@ -54,21 +58,8 @@ _OWN_HEIGHT, _OWN_SLOPE, _OWN_TILT = 0.35, 0.15, 0.5
 """Shares of a told ground's deviations that are each vehicle's own; chosen on KITTI's video (docs/method.md)."""
 _WIDE = (0.5, 0.3, 0.1)  # metres, radians, radians: prior of height, pitch and roll where no ground is told
 _OUTLYING = 3.0  # standard deviations from which on a contact counts less
+_SAME_FOCAL = 0.02  # logarithms that differ by less are of one focal length
 _LEAST_HEIGHT = 0.2  # metres; a camera is above the road
-
-
-@dataclass(frozen=True)
-class _Alone:
-    """A vehicle that was solved alone."""
-
-    problem: Problem
-    start: PoseEstimate
-    adjusted: Adjusted
-
-    @property
-    def pose(self) -> Array:
-        pose: Array = self.adjusted.optimum.state.poses[0].matrix()
-        return pose
 
 
 @single_threaded
@@ -85,7 +76,8 @@ def reconstruct_scene(
 
     Args:
         observations: The keypoints of each vehicle.
-        camera: The camera that took the image, or its matrix (3, 3), or (fx, fy, cx, cy).
+        camera: The camera that took the image, or its matrix (3, 3), or (fx, fy, cx, cy). One whose focal length is not
+            known (`Camera.focal_sigma`, `Camera.of_unknown`) is found with the vehicles.
         prior: Shape prior, or its name, or the path of its file.
         ground: About where the ground is; a number is the height in metres of a level camera. None tells nothing: the
             vehicles say where it is.
@@ -94,101 +86,225 @@ def reconstruct_scene(
 
     Returns:
         The scene. Vehicles that determine no pose are in `refused`. Where fewer than two were solved there is nothing
-        to solve together, and the results are those of `fgrecon.reconstruct`.
+        to solve together but the focal length, and with a known one the results are those of `fgrecon.reconstruct`.
 
     Raises:
-        InvalidInputError: An argument cannot be used; names it, its value and the fix.
+        InvalidInputError: An argument cannot be used, such as a distorted lens without a focal length; names it, its
+            value and the fix.
     """
     options = Options() if options is None else options
     if not options.shape.joint:
         raise InvalidInputError("options.shape.joint", value=False, fix="Let pose and shape move: joint=True.")
-    shape_prior, seen_by, plane = load_prior(prior), Camera.of(camera), ground_plane(ground)
+    shape_prior, known, plane = load_prior(prior), Camera.of(camera), ground_plane(ground)
     model = prepare(
         shape_prior, None if size_prior is None else named_size_prior(size_prior), options.shape.basis_vectors
     )
     started = perf_counter()
+    tried = [_each_alone(observations, one, model, plane, options) for one in candidates(known)]
+    energies = _energies(tried, known)
+    found = perf_counter()
+    joint = [scene for i in starts(energies) if (scene := _together(tried[i], known, plane, options)) is not None]
+    told = None if not joint else _told(min(joint, key=lambda one: one.optimum.energy), joint, known)
+    if told is None:
+        alone = tried[min(range(len(tried)), key=lambda i: (energies[i], abs(log_ratio(tried[i].camera, known))))]
+        told = _Told({}, plane, None, known, (), "They were solved one by one.", alone)
+    alone = told.alone
+    each = {number: _result(one) for number, one in alone.vehicles.items() if number not in told.results}
+    each |= told.results
+    numbers = tuple(sorted(each))
+    milliseconds = {"alone": (found - started) * 1e3, "together": (perf_counter() - found) * 1e3}
+    return SceneReconstruction(
+        numbers,
+        tuple(each[n] for n in numbers),
+        alone.refused,
+        told.ground,
+        told.ground_covariance,
+        told.camera,
+        told.focal_lengths,
+        told.message,
+        milliseconds,
+    )
+
+
+@dataclass(frozen=True)
+class _Alone:
+    """A vehicle that was solved alone."""
+
+    problem: Problem
+    start: PoseEstimate
+    adjusted: Adjusted
+
+    @property
+    def pose(self) -> Array:
+        pose: Array = self.adjusted.optimum.state.poses[0].matrix()
+        return pose
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """All vehicles solved one by one with one camera."""
+
+    camera: Camera
+    vehicles: dict[int, _Alone]
+    refused: dict[int, FgreconError]
+
+    @property
+    def solved(self) -> dict[int, _Alone]:
+        return {number: one for number, one in self.vehicles.items() if one.adjusted.optimum.failure is None}
+
+
+@dataclass(frozen=True)
+class _Joint:
+    """Vehicles that were solved together, from where they were alone."""
+
+    alone: _Tried
+    seen: list[Seen]
+    graph: Graph
+    optimum: Optimum
+    extra: list[gtsam.NonlinearFactor]
+    contacts: dict[int, gtsam.CustomFactor]
+    nominal: Ground | None
+    frame: GroundFrame | None
+
+
+@dataclass(frozen=True)
+class _Told:
+    """What is said of a scene; vehicles without a result are as they were alone."""
+
+    results: dict[int, Reconstruction]
+    ground: Ground | None
+    ground_covariance: Array | None
+    camera: Camera
+    focal_lengths: tuple[tuple[float, float], ...]
+    message: str
+    alone: _Tried
+
+
+def _each_alone(
+    observations: Sequence[Observation], camera: Camera, model: VehicleModel, plane: Ground | None, options: Options
+) -> _Tried:
     alone: dict[int, _Alone] = {}
     refused: dict[int, FgreconError] = {}
     for number, given in enumerate(observations):
         try:
-            observation = observe(given, seen_by, shape_prior, options)
-            problem = Problem.of(observation, seen_by, model, plane, options)
+            observation = observe(given, camera, model.prior, options)
+            problem = Problem.of(observation, camera, model, plane, options)
             start = adjust_pose(problem)
         except FgreconError as error:
             refused[number] = error
             continue
         alone[number] = _Alone(problem, start, adjust([Seen(problem)], [start]))
-    found = perf_counter()
-    solved = {number: one for number, one in alone.items() if one.adjusted.optimum.failure is None}
-    told = None if len(solved) < 2 or "ground" in options.disabled_terms else _together(solved, plane, options)
-    milliseconds = {"alone": (found - started) * 1e3, "together": (perf_counter() - found) * 1e3}
-    if told is None:
-        results_ = {number: _result(one) for number, one in alone.items()}
-        message = "They were solved one by one."
-        shown, covariance = plane, None
-    else:
-        results_, shown, covariance = told
-        results_ |= {number: _result(one) for number, one in alone.items() if number not in results_}
-        message = f"{len(told[0])} were solved together with the ground."
-    numbers = tuple(sorted(results_))
-    return SceneReconstruction(
-        numbers, tuple(results_[n] for n in numbers), refused, shown, covariance, message, milliseconds
-    )
+    return _Tried(camera, alone, refused)
+
+
+def _energies(tried: Sequence[_Tried], known: Camera) -> list[float]:
+    """The energy with each of the cameras, of the vehicles that were solved with all of them."""
+    if len(tried) == 1:
+        return [0.0]
+    common = set.intersection(*(set(one.solved) for one in tried))
+    if not common:
+        return [math.inf] * len(tried)
+    return [
+        sum(one.vehicles[number].adjusted.optimum.energy for number in common)
+        + 0.5 * (log_ratio(one.camera, known) / known.focal_sigma) ** 2
+        for one in tried
+    ]
 
 
 def _result(one: _Alone) -> Reconstruction:
     return results([Seen(one.problem)], [one.start], one.adjusted, {})[0]
 
 
-def _together(
-    alone: dict[int, _Alone], plane: Ground | None, options: Options
-) -> tuple[dict[int, Reconstruction], Ground, Array | None] | None:
-    """Results by number, the ground and its covariance; None where the joint solve gave up."""
-    nominal = plane if plane is not None else _seen_ground([one.pose for one in alone.values()])
-    frame = GroundFrame.of(nominal.normal, nominal.distance)
-    seen, contacts = [], {}
-    for number, one in alone.items():
-        free = replace(one.problem, ground=None, energy=replace(one.problem.energy, ground=None))
-        seen.append(Seen(free, vehicle=number))
-        contacts[number] = contact_factor(X(number, 0), G(0), frame, _contact_noise(nominal, float(one.pose[2, 3])))
-    spread = _WIDE if plane is None else (nominal.height_sigma, nominal.slope_sigma, nominal.slope_sigma)
-    mount = gtsam.PriorFactorVector(G(0), np.zeros(3), diagonal_noise("ground", np.array(spread)))
+def _together(alone: _Tried, known: Camera, plane: Ground | None, options: Options) -> _Joint | None:
+    """The joint solve; None where there is nothing to solve together, or it gave up."""
+    solved = alone.solved
+    on_ground = len(solved) > 1 and "ground" not in options.disabled_terms
+    if not solved or not (on_ground or known.focal_sigma):
+        return None
+    seen: list[Seen] = []
+    contacts: dict[int, gtsam.CustomFactor] = {}
+    priors: list[gtsam.NonlinearFactor] = []
     others = gtsam.Values()
-    others.insert(G(0), np.zeros(3))
-    states = [one.adjusted.optimum.state for one in alone.values()]
+    nominal, frame = plane, None
+    if on_ground:
+        nominal = plane if plane is not None else _seen_ground([one.pose for one in solved.values()])
+        frame = GroundFrame.of(nominal.normal, nominal.distance)
+        spread = _WIDE if plane is None else (nominal.height_sigma, nominal.slope_sigma, nominal.slope_sigma)
+        others.insert(G(0), np.zeros(3))
+        priors.append(gtsam.PriorFactorVector(G(0), np.zeros(3), diagonal_noise("ground", np.array(spread))))
+        for number, one in solved.items():
+            noise = _contact_noise(nominal, float(one.pose[2, 3]))
+            contacts[number] = contact_factor(X(number, 0), G(0), frame, noise)
+    if known.focal_sigma:
+        others.insert(F(0), np.zeros(1))
+        priors.append(focal_prior(known, alone.camera))
+    for number, one in solved.items():
+        free = replace(one.problem, ground=None, energy=replace(one.problem.energy, ground=None))
+        seen.append(Seen(free if on_ground else one.problem, vehicle=number))
+    states = [one.adjusted.optimum.state for one in solved.values()]
     state = State(
         poses=[state.poses[0] for state in states],
-        shapes={number: state.shapes[0] for number, state in zip(alone, states, strict=True)},
+        shapes={number: state.shapes[0] for number, state in zip(solved, states, strict=True)},
         weights=[state.weights[0] for state in states],
         others=others,
     )
-    extra = [*contacts.values(), mount]
+    extra = [*contacts.values(), *priors]
     graph = Graph(seen, state, pose_free=True, extra=extra)
     optimum = optimise(graph, state)
     if optimum.failure is not None:
         return None
+    return _Joint(alone, seen, graph, optimum, extra, contacts, nominal, frame)
+
+
+def _told(best: _Joint, joint: Sequence[_Joint], known: Camera) -> _Told:
+    """Results of the vehicles, the ground and the camera, with what is left open of both."""
+    solved, optimum, values = best.alone.solved, best.optimum, best.optimum.values
     adjusted = Adjusted(
         optimum,
-        (SolvedStage("scene", graph, optimum.steps),),
-        tuple(one.adjusted.alternatives[0] for one in alone.values()),
+        (SolvedStage("scene", best.graph, optimum.steps),),
+        tuple(one.adjusted.alternatives[0] for one in solved.values()),
     )
-    starts = [one.start for one in alone.values()]
-    if options.keep_history:  # what led to each vehicle's pose alone; the scene's steps follow
-        starts = [
-            replace(one.start, history=history_of(one.start, one.adjusted, 0, alone=True)) for one in alone.values()
+    starts_ = [one.start for one in solved.values()]
+    if best.graph.options.keep_history:  # what led to each vehicle's pose alone; the scene's steps follow
+        starts_ = [
+            replace(one.start, history=history_of(one.start, one.adjusted, 0, alone=True)) for one in solved.values()
         ]
-    values = graph.values(optimum.state)
-    each = results(seen, starts, adjusted, {}, extra)
-    told = {
-        number: replace(result, energies={**result.energies, "ground": float(contacts[number].error(values))})
-        for number, result in zip(alone, each, strict=True)
-    }
-    normal, distance = frame.plane(values.atVector(G(0)))
-    return (
-        told,
-        replace(nominal, normal=normal, distance=max(distance, _LEAST_HEIGHT)),
-        _covariance(graph, optimum.state),
-    )
+    each = dict(zip(solved, results(best.seen, starts_, adjusted, {}, best.extra), strict=True))
+    for number, contact in best.contacts.items():
+        energies = {**each[number].energies, "ground": float(contact.error(values))}
+        each[number] = replace(each[number], energies=energies)
+    marginals = factorise(best.graph.build(optimum.state.weights), values)
+    ground, camera, shared = best.nominal, best.alone.camera, []
+    lengths: tuple[tuple[float, float], ...] = ()
+    if best.frame is not None and best.nominal is not None:
+        normal, distance = best.frame.plane(values.atVector(G(0)))
+        ground = replace(best.nominal, normal=normal, distance=max(distance, _LEAST_HEIGHT))
+        shared.append("the ground")
+    if known.focal_sigma:
+        variance = _marginal(marginals, F(0))
+        sigma = known.focal_sigma if variance is None else float(np.sqrt(variance[0, 0]))
+        camera = replace(_camera(best), focal_sigma=min(sigma, known.focal_sigma))
+        lengths = tuple(
+            (float(_camera(one).matrix[0, 0]), one.optimum.energy - optimum.energy)
+            for one in sorted(joint, key=lambda one: one.optimum.energy)
+        )
+        shared.append("the focal length")
+    message = f"{len(each)} were solved together with {' and '.join(shared)}."
+    covariance = None if best.frame is None else _marginal(marginals, G(0))
+    return _Told(each, ground, covariance, camera, _distinct(lengths), message, best.alone)
+
+
+def _camera(joint: _Joint) -> Camera:
+    return joint.alone.camera.scaled(math.exp(joint.optimum.values.atVector(F(0))[0]))
+
+
+def _distinct(lengths: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+    """Without those that are one of the better ones again."""
+    kept: list[tuple[float, float]] = []
+    for pixels, excess in lengths:
+        if all(abs(math.log(pixels / other)) > _SAME_FOCAL for other, _ in kept):
+            kept.append((pixels, excess))
+    return tuple(kept)
 
 
 def _seen_ground(poses: Sequence[Array]) -> Ground:
@@ -207,9 +323,8 @@ def _contact_noise(ground: Ground, depth: float) -> gtsam.noiseModel.Robust:
     return RobustLoss.of(Loss.CAUCHY, _OUTLYING).wrap(diagonal_noise("contact", np.array([height, tilt, tilt, tilt])))
 
 
-def _covariance(graph: Graph, state: State) -> Array | None:
-    marginals = factorise(graph.build(state.weights), graph.values(state))
+def _marginal(marginals: gtsam.Marginals | None, key: int) -> Array | None:
     if marginals is None:
         return None
-    covariance: Array = marginals.marginalCovariance(G(0))
+    covariance: Array = marginals.marginalCovariance(key)
     return covariance if np.isfinite(covariance).all() else None

@@ -80,15 +80,17 @@ def test_an_image_is_reconstructed_with_a_warning_about_the_camera(street, weigh
     image = street / "image_2" / "000001.png"
     done = run("reconstruct", image, "--box", "10,10,90,80", "--weights", weights, "--json", "-")
     assert done.exit_code == 0, done.output
-    assert "field of view" in done.stderr
+    assert "focal length is" in done.stderr
     (entry,) = json.loads(done.stdout)["instances"]
     assert entry["camera"]["image_size"] == [160, 100]
+    assert 0.0 < entry["camera"]["focal_sigma"] <= 0.5
+    assert json.loads(done.stdout)["scenes"][0]["focal_lengths"][0]["excess"] == 0.0
     told = run(
         *("reconstruct", image, "--boxes", street / "label_2" / "000001.txt", "--weights", weights),
         *("--calib", street / "calib" / "000001.txt", "--json", "-", "--picture", street / "p.png"),
     )
     assert told.exit_code == 0, told.output
-    assert "field of view" not in told.stderr
+    assert "focal length" not in told.stderr
     assert [entry["id"] for entry in json.loads(told.stdout)["instances"]] == ["1"]
     assert (street / "p.png").exists()
 

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from factors import (
+    F,
     L,
     LinearShape,
     O,
@@ -31,14 +32,20 @@ NORMAL = np.array([0.02, 1.0, -0.03]) / np.linalg.norm([0.02, 1.0, -0.03])
 class Case:
     """A random observation; some points are not seen, some far off."""
 
-    def __init__(self, seed, *, compiled, offsets=True, pose_free=True, shape_free=True, box=True, ground=True):
+    def __init__(
+        self, seed, *, compiled, offsets=True, pose_free=True, shape_free=True, box=True, ground=True, zoom=None
+    ):
         rng = np.random.default_rng(seed)
         mean, basis = car_like(rng, SIZE, VECTORS)
         x, o = rng.normal(size=VECTORS), 0.05 * rng.normal(size=3 * SIZE)
         self.pose = random_pose(rng)
         bound = (L(), O() if offsets else None) if shape_free else (x, o.reshape(-1, 3) if offsets else None)
         self.shape = LinearShape(mean, basis, *bound)
-        self.kernel = ProjectionKernel(self.shape, CAMERA, X() if pose_free else self.pose)
+        nominal, focal = CAMERA.copy(), None
+        if zoom is not None:
+            nominal[:2, :2] *= np.exp(-zoom)
+            focal = F()
+        self.kernel = ProjectionKernel(self.shape, nominal, X() if pose_free else self.pose, focal)
         self.values = gtsam.Values()
         if pose_free:
             self.values.insert(X(), self.pose)
@@ -46,6 +53,8 @@ class Case:
             self.values.insert(L(), x)
         if shape_free and offsets:
             self.values.insert(O(), o)
+        if zoom is not None:
+            self.values.insert(F(), np.array([zoom]))
         truth = mean + np.tensordot(x, basis, axes=1)
         scale = 700.0 / self.pose.z()
         self.pixels = project(truth, self.pose) + 0.04 * scale * rng.normal(size=(SIZE, 2))
@@ -62,7 +71,7 @@ class Case:
         low, high = np.min(project(outline, self.pose), axis=0), np.max(project(outline, self.pose), axis=0)
         self.edges = np.concatenate([low, high]) + 0.5 * sigma * rng.normal(size=4)
         outline_shape = LinearShape(outline, outline_basis, L() if shape_free else x)
-        self.outline = ProjectionKernel(outline_shape, CAMERA, X() if pose_free else self.pose)
+        self.outline = ProjectionKernel(outline_shape, nominal, X() if pose_free else self.pose, focal)
         self.box = BoxRows(self.outline, self.edges, self.used, sigma, 0.02, sigma / 2) if box else None
         self.ground = GroundRows(NORMAL, 1.6, 0.03) if ground and pose_free else None
         seen = None
@@ -122,6 +131,34 @@ def test_the_compiled_rows_are_numpys(name, form):
                 np.testing.assert_allclose(jacobian, jacobian_too, atol=1e-12 * np.abs(jacobian).max())
             else:
                 assert jacobian is jacobian_too is None
+
+
+FOCAL = {name: {**variant, "zoom": 0.2} for name, variant in VARIANTS.items()}
+"""The same where the focal length is a variable, which is that of the others at exp(0.2) times the nominal one."""
+
+
+@pytest.mark.parametrize("name", FOCAL)
+def test_a_focal_length_that_is_a_variable_is_that_of_the_camera(name):
+    fixed, free = (Case(3, compiled=False, **kind[name]) for kind in (VARIANTS, FOCAL))
+    for form, want in ((Form.LOSS, False), (Form.NEWTON, True)):
+        (rows, jacobian), (told, wider) = (case.tell(form)(case.values, want) for case in (fixed, free))
+        np.testing.assert_allclose(told, rows, rtol=1e-9, atol=1e-9)
+        if want:
+            np.testing.assert_allclose(wider[:, :-1], jacobian, rtol=1e-9, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", FOCAL)
+def test_rows_have_the_numeric_jacobian_by_the_focal_length(name):
+    case = Case(1, compiled=False, **FOCAL[name])
+    assert_jacobian(observation_factor(case.tell(Form.WEIGHTED)), case.values, step=1e-4, relative=1e-5)
+
+
+def test_terms_have_the_numeric_jacobian_by_the_focal_length():
+    case = Case(1, compiled=False, zoom=-0.3)
+    box = box_factor(case.outline, case.edges, 1.0, softness=case.sigma)
+    keypoints = stacked_reprojection_factor(case.kernel, case.pixels, case.right, case.sigma)
+    for factor in (box, keypoints):
+        assert_jacobian(factor, case.values, step=1e-4, relative=1e-5)
 
 
 @BOTH

@@ -1,11 +1,13 @@
 """Detectors of one's own plug in by their call signature; what does not fit is refused by name."""
 
 import importlib
+import warnings
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import fgrecon
 from fgrecon.core.detection import Detection
@@ -87,12 +89,23 @@ def test_kinds_of_cameras_and_images(seen, camera, tmp_path):
     np.testing.assert_array_equal(car.result.camera_T_object, same.result.camera_T_object)
 
 
-def test_without_a_camera_one_is_assumed_and_said_so(seen):
-    with pytest.warns(AssumedCameraWarning, match="60 degrees") as caught:
+def test_without_a_camera_its_focal_length_is_found_and_said_so(seen):
+    with pytest.warns(AssumedCameraWarning, match=r"focal length is \d+ pixels, to \d+ %") as caught:
         (car,) = solve(Own(seen), [seen.box], camera=None)
     assert caught[0].filename == __file__
-    assumed = fgrecon.Camera.of_field_of_view(1242, 375)
-    np.testing.assert_allclose(assumed.project(car.result.location), car.result.wireframe_uv.mean(axis=0), atol=80)
+    assert 0.0 < car.camera.focal_sigma <= 0.5
+    np.testing.assert_allclose(car.camera.project(car.result.location), car.result.wireframe_uv.mean(axis=0), atol=80)
+
+
+def test_the_focal_length_of_the_file_is_taken(seen, tmp_path):
+    exif = Image.Exif()
+    exif.get_ifd(0x8769)[0xA405] = 25  # millimetres of a 35 mm film
+    Image.fromarray(IMAGE).save(tmp_path / "street.jpg", exif=exif)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        (car,) = solve(Own(seen), [seen.box], image=tmp_path / "street.jpg", camera=None)
+    assert car.camera.matrix[0, 0] == pytest.approx(25 / 43.27 * np.hypot(1242, 375), rel=0.1)
+    assert car.camera.focal_sigma <= 0.05
 
 
 def test_the_order_and_name_of_the_first_release_work_with_a_warning(seen):

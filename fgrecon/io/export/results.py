@@ -109,4 +109,5 @@ def _camera(fields: Mapping[str, Any] | None) -> Camera | None:
         return None
     distortion, size = fields["distortion"], fields["image_size"]
     coefficients = None if distortion is None else np.array(distortion)
-    return Camera(np.array(fields["matrix"]), coefficients, None if size is None else (size[0], size[1]))
+    shape = None if size is None else (size[0], size[1])
+    return Camera(np.array(fields["matrix"]), coefficients, shape, fields.get("focal_sigma", 0.0))

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors import check_in_front
-from factors.keys import key_name
+from factors.keys import F, key_name
 from factors.mixture import Form
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import Options
@@ -108,7 +108,15 @@ class Graph:
             vehicle = self.vehicles[one.vehicle]
             share = 1.0 / (1.0 + (counts[one.vehicle] - 1) * self.options.shape.common_error)
             self.observations.append(
-                ObservationPart(one.problem, vehicle, pose, pose_free=pose_free, image=one.image, share=share)
+                ObservationPart(
+                    one.problem,
+                    vehicle,
+                    pose,
+                    pose_free=pose_free,
+                    image=one.image,
+                    share=share,
+                    focal_free=state.others.exists(F(one.image)),
+                )
             )
         keys = set(self.values(state).keys())
         self._own_keys = keys - set(state.others.keys())

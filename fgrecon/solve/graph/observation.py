@@ -12,18 +12,20 @@ noise models weigh whole factors.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
 import factors
-from factors import ProjectionKernel, RobustLoss, X
+from factors import F, ProjectionKernel, RobustLoss, X
+from factors.box import projected_extents
 from factors.ground import ground_rows
 from factors.mixture import Form
 from factors.observation import BoxRows, GroundRows, ObservationRows, observation_factor
 from factors.shape import LinearShape
+from fgrecon.core.camera import Camera
 from fgrecon.core.robust import StrategyName
 from fgrecon.solve.graph.vehicle import VehiclePart
 from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
@@ -86,6 +88,7 @@ class ObservationPart:
         share: Factor on the energy of all its terms.
         pose_key: Key of camera_T_object, or None where it is a constant.
         kernel: Projection of the keypoints.
+        compiled: The compiled rows; None where there are none, or the focal length is a variable.
     """
 
     def __init__(
@@ -97,6 +100,7 @@ class ObservationPart:
         pose_free: bool,
         image: int = 0,
         share: float = 1.0,
+        focal_free: bool = False,
     ) -> None:
         """Prepare the part.
 
@@ -108,12 +112,15 @@ class ObservationPart:
             image: Number of the image in the keys.
             share: Share of its information that the observation has for the graph: less than 1 where other images of
                 the vehicle err alike.
+            focal_free: Whether the focal length is a variable, common to all vehicles of the image.
         """
         self.problem, self.vehicle, self.image, self.share = problem, vehicle, image, share
         self.pose_key = X(vehicle.number, image) if pose_free else None
         self._pose = pose
         bound = pose if self.pose_key is None else self.pose_key
-        self.kernel = ProjectionKernel(vehicle.shape, problem.camera.matrix, bound)
+        focal = F(image) if focal_free else None
+        self.kernel = ProjectionKernel(vehicle.shape, problem.camera.matrix, bound, focal)
+        self.compiled = problem.energy.compiled if focal is None else None
         covariances = keypoint_covariances(problem.observation, problem.options.keypoints)
         isotropic = problem.observation.covariance is None
         self._covariances = None if isotropic else covariances
@@ -124,7 +131,7 @@ class ObservationPart:
         if problem.energy.box is not None:
             box = problem.energy.box
             box_shape = LinearShape(box.mean, box.basis, vehicle.coefficients)
-            self._box_kernel = ProjectionKernel(box_shape, problem.camera.matrix, bound)
+            self._box_kernel = ProjectionKernel(box_shape, problem.camera.matrix, bound, focal)
         self.stacked = self._stacked()
 
     @property
@@ -148,7 +155,7 @@ class ObservationPart:
             ground=None
             if ground is None or self.pose_key is None
             else GroundRows(ground.ground.normal, ground.ground.distance, ground.ground.tilt_sigma),
-            compiled=energy.compiled,
+            compiled=self.compiled,
             share=self.share,
         )
 
@@ -192,7 +199,7 @@ class ObservationPart:
             hold: Keep visibility and the ground's uncertainty as they are.
         """
         term, box = self.problem.energy.keypoints, self.problem.energy.box
-        if self.problem.energy.compiled is not None:
+        if self.compiled is not None:
             seen = self._assess(values, before.visibility if hold else None)
             depth = before.depth if hold else float(self.kernel.pose(values)[2, 3])
             return Weights(seen.keypoints, seen.visibility, seen.box, depth)
@@ -203,7 +210,7 @@ class ObservationPart:
         weights = term.strategy.weights(
             self._squares(values), term.evidence, visibility, previous=before.keypoints, progress=progress
         )
-        edges = before.box if box is None else box.weights(box.residuals(self._hypothesis(values)))[0]
+        edges = before.box if box is None else box.weights(self._edges(values))[0]
         return Weights(weights, visibility, edges, depth)
 
     def graph_weights(self, weights: Weights) -> Array:
@@ -227,11 +234,11 @@ class ObservationPart:
     def energies(self, values: gtsam.Values, weights: Weights) -> dict[str, float]:
         """Energy of each term, nats: of keypoints and box the robust one that the weights stand for."""
         term, box, ground = self.problem.energy.keypoints, self.problem.energy.box, self.problem.energy.ground
-        if self.problem.energy.compiled is not None:
+        if self.compiled is not None:
             robust, edges = self._assess(values, weights.visibility).energies
         else:
             robust = float(term.strategy.evaluate(self._squares(values), term.evidence, weights.visibility)[1])
-            edges = 0.0 if box is None else float(box.energy(box.residuals(self._hypothesis(values)))[0])
+            edges = 0.0 if box is None else float(box.energy(self._edges(values))[0])
         told = {"reprojection": self.share * robust, "cheirality": 0.0}
         if box is not None:
             told["box"] = self.share * edges
@@ -253,7 +260,8 @@ class ObservationPart:
         last = self._last
         if last is not None and last.values is values and (visibility is None or visibility is last.visibility):
             return last
-        shape, compiled = self.vehicle.shape, self.problem.energy.compiled
+        shape, compiled = self.vehicle.shape, self.compiled
+        assert compiled is not None
         seen = np.empty(shape.size) if visibility is None else visibility
         keypoints, right, wrong, box, robust, edges = compiled.assess(
             self.kernel.pose(values), shape.coefficients(values), shape.offsets(values), seen, visibility is None
@@ -267,6 +275,19 @@ class ObservationPart:
         residual = self.kernel.evaluate(values).pixels - term.pixels
         squares: Array = np.square(term.whitener @ residual[..., None]).sum(axis=(1, 2))
         return squares
+
+    def _edges(self, values: gtsam.Values) -> Array:
+        """(1, 4) whitened residuals of the box's edges."""
+        box, kernel = self.problem.energy.box, self._box_kernel
+        assert box is not None
+        assert kernel is not None
+        return ((projected_extents(kernel, values, box.softness)[0] - box.edges) / box.sigma)[None]
+
+    def camera(self, values: gtsam.Values) -> Camera:
+        """The camera at the values."""
+        if self.kernel.focal_key is None:
+            return self.problem.camera
+        return replace(self.problem.camera, matrix=self.kernel.matrix(values))
 
     def _hypothesis(self, values: gtsam.Values) -> Hypotheses:
         matrix = self.pose(values).matrix()

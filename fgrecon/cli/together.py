@@ -1,0 +1,102 @@
+"""The vehicles of each image on one ground, seen by one camera: `fgrecon reconstruct --together`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from fgrecon.cli.batch import Outcome, Settings, Task
+from fgrecon.cli.terminal import Screen
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.scene_reconstruction import SceneReconstruction
+from fgrecon.solve.scene import reconstruct_scene
+
+__all__ = ["Scene", "solve_together", "wants_together"]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """An image whose vehicles were solved together.
+
+    Attributes:
+        image: Its name; None where the input does not say, which makes all its vehicles one image's.
+        result: What was found.
+    """
+
+    image: str | None
+    result: SceneReconstruction
+
+    def lines(self) -> list[str]:
+        """What is worth telling beside the vehicles."""
+        told = [] if self.image is None else [f"{self.image}:"]
+        told += repr(self.result).splitlines()[: -len(self.result.vehicles) or None]
+        return told
+
+    def plain(self) -> dict[str, Any]:
+        """For JSON."""
+        scene = self.result
+        ground, covariance = scene.ground, scene.ground_covariance
+        return {
+            "image": self.image,
+            "message": scene.message,
+            "ground": None
+            if ground is None
+            else {
+                "normal": ground.normal.tolist(),
+                "distance": ground.distance,
+                "covariance": None if covariance is None else covariance.tolist(),
+            },
+            "focal_lengths": [{"pixels": pixels, "excess": excess} for pixels, excess in scene.focal_lengths],
+            "focal_sigma": scene.camera.focal_sigma if scene.focal_lengths else None,
+        }
+
+
+def wants_together(tasks: Sequence[Task]) -> bool:
+    """Whether a camera's focal length is unknown, which vehicles tell together."""
+    return any(task.camera.focal_sigma > 0.0 for task in tasks)
+
+
+def solve_together(tasks: Sequence[Task], settings: Settings, screen: Screen) -> tuple[list[Outcome], list[Scene]]:
+    """Reconstruct the vehicles of each image together.
+
+    Args:
+        tasks: The vehicles.
+        settings: What holds for all of them.
+        screen: Where progress is shown.
+
+    Returns:
+        One outcome per task, with the camera that was found; and the images.
+
+    Raises:
+        InvalidInputError: The vehicles cannot be solved together; names what cannot.
+    """
+    images: dict[str | None, list[int]] = {}
+    for number, task in enumerate(tasks):
+        if task.instance.initial is not None:
+            raise InvalidInputError("together", f"instance {task.instance.name} has an initial pose", "Leave it out.")
+        images.setdefault(task.instance.image, []).append(number)
+    outcomes: dict[int, Outcome] = {}
+    scenes = []
+    for image, numbers in screen.watch(list(images.items()), "Images"):
+        scene = _solve([tasks[n] for n in numbers], settings)
+        scenes.append(Scene(image, scene))
+        solved = dict(zip(scene.numbers, scene.vehicles, strict=True))
+        for i, n in enumerate(numbers):
+            seen_by = replace(scene.camera, image_size=tasks[n].camera.image_size)
+            outcomes[n] = Outcome(replace(tasks[n], camera=seen_by), solved.get(i), scene.refused.get(i))
+    return [outcomes[n] for n in range(len(tasks))], scenes
+
+
+def _solve(tasks: Sequence[Task], settings: Settings) -> SceneReconstruction:
+    options, model = settings.options, tasks[0].box_model
+    if model is not None:  # the boxes of an image are from one source
+        options = replace(options, box=replace(options.box, model=model))
+    return reconstruct_scene(
+        [task.instance.observation for task in tasks],
+        tasks[0].camera,
+        prior=settings.prior,
+        ground=settings.ground,
+        size_prior=settings.size_prior,
+        options=options,
+    )

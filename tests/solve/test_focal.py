@@ -1,0 +1,129 @@
+"""A focal length that nobody knows is found with the vehicles, and how sure it is is honest."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fgrecon
+from fgrecon.core.camera import Camera
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.observation import Observation
+from fgrecon.io.catalogue import load_prior
+from fgrecon.solve.focal import candidates, starts
+from fgrecon.solve.scene import reconstruct_scene
+from tests.cars import CAMERA, observe
+from tests.solve.test_scene import street
+
+KNOWN = Camera.of(CAMERA)
+
+
+def near(seed, count):
+    """Cars that are near enough for their perspective to tell."""
+    rng = np.random.default_rng(seed)
+    prior = load_prior("car14").for_fleet(fgrecon.SIZE_PRIORS["kitti"])
+    poses = []
+    for _ in range(count):
+        yaw = rng.uniform(-np.pi, np.pi)
+        pose = np.eye(4)
+        pose[:3, :3] = [[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]]
+        pose[:3, 3] = [rng.uniform(-2, 2), 1.65, rng.uniform(6.5, 9)]
+        poses.append(pose)
+    return poses, [
+        observe(prior, pose, 0.5 * rng.normal(size=5), noise=1.0, seed=seed + i) for i, pose in enumerate(poses)
+    ]
+
+
+def unknown(seed=0):
+    """The camera with a focal length that is off as the prior says."""
+    return replace(KNOWN.scaled(np.exp(0.5 * np.random.default_rng(seed).normal())), focal_sigma=0.5)
+
+
+def error(scene):
+    return float(np.log(scene.camera.matrix[0, 0] / KNOWN.matrix[0, 0]))
+
+
+def test_near_cars_tell_the_focal_length():
+    errors = []
+    for seed in range(6):
+        scene = reconstruct_scene(near(10 * seed, 3)[1], unknown(seed), size_prior="kitti")
+        assert scene.camera.focal_sigma < 0.3  # 0.5 was told
+        assert abs(error(scene)) < 3.0 * scene.camera.focal_sigma
+        assert scene.focal_lengths[0] == (pytest.approx(scene.camera.matrix[0, 0]), 0.0)
+        errors.append(error(scene))
+    assert np.sqrt(np.mean(np.square(errors))) < 0.25
+
+
+def test_rotations_are_nearly_those_with_the_known_camera():
+    turns = {"unknown": [], "known": []}
+    for seed in range(8):
+        (pose,), seen = near(100 + 10 * seed, 1)
+        for name, camera in (("unknown", unknown(seed)), ("known", KNOWN)):
+            found = reconstruct_scene(seen, camera, size_prior="kitti").vehicles[0].camera_T_object
+            turns[name].append(np.arccos(np.clip((np.trace(found[:3, :3].T @ pose[:3, :3]) - 1) / 2, -1, 1)))
+    assert np.median(turns["unknown"]) < 1.5 * np.median(turns["known"]) + np.radians(0.5)
+
+
+def test_the_95_percent_region_holds():
+    """Far cars in the street: little is told, and that is said."""
+    away = []
+    for seed in range(20):
+        scene = reconstruct_scene(street(50 * seed + 3, count=2)[1], unknown(seed), size_prior="kitti")
+        away.append(abs(error(scene)) / scene.camera.focal_sigma)
+        assert 0.05 < scene.camera.focal_sigma <= 0.5
+    assert np.mean(np.array(away) < 1.96) >= 0.9
+    assert np.mean(np.array(away) < 1.0) <= 0.95
+
+
+def test_a_ground_at_a_known_height_tells_more():
+    seen = street(4, count=4)[1]
+    alone = reconstruct_scene(seen, unknown(1), size_prior="kitti")
+    told = reconstruct_scene(seen, unknown(1), size_prior="kitti", ground=1.65)
+    assert told.camera.focal_sigma < alone.camera.focal_sigma
+    assert "the ground and the focal length" in told.message
+    assert "focal length" in repr(told)
+
+
+def test_the_uncertainty_is_in_the_poses():
+    seen = near(0, 1)[1]
+    known, found = (reconstruct_scene(seen, camera, size_prior="kitti").vehicles[0] for camera in (KNOWN, unknown(0)))
+    assert np.trace(found.pose_covariance[3:, 3:]) > np.trace(known.pose_covariance[3:, 3:])
+
+
+def test_a_known_camera_is_left_alone():
+    scene = reconstruct_scene(near(0, 2)[1], KNOWN)
+    assert scene.focal_lengths == ()
+    assert scene.camera is KNOWN
+    assert candidates(KNOWN) == [KNOWN]
+
+
+def test_where_nothing_can_be_solved_nothing_is_said_of_the_camera():
+    nothing = Observation(np.full((14, 2), np.nan), np.zeros(14))
+    camera = unknown()
+    scene = reconstruct_scene([nothing], camera)
+    assert (scene.vehicles, scene.camera, list(scene.refused)) == ((), camera, [0])
+
+
+def test_a_distorted_lens_needs_its_focal_length():
+    camera = replace(KNOWN, distortion=np.array([0.1, 0.0, 0.0, 0.0]), focal_sigma=0.5)
+    with pytest.raises(InvalidInputError, match="distortion"):
+        reconstruct_scene([], camera)
+
+
+def test_one_vehicle_alone_is_sent_to_the_scene():
+    with pytest.raises(InvalidInputError, match="reconstruct_scene"):
+        fgrecon.reconstruct(near(0, 1)[1][0], unknown())
+
+
+@pytest.mark.parametrize("sigma", [-0.1, 2.5, np.nan])
+def test_a_spread_that_is_none_is_refused(sigma):
+    with pytest.raises(InvalidInputError, match="focal_sigma"):
+        replace(KNOWN, focal_sigma=sigma)
+
+
+def test_starts_are_the_low_minima():
+    assert starts([3.0, 1.0, 2.0, 1.5, 4.0]) == [1, 3]
+    assert starts([3.0, 1.0, 2.0, 9.0, 8.0]) == [1]
+    assert starts([1.0]) == [0]
+    assert starts([np.inf, np.inf]) == []
+    assert starts([2.0, 2.0, 2.0]) == [2]
