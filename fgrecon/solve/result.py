@@ -54,7 +54,8 @@ def results(
     structure: Sequence[GraphFactor] = ()
     if keep and alone and optimum.failure is None:
         structure = Deferred(lambda: graph_factors(graph, weights))
-    found = []
+    found: list[Reconstruction] = []
+    shapes: dict[int, NDArray[np.float64]] = {}
     for i, (part, start) in enumerate(zip(graph.observations, starts, strict=True)):
         if optimum.failure is not None:
             energies = {}
@@ -63,7 +64,7 @@ def results(
         else:
             energies = part.energies(values, weights[i])
         history = history_of(start, adjusted, i, alone=alone) if keep else ()
-        uncertainty = read_covariances(part, weights[i], values, marginals)
+        uncertainty = read_covariances(part, weights[i], values, marginals, shapes)
         found.append(
             _result(part, optimum, i, adjusted.alternatives[i], uncertainty, energies, history, structure, milliseconds)
         )

@@ -8,6 +8,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from factors.mixture import Form
 from fgrecon.core.errors import FactorCallbackError
 from fgrecon.solve.graph.observation import ObservationPart, Weights
 
@@ -42,7 +43,11 @@ def factorise(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.
 
 
 def read_covariances(
-    part: ObservationPart, weights: Weights, values: gtsam.Values, marginals: gtsam.Marginals | None
+    part: ObservationPart,
+    weights: Weights,
+    values: gtsam.Values,
+    marginals: gtsam.Marginals | None,
+    shapes: dict[int, Array] | None = None,
 ) -> Covariances | None:
     """What the marginals say of an observation; None where they are not there, not finite, or cannot be had.
 
@@ -54,16 +59,21 @@ def read_covariances(
         weights: Its weights.
         values: The graph's minimum.
         marginals: Its marginals there.
+        shapes: What was found for the shapes of vehicles so far, by number; they are seen in many images.
     """
     if marginals is None:
         return None
     assert part.pose_key is not None
-    shape = part.vehicle.shape
+    shape, number = part.vehicle.shape, part.vehicle.number
+    shapes = {} if shapes is None else shapes
     try:
-        variables = _joint(marginals, list(shape.keys))
-        pose = marginals.marginalCovariance(part.pose_key)
+        if number not in shapes:
+            shapes[number] = _joint(marginals, list(shape.keys))
+        variables = shapes[number]
         if part.share < 1.0:
             pose = _given_shape(part, weights, values, _joint(marginals, [part.pose_key, *shape.keys]))
+        else:
+            pose = marginals.marginalCovariance(part.pose_key)
     except FactorCallbackError:
         raise
     except (RuntimeError, np.linalg.LinAlgError):  # the only signs of an indeterminate system
@@ -108,13 +118,12 @@ def _given_shape(part: ObservationPart, weights: Weights, values: gtsam.Values, 
     factors of the caller's own, and through them other poses, are in the joint covariance.
     """
     graph = gtsam.NonlinearFactorGraph()
-    for term in part.terms(weights, share=1.0).values():
-        for factor in term:
-            graph.add(factor)
+    for factor in part.solved(weights, Form.WEIGHTED):
+        graph.add(factor)
     ordering = gtsam.Ordering()
     for key in part.kernel.keys:  # the pose first
         ordering.push_back(key)
-    left_out = (1.0 - part.share) * graph.linearize(values).hessian(ordering)[0]
+    left_out = (1.0 - part.share) / part.share * graph.linearize(values).hessian(ordering)[0]
     shape = joint[6:, 6:]
     by_shape = np.linalg.solve(shape, joint[6:, :6]).T
     information = np.linalg.inv(joint[:6, :6] - by_shape @ joint[6:, :6])

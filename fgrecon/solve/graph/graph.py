@@ -8,7 +8,7 @@ variables: X(v, t), L(v), O(v) of `factors.keys`, vehicles and images numbered f
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import gtsam
@@ -162,12 +162,26 @@ class Graph:
         return all(part.is_robust for part in self.observations)
 
     def reweigh(
-        self, values: gtsam.Values, before: Sequence[Weights], progress: float, *, hold: bool = False
+        self,
+        values: gtsam.Values,
+        before: Sequence[Weights],
+        progress: float,
+        *,
+        hold: bool = False,
+        held: Collection[int] = (),
     ) -> list[Weights]:
-        """Weights of every observation at the values; see `ObservationPart.reweigh`."""
+        """Weights of every observation at the values; see `ObservationPart.reweigh`.
+
+        Args:
+            values: Where.
+            before: The weights until now.
+            progress: 0 at the first update, 1 at the last.
+            hold: Keep visibility and the ground's uncertainty of all observations.
+            held: Indices of observations of which they are kept in any case.
+        """
         return [
-            part.reweigh(values, weights, progress, hold=hold)
-            for part, weights in zip(self.observations, before, strict=True)
+            part.reweigh(values, weights, progress, hold=hold or i in held)
+            for i, (part, weights) in enumerate(zip(self.observations, before, strict=True))
         ]
 
     def build(self, weights: Sequence[Weights], form: Form = Form.WEIGHTED) -> gtsam.NonlinearFactorGraph:

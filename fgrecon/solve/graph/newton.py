@@ -8,7 +8,7 @@ takes the iteration to where they would lead: ten iterations where forty of re-w
 A step that does not lower the energy, visibility held, is given up for the plain one, that for shorter ones, and those
 for a few of Levenberg-Marquardt's. Visibility is no force of the solver's and can swing between two views of a car for
 ever: where the steps have not ended after `_FOLLOWED` of them, it is held at the best state and the iteration goes on
-from there.
+from there. Of many images one may swing and keep all from ending: it is held as soon as it is seen to.
 """
 
 from __future__ import annotations
@@ -35,6 +35,8 @@ STEADY = 1e-8
 """A step that moves no variable by more (radians, metres, standard deviations of lambda) is the last."""
 
 _FOLLOWED = 25  # iterations for which visibility follows the pose
+_WATCHED = 6  # iterations from which on the visibility of an image among others may not change more than two before
+_SWING = 1e-4  # a change of visibility by less is none
 _MOST = 30  # iterations after that
 _REMEMBERED = 4  # steps that the acceleration learns from
 _SHORTER = (0.3, 0.1)  # of a plain step that goes up
@@ -85,6 +87,7 @@ class Descent:
         self.first = float("nan")
         self.converged = False
         self._rescued = 0
+        self._swinging = _Swinging(len(start.weights))
 
     def run(self) -> None:
         """Go to a minimum.
@@ -98,7 +101,10 @@ class Descent:
         steps = _Anderson()
         for iteration in range(_FOLLOWED):
             self.converged = self._iterate(steps)
-            self.weights = self.graph.reweigh(self.values, self.weights, 1.0)
+            before = self.weights
+            self.weights = self.graph.reweigh(self.values, before, 1.0, held=self._swinging.held)
+            if self._swinging.watch(before, self.weights):
+                steps.forget()
             self._record()
             if self.converged or self._rescued >= _RESCUED:
                 return
@@ -161,6 +167,28 @@ class Descent:
         moved = self.values.localCoordinates(solution.values).vector()
         self.values = solution.values
         return bool(np.abs(moved).max(initial=0.0) <= STEADY)
+
+
+class _Swinging:
+    """Which of several images' visibilities swing, by how much each changed in the last iterations."""
+
+    def __init__(self, images: int) -> None:
+        self.held: set[int] = set()
+        self._several = images > 1
+        self._changes: list[Array] = []
+
+    def watch(self, before: Sequence[Weights], after: Sequence[Weights]) -> bool:
+        """Take note of an iteration; whether one more image swings."""
+        if not self._several:
+            return False
+        pairs = zip(before, after, strict=True)
+        self._changes.append(np.array([np.abs(b.visibility - a.visibility).max() for a, b in pairs]))
+        if len(self._changes) <= _WATCHED:
+            return False
+        now, earlier = self._changes[-1], self._changes[-3]
+        swinging = set(np.flatnonzero((now > _SWING) & (now >= earlier)).tolist())
+        self.held |= swinging
+        return bool(swinging)
 
 
 class _Anderson:

@@ -47,6 +47,7 @@ class _Assessed:
     Attributes:
         values: The state.
         visibility: (K,) visibility it was assessed with.
+        looked: Whether that is the visibility of its pose.
         densities: (K,) of right points and (K,) of wrong ones.
         keypoints: (K,) weights.
         box: (4,) weights of the box's edges.
@@ -55,10 +56,15 @@ class _Assessed:
 
     values: gtsam.Values
     visibility: Array
+    looked: bool
     densities: tuple[Array, Array]
     keypoints: Array
     box: Array
     energies: tuple[float, float]
+
+    def answers(self, visibility: Array | None) -> bool:
+        """Whether it was assessed with a visibility, or with None with that of its pose."""
+        return self.looked if visibility is None else visibility is self.visibility
 
 
 @dataclass(frozen=True)
@@ -258,7 +264,7 @@ class ObservationPart:
     def _assess(self, values: gtsam.Values, visibility: Array | None) -> _Assessed:
         """Weights and energies by the compiled kernel, with a visibility or with that of the pose."""
         last = self._last
-        if last is not None and last.values is values and (visibility is None or visibility is last.visibility):
+        if last is not None and last.values is values and last.answers(visibility):
             return last
         shape, compiled = self.vehicle.shape, self.compiled
         assert compiled is not None
@@ -266,7 +272,7 @@ class ObservationPart:
         keypoints, right, wrong, box, robust, edges = compiled.assess(
             self.kernel.pose(values), shape.coefficients(values), shape.offsets(values), seen, visibility is None
         )
-        self._last = _Assessed(values, seen, (right, wrong), keypoints, box, (robust, edges))
+        self._last = _Assessed(values, seen, visibility is None, (right, wrong), keypoints, box, (robust, edges))
         return self._last
 
     def _squares(self, values: gtsam.Values) -> Array:

@@ -115,3 +115,42 @@ def test_acceleration_solves_a_linear_iteration_at_once():
         steps.took(step)
         x = x + step
     np.testing.assert_allclose(x, fixed, atol=1e-7)
+
+
+def test_one_image_that_swings_is_held_and_the_others_follow_their_poses(monkeypatch):
+    """Of three images one shows another half of the car at every look; without holding it none ever ends."""
+    found = [problem_of(seed) for seed in (1, 2, 3)]
+    seen = [Seen(problem, image=i) for i, (problem, _) in enumerate(found)]
+    state = start_state(seen, [start for _, start in found])
+    descent = Descent(Graph(seen, state, pose_free=True), state)
+    swinging = descent.graph.observations[1]
+    look, looks = swinging.reweigh, []
+
+    def other_half(values, before, progress, *, hold=False):
+        weights = look(values, before, progress, hold=hold)
+        if hold:
+            return weights
+        looks.append(1)
+        half = np.where(np.arange(14) % 2 == len(looks) % 2, 0.9, 0.1)
+        return look(values, replace(weights, visibility=half), progress, hold=True)
+
+    monkeypatch.setattr(swinging, "reweigh", other_half)
+    descent.run()
+    assert descent.converged
+    assert descent.iterations < newton._FOLLOWED
+    assert descent._swinging.held == {1}
+    for i in (0, 2):
+        (part, weights) = descent.graph.observations[i], descent.weights[i]
+        again = part.reweigh(descent.values, weights, 1.0)
+        np.testing.assert_allclose(again.visibility, weights.visibility, atol=1e-8)
+
+
+def test_a_look_after_an_energy_with_another_visibility_is_a_look():
+    """What the kernel made of a state is kept, but not what it made of it with a visibility that was held."""
+    problem, start = problem_of(1)
+    descent = descent_of(problem, start)
+    part, values = descent.graph.observations[0], descent.values
+    (fresh,) = descent.graph.reweigh(values, descent.weights, 1.0)
+    part.energies(values, replace(fresh, visibility=np.full(len(fresh.visibility), 0.5)))
+    (again,) = descent.graph.reweigh(values, descent.weights, 1.0)
+    np.testing.assert_array_equal(again.visibility, fresh.visibility)
