@@ -186,7 +186,8 @@ class _Swinging:
         if len(self._changes) <= _WATCHED:
             return False
         now, earlier = self._changes[-1], self._changes[-3]
-        swinging = set(np.flatnonzero((now > _SWING) & (now >= earlier)).tolist())
+        worst = np.maximum(_SWING, 0.5 * now.max())  # the others may change because of those
+        swinging = set(np.flatnonzero((now > worst) & (now >= earlier)).tolist())
         self.held |= swinging
         return bool(swinging)
 
