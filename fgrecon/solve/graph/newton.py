@@ -183,12 +183,14 @@ class _Swinging:
             return False
         pairs = zip(before, after, strict=True)
         self._changes.append(np.array([np.abs(b.visibility - a.visibility).max() for a, b in pairs]))
-        if len(self._changes) <= _WATCHED:
+        if len(self._changes) <= (2 if self.held else _WATCHED):
             return False
         now, earlier = self._changes[-1], self._changes[-3]
         worst = np.maximum(_SWING, 0.5 * now.max())  # the others may change because of those
         swinging = set(np.flatnonzero((now > worst) & (now >= earlier)).tolist())
-        self.held |= swinging
+        if swinging:
+            self.held |= swinging
+            self._changes.clear()  # what the others did was its doing too
         return bool(swinging)
 
 
