@@ -10,6 +10,7 @@ road to first order and b its roll (radians), h metres.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import gtsam
@@ -85,7 +86,7 @@ class _Contact:
     def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
         pose, change = values.atPose3(self.pose_key).matrix(), values.atVector(self.ground_key)
         turned = self.frame.normal + change[1:] @ self.frame.across
-        length = float(np.linalg.norm(turned))
+        length = math.sqrt(turned @ turned)
         normal, distance = turned / length, self.frame.distance + float(change[0])
         residual, by_turn = ground_rows(normal, distance, pose[:3, :3], pose[:3, 3])
         if not want_jacobian:

@@ -27,12 +27,15 @@ from fgrecon.solve.graph.graph import Graph, State
 from fgrecon.solve.graph.observation import Weights
 from fgrecon.solve.graph.solver import minimise
 
-__all__ = ["STEADY", "Descent", "Step"]
+__all__ = ["STEADY", "STEADY_TOGETHER", "Descent", "Step"]
 
 Array = NDArray[np.float64]
 
 STEADY = 1e-8
 """A step that moves no variable by more (radians, metres, standard deviations of lambda) is the last."""
+
+STEADY_TOGETHER = 1e-6
+"""The same where several images or vehicles are solved together: a micrometre, at two thirds of the iterations."""
 
 _FOLLOWED = 25  # iterations for which visibility follows the pose
 _WATCHED = 6  # iterations from which on the visibility of an image among others may not change more than two before
@@ -88,6 +91,7 @@ class Descent:
         self.converged = False
         self._rescued = 0
         self._swinging = _Swinging(len(start.weights))
+        self._steady = STEADY if len(start.weights) == 1 else STEADY_TOGETHER
 
     def run(self) -> None:
         """Go to a minimum.
@@ -153,10 +157,10 @@ class Descent:
         shorter = [share * step for share in _SHORTER]
         for proposed in (step, *shorter) if further is None else (further, step, *shorter):
             moved = self.values.retract(newton if proposed is step else _like(newton, self.values, proposed))
-            if built.error(moved) <= energy or length <= STEADY:
+            if built.error(moved) <= energy or length <= self._steady:
                 steps.took(proposed)
                 self.values, self._rescued = moved, 0
-                return length <= STEADY
+                return length <= self._steady
         return self._rescue(built, steps)
 
     def _rescue(self, built: gtsam.NonlinearFactorGraph, steps: _Anderson) -> bool:
@@ -166,7 +170,7 @@ class Descent:
         solution = minimise(built, self.values, relative_tolerance=_TOLERANCE, max_iterations=_RESCUE)
         moved = self.values.localCoordinates(solution.values).vector()
         self.values = solution.values
-        return bool(np.abs(moved).max(initial=0.0) <= STEADY)
+        return bool(np.abs(moved).max(initial=0.0) <= self._steady)
 
 
 class _Swinging:
