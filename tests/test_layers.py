@@ -52,7 +52,7 @@ ROOMS = {
         *("perception", "perception/keypoints"),
     },
     "evaluation": {
-        *("core", "io", "solve", "solve/vehicle", "solve/proposals", "perception", "perception/keypoints"),
+        *("core", "io", "io/export", "solve", "solve/vehicle", "solve/proposals", "perception", "perception/keypoints"),
         "annotation",
     },
     "training/priors": {"core", "io", "io/annotations", "io/keypoints", "solve/vehicle"},

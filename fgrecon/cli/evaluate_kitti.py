@@ -76,7 +76,7 @@ def kitti_command(
         Path | None, typer.Option(metavar="FILE", help="File of frame names.", show_default="all images")
     ] = None,
     weights: WeightsOption = None,
-    together: TogetherOption = False,
+    together: TogetherOption = True,
     picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Contact sheet of every car.")] = None,
     json_out: JsonOption = None,
 ) -> None:

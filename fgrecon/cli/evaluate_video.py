@@ -66,13 +66,19 @@ def video_command(
         ),
     ] = None,
     box_model: Annotated[BoxModel, typer.Option(help="What the 2D boxes enclose.")] = BoxModel.CUBOID,
-    together: TogetherOption = False,
+    together: TogetherOption = True,
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE", help=f"Contact sheet of the {_WORST} worst tracks' worst boxes.")
     ] = None,
     table: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Rows by box and method as .csv or .parquet.")
+    ] = None,
+    results: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER", help="Write the boxes as KITTI's results, DRIVE/FRAME.txt, for `evaluate boxes`."
+        ),
     ] = None,
     json_out: JsonOption = None,
 ) -> None:
@@ -133,6 +139,8 @@ def video_command(
     }
     networks = _networks(files, setups)
     screen.write_json(json.dumps(document(boxes, given, networks), indent=1, allow_nan=False) + "\n")
+    if results is not None:
+        screen.wrote(*_write_results(results, boxes))
     if table is not None:
         screen.wrote(export_rows(table, [row for box in boxes for row in box.rows()]))
     if picture is not None and (sights := _sights(boxes, drives, setups)):
@@ -142,6 +150,20 @@ def video_command(
     if all(box.outcomes[methods_of(boxes)[0]].failure is not None for box in boxes):
         screen.fail("No box could be reconstructed.")
         raise typer.Exit(1)
+
+
+def _write_results(folder: Path, boxes: Sequence[VideoBox]) -> list[Path]:
+    """The folder of each drive, which has a file for each image with a box that counts."""
+    from fgrecon.io.files import write_text
+
+    lines: dict[Path, str] = {}
+    for box in boxes:
+        path = folder / box.drive / f"{box.frame:06d}.txt"
+        lines[path] = lines.get(path, "") + box.line
+    for path, text in lines.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_text(path, text)
+    return sorted({path.parent for path in lines})
 
 
 def read_folds(folds: Sequence[str], drives: Sequence[str], weights: Path | None) -> dict[str, Path | None]:

@@ -117,7 +117,10 @@ DATA = Path("../shared/data")
 
 
 TogetherOption = Annotated[
-    bool, typer.Option("--together", help="Solve the vehicles of an image together, on one ground that is a variable.")
+    bool,
+    typer.Option(
+        "--together/--apart", help="Solve the vehicles of an image on one ground that is a variable, or each alone."
+    ),
 ]
 
 

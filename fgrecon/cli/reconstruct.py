@@ -17,7 +17,6 @@ from fgrecon.cli.options import (
     JsonOption,
     NamesOption,
     SceneOptions,
-    TogetherOption,
     VehicleBoxes,
 )
 from fgrecon.cli.terminal import Terminal
@@ -115,7 +114,14 @@ def reconstruct_command(
     names: NamesOption = None,
     json_out: JsonOption = None,
     history: HistoryOption = False,
-    together: TogetherOption = False,
+    together: Annotated[
+        bool | None,
+        typer.Option(
+            "--together/--apart",
+            help="Solve the vehicles of an image on one ground that is a variable, or each alone.",
+            show_default="together in an image, apart in a keypoint file",
+        ),
+    ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Processes; for thousands of vehicles see `fgrecon batch`.")] = 1,
 ) -> None:
     """Reconstruct the pose and shape of the vehicles in a keypoint file or an image (--box, --boxes or --detect).
@@ -161,6 +167,8 @@ def reconstruct_command(
         shown = tasks[0].instance.image or (None if path is None else path.name)
         screen.print(*batch.ground_of(source, shown))
     scenes: list[Scene] = []
+    if together is None:
+        together = pictured and solving.joint
     if together or wants_together(tasks):
         outcomes, scenes = solve_together(tasks, settings, screen)
     elif jobs == 1:

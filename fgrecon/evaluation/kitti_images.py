@@ -83,7 +83,7 @@ class Setup:
     size_prior: SizePrior | None
     options: Options
     overlap: float = MINIMUM_OVERLAP["Car"]
-    together: bool = False
+    together: bool = True
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,8 @@ from fgrecon.core.processes import single_threaded
 from fgrecon.evaluation.kitti_images import Setup, reconstruct_boxes
 from fgrecon.evaluation.methods import SceneKnowledge, Solver, select
 from fgrecon.evaluation.run import score_pose
+from fgrecon.io.export.kitti import kitti_text
+from fgrecon.io.export.results import NamedResult
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_calibration import KittiCalibration
 from fgrecon.io.kitti_drives import Drive, DriveFrame
@@ -99,6 +101,7 @@ class VideoBox:
         facing: Probability that the network gives to directions within 90 degrees of the labelled one; None where it
             gives no directions.
         outcomes: What each method found, by its name.
+        line: What the whole system found, as a line of KITTI's results; empty where it found nothing.
     """
 
     drive: str
@@ -113,6 +116,7 @@ class VideoBox:
     azimuth: float
     facing: float | None
     outcomes: Mapping[str, BoxOutcome]
+    line: str = ""
 
     @property
     def view(self) -> View:
@@ -292,9 +296,16 @@ def _score_frame(
                 azimuth=azimuth,
                 facing=None if directions is None else facing_probability(directions, azimuth),
                 outcomes=outcomes,
+                line=_line(one, labels.box[index], offset),
             )
         )
     return boxes
+
+
+def _line(found: FromImage, box: Array, offset: Array) -> str:
+    if found.result is None:
+        return ""
+    return kitti_text([NamedResult("", found.result, box, offset)])
 
 
 def _outcome(found: FromImage, truth: GroundTruth, size: Array, offset: Array) -> BoxOutcome:

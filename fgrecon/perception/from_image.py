@@ -87,7 +87,7 @@ def reconstruct_image(
     ground: Ground | float | None = None,
     size_prior: SizePrior | str | None = None,
     options: Options | None = None,
-    together: bool = False,
+    together: bool = True,
     detector: KeypointDetector | None = None,
 ) -> list[FromImage]:
     """Pose and shape of the vehicles in an image.
@@ -103,8 +103,9 @@ def reconstruct_image(
         ground: Ground plane; a number is the height in metres of a level camera; None assumes nothing.
         size_prior: Fleet (`kitti`, `apollo79`), or a size prior; None takes sizes from the shape prior.
         options: Settings.
-        together: Whether the vehicles share one ground that is a variable (`fgrecon.reconstruct_scene`); else each is
-            solved alone. Where the focal length is not known they are solved together in any case.
+        together: Whether the vehicles share one ground that is a variable (`fgrecon.reconstruct_scene`); else, and
+            where the pose is not to move with the shape (`joint=False`), each is solved alone. Where the focal length
+            is not known they are solved together in any case.
         detector: Old name of `keypoint_detector`, for one more release.
 
     Returns:
@@ -124,7 +125,8 @@ def reconstruct_image(
     corners = find_boxes(pixels, vehicle_detector) if boxes is None else _boxes(boxes)
     networks = shipped_cascade() if keypoint_detector is None else keypoint_detector
     detections = find_keypoints(networks, pixels, corners, shape_prior.category)
-    if together or sized.focal_sigma:
+    joint = options is None or options.shape.joint
+    if (together and joint) or sized.focal_sigma:
         scene = reconstruct_scene(
             [detection.evidence for detection in detections],
             sized,

@@ -161,7 +161,7 @@ def test_images_give_a_row_for_each_car(street, tmp_path):
     empty = write_png(tmp_path / "empty.png", np.full((120, 200, 3), 90, np.uint8))
     tasks = [{"row_id": "street", "image": str(image)}, {"row_id": "empty", "image": str(empty)}]
     rows = Reconstructor(camera=K, threads=1)(table_of(tasks)).to_pylist()
-    found = fgrecon.reconstruct_image(image, K)
+    found = fgrecon.reconstruct_image(image, K, together=False)
     seen = [row for row in rows if row["row_id"] == "street"]
     assert len(seen) == len(found) > 0
     for number, (row, vehicle) in enumerate(zip(seen, found, strict=True)):

@@ -43,10 +43,13 @@ def test_tables_files_and_which_network_scored_what(drives, weights, tmp_path):
     done = run(
         *(*drives, "--weights", weights, "--fold", f"two={copy}", "--rival", "epnp", "--verbose"),
         *("--json", out, "--table", table, "--picture", sheet, "--box-model", "off", "--camera-height", 1.5),
+        *("--results", tmp_path / "boxes"),
     )
     assert done.exit_code == 0, done.output
     assert "2 drives, 2 images, 4 boxes; level camera 1.5 m" in done.stdout
     assert "cars_moderate" in done.stdout
+    (file,) = (tmp_path / "boxes" / "one").iterdir()
+    assert (file.name, len(file.read_text().splitlines())) == ("000007.txt", 2)
     assert "expected calibration error" in done.stdout
     assert "one/000007/1 epnp: " in done.stdout
     made = json.loads(out.read_text())

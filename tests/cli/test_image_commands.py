@@ -57,7 +57,7 @@ def test_a_keypoint_file_gives_what_the_image_gives(tmp_path):
     assert run("keypoints", "detect", image, "--boxes", boxes, "--json", tmp_path / "k.json").exit_code == 0
     found = []
     for given in ([tmp_path / "k.json", "--box-model", "cuboid"], [image, "--boxes", boxes]):
-        done = run("reconstruct", *given, "--calib", calib, "--json", tmp_path / "out.json")
+        done = run("reconstruct", *given, "--together", "--calib", calib, "--json", tmp_path / "out.json")
         assert done.exit_code == 0, done.output
         found.append(json.loads((tmp_path / "out.json").read_text())["instances"])
     assert len(found[0]) == 3

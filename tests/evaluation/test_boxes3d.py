@@ -1,0 +1,154 @@
+"""3D boxes of several sources against labels: matched, measured, and averaged as worked out by hand."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from fgrecon.cli.main import app
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.evaluation.boxes3d import document, precisions, read_boxes, score, summarise
+from fgrecon.evaluation.video_images import wanted
+from fgrecon.io.kitti_drives import read_drive, read_images
+from fgrecon.io.kitti_files import format_results, write_results
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+@pytest.fixture
+def drive(data):
+    """A drive of labelled frames; `moved` writes results that are its labels, changed."""
+    return read_drive(data / "kitti_video" / "kitti_tracking_0001")
+
+
+def frames_of(drive, count=3):
+    return [frame for frame in drive.frames if len(wanted(frame)) > 2][:count]
+
+
+def write_moved(folder, frames, change):
+    """Results that are the labels, changed by a function of the objects; `DontCare` is no result."""
+    results = {}
+    for frame in frames:
+        labels = frame.objects.take(np.array([kind in ("Car", "Van") for kind in frame.objects.kind]))
+        results[f"{frame.number:06d}"] = change(replace(labels, score=np.full(len(labels), 0.9)))
+    write_results(folder, results)
+    return folder
+
+
+def shifted(objects, metres=0.0, turn=0.0, longer=0.0):
+    location, size = objects.location.copy(), objects.size.copy()
+    location[:, 2] += metres
+    size[:, 0] += longer
+    kinds = tuple("Car" for _ in objects.kind)
+    return replace(objects, kind=kinds, location=location, rotation_y=objects.rotation_y + turn, size=size)
+
+
+@pytest.mark.data
+def test_labels_as_results_are_perfect(drive, tmp_path):
+    frames = frames_of(drive)
+    numbers = [frame.number for frame in frames]
+    boxes = read_boxes(write_moved(tmp_path, frames, shifted), numbers)
+    vehicles = score(drive, boxes, numbers)
+    assert len(vehicles) == sum(len(wanted(frame)) for frame in frames)
+    assert all(
+        one.found and one.overlap == pytest.approx(1.0, abs=0.02) for one in vehicles
+    )  # two decimals are written
+    whole = summarise(vehicles)["cars"]
+    assert [share.value for share in (*whole.right, *whole.within)] == [100.0] * 5
+    assert (whole.turned, whole.mean_metres.value) == (0.0, pytest.approx(0.0, abs=1e-3))
+    hard = precisions(drive, boxes, numbers)[2]
+    assert (hard.orientation, hard.volume[1]) == pytest.approx((hard.image, hard.image))
+    assert hard.labels > 0
+
+
+@pytest.mark.data
+def test_errors_are_those_that_were_made(drive, tmp_path):
+    frames = frames_of(drive)
+    numbers = [frame.number for frame in frames]
+    folder = write_moved(tmp_path, frames, lambda labels: shifted(labels, metres=1.0, turn=np.pi, longer=0.2))
+    vehicles = score(drive, read_boxes(folder, numbers), numbers)
+    groups = summarise(vehicles)
+    cars = groups["cars"]
+    assert cars.mean_metres.value == pytest.approx(1.0, abs=1e-3)
+    assert (cars.turned, cars.within[2].value) == (100.0, 0.0)
+    np.testing.assert_allclose(cars.size, [0.2, 0.0, 0.0], atol=1e-3)
+    assert cars.depth > 0.0
+    assert all(0.0 < one.overlap <= one.footprint < 0.9 for one in vehicles)
+    assert sum(groups[name].vehicles for name in groups if name.startswith("cars ")) == cars.vehicles
+
+
+@pytest.mark.data
+def test_what_is_not_found_counts(drive, tmp_path):
+    frames = frames_of(drive)
+    numbers = [frame.number for frame in frames]
+    boxes = read_boxes(write_moved(tmp_path, frames, lambda labels: shifted(labels.take(np.array([0])))), numbers)
+    cars = summarise(score(drive, boxes, numbers))["cars"]
+    assert 0 < cars.found < cars.vehicles
+    assert cars.right[0].value == pytest.approx(100.0 * cars.found / cars.vehicles)
+    nothing = score(drive, boxes, numbers, min_score=0.95)
+    assert not any(one.found for one in nothing)
+    told = document({"none": nothing}, {"none": precisions(drive, boxes, numbers)})
+    assert json.loads(json.dumps(told, allow_nan=False))["sources"][0]["groups"]["cars"]["mean_metres"] is None
+
+
+@pytest.mark.data
+def test_a_file_of_tracking_lines_is_a_source(drive, tmp_path):
+    frames = frames_of(drive)
+    numbers = [frame.number for frame in frames]
+    folder = write_moved(tmp_path / "boxes", frames, shifted)
+    lines = []
+    for frame in frames:
+        text = (folder / f"{frame.number:06d}.txt").read_text()
+        lines += [f"{frame.number} {i} {line}" for i, line in enumerate(text.splitlines())]
+    (tmp_path / "track.txt").write_text("\n".join(lines) + "\n")
+    assert score(drive, read_boxes(tmp_path / "track.txt", numbers), numbers) == score(
+        drive, read_boxes(folder, numbers), numbers
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "match"), [("0 1 Car x", "malformed"), ("0 Car", "track"), ("a b Car 1", "track")], ids=str
+)
+def test_malformed_lines_are_named(tmp_path, text, match):
+    (tmp_path / "track.txt").write_text(text)
+    with pytest.raises(InvalidInputError, match=match):
+        read_boxes(tmp_path / "track.txt", [0])
+    with pytest.raises(InvalidInputError, match="results"):
+        read_boxes(tmp_path, [0])
+
+
+@pytest.mark.data
+def test_the_command_sets_sources_side_by_side(data, drive, tmp_path):
+    frames = frames_of(drive, 5)
+    good = write_moved(tmp_path / "good", frames, shifted)
+    poor = write_moved(tmp_path / "poor", frames[1:], lambda labels: shifted(labels, metres=3.0))
+    done = run("evaluate", "boxes", data / "kitti_video" / "kitti_tracking_0001", f"best={good}", poor, "--json", "-")
+    assert done.exit_code == 0, done.output
+    sources = json.loads(done.stdout)["sources"]
+    assert [one["name"] for one in sources] == ["best", "poor"]
+    right = [one["groups"]["cars"]["right"][0]["value"] for one in sources]
+    assert right[0] == 100.0 > right[1]
+    assert len({len(one["vehicles"]) for one in sources}) == 1  # the frames that both speak of
+    again = run("evaluate", "boxes", data / "kitti_video" / "kitti_tracking_0001", good, good)
+    assert "another name" in str(again.exception)
+
+
+@pytest.mark.data
+def test_a_published_detectors_boxes(data):
+    """DD3D on a drive, of which `data` says: median position error 2.7 %, yaw 1.7 degrees, 3.4 % turned round."""
+    drive = read_images(data / "kitti_video" / "kitti_tracking_0001")
+    numbers = [frame.number for frame in drive.frames if frame.labelled]
+    boxes = read_boxes(data / "mono_detections" / "dd3d" / "kitti_tracking_0001", numbers)
+    cars = [one for one in score(drive, boxes, sorted(boxes), min_score=0.5) if one.kind == "Car" and one.found]
+    assert np.median([one.metres / one.distance for one in cars]) < 0.04
+    assert np.median([one.degrees for one in cars]) < 3.0
+
+
+def test_results_are_written_as_they_are_read(tmp_path):
+    text = "Car -1.00 -1 0.0000 1.00 2.00 30.00 40.00 1.5000 1.6000 3.9000 1.0000 1.6000 20.0000 0.5000 0.7000\n"
+    (tmp_path / "000000.txt").write_text(text)
+    assert format_results(read_boxes(tmp_path, [0])[0]).split()[4:] == text.split()[4:]
