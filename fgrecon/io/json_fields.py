@@ -1,9 +1,10 @@
-"""Reading JSON input field by field, with errors that name the file and the field."""
+"""Reading JSON and TOML files, and JSON field by field, with errors that name the file and the field."""
 
 from __future__ import annotations
 
 import json
 import math
+import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["Fields", "numbers", "read_json"]
+__all__ = ["Fields", "numbers", "read_json", "read_toml"]
 
 _ARTICLES = {int: "an integer", str: "a text", list: "a list", dict: "an object"}
 
@@ -30,6 +31,20 @@ def read_json(path: Path) -> Any:
         raise InvalidInputError("file", str(path), f"Give a file that can be read ({error.strerror}).") from error
     except (ValueError, RecursionError) as error:
         raise InvalidInputError(str(path), str(error), "Give a JSON file in UTF-8.") from error
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The content of a TOML file.
+
+    Raises:
+        InvalidInputError: The file cannot be read or is not TOML; names it.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InvalidInputError("file", str(path), f"Give a file that can be read ({error.strerror}).") from error
+    except ValueError as error:  # TOML's errors and those of UTF-8
+        raise InvalidInputError(str(path), str(error), "Give a TOML file in UTF-8.") from error
 
 
 class Fields:

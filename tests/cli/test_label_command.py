@@ -2,11 +2,13 @@
 
 import json
 import shutil
+from contextlib import contextmanager
 from dataclasses import replace
 
 import pytest
 from typer.testing import CliRunner
 
+from fgrecon.cli import progress, terminal
 from fgrecon.cli.main import app
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.export import read_coco_keypoints
@@ -39,6 +41,23 @@ def drive(scene, tmp_path):
 
 def run(*arguments):
     return CliRunner().invoke(app, ["keypoints", "label", *(str(argument) for argument in arguments)])
+
+
+def test_all_drives_share_one_set_of_bars(known, scene, drive, tmp_path, monkeypatch):
+    opened = []
+
+    @contextmanager
+    def kept(*_, **__):
+        opened.append(set())
+        yield lambda step, done, total, note="": opened[-1].add(step)
+
+    monkeypatch.setattr(terminal, "progress_bar", kept)
+    monkeypatch.setattr(progress, "progress_bar", kept)
+    other = write_drive(tmp_path / "other", scene.prior, FRAMES)
+    done = run(drive, other, "--out", tmp_path / "labels.json")
+    assert done.exit_code == 0, done.output
+    (steps,) = opened
+    assert {step.partition(":")[0] for step in steps} == {"drive", "other"}
 
 
 def test_labels_summary_and_picture(known, drive, tmp_path):

@@ -1,5 +1,6 @@
 """The detector's inputs and outputs, with a network that has learnt nothing."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -83,6 +84,22 @@ def test_boxes_have_four_numbers(detector, image):
 def test_no_network_is_a_clear_error(tmp_path):
     with pytest.raises(InvalidInputError, match="weights"):
         KeypointCascade(tmp_path / "absent.safetensors")
+
+
+def test_the_same_network_gives_the_same_bytes(tmp_path):
+    torch.manual_seed(0)
+    about = {name: name for name in "edcba"} | {"ä": "°"}
+    stored = Stored(KNet(SMALL).state_dict(), SMALL.to_dict(), ConfidenceCalibration(), about)
+    first, again = (save_weights(tmp_path / f"{i}.safetensors", stored).read_bytes() for i in range(2))
+    length = int.from_bytes(first[:8], "little")
+    named = list(json.loads(first[8 : 8 + length])["__metadata__"])
+    assert named == sorted(named)
+    assert length % 8 == 0
+    assert first == again
+    back = load_weights(tmp_path / "0.safetensors")
+    assert back.provenance == about
+    for name, value in back.state.items():
+        torch.testing.assert_close(value, stored.state[name].half().float())
 
 
 def test_the_category_is_stored_with_the_weights(tmp_path):

@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from fgrecon.cli.common import check_output, check_outputs, parse_numbers
-from fgrecon.cli.options import DATA, DataOption, JsonOption, WeightsOption
+from fgrecon.cli.options import DATA, DataOption, JsonOption, WeightsOption, fitting_names
 from fgrecon.cli.terminal import Terminal
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping, Sequence
 
-    from fgrecon.training.keypoints.networks import Beginning, Plan
     from fgrecon.training.keypoints.posed_cars import PosedCar
+    from fgrecon.training.keypoints.settings import TrainingSettings
 
 __all__ = ["evaluate_command", "silhouettes_command", "train_command"]
+
+
+def _settings() -> list[str]:
+    from fgrecon.training.keypoints.settings import shipped_settings
+
+    return list(shipped_settings())
 
 
 def evaluate_command(
@@ -91,8 +97,11 @@ def silhouettes_command(
 
 
 @dataclass(frozen=True)
-class BeginningOptions:
-    """What a training begins with; see `fgrecon.training.keypoints.networks.Beginning`."""
+class TrainingOptions:
+    """What a training begins with, how much is trained, and where: `Beginning` and `Plan` of the training.
+
+    What is not given is None, so that a settings file has its say.
+    """
 
     imagenet: Annotated[
         Path | None,
@@ -105,8 +114,9 @@ class BeginningOptions:
         typer.Option(metavar="FILE", help="A trained network to go on from; it corrects the first labels as well."),
     ] = None
     start_share: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Share of that network in the resulting weights.")
-    ] = 0.5
+        float | None,
+        typer.Option(min=0.0, max=1.0, help="Share of that network in the resulting weights.", show_default="0.5"),
+    ] = None
     silhouettes: Annotated[
         Path | None,
         typer.Option(metavar="FOLDER", help="What `fgrecon keypoints silhouettes` wrote: better first labels."),
@@ -119,48 +129,51 @@ class BeginningOptions:
         Path | None,
         typer.Option(metavar="FILE", help="Street cars beside the photographs: what `fgrecon keypoints label` wrote."),
     ] = None
-    street_share: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of the samples that show those.")] = 0.5
+    street_share: Annotated[
+        float | None,
+        typer.Option(min=0.0, max=1.0, help="Share of the samples that show those.", show_default="0.5"),
+    ] = None
     without: Annotated[
-        str, typer.Option(metavar="DRIVE,...", help="Drives whose cars are not learnt from: what is scored on them.")
-    ] = ""
-
-    def beginning(self) -> Beginning:
-        """The same for the training."""
-        from fgrecon.training.keypoints.networks import Beginning
-
-        return Beginning(**{**vars(self), "without": tuple(name for name in self.without.split(",") if name)})
-
-
-@dataclass(frozen=True)
-class PlanOptions:
-    """How much is trained, and where; see `fgrecon.training.keypoints.networks.Plan`."""
-
-    steps: Annotated[int, typer.Option(help="Gradient steps of KNet.")] = 5150
-    batch: Annotated[int, typer.Option(help="Samples per step.")] = 32
-    relabel_at: Annotated[str, typer.Option(metavar="N,N,...", help="Steps at which to correct the labels.")] = (
-        "650,2050,3450"
+        str | None,
+        typer.Option(metavar="DRIVE,...", help="Drives whose cars are not learnt from: what is scored on them."),
+    ] = None
+    steps: Annotated[int | None, typer.Option(help="Gradient steps of KNet.", show_default="5150")] = None
+    batch: Annotated[int | None, typer.Option(help="Samples per step.", show_default="32")] = None
+    relabel_at: Annotated[
+        str | None,
+        typer.Option(metavar="N,N,...", help="Steps at which to correct the labels.", show_default="650,2050,3450"),
+    ] = None
+    refine_steps: Annotated[
+        int | None,
+        typer.Option(help="Gradient steps of the refinement networks; 0 for none more.", show_default="7000"),
+    ] = None
+    rate: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="KNet's learning rate; lower to go on from a network.", show_default="0.001"),
+    ] = None
+    decay: Annotated[
+        float | None,
+        typer.Option(min=0.0, max=1.0, help="Share of the steps over which it falls to zero.", show_default="0.25"),
+    ] = None
+    seed: Annotated[int | None, typer.Option(help="Seed of everything random.", show_default="0")] = None
+    device: Annotated[str | None, typer.Option(help="cpu or cuda; mixed precision on a GPU.", show_default="cpu")] = (
+        None
     )
-    refine_steps: Annotated[int, typer.Option(help="Gradient steps of the refinement networks; 0 for none more.")] = (
-        7000
-    )
-    rate: Annotated[float, typer.Option(min=0.0, help="KNet's learning rate; lower to go on from a network.")] = 1e-3
-    decay: Annotated[float, typer.Option(min=0.0, max=1.0, help="Share of the steps over which it falls to zero.")] = (
-        0.25
-    )
-    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0
-    device: Annotated[str, typer.Option(help="cpu or cuda; mixed precision on a GPU.")] = "cpu"
-    workers: Annotated[int, typer.Option(help="Processes that make samples.")] = 1
+    workers: Annotated[int | None, typer.Option(help="Processes that make samples.", show_default="1")] = None
 
-    def plan(self) -> Plan:
-        """The same for the training.
+    def given(self) -> dict[str, Any]:
+        """What is given, by name.
 
         Raises:
             InvalidInputError: The steps at which to correct the labels are no numbers.
         """
-        from fgrecon.training.keypoints.networks import Plan
-
-        stops = parse_numbers("relabel_at", self.relabel_at, "steps", tuple(range(1, 20)))
-        return Plan(**{**vars(self), "relabel_at": tuple(int(number) for number in stops)})
+        values = {name: value for name, value in vars(self).items() if value is not None}
+        if self.without is not None:
+            values["without"] = tuple(name.strip() for name in self.without.split(",") if name.strip())
+        if self.relabel_at is not None:
+            stops = parse_numbers("relabel_at", self.relabel_at, "steps", tuple(range(1, 20)))
+            values["relabel_at"] = tuple(int(number) for number in stops)
+        return values
 
 
 def train_command(
@@ -169,22 +182,73 @@ def train_command(
         typer.Option(metavar="FOLDER", help="For everything in between; training goes on from what is there."),
     ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="The trained network (safetensors).")],
-    beginning: BeginningOptions,
-    plan: PlanOptions,
+    options: TrainingOptions,
     terminal: Terminal,
     data: DataOption = DATA,
+    settings: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Trainings in a chain (TOML); keypoints-car14 is how the shipped networks were made.",
+            autocompletion=fitting_names(_settings),
+        ),
+    ] = None,
+    trained: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PHASE=FILE", help="A network in the place of a phase and of those before; repeat for more."
+        ),
+    ] = None,
 ) -> None:
     """Train the networks: labels from boxes, KNet, labels corrected by a factor graph, KNet on, refinement networks.
 
     The data folder has posed_cars, apollo79 and hand_labels. An interrupted run goes on from its last checkpoint when
     it is started again with the same folder. Losses are printed where no progress is shown, and with --verbose.
+
+    With --settings a file says what is trained, in phases that each go on from the one before; options given here take
+    the place of what it says, in every phase.
     """
     from fgrecon.cli.training.keypoints_report import TrainingDisplay
-    from fgrecon.training.keypoints.networks import train_networks
 
     check_output(out)
-    screen = terminal.screen()
+    screen, given = terminal.screen(), options.given()
+    chosen = _chosen(settings, trained or (), given)
     with screen.bar(per_minute=True) as advance:
         display = TrainingDisplay(screen, advance)
-        train_networks(data, work, out, beginning.beginning(), plan.plan(), display)
-    screen.wrote(out)
+        if chosen is None:
+            from fgrecon.training.keypoints.networks import Beginning, Plan, train_networks
+
+            beginning = Beginning(**_of(Beginning, given))
+            plan = Plan(**_of(Plan, given))
+            train_networks(data, work, out, beginning, plan, display)
+            written: tuple[Path, ...] = (out,)
+        else:
+            from fgrecon.cli.training.label_report import label_street
+            from fgrecon.training.keypoints.phases import train_phases
+
+            written = train_phases(chosen, data, work, out, label_street, display)
+    screen.wrote(*written)
+
+
+def _of(kind: type[Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """What is given of the fields of a dataclass."""
+    return {entry.name: given[entry.name] for entry in fields(kind) if entry.name in given}
+
+
+def _chosen(source: str | None, trained: Sequence[str], given: Mapping[str, Any]) -> TrainingSettings | None:
+    """The settings file with the options in it; None without one."""
+    from fgrecon.core.errors import InvalidInputError
+
+    if source is None:
+        if trained:
+            raise InvalidInputError("trained", trained[0], "Give --settings with it: a phase is one of its trainings.")
+        return None
+    from fgrecon.training.keypoints.settings import read_settings
+
+    networks = {}
+    for text in trained:
+        name, _, file = text.partition("=")
+        if not name or not file:
+            raise InvalidInputError("trained", text, "Give PHASE=FILE.")
+        networks[name] = Path(file)
+    return read_settings(source).with_options(given).with_trained(networks)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,6 +11,7 @@ import typer
 
 from fgrecon.cli.common import check_outputs, ground_plane
 from fgrecon.cli.options import FLEETS, GroundOption, JsonOption, PriorOption, WeightsOption
+from fgrecon.cli.progress import counted
 from fgrecon.cli.terminal import Terminal
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
@@ -103,7 +105,6 @@ def label_command(
 
     Exit code 0: labels were written; 1: no vehicle could be labelled; 2: bad usage or input.
     """
-    from fgrecon.annotation.annotate import annotate
     from fgrecon.cli.training import label_report as report
     from fgrecon.io.catalogue import load_prior
     from fgrecon.io.export.coco_keypoints import write_coco_keypoints
@@ -117,12 +118,9 @@ def label_command(
     wanted, known, shape_prior = which.wanted(), unboxed.known(), load_prior(prior)
     drives = [read_images(folder.absolute()) for folder in folders]
     detector = KeypointCascade(weights)
-    done = []
-    for drive in drives:
-        with report.timed() as clock:
-            watch = report.Watch(screen, drive.name)
-            made, left = annotate(drive, detector, shape_prior, wanted, progress=watch, unboxed=known)
-        done.append(report.Labelled(drive, made, left, clock.seconds))
+    with screen.bar() as advance:
+        watch = partial(counted, advance=advance)
+        done = report.label_drives(drives, detector, shape_prior, watch, wanted, known)
     labels = report.labels_of(done, shape_prior, detector.provenance)
     report.show(screen, done, labels)
     screen.write_json(report.document(done, labels))

@@ -16,16 +16,22 @@ import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from fgrecon.annotation.annotate import annotate
 from fgrecon.annotation.annotation import Annotation
 from fgrecon.annotation.labels import vehicle_labels
-from fgrecon.annotation.wanted import LeftOut, Reason
+from fgrecon.annotation.unboxed import Unboxed
+from fgrecon.annotation.wanted import LeftOut, Reason, Wanted
 from fgrecon.cli.terminal import Screen
+from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior
-from fgrecon.io.export.coco_keypoints import VehicleLabel, VehicleLabels
+from fgrecon.io.catalogue import load_prior
+from fgrecon.io.export.coco_keypoints import VehicleLabel, VehicleLabels, write_coco_keypoints
 from fgrecon.io.images import read_image
-from fgrecon.io.kitti_drives import Drive
+from fgrecon.io.kitti_drives import Drive, read_images
+from fgrecon.perception.keypoints.detect import KeypointCascade
+from fgrecon.training.keypoints.progress import Progress
 
-__all__ = ["Labelled", "Watch", "document", "draw", "labels_of", "show", "timed"]
+__all__ = ["Labelled", "document", "draw", "label_drives", "label_street", "labels_of", "show"]
 
 _DRAWN = 24  # vehicles of a picture, at most
 
@@ -45,18 +51,6 @@ def timed() -> Iterator[Clock]:
     clock.seconds = perf_counter() - started
 
 
-@dataclass(frozen=True)
-class Watch:
-    """Shows how far the work on a drive has come."""
-
-    screen: Screen
-    drive: str
-
-    def __call__(self, things: Sequence[Any], heading: str) -> Iterable[Any]:
-        """Go through some things."""
-        return self.screen.watch(things, f"{self.drive}: {heading}")
-
-
 @dataclass(frozen=True, eq=False)
 class Labelled:
     """A drive, its annotations, what was left out, and how long it took in seconds."""
@@ -65,6 +59,49 @@ class Labelled:
     made: Sequence[Annotation]
     left: Sequence[LeftOut]
     seconds: float
+
+
+def label_drives(
+    drives: Sequence[Drive],
+    detector: KeypointCascade,
+    prior: ShapePrior,
+    watch: Progress,
+    wanted: Wanted | None = None,
+    unboxed: Unboxed | None = None,
+) -> list[Labelled]:
+    """Label the vehicles of some drives; see `fgrecon.annotation.annotate`."""
+    done = []
+    for drive in drives:
+
+        def watched(things: Sequence[Any], heading: str, name: str = drive.name) -> Iterable[Any]:
+            return watch(things, f"{name}: {heading}")
+
+        with timed() as clock:
+            made, left = annotate(drive, detector, prior, wanted, progress=watched, unboxed=unboxed)
+        done.append(Labelled(drive, made, left, clock.seconds))
+    return done
+
+
+def label_street(drives: Sequence[Path], network: Path, out: Path, watch: Progress) -> None:
+    """Label the street cars that a training learns from.
+
+    Args:
+        drives: Their folders.
+        network: File of the network that finds their keypoints.
+        out: The file to write (COCO).
+        watch: Shows how far it is.
+
+    Raises:
+        InvalidInputError: A folder is no drive, or no vehicle could be labelled.
+    """
+    prior = load_prior("car14")
+    detector = KeypointCascade(network)
+    done = label_drives([read_images(folder.absolute()) for folder in drives], detector, prior, watch)
+    labels = labels_of(done, prior, detector.provenance)
+    if not labels.vehicles:
+        fix = "Give drives with boxes of cars on which network and boxes agree."
+        raise InvalidInputError("drives", ", ".join(map(str, drives)), fix)
+    write_coco_keypoints(out, labels)
 
 
 def labels_of(done: Sequence[Labelled], prior: ShapePrior, network: Mapping[str, str]) -> VehicleLabels:

@@ -9,7 +9,6 @@ the points.
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -19,7 +18,7 @@ from typing import Any
 
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.json_fields import read_json
+from fgrecon.io.json_fields import read_json, read_toml
 
 __all__ = ["Names", "NamesLike", "naming_of", "order_of", "parse_names", "scheme_keypoints", "shipped_schemes"]
 
@@ -197,16 +196,11 @@ def _pairs(text: str, field: str) -> dict[str, str]:
 
 
 def _read(path: Path, field: str) -> Any:
-    if path.suffix.lower() != ".toml":
-        if not _is_file(path):
-            raise InvalidInputError(field, str(path), _fix())
-        return read_json(path)
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InvalidInputError(field, str(path), f"Give a file that can be read ({error.strerror}).") from error
-    except ValueError as error:  # TOML's errors and those of UTF-8
-        raise InvalidInputError(str(path), str(error), "Give a TOML file.") from error
+    if path.suffix.lower() == ".toml":
+        return read_toml(path)
+    if not _is_file(path):
+        raise InvalidInputError(field, str(path), _fix())
+    return read_json(path)
 
 
 def _is_file(path: Path) -> bool:

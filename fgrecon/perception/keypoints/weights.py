@@ -87,7 +87,10 @@ def shipped(name: str | None = None) -> Path:
 
 
 def save_weights(path: Path, stored: Stored) -> Path:
-    """Write a network; numbers become half precision (the loss in accuracy is far below a pixel)."""
+    """Write a network; numbers become half precision (the loss in accuracy is far below a pixel).
+
+    The same network gives the same bytes.
+    """
     import torch
     from safetensors.torch import save
 
@@ -107,7 +110,17 @@ def save_weights(path: Path, stored: Stored) -> Path:
         "refinement": json.dumps(stored.refine_settings and dict(stored.refine_settings)),
         "trust": json.dumps(stored.trust),
     }
-    return write_bytes(path, save(tensors, about))
+    return write_bytes(path, _in_order(save(tensors, about)))
+
+
+def _in_order(content: bytes) -> bytes:
+    """The same safetensors file with its metadata in the order of their names: the library has them in any order."""
+    length = 8 + int.from_bytes(content[:8], "little")
+    header = json.loads(content[8:length])
+    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+    text = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
+    text += b" " * (-len(text) % 8)  # the tensors begin at a multiple of eight bytes
+    return len(text).to_bytes(8, "little") + text + content[length:]
 
 
 def load_weights(path: Path) -> Stored:

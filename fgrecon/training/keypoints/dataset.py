@@ -6,6 +6,7 @@ be made (`distant.py`).
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.io.files import write_bytes
 from fgrecon.io.images import read_image
 from fgrecon.training.keypoints.augment import LabelledView
 from fgrecon.training.keypoints.distant import random_distant_view
@@ -164,7 +166,9 @@ def prepare_photographs(
     masks.flush()
     np.save(folder / _FILES[2], sizes)
     np.savez(folder / _DISTANT, before=before, after=after, ratio=ratio, visible=visible)
-    np.save(folder / _FILES[3], scales)
+    content = io.BytesIO()
+    np.save(content, scales)
+    write_bytes(folder / _FILES[3], content.getvalue())  # last, and whole: says that all of it is there
 
 
 def read_silhouette(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:

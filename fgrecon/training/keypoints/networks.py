@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.settings import check_settings, count, number
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.keypoints.weights import Stored, load_weights, mean_state, save_weights
+from fgrecon.training.keypoints.began import begin_alike, file_hash, source_hash
 from fgrecon.training.keypoints.calibrate import calibrate
-from fgrecon.training.keypoints.dataset import Photographs
 from fgrecon.training.keypoints.labelling import Labelling, Source, read_source
 from fgrecon.training.keypoints.rounds import train_in_rounds
-from fgrecon.training.keypoints.street_cars import StreetCars, StreetShare, learning, prepare_street_cars
+from fgrecon.training.keypoints.street_cars import StreetCars, StreetShare, check_drives, learning, prepare_street_cars
 from fgrecon.training.keypoints.train import Training
 from fgrecon.training.keypoints.train_refine import RefineTraining, train_refinement
 from fgrecon.training.keypoints.trainer import TrainingProgress
+from fgrecon.training.keypoints.views import TrainingSet
 
-__all__ = ["Beginning", "Display", "Plan", "train_networks"]
+__all__ = ["Beginning", "Display", "Plan", "photographs_hash", "train_networks"]
 
 
 @dataclass(frozen=True)
@@ -63,15 +66,27 @@ class Plan:
         workers: Processes that make samples.
     """
 
-    steps: int
-    batch: int
-    relabel_at: tuple[int, ...]
-    refine_steps: int
-    rate: float = 1e-3
-    decay: float = 0.25
-    seed: int = 0
+    steps: int = count(5150, least=1)
+    batch: int = count(32, least=1)
+    relabel_at: tuple[int, ...] = (650, 2050, 3450)
+    refine_steps: int = count(7000, least=0)
+    rate: float = number(1e-3, least=0.0)
+    decay: float = number(0.25, least=0.0, most=1.0)
+    seed: int = count(0, least=0)
     device: str = "cpu"
-    workers: int = 1
+    workers: int = count(1, least=0)
+
+    def __post_init__(self) -> None:
+        """Check what is given.
+
+        Raises:
+            InvalidInputError: A number is of another kind or out of range, or steps do not rise.
+        """
+        check_settings(self, "plan")
+        stops = tuple(self.relabel_at) if isinstance(self.relabel_at, list | tuple) else (None,)
+        if not all(type(stop) is int and stop > 0 for stop in stops) or list(stops) != sorted(set(stops)):
+            raise InvalidInputError("plan.relabel_at", self.relabel_at, "Give whole numbers from 1 in rising order.")
+        object.__setattr__(self, "relabel_at", stops)
 
 
 class Display(Protocol):
@@ -87,7 +102,15 @@ class Display(Protocol):
         """Go through some things and show how far that has come."""
 
 
-def train_networks(data: Path, work: Path, out: Path, beginning: Beginning, plan: Plan, display: Display) -> None:
+def train_networks(
+    data: Path,
+    work: Path,
+    out: Path,
+    beginning: Beginning,
+    plan: Plan,
+    display: Display,
+    more: Mapping[str, str] | None = None,
+) -> None:
     """Train the networks and write them; an interrupted training goes on from what is in its folder.
 
     Args:
@@ -97,9 +120,11 @@ def train_networks(data: Path, work: Path, out: Path, beginning: Beginning, plan
         beginning: What it begins with.
         plan: How much is trained.
         display: Shows how it goes.
+        more: What else the network's provenance is to say.
 
     Raises:
-        InvalidInputError: Something of the data cannot be used, or the folder's training began otherwise.
+        InvalidInputError: Something of the data cannot be used, a drive to leave out is unknown, or the training in the
+            folder began otherwise.
     """
     import torch
 
@@ -128,27 +153,33 @@ def train_networks(data: Path, work: Path, out: Path, beginning: Beginning, plan
     state = network.state_dict()
     if begun is not None:
         state = mean_state(begun.state, state, beginning.start_share)
-    provenance = _provenance(source, labelling, street, beginning, begun, plan)
+    provenance = {**_provenance(source, labelling, street, beginning, begun, plan), **(more or {})}
     stored = Stored(state, how.network.to_dict(), ConfidenceCalibration(), provenance)
     if begun is not None:  # patches around an estimate look the same whichever KNet made it
         stored = replace(stored, refinement=begun.refinement, refine_settings=begun.refine_settings, trust=begun.trust)
     if plan.refine_steps:
         display.log("Refinement networks")
-        path = work / "refine.pt"
-        stored = _refined(
-            stored, source, labelling, photographs, street, path, begun, beginning.start_share, plan, display
-        )
-    save_weights(out, stored)
+        samples = learning(photographs, labelling.samples(photographs, source.learn), street)
+        stored = _refined(stored, source, samples, work, begun, beginning.start_share, plan, display)
     display.log("Calibration")
+    rough = save_weights(work / "uncalibrated.safetensors", stored)
     held = labelling.samples(photographs, source.validate)
-    fitted = calibrate(KeypointCascade(out, device=plan.device), photographs, held, partner, seed=plan.seed + 1)
-    save_weights(out, replace(stored, calibration=fitted))
+    fitted = calibrate(KeypointCascade(rough, device=plan.device), photographs, held, partner, seed=plan.seed + 1)
+    save_weights(out, replace(stored, calibration=fitted))  # once, whole: a file that is there is finished
+
+
+def photographs_hash(data: Path, marks: Path | None) -> str:
+    """Of the photographs, shapes and marks that a training would read."""
+    return source_hash(read_source(data, marks))
 
 
 def _street(beginning: Beginning, folder: Path, display: Display) -> StreetShare | None:
     """The street cars of the training, prepared where that has not been done."""
     if beginning.street is None:
+        check_drives(beginning.without, ())
         return None
+    folder.mkdir(parents=True, exist_ok=True)
+    begin_alike(folder / "began.json", {"labels": file_hash(beginning.street)})
     if not (folder / "cars.npz").exists():  # the last file that is written
         display.log("Street cars")
         prepare_street_cars(beginning.street, folder, display.progress)
@@ -158,24 +189,23 @@ def _street(beginning: Beginning, folder: Path, display: Display) -> StreetShare
 def _refined(
     stored: Stored,
     source: Source,
-    labelling: Labelling,
-    photographs: Photographs,
-    street: StreetShare | None,
-    checkpoint: Path,
+    samples: TrainingSet,
+    work: Path,
     begun: Stored | None,
     start_share: float,
     plan: Plan,
     display: Display,
 ) -> Stored:
     """The network with refinement networks."""
-    chosen = labelling.samples(photographs, source.learn)
     refining = RefineTraining(steps=plan.refine_steps, seed=plan.seed)
+    schedule = {name: value for name, value in asdict(refining).items() if name != "save_every"}
+    begin_alike(work / "began-refine.json", schedule)
     refining = replace(refining, street=refining.street.moving(source.prior.category))
     before = None if begun is None else begun.refinement
     refinement = train_refinement(
-        learning(photographs, chosen, street),
+        samples,
         source.prior.category.mirror,
-        checkpoint,
+        work / "refine.pt",
         refining,
         start=before,
         device=plan.device,

@@ -7,10 +7,8 @@ checkpoint).
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.files import write_text
-from fgrecon.io.json_fields import read_json
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.keypoints.weights import Stored, load_weights, save_weights
+from fgrecon.training.keypoints.began import begin_alike, file_hash, files_hash, source_hash, state_hash
 from fgrecon.training.keypoints.checkpoint import load_checkpoint
 from fgrecon.training.keypoints.dataset import Photographs
 from fgrecon.training.keypoints.labelling import Labelling, Source, corrected, first_labelling, open_photographs
@@ -78,7 +75,7 @@ def train_in_rounds(
     checkpoint, partner = folder / "knet.pt", source.prior.category.mirror
     how = replace(how, street=how.street.moving(source.prior.category))
     stops = [*(step for step in relabel_at if step < how.steps), how.steps]
-    _begin_alike(folder / "began.json", imagenet is not None, start, silhouettes, source.marks, street)
+    begin_alike(folder / "began.json", _named(source, how, stops, imagenet, start, silhouettes, street))
     first = _first(source, folder / "labels-first.npz", silhouettes, log, progress)
     begun = None if start is None else load_weights(start)
     network: Any = None
@@ -126,31 +123,27 @@ def train_in_rounds(
     return network, labelling, photographs
 
 
-def _begin_alike(
-    path: Path,
-    imagenet: bool,
+def _named(
+    source: Source,
+    how: Training,
+    stops: Sequence[int],
+    imagenet: dict[str, Any] | None,
     start: Path | None,
     silhouettes: Path | None,
-    marks: Array | None,
     street: StreetShare | None,
-) -> None:
-    """Keep what a training began with; one that goes on has to name the same, since its networks come from that.
-
-    Raises:
-        InvalidInputError: It names something else.
-    """
-    named = {
-        "imagenet": imagenet,
-        "start": None if start is None else start.name,
-        "silhouettes": None if silhouettes is None else silhouettes.name,
-        "marks": None if marks is None else hashlib.sha256(marks.tobytes()).hexdigest()[:16],
-        "street": None if street is None else street.describe(),
+) -> dict[str, Any]:
+    """What the labels and networks in the folder come from."""
+    # How many processes make the samples, and when checkpoints are written, changes no network.
+    schedule = {name: value for name, value in asdict(how).items() if name not in ("workers", "save_every")}
+    return {
+        "photographs": source_hash(source),
+        "imagenet": None if imagenet is None else state_hash(imagenet),
+        "start": None if start is None else file_hash(start),
+        "silhouettes": None if silhouettes is None else files_hash(sorted(silhouettes.glob("*.png"))),
+        "street_cars": None if street is None else street.describe(),
+        "relabel_at": list(stops[:-1]),
+        **schedule,
     }
-    if not path.exists():
-        write_text(path, json.dumps(named))
-    elif (before := read_json(path)) != named:
-        fix = f"Give what it began with, {json.dumps(before)}, or an empty folder."
-        raise InvalidInputError("work", f"{path.parent}: {json.dumps(named)}", fix)
 
 
 def _first(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import io
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.export.coco_keypoints import read_coco_keypoints
+from fgrecon.io.files import write_bytes
 from fgrecon.io.images import read_image
 from fgrecon.perception.keypoints.crops import Crop, extract
 from fgrecon.training.keypoints.augment import LabelledView
@@ -18,7 +20,7 @@ from fgrecon.training.keypoints.dataset import SIDE, Photographs
 from fgrecon.training.keypoints.progress import Progress, no_progress
 from fgrecon.training.keypoints.views import Together, TrainingSet, Views, azimuth_weights
 
-__all__ = ["StreetCars", "StreetShare", "learning", "prepare_street_cars"]
+__all__ = ["StreetCars", "StreetShare", "check_drives", "learning", "prepare_street_cars"]
 
 _AROUND = 1.5  # side of what is kept relative to the box's longer side
 _FILES = "images.npy", "masks.npy"
@@ -103,6 +105,14 @@ class StreetShare:
     share: float
     without: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        """Refuse names that leave nothing out: a mistyped one would let the network learn from what it is scored on.
+
+        Raises:
+            InvalidInputError: A drive that is left out is none of the cars'.
+        """
+        check_drives(self.without, self.cars.drives.tolist())
+
     @property
     def chosen(self) -> NDArray[np.intp]:
         """Which cars are learnt from."""
@@ -112,6 +122,19 @@ class StreetShare:
         """In words, for the file that keeps what a training began with and for the network's provenance."""
         left_out = f", without {', '.join(self.without)}" if self.without else ""
         return f"{len(self.chosen)} street cars in {self.share:g} of the samples{left_out}"
+
+
+def check_drives(without: Sequence[str], known: Iterable[str]) -> None:
+    """Refuse drives to leave out that are not there.
+
+    Raises:
+        InvalidInputError: One is none of the known drives; lists these.
+    """
+    names = sorted(set(known))
+    for name in without:
+        if name not in names:
+            fix = f"Name drives among {', '.join(names)}." if names else "Leave out drives only where there are some."
+            raise InvalidInputError("without", name, fix)
 
 
 def learning(photographs: Photographs, chosen: NDArray[np.intp], street: StreetShare | None) -> TrainingSet:
@@ -164,8 +187,9 @@ def prepare_street_cars(file: Path, folder: Path, progress: Progress = no_progre
         keypoints.append(crop.from_image(car.keypoints))
     images.flush()
     masks.flush()
+    table = io.BytesIO()
     np.savez(
-        folder / _TABLE,
+        table,
         boxes=np.array(boxes),
         keypoints=np.array(keypoints),
         visible=np.array([car.probability for car in cars]),
@@ -174,6 +198,7 @@ def prepare_street_cars(file: Path, folder: Path, progress: Progress = no_progre
         tracks=np.array([car.track for car in cars]),
         kinds=np.array([car.kind for car in cars]),
     )
+    write_bytes(folder / _TABLE, table.getvalue())
 
 
 def _filled(polygons: Sequence[Array]) -> NDArray[np.uint8]:

@@ -1,5 +1,7 @@
 """Made-up photographs: a known shape, seen from known poses."""
 
+from functools import partial
+
 import numpy as np
 
 from fgrecon.io.catalogue import load_prior
@@ -42,3 +44,18 @@ def made_up_cars(prior, coefficients, count, rng, folder="nowhere"):
         image = Path(folder) / f"{number:05d}.png"
         cars.append(PosedCar(image, (int(size[0]), int(size[1])), "shape", matrix, rotation, translation))
     return cars
+
+
+def make_small(source, monkeypatch):
+    """Trainings of small networks on given photographs."""
+    from fgrecon.perception.keypoints.knet import KNetSettings
+    from fgrecon.perception.keypoints.refine import RefineSettings
+    from fgrecon.training.keypoints import networks
+    from fgrecon.training.keypoints.augment import Street
+
+    small = {"warmup": 1, "save_every": 1, "street": Street(size=32), "network": KNetSettings(crop=32, width=8)}
+    refined = {"network": RefineSettings(crop=64, width=4), "batch": 2, "save_every": 1}
+    monkeypatch.setattr(networks, "read_source", lambda data, marks: source)
+    monkeypatch.setattr(networks, "Training", partial(networks.Training, **small))
+    monkeypatch.setattr(networks, "RefineTraining", partial(networks.RefineTraining, **refined))
+    monkeypatch.setattr(networks, "calibrate", partial(networks.calibrate, samples=6))

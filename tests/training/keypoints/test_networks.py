@@ -1,5 +1,7 @@
 """KNet, its loss, training and weights, on made-up data: shapes, determinism, resumption; no quality."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -48,6 +50,25 @@ def test_prepared_photographs_keep_labels_and_masks_in_place(photographs):
         inside = view.keypoints[view.visible > 0.5]
         assert ((inside > -1) & (inside < np.array(view.mask.shape[::-1]))).all()
         assert view.azimuth == car.azimuth
+
+
+def test_photographs_that_are_there_are_all_there(photographs, tmp_path, monkeypatch):
+    save = np.save
+
+    def killed(file, array):
+        if array.dtype == np.float64:  # the scales
+            with file if hasattr(file, "write") else Path(file).open("wb") as half:
+                half.write(b"half of it")
+            raise KeyboardInterrupt
+        save(file, array)
+
+    _, cars = photographs
+    prior = unit_car_prior()
+    monkeypatch.setattr(np, "save", killed)
+    with pytest.raises(KeyboardInterrupt):
+        prepare_photographs(cars, [fit_shape(prior, cars)] * 4, prior, tmp_path)
+    assert (tmp_path / "distant.npz").exists()
+    assert not (tmp_path / "scales.npy").exists()
 
 
 def test_directions_are_evened_out():

@@ -1,5 +1,7 @@
 """From labelled drives to views that are learnt from: the labels stay on the cars, masks on what is seen of them."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,7 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.io.export import write_coco_keypoints
 from fgrecon.io.kitti_drives import read_drive
 from fgrecon.training.keypoints.dataset import SIDE
-from fgrecon.training.keypoints.street_cars import StreetCars, prepare_street_cars
+from fgrecon.training.keypoints.street_cars import StreetCars, StreetShare, prepare_street_cars
 from tests.annotation.streets import Car, Told, write_drive
 
 PRIOR = load_prior("car14")
@@ -103,3 +105,23 @@ def test_files_that_hold_no_street_cars_are_refused(tmp_path):
     with pytest.raises(InvalidInputError, match="format"):
         prepare_street_cars(tmp_path / "no.json", tmp_path / "work")
     assert not (tmp_path / "work").exists()
+
+
+def test_cars_that_are_there_are_all_there(annotations, tmp_path, monkeypatch):
+    def killed(file, **arrays):
+        with file if hasattr(file, "write") else Path(file).open("wb") as half:
+            half.write(b"half of it")
+        raise KeyboardInterrupt
+
+    labels = vehicle_labels([("street", one) for one in annotations], PRIOR.category, {})
+    write_coco_keypoints(tmp_path / "labels.json", labels)
+    monkeypatch.setattr(np, "savez", killed)
+    with pytest.raises(KeyboardInterrupt):
+        prepare_street_cars(tmp_path / "labels.json", tmp_path / "street")
+    assert not (tmp_path / "street" / "cars.npz").exists()
+
+
+def test_only_drives_that_are_there_can_be_left_out(cars):
+    assert len(StreetShare(cars, 0.5, ("street",)).chosen) == 0
+    with pytest.raises(InvalidInputError, match=r"without: got steet.*among street\."):
+        StreetShare(cars, 0.5, ("steet",))
