@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
     from rich.table import Table
 
     from fgrecon.evaluation.bootstrap import Interval
-    from fgrecon.evaluation.boxes3d import Precision, Scored
+    from fgrecon.evaluation.boxes3d import LabelledBox, Precision
 
 __all__ = ["boxes_command"]
 
@@ -95,7 +95,7 @@ def _table(*headings: str) -> Table:
     return table
 
 
-def _groups(scored: Mapping[str, Sequence[Scored]]) -> Table:
+def _groups(scored: Mapping[str, Sequence[LabelledBox]]) -> Table:
     from fgrecon.core.metrics import THRESHOLDS
     from fgrecon.evaluation.boxes3d import LEAST_OVERLAPS, summarise
 

@@ -28,9 +28,9 @@ from fgrecon.io.kitti_files import LABEL_COLUMNS, Defect, Objects, parse_objects
 
 __all__ = [
     "LEAST_OVERLAPS",
+    "BoxesSummary",
+    "LabelledBox",
     "Precision",
-    "Scored",
-    "Summary",
     "document",
     "precisions",
     "read_boxes",
@@ -49,7 +49,7 @@ _NAME = "{:06d}"  # of a frame
 
 
 @dataclass(frozen=True)
-class Scored:
+class LabelledBox:
     """One labelled vehicle, and the box that a source has for it.
 
     Attributes:
@@ -80,7 +80,7 @@ class Scored:
 
 
 @dataclass(frozen=True)
-class Summary:
+class BoxesSummary:
     """A group of vehicles; shares in percent of all of them, found or not.
 
     Attributes:
@@ -160,7 +160,7 @@ def read_boxes(path: Path, frames: Sequence[int]) -> dict[int, Objects]:
 
 def score(
     drive: Drive, results: Mapping[int, Objects], frames: Sequence[int], *, least: float = 0.5, min_score: float = 0.0
-) -> list[Scored]:
+) -> list[LabelledBox]:
     """What each labelled vehicle that counts got.
 
     Args:
@@ -171,7 +171,7 @@ def score(
         min_score: Boxes of a lower score are none.
     """
     chosen = set(frames)
-    found: list[Scored] = []
+    found: list[LabelledBox] = []
     for frame in drive.frames:
         if frame.number not in chosen:
             continue
@@ -185,7 +185,7 @@ def score(
     return found
 
 
-def summarise(vehicles: Sequence[Scored]) -> dict[str, Summary]:
+def summarise(vehicles: Sequence[LabelledBox]) -> dict[str, BoxesSummary]:
     """Summaries of all vehicles, of each kind, and of cars by distance; groups without any are left out."""
     cars = [one for one in vehicles if one.kind == "Car"]
     groups = {"cars": cars, "vans": [one for one in vehicles if one.kind == "Van"]}
@@ -221,7 +221,7 @@ def precisions(drive: Drive, results: Mapping[int, Objects], frames: Sequence[in
     return told
 
 
-def document(scored: Mapping[str, Sequence[Scored]], curves: Mapping[str, Sequence[Precision]]) -> dict[str, Any]:
+def document(scored: Mapping[str, Sequence[LabelledBox]], curves: Mapping[str, Sequence[Precision]]) -> dict[str, Any]:
     """Plain values for JSON."""
     return {
         "format": "fgrecon.boxes/1",
@@ -255,12 +255,12 @@ def _objects(text: str, place: str) -> Objects:
     return objects
 
 
-def _scored(frame: str, index: int, label: Objects, box: Objects | None) -> Scored:
+def _scored(frame: str, index: int, label: Objects, box: Objects | None) -> LabelledBox:
     about = (frame, index, label.kind[0], float(np.linalg.norm(label.location[0])), box is not None)
     if box is None:
-        return Scored(*about, 0.0, 0.0, np.inf, np.nan, FAILURE_DEGREES, (np.nan, np.nan, np.nan))
+        return LabelledBox(*about, 0.0, 0.0, np.inf, np.nan, FAILURE_DEGREES, (np.nan, np.nan, np.nan))
     length, width, height = (box.size[0] - label.size[0]).tolist()
-    return Scored(
+    return LabelledBox(
         *about,
         float(overlap(Space.VOLUME, label, box)[0, 0]),
         float(overlap(Space.GROUND, label, box)[0, 0]),
@@ -271,7 +271,7 @@ def _scored(frame: str, index: int, label: Objects, box: Objects | None) -> Scor
     )
 
 
-def _summary(vehicles: Sequence[Scored]) -> Summary:
+def _summary(vehicles: Sequence[LabelledBox]) -> BoxesSummary:
     frames = np.unique([one.frame for one in vehicles], return_inverse=True)[1]
     got = np.array([one.found for one in vehicles])
     degrees, shared = np.array([one.degrees for one in vehicles]), np.array([one.overlap for one in vehicles])
@@ -279,7 +279,7 @@ def _summary(vehicles: Sequence[Scored]) -> Summary:
     sizes = np.array([one.size for one in vehicles])[got].reshape(-1, 3)
     nothing = not got.any()
     length, width, height = (np.full(3, np.nan) if nothing else sizes.mean(axis=0)).tolist()
-    return Summary(
+    return BoxesSummary(
         vehicles=len(vehicles),
         found=int(got.sum()),
         right=tuple(mean_interval(100.0 * (shared >= least), frames) for least in LEAST_OVERLAPS),
@@ -292,7 +292,7 @@ def _summary(vehicles: Sequence[Scored]) -> Summary:
     )
 
 
-def _plain(summary: Summary) -> dict[str, Any]:
+def _plain(summary: BoxesSummary) -> dict[str, Any]:
     told = _finite(vars(summary))
     for name in ("right", "within"):
         told[name] = [vars(one) for one in getattr(summary, name)]
