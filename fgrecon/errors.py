@@ -2,6 +2,7 @@
 
 from fgrecon.core.errors import (
     AssumedCameraWarning,
+    DamagedFileWarning,
     DegenerateProblemError,
     FactorCallbackError,
     FgreconError,
@@ -11,6 +12,7 @@ from fgrecon.core.errors import (
 
 __all__ = [
     "AssumedCameraWarning",
+    "DamagedFileWarning",
     "DegenerateProblemError",
     "FactorCallbackError",
     "FgreconError",

@@ -22,7 +22,7 @@ ROOMS = {
     "solve/graph": {"factors", "core", "solve/vehicle", "solve/proposals"},
     "solve": {"factors", "core", "io", "solve/vehicle", "solve/proposals", "solve/graph"},
     "perception/keypoints": {"core", "io"},
-    "perception/vehicles": {"core", "perception/keypoints"},
+    "perception/vehicles": {"core", "io", "perception/keypoints"},
     "perception": {
         *("factors", "core", "io", "solve", "solve/proposals", "perception/keypoints", "perception/vehicles"),
     },

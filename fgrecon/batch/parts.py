@@ -15,6 +15,7 @@ from fgrecon.batch.schema import FORMAT, result_schema
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import replacing, write_text
 from fgrecon.io.json_fields import read_json
+from fgrecon.io.stored import MADE_AGAIN, stored
 
 __all__ = ["RUN", "Parts", "begin", "claimed"]
 
@@ -42,17 +43,14 @@ class Parts:
         return sorted(p for p in self._folder.glob("part-*.parquet") if p.stem.removeprefix("part-").isdecimal())
 
     def done(self) -> set[str]:
-        """Ids of the rows that are in the parts.
+        """Ids of the rows that are in the parts; those of a damaged part are to be computed again.
 
-        Raises:
-            InvalidInputError: A part is none of ours.
+        Warns:
+            DamagedFileWarning: A part is damaged, and is put aside.
         """
         found: set[str] = set()
         for path in self._paths():
-            try:
-                found.update(pq.read_table(path, columns=["row_id"]).column("row_id").to_pylist())
-            except (pa.ArrowException, OSError, KeyError) as error:
-                raise InvalidInputError(str(path), str(error), "Take this file out of the folder.") from error
+            found.update(stored(path, _row_ids) or ())
         return found
 
     def rows(self) -> Iterator[dict[str, Any]]:
@@ -74,6 +72,19 @@ class Parts:
             self._next += 1
             self._tables = []
         self._written = monotonic()
+
+
+def _row_ids(path: Path) -> list[str]:
+    """Ids of the rows of a part, all of which is read: damage may lie anywhere.
+
+    Raises:
+        InvalidInputError: It is damaged, or none of ours.
+    """
+    try:
+        ids: list[str] = pq.read_table(path).column("row_id").to_pylist()
+    except (pa.ArrowException, OSError, KeyError) as error:
+        raise InvalidInputError(str(path), str(error), MADE_AGAIN) from error
+    return ids
 
 
 def begin(folder: Path, settings: Mapping[str, Any]) -> None:

@@ -13,6 +13,7 @@ from factors.errors import (
 
 __all__ = [
     "AssumedCameraWarning",
+    "DamagedFileWarning",
     "DegenerateProblemError",
     "FactorCallbackError",
     "FgreconError",
@@ -35,3 +36,7 @@ class MissingPackageError(FgreconError, ImportError):
 
 class AssumedCameraWarning(UserWarning):
     """No camera was given, and a field of view was assumed: distances are rough."""
+
+
+class DamagedFileWarning(UserWarning):
+    """A file that an earlier run stored is damaged; what it held is computed again."""

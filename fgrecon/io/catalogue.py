@@ -29,7 +29,9 @@ from numpy.typing import NDArray
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior, Surface
+from fgrecon.io.arrays import read_arrays
 from fgrecon.io.files import write_bytes
+from fgrecon.io.hashes import check_hash
 
 __all__ = ["PRIOR_FORMAT", "load_category", "load_prior", "save_prior", "shipped_categories", "shipped_priors"]
 
@@ -129,7 +131,9 @@ def _shipped_category(name: str) -> Category:
 @lru_cache
 def _shipped_prior(name: str) -> ShapePrior:
     file = _folder("priors").joinpath(f"{name}.npz")
-    return _prior_from_npz(file.name, file.read_bytes())
+    content = file.read_bytes()
+    check_hash(Path(str(file)), content)
+    return _prior_from_npz(file.name, content)
 
 
 def _read(path: Path, kind: str, names: tuple[str, ...]) -> bytes:
@@ -165,16 +169,7 @@ def _prior_from_npz(source: str, content: bytes) -> ShapePrior:
     fix = "Give an npz file that `fgrecon.io.catalogue.save_prior` or `fgrecon prior` wrote."
     if not zipfile.is_zipfile(io.BytesIO(content)):
         raise InvalidInputError(source, "not an npz file", fix)
-    arrays: dict[str, NDArray[Any]] = {}
-    field = "archive"
-    try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-            for field in archive.files:
-                arrays[field] = archive[field]
-    except (ValueError, zipfile.BadZipFile, OSError, EOFError) as error:
-        pickled = "pickle" in str(error)
-        value = "pickled content, which could run code" if pickled else f"unreadable: {error}"
-        raise InvalidInputError(f"{source}: {field}", value, fix) from error
+    arrays = read_arrays(content, source, fix)
     return _prior_from_arrays(source, arrays, fix)
 
 

@@ -25,8 +25,10 @@ from fgrecon.core.processes import single_threaded
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
+from fgrecon.io.arrays import read_arrays
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.files import write_bytes
+from fgrecon.io.stored import MADE_AGAIN, stored
 from fgrecon.paper.apollocar3d import MarkedCar, MarkedCars, marking_offsets
 from fgrecon.paper.stages import solved_stages
 from fgrecon.solve.pipeline import reconstruct
@@ -116,8 +118,9 @@ def score_known_shapes(
     todo: list[tuple[list[MarkedCar], Path | None]] = []
     for group in groups:
         path = None if folder is None else folder / f"{group[0].model}-{_digest(models, cars, group)}.npz"
-        if path is not None and path.exists():
-            found.update(zip((car.name for car in group), _read(path), strict=True))
+        known = None if path is None else stored(path, _read)
+        if known is not None and len(known) == len(group):
+            found.update(zip((car.name for car in group), known, strict=True))
         else:
             todo.append((group, path))
     advance(len(found), len(cars.cars))
@@ -168,10 +171,10 @@ def _write(path: Path, results: Sequence[_Result]) -> None:
 
 def _read(path: Path) -> list[_Result]:
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            return [(table, json.loads(str(f))) for table, f in zip(archive["table"], archive["failures"], strict=True)]
-    except (OSError, ValueError, KeyError, EOFError) as error:
-        raise InvalidInputError(str(path), str(error), "Delete the file: it will be made again.") from error
+        archive = read_arrays(path, str(path), MADE_AGAIN)
+        return [(table, json.loads(str(f))) for table, f in zip(archive["table"], archive["failures"], strict=True)]
+    except (OSError, ValueError, KeyError) as error:
+        raise InvalidInputError(str(path), str(error), MADE_AGAIN) from error
 
 
 def _others(models: Apollo79, cars: MarkedCars, group: Sequence[MarkedCar]) -> tuple[Array, Array]:

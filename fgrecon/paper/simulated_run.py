@@ -19,6 +19,7 @@ from fgrecon.evaluation.methods import SceneKnowledge
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.kitti_calibration import read_calibration
 from fgrecon.io.kitti_files import Fault, Objects, read_detections, read_image_set, read_labels
+from fgrecon.io.stored import stored
 from fgrecon.paper.simulated import Fleet, KittiFrame, simulate_frame
 from fgrecon.paper.simulated_scores import CHAIN_ROWS, MAIN_ROWS, RowSolver, Scores, row_solvers, score_instances
 from fgrecon.simulation.keypoint_noise import HOURGLASS
@@ -203,7 +204,7 @@ def run_conditions(
             parts = _parts(validation)[:: condition.every * every]
             inputs = _digest(condition, scene, models, seed)
             jobs = [_Job(condition, part, place / f"{part[0].name}-{_part_digest(inputs, part)}.npz") for part in parts]
-            missing = [job for job in jobs if not job.path.exists()]
+            missing = [job for job in jobs if stored(job.path, Scores.read) is None]
             advance(condition.name, len(jobs) - len(missing), len(jobs))
             started, solved = time.perf_counter(), 0
             waiting = [pool.submit(_run, job) for job in missing]

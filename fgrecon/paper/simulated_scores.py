@@ -21,7 +21,9 @@ from fgrecon.core.options import BoxModel, Options
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.core.robust import StrategyName
 from fgrecon.evaluation.methods import SceneKnowledge, select
+from fgrecon.io.arrays import read_arrays
 from fgrecon.io.files import write_bytes
+from fgrecon.io.stored import MADE_AGAIN
 from fgrecon.paper.simulated import SimulatedInstance
 from fgrecon.paper.stages import StageEstimate, algorithm1_state, initial_state, noisy_azimuth, stages
 from fgrecon.solve.vehicle.model import prepare
@@ -111,10 +113,10 @@ class Scores:
             InvalidInputError: The file is no such file.
         """
         try:
-            with np.load(path, allow_pickle=False) as archive:
-                return cls(**{f.name: archive[f.name] for f in fields(cls)})
-        except (OSError, ValueError, KeyError, EOFError) as error:
-            raise InvalidInputError(str(path), str(error), "Delete the file: it will be made again.") from error
+            archive = read_arrays(path, str(path), MADE_AGAIN)
+            return cls(**{f.name: archive[f.name] for f in fields(cls)})
+        except (OSError, ValueError, KeyError) as error:
+            raise InvalidInputError(str(path), str(error), MADE_AGAIN) from error
 
 
 RowSolver = Callable[[SimulatedInstance], Mapping[str, StageEstimate]]

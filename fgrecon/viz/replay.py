@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Iteration
 from fgrecon.core.track_reconstruction import JointStep
+from fgrecon.io.isolated import Isolated
 from fgrecon.viz import entities
 from fgrecon.viz.columns import FIELDS
 
@@ -21,6 +22,8 @@ __all__ = ["LogLine", "Replay", "Series", "StageSummary", "read"]
 _SCALARS, _NAMES = "Scalars:scalars", "SeriesLines:names"
 _WORDS_AND_STEPS = (entities.HISTORY, entities.TRACK, entities.LOG)
 _TEXT, _LEVEL = "TextLog:text", "TextLog:level"
+
+_FIX = "Give a .rrd file that this version of fgrecon wrote."
 
 
 @dataclass(frozen=True)
@@ -145,17 +148,21 @@ def read(path: str | Path) -> Replay:
     Raises:
         InvalidInputError: There is no such file, or it is no recording of fgrecon.
     """
-    fix = "Give a .rrd file that this version of fgrecon wrote."
     if not Path(path).is_file():
-        raise InvalidInputError("recording", str(path), fix)
+        raise InvalidInputError("recording", str(path), _FIX)
+    with Isolated() as child:  # a damaged file ends the process that decodes it
+        return child("recording", _read, Path(path))
+
+
+def _read(path: Path) -> Replay:
     found = _Found()
     try:
         for entity, columns in _chunks(path):
             found.add(entity, columns)
     except (RuntimeError, ValueError, KeyError, OSError) as error:
-        raise InvalidInputError("recording", f"{path}: {error}", fix) from error
+        raise InvalidInputError("recording", f"{path}: {error}", _FIX) from error
     if not found.log:
-        raise InvalidInputError("recording", f"{path} holds no log of fgrecon", fix)
+        raise InvalidInputError("recording", f"{path} holds no log of fgrecon", _FIX)
     return found.replay()
 
 

@@ -16,10 +16,9 @@ import pytest
 from typer.testing import CliRunner
 
 from fgrecon.batch import Reconstructor, result_schema, run, sources_of
-from fgrecon.batch.parts import Parts
 from fgrecon.batch.schema import task_schema
 from fgrecon.cli import main
-from fgrecon.core.errors import InvalidInputError, MissingPackageError
+from fgrecon.core.errors import DamagedFileWarning, InvalidInputError, MissingPackageError
 from tests.batch.support import Deadly, instances, results, untimed, write_lines
 from tests.conftest import REPOSITORY
 
@@ -136,10 +135,16 @@ def test_one_run_at_a_time(tmp_path):
         pass
 
 
-def test_a_part_that_is_none_is_named(tmp_path):
-    (tmp_path / "part-000000.parquet").write_bytes(b"torn")
-    with pytest.raises(InvalidInputError, match="part-000000"):
-        Parts(tmp_path).done()
+def test_a_damaged_part_is_named_and_its_rows_are_computed_again(cars, tmp_path):
+    file, expected = cars
+    given = (file, "--out", tmp_path / "out", "--size-prior", "kitti")
+    assert batch(*given).exit_code == 0
+    (part,) = (tmp_path / "out").glob("part-*.parquet")
+    content = part.read_bytes()
+    part.write_bytes(content[: len(content) // 2])
+    with pytest.warns(DamagedFileWarning, match=r"part-\d+\.parquet is damaged"):
+        assert batch(*given).exit_code == 0
+    assert {name: untimed(row) for name, row in results(tmp_path / "out").items()} == expected
 
 
 def test_nothing_solved_is_exit_code_1_and_bad_usage_2(tmp_path):

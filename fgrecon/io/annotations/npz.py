@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.annotations.annotations import Annotations, in_category_order
+from fgrecon.io.arrays import read_arrays
 
 __all__ = ["read_npz"]
 
@@ -71,16 +71,9 @@ def read_npz(path: Path, category: Category, rename: Mapping[str, str]) -> Annot
 def _arrays(path: Path) -> dict[str, NDArray[Any]]:
     fix = "Give an npz file without pickled content."
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            if not hasattr(archive, "files"):
-                raise InvalidInputError(str(path), "one array", "Give an npz file with an array keypoints.")
-            return {field: archive[field] for field in archive.files}
+        return read_arrays(path, str(path), fix)
     except FileNotFoundError:
         raise InvalidInputError("annotations", str(path), "Give a file that exists.") from None
-    except InvalidInputError:
-        raise
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise InvalidInputError(str(path), f"not readable: {error}", fix) from error
 
 
 def _columns(

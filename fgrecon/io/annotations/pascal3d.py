@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.annotations.annotations import Annotations
+from fgrecon.io.isolated import Isolated
 
 __all__ = ["AnchoredObject", "read_anchors", "read_pascal3d"]
 
@@ -65,8 +66,10 @@ def read_pascal3d(paths: list[Path], category: Category, rename: Mapping[str, st
     keypoints: list[NDArray[np.float64]] = []
     names: list[str] = []
     met: set[str] = set()
-    for path in paths:
-        for number, item in enumerate(read_anchors(path)):
+    with Isolated() as child:
+        objects = [(path, read_anchors(path, child)) for path in paths]
+    for path, found in objects:
+        for number, item in enumerate(found):
             anchors = item.anchors
             present = {name: rename.get(name, name) for name in anchors}
             met.update(anchors)
@@ -87,16 +90,24 @@ def read_pascal3d(paths: list[Path], category: Category, rename: Mapping[str, st
     return Annotations(category, array, tuple(names), source=f"{len(paths)} PASCAL3D+ files")
 
 
-def read_anchors(path: Path) -> list[AnchoredObject]:
+def read_anchors(path: Path, child: Isolated | None = None) -> list[AnchoredObject]:
     """The objects of a file with their anchors, none where an object has none.
+
+    Args:
+        path: The file.
+        child: The process to decode it in, since damaged files can kill SciPy's; None starts one.
 
     Raises:
         InvalidInputError: The file cannot be read, or is none of PASCAL3D+'s.
     """
-    import zlib
+    if child is not None:
+        return child(str(path), _decode, path)
+    with Isolated() as own:
+        return own(str(path), _decode, path)
 
+
+def _decode(path: Path) -> list[AnchoredObject]:
     from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
 
     fix = "Give a file of PASCAL3D+'s Annotations folder (MATLAB 5 to 7.2 format)."
     try:
@@ -108,7 +119,7 @@ def read_anchors(path: Path) -> list[AnchoredObject]:
         raise InvalidInputError(f"{path}: record", "no such variable", fix) from None
     except AttributeError:
         raise InvalidInputError(f"{path}: record.objects", "no such field", fix) from None
-    except (MatReadError, zlib.error, OSError, ValueError, TypeError, NotImplementedError) as error:
+    except Exception as error:  # SciPy promises no kind of error for damaged content
         raise InvalidInputError(str(path), f"not readable: {error}", fix) from error
     return [AnchoredObject(_anchors(item), _box(item)) for item in objects]
 

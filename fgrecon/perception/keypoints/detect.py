@@ -20,7 +20,7 @@ from fgrecon.io.catalogue import load_category
 from fgrecon.perception.keypoints.crops import MARGIN, Crop, crop_of, extract
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration, Decoded, decode, peak, softmax
 from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, open_session
-from fgrecon.perception.keypoints.weights import WITHOUT_STREET, load_weights, shipped
+from fgrecon.perception.keypoints.weights import WITHOUT_STREET, fill, load_weights, shipped
 
 __all__ = [
     "REACH",
@@ -119,22 +119,25 @@ class KeypointCascade:
         self.category = stored.category
         category = load_category(stored.category)
         self._partner = category.mirror
-        network = KNet(KNetSettings(**stored.settings))
+        try:
+            network = KNet(KNetSettings(**stored.settings))
+        except (TypeError, ValueError, RuntimeError) as error:
+            raise InvalidInputError("weights", f"{path}: {error}", "Give a network of this version.") from error
         if network.settings.keypoints != category.size:
             value = f"{network.settings.keypoints} keypoints in {path}"
             raise InvalidInputError("weights", value, f"Category {category.name} has {category.size}.")
-        try:
-            network.load_state_dict(stored.state, strict=False)
-        except RuntimeError as error:
-            raise InvalidInputError("weights", str(path), "Give a network of this version.") from error
+        fill(network, stored.state, path)
         self.network: Any = folded(network).to(device)
         self.trust = stored.trust
         self.refinement: Any = None
         if stored.refinement is not None and stored.refine_settings is not None and refine:
             from fgrecon.perception.keypoints.refine import RefineNet, RefineSettings
 
-            refinement = RefineNet(RefineSettings(**stored.refine_settings))
-            refinement.load_state_dict(stored.refinement, strict=False)
+            try:
+                refinement = RefineNet(RefineSettings(**stored.refine_settings))
+            except (TypeError, ValueError, RuntimeError) as error:
+                raise InvalidInputError("weights", f"{path}: {error}", "Give a network of this version.") from error
+            fill(refinement, stored.refinement, path)
             self.refinement = folded(refinement).to(device)
         self._find, self._refine_patches = self._running()
 

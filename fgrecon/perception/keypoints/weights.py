@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
@@ -11,9 +12,10 @@ from typing import Any
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import write_bytes
+from fgrecon.io.hashes import check_hash
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 
-__all__ = ["FORMAT", "WITHOUT_STREET", "Stored", "load_weights", "mean_state", "save_weights", "shipped"]
+__all__ = ["FORMAT", "WITHOUT_STREET", "Stored", "fill", "load_weights", "mean_state", "save_weights", "shipped"]
 
 FORMAT = "fgrecon.keypoints/1"
 
@@ -23,6 +25,7 @@ WITHOUT_STREET = "photographs"
 """Name of the shipped network that has learnt from photographs alone, and from no image of KITTI."""
 _CATEGORY = "car14"  # of files that do not say
 _KNET, _REFINEMENT = "knet.", "refine."
+_LARGEST_SIZE = 4096  # channels, pixels, keypoints
 
 
 @dataclass(frozen=True)
@@ -124,15 +127,16 @@ def _in_order(content: bytes) -> bytes:
 
 
 def load_weights(path: Path) -> Stored:
-    """Read a network.
+    """Read a network; one that comes with the package must be what it was.
 
     Raises:
-        InvalidInputError: The file cannot be read or is no network of ours.
+        InvalidInputError: The file cannot be read or is no network of ours, or has been changed.
     """
     from safetensors import SafetensorError, safe_open
 
     fix = "Give a file that `fgrecon keypoints train` wrote."
     try:
+        check_hash(path, path.read_bytes())
         with safe_open(str(path), framework="pt") as file:
             about = file.metadata() or {}
             if about.get("format") != FORMAT:
@@ -142,17 +146,62 @@ def load_weights(path: Path) -> Stored:
             {name.removeprefix(part): value for name, value in tensors.items() if name.startswith(part)}
             for part in (_KNET, _REFINEMENT)
         )
+        refine = json.loads(about["refinement"])
         return Stored(
             state,
-            json.loads(about["settings"]),
-            ConfidenceCalibration.from_dict(json.loads(about["calibration"])),
-            json.loads(about["provenance"]),
+            _sizes("settings", json.loads(about["settings"])),
+            _finite(ConfidenceCalibration.from_dict(json.loads(about["calibration"]))),
+            _texts(json.loads(about["provenance"])),
             refinement or None,
-            json.loads(about["refinement"]),
-            float(about["trust"]),
+            None if refine is None else _sizes("refinement", refine),
+            _share(json.loads(about["trust"])),
             about.get("category", _CATEGORY),
         )
-    except (SafetensorError, OSError, ValueError, KeyError) as error:
-        if isinstance(error, InvalidInputError):
-            raise
+    except InvalidInputError:
+        raise
+    except (SafetensorError, OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise InvalidInputError("weights", f"{path}: {error}", fix) from error
+
+
+def fill(network: Any, state: Mapping[str, Any], path: Path) -> None:
+    """Give a network its tensors.
+
+    Raises:
+        InvalidInputError: Some are missing, too many, of another size, or not finite.
+    """
+    fix = "Give a network of this version."
+    try:
+        found = network.load_state_dict(dict(state), strict=False)
+    except RuntimeError as error:
+        raise InvalidInputError("weights", str(path), fix) from error
+    missing = [name for name in found.missing_keys if not name.endswith("num_batches_tracked")]
+    if missing or found.unexpected_keys:
+        which = f"without {missing[0]}" if missing else f"with {found.unexpected_keys[0]}, which it has no place for"
+        raise InvalidInputError("weights", f"{path} {which}", fix)
+    odd = [name for name, value in state.items() if not bool(value.isfinite().all())]
+    if odd:
+        raise InvalidInputError("weights", f"{path} with numbers that are not finite in {odd[0]}", fix)
+
+
+def _sizes(name: str, value: Any) -> dict[str, int]:
+    if not isinstance(value, dict) or not all(type(v) is int and 0 < v <= _LARGEST_SIZE for v in value.values()):
+        raise ValueError(f"{name} {value} are no sizes")
+    return value
+
+
+def _finite(calibration: ConfidenceCalibration) -> ConfidenceCalibration:
+    if not all(math.isfinite(value) for value in calibration.to_dict().values()):
+        raise ValueError("a calibration with numbers that are not finite")
+    return calibration
+
+
+def _texts(value: Any) -> dict[str, str]:
+    if not isinstance(value, dict):
+        raise TypeError("a provenance that is no list of texts by name")
+    return value
+
+
+def _share(value: Any) -> float:
+    if type(value) not in (int, float) or not 0.0 <= value <= 1.0:
+        raise ValueError(f"a trust of {value!r}, which is none from 0 to 1")
+    return float(value)

@@ -15,6 +15,8 @@ from fgrecon.core.brief import brief_repr
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.renamed import renamed
+from fgrecon.io.hashes import check_hash, listed
+from fgrecon.io.isolated import Isolated
 from fgrecon.perception.keypoints.detect import as_rgb8
 from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, open_session
 from fgrecon.perception.vehicles import nanodet, yolo
@@ -141,7 +143,11 @@ class NetworkDetector:
             raise InvalidInputError("weights", str(path), fix)
         try:
             model = path.read_bytes()
-            self._network = open_session(model, cv2.getNumThreads()) if self.runtime == "onnx" else _on_opencv(model)
+            check_hash(path, model)
+            if path.name not in listed(path.parent):
+                with Isolated() as child:  # a damaged one can end the process that runs it
+                    child("weights", _try, model, self.runtime)
+            self._network = _network_of(model, self.runtime)
         except (OSError, InvalidInputError, cv2.error) as error:
             raise InvalidInputError("weights", str(path), fix) from error
         channels = tuple(
@@ -220,6 +226,28 @@ class YoloVehicleDetector(NetworkDetector):
     settings = DetectorSettings(
         (0.0, 0.0, 0.0), (Look(1024 * 320), Look(256 * 80)), 0.3, 0.45, yolo.CHANNELS, yolo.decode
     )
+
+
+def _network_of(model: bytes, runtime: str) -> Network:
+    import cv2
+
+    return open_session(model, cv2.getNumThreads()) if runtime == "onnx" else _on_opencv(model)
+
+
+def _try(model: bytes, runtime: str) -> None:
+    """Run a network once.
+
+    Raises:
+        InvalidInputError: It cannot be run.
+    """
+    import cv2
+
+    try:
+        _network_of(model, runtime)(np.zeros((1, 3, _LEAST_SIDE, _LEAST_SIDE), np.float32))
+    except InvalidInputError:
+        raise
+    except (cv2.error, RuntimeError, ValueError) as error:
+        raise InvalidInputError("weights", str(error), "Give an ONNX file of a network.") from error
 
 
 def _on_opencv(model: bytes) -> Network:

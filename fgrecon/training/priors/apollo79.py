@@ -6,7 +6,6 @@ one topology). They are under ApolloScape's terms and are not part of fgrecon; t
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.checks import as_shape
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior, Surface
+from fgrecon.io.arrays import read_arrays
 from fgrecon.io.catalogue import load_category
 from fgrecon.solve.vehicle.conditioning import SizeRelation, express, learn_size_relation
 from fgrecon.training.priors.half_mesh import mirrored_half
@@ -98,17 +98,12 @@ def load_apollo79(path: str | Path) -> Apollo79:
     file = path / _FILE if path.is_dir() else path
     fix = "Give the folder with apollo79/apollo79_car14.npz, or that file."
     try:
-        with np.load(file, allow_pickle=False) as archive:
-            missing = [field for field in _ARRAYS if field not in archive.files]
-            if missing:
-                raise InvalidInputError(f"{file}: {missing[0]}", "no such array", fix)
-            arrays = {field: archive[field] for field in _ARRAYS}
+        arrays = read_arrays(file, str(file), fix, _ARRAYS)
     except FileNotFoundError:
         raise InvalidInputError("data", str(file), fix) from None
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
-        if isinstance(error, InvalidInputError):
-            raise
-        raise InvalidInputError(str(file), f"unreadable: {error}", fix) from error
+    missing = [field for field in _ARRAYS if field not in arrays]
+    if missing:
+        raise InvalidInputError(f"{file}: {missing[0]}", "no such array", fix)
     size = np.column_stack([arrays["dims"][:, 0], arrays["body_width"], arrays["dims"][:, 2]])
     scale = np.where(arrays["scale_suspect"], arrays["real_length_m"] / size[:, 0], 1.0)
     vertices = arrays["vertices"].astype(np.float64)

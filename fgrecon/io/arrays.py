@@ -1,0 +1,101 @@
+"""Arrays of npz files, whose headers are read before their content: a small file can claim to hold a large one."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from collections.abc import Iterable
+from io import BytesIO
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.errors import InvalidInputError
+
+__all__ = ["LARGEST", "largest_bytes", "read_arrays"]
+
+LARGEST = "FGRECON_LARGEST"
+"""Environment variable: how many bytes a file may unpack to."""
+
+_LARGEST = 1 << 29
+_ENDING = ".npy"
+
+
+def largest_bytes() -> int:
+    """How many bytes a file may unpack to.
+
+    Raises:
+        InvalidInputError: The environment variable is no positive whole number.
+    """
+    given = os.environ.get(LARGEST, str(_LARGEST))
+    if not given.isascii() or not given.isdigit() or int(given) < 1:
+        raise InvalidInputError(LARGEST, given, "Give a positive whole number of bytes.")
+    return int(given)
+
+
+def read_arrays(
+    content: bytes | Path, name: str, fix: str, fields: Iterable[str] | None = None
+) -> dict[str, NDArray[Any]]:
+    """The arrays of an npz file, without pickled content.
+
+    Args:
+        content: The file's bytes, or where it is.
+        name: What it is called in an error.
+        fix: What to give instead.
+        fields: Those that are wanted, as far as they are there; None for all.
+
+    Raises:
+        InvalidInputError: It is none, is damaged, has pickled content, or unpacks to more than `largest_bytes`.
+        FileNotFoundError: There is no such file.
+    """
+    wanted = None if fields is None else set(fields)
+    limit, arrays, field = largest_bytes(), {}, ""
+    try:
+        with zipfile.ZipFile(BytesIO(content) if isinstance(content, bytes) else content) as archive:
+            members = [one for one in archive.infolist() if one.filename.endswith(_ENDING)]
+            members = [one for one in members if wanted is None or one.filename.removesuffix(_ENDING) in wanted]
+            whole = sum(one.file_size for one in members)
+            if whole > limit:
+                raise InvalidInputError(name, f"{whole} bytes when unpacked", _raise_it(limit))
+            for member in members:
+                field = member.filename.removesuffix(_ENDING)
+                with archive.open(member) as file:
+                    arrays[field] = _read(file, member.file_size)
+    except FileNotFoundError:
+        raise
+    except InvalidInputError:
+        raise
+    except (ValueError, zipfile.BadZipFile, OSError, EOFError, NotImplementedError, RuntimeError, SyntaxError) as error:
+        pickled = "pickle" in str(error)
+        value = "pickled content, which could run code" if pickled else f"unreadable: {error}"
+        raise InvalidInputError(f"{name}: {field}" if field else name, value, fix) from error
+    return arrays
+
+
+def _read(file: IO[bytes], size: int) -> NDArray[Any]:
+    """An array of a member of so many bytes.
+
+    Raises:
+        ValueError: Its header claims another size.
+    """
+    version = np.lib.format.read_magic(file)
+    header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, fortran, kind = header(file)
+    if kind.hasobject:
+        raise ValueError("pickled content")
+    count = 1
+    for side in shape:  # of Python's whole numbers, which do not overflow
+        count *= side
+    if count < 0 or count * kind.itemsize > size:
+        raise ValueError(f"an array of shape {shape} in {size} bytes")
+    data = file.read(count * kind.itemsize)
+    if len(data) < count * kind.itemsize:
+        raise ValueError("cut off")
+    array = np.frombuffer(bytearray(data), dtype=kind, count=count) if kind.itemsize else np.zeros(count, kind)
+    return array.reshape(shape, order="F" if fortran else "C")
+
+
+def _raise_it(limit: int) -> str:
+    return f"Give a smaller file; {limit} bytes are allowed, and the environment variable {LARGEST} raises that."

@@ -1,0 +1,36 @@
+"""Files that come with the package are what they were: a list of SHA-256 hashes beside them."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cache
+from pathlib import Path
+
+from fgrecon.core.errors import InvalidInputError
+
+__all__ = ["LIST", "check_hash", "listed"]
+
+LIST = "SHA256SUMS"
+"""Name of the list in a file's folder, as `sha256sum` writes it and checks it."""
+
+
+def check_hash(path: Path, content: bytes) -> None:
+    """Refuse content that is not what the list in the file's folder says; nothing where no list names the file.
+
+    Raises:
+        InvalidInputError: The content is another.
+    """
+    wanted = listed(path.parent).get(path.name)
+    if wanted is not None and hashlib.sha256(content).hexdigest() != wanted:
+        fix = f"It is not what {LIST} says: install fgrecon again, or take the file's line out of that list."
+        raise InvalidInputError(str(path), "changed or damaged", fix)
+
+
+@cache
+def listed(folder: Path) -> dict[str, str]:
+    """SHA-256 in hexadecimal digits by the name of the file; empty where the folder has no list."""
+    path = folder / LIST
+    if not path.is_file():
+        return {}
+    pairs = (line.split(maxsplit=1) for line in path.read_text(encoding="utf-8").splitlines() if line.strip())
+    return {name.lstrip("*"): digest for digest, name in pairs}

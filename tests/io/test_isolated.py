@@ -1,0 +1,138 @@
+"""Decoders that die, hang or claim too much end in an error that names the file, and in nothing else."""
+
+import io
+import os
+import signal
+import time
+import zipfile
+
+import numpy as np
+import pytest
+
+from fgrecon.core.category import Category
+from fgrecon.core.errors import DamagedFileWarning, InvalidInputError
+from fgrecon.io.annotations.npz import read_npz
+from fgrecon.io.arrays import LARGEST, read_arrays
+from fgrecon.io.catalogue import load_category, load_prior, save_prior
+from fgrecon.io.hashes import check_hash, listed
+from fgrecon.io.isolated import Isolated
+from fgrecon.io.stored import stored
+from tests.conftest import REPOSITORY
+
+
+def double(number):
+    return 2 * number
+
+
+def die(_):
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+
+def refuse(name):
+    raise InvalidInputError(name, 1, "Do not.")
+
+
+def sleep(seconds):
+    time.sleep(seconds)
+
+
+def test_a_child_works_dies_and_works_again():
+    with Isolated() as child:
+        assert child("a", double, 2) == 4
+        with pytest.raises(InvalidInputError, match="broken: got damaged: it kills its decoder"):
+            child("broken", die, 0)
+        assert child("b", double, 3) == 6
+        with pytest.raises(InvalidInputError, match="field: got 1"):
+            child("c", refuse, "field")
+
+
+def test_a_child_that_hangs_is_ended():
+    with Isolated(seconds=3.0) as child:
+        with pytest.raises(InvalidInputError, match="nothing after 3 seconds"):
+            child("slow", sleep, 60)
+        assert child("b", double, 3) == 6
+
+
+def npz(**members):
+    """An npz file of raw members."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in members.items():
+            archive.writestr(f"{name}.npy", content)
+    return file.getvalue()
+
+
+def header(shape, kind="<f8", content=b""):
+    file = io.BytesIO()
+    np.lib.format.write_array_header_1_0(file, {"descr": kind, "fortran_order": False, "shape": shape})
+    return file.getvalue() + content
+
+
+def test_arrays_come_back(tmp_path):
+    arrays = {
+        "a": np.arange(6.0).reshape(2, 3),
+        "b": np.asfortranarray(np.arange(6).reshape(2, 3)),
+        "c": np.array("text"),
+        "d": np.zeros((0, 3)),
+    }
+    np.savez(tmp_path / "x.npz", **arrays)
+    found = read_arrays(tmp_path / "x.npz", "x", "")
+    assert list(found) == list(arrays)
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(found[name], array)
+        assert found[name].dtype == array.dtype
+    assert list(read_arrays((tmp_path / "x.npz").read_bytes(), "x", "", ["b", "z"])) == ["b"]
+
+
+@pytest.mark.parametrize(
+    ("content", "match"),
+    [
+        (npz(mean=header((1 << 48,))), "shape .* in "),
+        (npz(mean=header((-1,))), "shape"),
+        (npz(mean=header((3,), content=b"\0" * 8)), "cut off"),
+        (npz(mean=b"\x80\x04K\x01."), "mean"),
+        (npz(mean=header((1,), "|O", b"\0" * 8)), "pickled"),
+        (b"PK\x03\x04 no archive", "unreadable"),
+        (b"", "unreadable"),
+    ],
+    ids=["256 TiB", "negative", "cut off", "pickle", "objects", "text", "empty"],
+)
+def test_what_arrays_cannot_be_is_refused(content, match):
+    with pytest.raises(InvalidInputError, match=match):
+        read_arrays(content, "prior.npz", "Give another.")
+
+
+def test_a_small_file_of_many_zeros_is_not_unpacked(tmp_path, monkeypatch):
+    """A thousand times its size; the limit is an environment variable."""
+    bomb = tmp_path / "bomb.npz"
+    bomb.write_bytes(npz(keypoints=header((1 << 17, 14, 2), content=bytes(8 * 28 << 17))))
+    monkeypatch.setenv(LARGEST, str(1 << 20))
+    with pytest.raises(InvalidInputError, match=f"{LARGEST} raises that"):
+        read_npz(bomb, load_category("car14"), {})
+    monkeypatch.setenv(LARGEST, "many")
+    with pytest.raises(InvalidInputError, match=LARGEST):
+        read_npz(bomb, load_category("car14"), {})
+    monkeypatch.delenv(LARGEST)
+    assert isinstance(read_npz(bomb, load_category("car14"), {}).category, Category)
+
+
+@pytest.mark.parametrize("folder", ["weights", "priors"])
+def test_the_packages_files_are_what_their_lists_say(folder):
+    place = REPOSITORY / "fgrecon" / "data" / folder
+    files = {path.name for path in place.iterdir() if path.suffix in (".npz", ".onnx", ".safetensors")}
+    assert set(listed(place)) == files
+    for name in files:
+        content = (place / name).read_bytes()
+        check_hash(place / name, content)
+        with pytest.raises(InvalidInputError, match="changed or damaged"):
+            check_hash(place / name, content[:-1])
+
+
+def test_a_damaged_part_is_named_and_put_aside(tmp_path):
+    path = save_prior(load_prior("car14"), tmp_path / "part.npz")
+    assert stored(path, load_prior).name == "car14"
+    assert stored(tmp_path / "none.npz", load_prior) is None
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.warns(DamagedFileWarning, match=r"part\.npz is damaged"):
+        assert stored(path, load_prior) is None
+    assert [file.name for file in tmp_path.iterdir()] == ["_part.npz.damaged"]
