@@ -22,6 +22,7 @@ from fgrecon.cli.replay import replay_command
 from fgrecon.cli.sample import sample_command
 from fgrecon.cli.track import track_command
 from fgrecon.core.errors import FgreconError
+from fgrecon.core.text import printable
 
 __all__ = ["PLUGINS", "app", "main"]
 
@@ -76,5 +77,5 @@ def main() -> None:
 
 
 def _refuse(message: str) -> None:
-    print(f"fgrecon: {message}", file=sys.stderr)  # noqa: T201
+    print(f"fgrecon: {printable(message)}", file=sys.stderr)  # noqa: T201
     sys.exit(2)

@@ -23,6 +23,7 @@ from fgrecon.core.digits import shortened
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.size_prior import SizePrior
+from fgrecon.core.text import printable
 from fgrecon.solve.track import TrackReconstruction
 from fgrecon.viz import Recording, Sight, animate, contact_sheet, picture, save_picture
 
@@ -63,7 +64,7 @@ def print_table(screen: Screen, outcomes: Sequence[Outcome]) -> None:
         table.add_column(heading, justify="left" if text else "right", no_wrap=heading != "message", overflow="fold")
     for outcome in outcomes:
         cells = _cells(outcome)
-        table.add_row(*map(escape, cells if wide else cells[:-1]))
+        table.add_row(*(escape(printable(cell)) for cell in (cells if wide else cells[:-1])))
     screen.print(table)
     for outcome in outcomes:
         if screen.verbose:
@@ -241,7 +242,7 @@ def recordings(
 
 def _sights(outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None) -> list[Sight]:
     return [
-        Sight(outcome.result, outcome.task.observation, outcome.task.camera, image, title=outcome.name)
+        Sight(outcome.result, outcome.task.observation, outcome.task.camera, image, title=printable(outcome.name, 80))
         for outcome in outcomes
         if outcome.result is not None
     ]

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 
 from fgrecon.cli.progress import Advance, progress_bar, watched
+from fgrecon.core.text import printable
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from rich.console import Console, RenderableType
@@ -65,7 +66,7 @@ class Screen:
     def print(self, *things: RenderableType) -> None:
         """Print tables, or lines as they are."""
         for thing in things:
-            self.console.print(thing, markup=False)
+            self.console.print(printable(thing) if isinstance(thing, str) else thing, markup=False)
 
     def detail(self, *things: RenderableType) -> None:
         """Print what only --verbose shows."""
@@ -74,7 +75,7 @@ class Screen:
 
     def note(self, line: str) -> None:
         """Print a line about the work to the error stream."""
-        self.errors.print(line, markup=False)
+        self.errors.print(printable(line), markup=False)
 
     def warn(self, line: str) -> None:
         """Print a warning to the error stream."""
@@ -82,7 +83,7 @@ class Screen:
 
     def fail(self, line: str) -> None:
         """Print why the work failed, even with --quiet."""
-        print(f"fgrecon: {line}", file=sys.stderr)  # noqa: T201
+        print(f"fgrecon: {printable(line)}", file=sys.stderr)  # noqa: T201
 
     def wrote(self, *paths: str | Path) -> None:
         """Say which files were written."""

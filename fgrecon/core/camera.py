@@ -24,6 +24,8 @@ MIN_DEPTH = 0.3
 """Nothing may be nearer to the camera than this, metres."""
 
 _LARGEST_SIGMA = 2.0  # of a focal length's logarithm: five times longer or shorter is no lens any more
+_SIZE = "Give width and height in whole pixels."
+_NARROWEST, _FARTHEST = 1e-9, 1e6  # metres, radians: what a ground is known to, and how high a camera is at most
 _LARGEST = 1e9
 """No focal length is longer, in pixels; beyond, squares of numbers soon overflow."""
 
@@ -68,6 +70,8 @@ class Camera:
                     "distortion", f"{len(coefficients)} coefficients", "Give 4, 5, 8, 12 or 14 (OpenCV's order)."
                 )
             object.__setattr__(self, "distortion", coefficients if coefficients.any() else None)
+        if self.image_size is not None:
+            object.__setattr__(self, "image_size", _image_size(self.image_size))
         if not 0.0 <= self.focal_sigma <= _LARGEST_SIGMA:
             raise InvalidInputError("focal_sigma", self.focal_sigma, f"Give a number from 0 to {_LARGEST_SIGMA:g}.")
 
@@ -169,6 +173,13 @@ class Camera:
         return pixels
 
 
+def _image_size(given: object) -> tuple[int, int]:
+    width, height = as_finite("image_size", given, (2,), _SIZE).tolist()  # type: ignore[arg-type]
+    if not (width == round(width) > 0 and height == round(height) > 0):
+        raise InvalidInputError("image_size", (width, height), _SIZE)
+    return int(width), int(height)
+
+
 @dataclass(frozen=True, eq=False)
 class Ground:
     """The ground plane in the camera frame: points with normal . x = distance.
@@ -203,9 +214,10 @@ class Ground:
             raise InvalidInputError("ground.normal", normal.tolist(), "Let the normal point down (positive y).")
         object.__setattr__(self, "normal", normal / length)
         for field in ("distance", "height_sigma", "slope_sigma", "tilt_sigma"):
-            value = getattr(self, field)
-            if not (np.isfinite(value) and value > 0):
-                raise InvalidInputError(f"ground.{field}", value, "Give a positive number.")
+            value = float(as_finite(f"ground.{field}", getattr(self, field), (), "Give a positive number."))
+            if not _NARROWEST <= value <= _FARTHEST:
+                fix = f"Give a number from {_NARROWEST:g} to {_FARTHEST:g}."
+                raise InvalidInputError(f"ground.{field}", value, fix)
 
     def height_sigma_at(self, depth: NDArray[np.float64]) -> NDArray[np.float64]:
         """Standard deviation in metres of an origin's height over the plane at depths (...,) in metres."""

@@ -175,7 +175,7 @@ class _Reader:
     def __init__(self, data: Mapping[str, Any]) -> None:
         self.data = data
         names = self.get("keypoints", list)
-        if len(names) < 4 or len(set(names)) != len(names) or not all(isinstance(n, str) for n in names):
+        if len(names) < 4 or not all(isinstance(n, str) for n in names) or len(set(names)) != len(names):
             raise InvalidInputError("category.keypoints", names, "Give at least four distinct keypoint names.")
         self.names: list[str] = names
 

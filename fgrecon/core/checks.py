@@ -11,6 +11,10 @@ from fgrecon.core.errors import InvalidInputError
 
 __all__ = ["as_finite", "as_shape"]
 
+_NUMBERS = (
+    "biufO"  # numpy's kinds; an array of objects may hold numbers, and whether it does shows when it is converted
+)
+
 
 def as_shape(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: str = "") -> NDArray[np.float64]:
     """Convert to a float64 array of the given shape (`None` matches any length); values are not checked.
@@ -20,8 +24,11 @@ def as_shape(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: s
     """
     wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
     try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+        given = np.asarray(value)
+        if given.dtype.kind not in _NUMBERS:  # text, bytes, dates; complex numbers would lose a part
+            raise TypeError(f"{given.dtype}")
+        array = given.astype(np.float64, copy=False)
+    except (TypeError, ValueError, OverflowError) as error:
         raise InvalidInputError(field, value, fix or f"Give numbers in an array of shape {wanted}.") from error
     matches = array.ndim == len(shape) and all(w is None or n == w for n, w in zip(array.shape, shape, strict=True))
     if not matches:

@@ -21,6 +21,8 @@ __all__ = ["ShapePrior", "Surface"]
 
 _SYMMETRY_TOLERANCE = 1e-6
 
+_LARGEST = 1e6  # metres; no vehicle is larger, and squares of numbers soon overflow
+
 
 @dataclass(frozen=True, eq=False)
 class Surface:
@@ -86,6 +88,10 @@ class ShapePrior:
         count = self.basis.shape[0]
         set_(self, "offset_sigma", as_finite("prior.offset_sigma", self.offset_sigma, (size,)))
         set_(self, "explained", as_finite("prior.explained", self.explained, (count,)))
+        for name in ("mean", "basis", "offset_sigma"):
+            largest = float(np.abs(getattr(self, name)).max(initial=0.0))
+            if largest > _LARGEST:
+                raise InvalidInputError(f"prior.{name}", largest, f"Give metres, up to {_LARGEST:g}.")
         if (self.offset_sigma < 0).any():
             raise InvalidInputError("prior.offset_sigma", self.offset_sigma.min(), "Give standard deviations >= 0.")
         if np.linalg.matrix_rank(self.mean - self.mean.mean(axis=0)) < 2:

@@ -32,6 +32,7 @@ from fgrecon.core.shape_prior import ShapePrior, Surface
 from fgrecon.io.arrays import read_arrays
 from fgrecon.io.files import write_bytes
 from fgrecon.io.hashes import check_hash
+from fgrecon.io.json_fields import parse_json
 
 __all__ = ["PRIOR_FORMAT", "load_category", "load_prior", "save_prior", "shipped_categories", "shipped_priors"]
 
@@ -148,7 +149,7 @@ def _read(path: Path, kind: str, names: tuple[str, ...]) -> bytes:
 
 def _json(field: str, content: str | bytes) -> Mapping[str, Any]:
     try:
-        data = json.loads(content)
+        data = parse_json(content.decode() if isinstance(content, bytes) else content)
     except (ValueError, RecursionError) as error:
         raise InvalidInputError(field, f"no JSON: {error}", "Give a file with one JSON object.") from error
     if not isinstance(data, dict):

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import glob
 import os
 import tempfile
+import time
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from fgrecon.core.errors import InvalidInputError
 
 __all__ = ["check_ending", "replacing", "write_bytes", "write_text"]
+
+
+_ABANDONED = 3600.0  # seconds
 
 
 def write_text(path: str | Path, text: str) -> Path:
@@ -60,6 +65,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
         target = Path(path).resolve()
         if target.is_dir():
             raise IsADirectoryError(f"{target} is a folder")
+        _clear(target)
         descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
         part = Path(name)
         try:
@@ -76,6 +82,14 @@ def replacing(path: str | Path) -> Iterator[Path]:
         raise InvalidInputError(
             str(path), reason, "Give a file in a folder that exists and can be written to."
         ) from error
+
+
+def _clear(target: Path) -> None:
+    """Remove what writers that were killed have left of the file: parts that nobody has written to for an hour."""
+    for part in target.parent.glob(f".{glob.escape(target.name)}.*.part"):
+        with suppress(OSError):  # another process has, or may not
+            if time.time() - part.stat().st_mtime > _ABANDONED:
+                part.unlink()
 
 
 def _mode(target: Path) -> int:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +11,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.arrays import LARGEST, largest_bytes
 from fgrecon.io.exif import exif_camera
 from fgrecon.io.files import write_bytes
 
@@ -54,10 +57,30 @@ def decode_image(content: bytes, name: str) -> NDArray[np.uint8]:
     """
     import cv2  # on use: importing fgrecon must not import OpenCV
 
+    _check_size(content, name)
     image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_COLOR) if content else None
     if image is None:
         raise InvalidInputError("image", name, "Give an image that OpenCV reads, such as PNG or JPEG.")
     return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
+
+
+def _check_size(content: bytes, name: str) -> None:
+    """Refuse what its header says is too large, before it is decoded; what Pillow does not know is left to OpenCV."""
+    from PIL import Image
+
+    limit = largest_bytes() // 3
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Pillow's own limit, which warns
+            with Image.open(BytesIO(content)) as picture:
+                width, height = picture.size
+    except Image.DecompressionBombError:
+        width = height = limit
+    except Exception:  # noqa: BLE001  # Pillow promises no kind of error for damaged data
+        return
+    if width * height > limit:
+        fix = f"Give at most {limit} pixels; the environment variable {LARGEST}, in bytes, raises that."
+        raise InvalidInputError("image", f"{name} of more than that", fix)
 
 
 def write_png(path: str | Path, image: NDArray[np.uint8]) -> Path:

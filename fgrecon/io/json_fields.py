@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,8 +15,9 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["Fields", "numbers", "read_json", "read_toml"]
+__all__ = ["Fields", "numbers", "parse_json", "read_json", "read_toml"]
 
+_SURROGATE = re.compile(r"\\u[dD][89abAB-Fc-f]")
 _ARTICLES = {int: "an integer", str: "a text", list: "a list", dict: "an object"}
 
 
@@ -26,11 +28,32 @@ def read_json(path: Path) -> Any:
         InvalidInputError: The file cannot be read or is not JSON; names it.
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return parse_json(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InvalidInputError("file", str(path), f"Give a file that can be read ({error.strerror}).") from error
     except (ValueError, RecursionError) as error:
         raise InvalidInputError(str(path), str(error), "Give a JSON file in UTF-8.") from error
+
+
+def parse_json(text: str) -> Any:
+    """The content of a JSON text; a byte order mark is passed over.
+
+    Half a pair of surrogates, which JSON can write and no file can hold, becomes a replacement character.
+
+    Raises:
+        ValueError: It is not JSON.
+        RecursionError: It is nested too deeply.
+    """
+    content = json.loads(text.removeprefix("\ufeff"))
+    return _whole(content) if _SURROGATE.search(text) else content
+
+
+def _whole(value: Any) -> Any:
+    if isinstance(value, str):
+        return value.encode("utf-16", "surrogatepass").decode("utf-16", "replace")
+    if isinstance(value, list):
+        return [_whole(item) for item in value]
+    return {_whole(key): _whole(item) for key, item in value.items()} if isinstance(value, dict) else value
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -102,7 +102,7 @@ def _frames(
         draw_true_box(photo, truth, camera)
     energy = place_axes(figure, 7.25, 0.5, 1.65, _PANEL - 0.4)
     totals = _prepare_energy(energy, result)
-    heading = figure.text(0.1 / _WIDTH, 1 - 0.2 / _HEIGHT, "", fontsize=9, va="center")
+    heading = figure.text(0.1 / _WIDTH, 1 - 0.2 / _HEIGHT, "", fontsize=9, va="center", parse_math=False)
     edges = split_edges(result)
     for row, step in enumerate(result.history):
         fixed = {axes: set(axes.get_children()) for axes in (photo, above, energy)}

@@ -46,7 +46,9 @@ def detection_sheet(
         axes = figure.add_subplot(rows, columns, number + 1)
         _draw(axes, image, detection, category)
         towards = np.degrees(2 * np.pi * detection.azimuth.argmax() / len(detection.azimuth))
-        axes.set_title(f"{name}: seen from {(towards + 180) % 360 - 180:.0f}°", fontsize=8, color=unit(style.INK))
+        axes.set_title(
+            f"{name}: seen from {(towards + 180) % 360 - 180:.0f}°", fontsize=8, color=unit(style.INK), parse_math=False
+        )
     figure.tight_layout(pad=0.4)
     return figure
 

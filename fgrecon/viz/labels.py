@@ -56,4 +56,4 @@ def _draw(axes: Any, labels: VehicleLabels, vehicle: VehicleLabel, image: NDArra
     axes.scatter(*points[visible].T, s=20, c=colours[visible], edgecolors=paper, linewidths=0.7, zorder=6)
     axes.scatter(*points[~visible].T, s=14, c=paper, edgecolors=colours[~visible], linewidths=1.0, zorder=5)
     text = f"{vehicle.image.drive} {vehicle.image.frame}, {vehicle.kind} {vehicle.track}: {visible.sum()} visible"
-    axes.set_title(text, fontsize=7.5, loc="left", pad=4, color=unit(style.INK))
+    axes.set_title(text, fontsize=7.5, loc="left", pad=4, color=unit(style.INK), parse_math=False)

@@ -87,7 +87,9 @@ def draw_badge(axes: Any, text: str) -> None:
     """A short text in the lower left corner, on paper so that it stays legible."""
     box = {"boxstyle": "round,pad=0.25", "facecolor": unit(style.PAPER), "edgecolor": "none", "alpha": 0.85}
     place = {"xycoords": "axes fraction", "textcoords": "offset points"}
-    axes.annotate(text, (0, 0), (5, 5), fontsize=7, color=unit(style.INK), bbox=box, zorder=8, **place)
+    axes.annotate(
+        text, (0, 0), (5, 5), fontsize=7, color=unit(style.INK), bbox=box, zorder=8, parse_math=False, **place
+    )
 
 
 def draw_true_box(axes: Any, truth: Truth, camera: Camera) -> None:

@@ -73,7 +73,7 @@ def plot(
         above.set_title("From above", fontsize=9, loc="left")
     words = "\n".join(textwrap.shorten(line, 170) for line in repr(result).splitlines())
     height = figure.get_size_inches()[1]
-    figure.text(0.012, (_FOOT - 0.28) / height, words, fontsize=7, color=unit(style.INK), va="top")
+    figure.text(0.012, (_FOOT - 0.28) / height, words, fontsize=7, color=unit(style.INK), va="top", parse_math=False)
     return figure
 
 

@@ -128,7 +128,9 @@ def picture(
         draw_from_above(above, reconstruction, edges, truth)
         _title(above, "From above", "")
     _draw_legend(figure, truth)
-    figure.text(_GAP / _WIDTH, 0.42 / _HEIGHT, _caption(sight), fontsize=8, color=unit(style.INK), va="top")
+    figure.text(
+        _GAP / _WIDTH, 0.42 / _HEIGHT, _caption(sight), fontsize=8, color=unit(style.INK), va="top", parse_math=False
+    )
     return figure
 
 
@@ -275,7 +277,7 @@ def _draw_moment(
 
 def _title(axes: Any, title: str, numbers: str) -> None:
     """A title above the axes and a smaller line below it."""
-    axes.set_title(title, fontsize=9, loc="left", pad=13)
+    axes.set_title(title, fontsize=9, loc="left", pad=13, parse_math=False)
     colour = unit(style.FADED)
     axes.annotate(
         numbers, (0, 1), (0, 3), xycoords="axes fraction", textcoords="offset points", fontsize=6.6, color=colour

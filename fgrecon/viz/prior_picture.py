@@ -63,10 +63,12 @@ def prior_picture(prior: ShapePrior, modes: int | None = None) -> Any:
             title = name if row == 0 else ""
             if column == 0:
                 title = f"mean, {name}" if row == 0 else _mode_title(prior, row - 1)
-            axes.set_title(title, fontsize=8, loc="left", color=unit(style.INK))
+            axes.set_title(title, fontsize=8, loc="left", color=unit(style.INK), parse_math=False)
     total = f"{100 * prior.explained[:count].sum():.1f} % of the variance" if count else "mean alone"
     heading = f"{prior.name} ({prior.category.name}): {total}; solid +2, dashed -2 standard deviations; metres"
-    figure.text(0.01, 1.0 - 0.35 * _TITLE / height, heading, fontsize=9, va="top", color=unit(style.INK))
+    figure.text(
+        0.01, 1.0 - 0.35 * _TITLE / height, heading, fontsize=9, va="top", color=unit(style.INK), parse_math=False
+    )
     return figure
 
 

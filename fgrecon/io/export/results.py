@@ -83,7 +83,7 @@ def read_results(path: str | Path, prior: ShapePrior | str | Path | None = None)
             return [_named(entry, surfaces, of_track="tracks" in data) for entry in solved]
     except InvalidInputError as error:
         raise InvalidInputError(f"{path}: {error.field}", error.value, error.fix) from error
-    except (KeyError, TypeError, ValueError) as error:
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
         raise InvalidInputError(str(path), f"malformed: {error}", "Give the file as fgrecon wrote it.") from error
     fix = "Give what `fgrecon reconstruct --json`, `fgrecon track --json` or `fgrecon demo` wrote."
     raise InvalidInputError(f"{path}: format", kind, fix)

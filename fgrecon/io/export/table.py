@@ -14,6 +14,9 @@ from fgrecon.io.export.results import NamedResult
 __all__ = ["csv_of_rows", "csv_text", "parquet_bytes", "parquet_of_rows"]
 
 
+_FORMULAS = ("=", "+", "-", "@", "\t", "\r")
+
+
 def csv_text(results: Sequence[NamedResult]) -> str:
     """Comma-separated values with a header.
 
@@ -30,12 +33,19 @@ def csv_text(results: Sequence[NamedResult]) -> str:
 
 
 def csv_of_rows(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Comma-separated values of rows, of which there is one at least and which have the same columns."""
+    """Comma-separated values of rows, of which there is one at least and which have the same columns.
+
+    A text that a spreadsheet would take for a formula has an apostrophe in front.
+    """
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows)
+    writer.writerows({name: _harmless(value) for name, value in row.items()} for row in rows)
     return text.getvalue()
+
+
+def _harmless(value: Any) -> Any:
+    return f"'{value}" if isinstance(value, str) and value.startswith(_FORMULAS) else value
 
 
 def parquet_bytes(results: Sequence[NamedResult]) -> bytes:

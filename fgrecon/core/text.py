@@ -1,0 +1,18 @@
+"""Texts of unknown origin, as they may be shown."""
+
+from __future__ import annotations
+
+__all__ = ["printable"]
+
+
+def printable(text: str, most: int = 4000) -> str:
+    """A text as it may be shown: without characters that command a terminal, and not endlessly long.
+
+    Args:
+        text: Such as an id or a path, from anywhere.
+        most: Characters from which on the middle is left out.
+    """
+    shown = text if len(text) <= most else f"{text[: most // 2]} ... {text[-most // 4 :]}"
+    if shown.isprintable():
+        return shown
+    return "".join(c if c.isprintable() or c in "\n\t" else c.encode("unicode_escape").decode() for c in shown)
