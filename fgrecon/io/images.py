@@ -58,10 +58,13 @@ def decode_image(content: bytes, name: str) -> NDArray[np.uint8]:
     import cv2  # on use: importing fgrecon must not import OpenCV
 
     _check_size(content, name)
-    image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_COLOR) if content else None
+    try:
+        image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_COLOR) if content else None
+    except cv2.error:
+        image = None
     if image is None:
         raise InvalidInputError("image", name, "Give an image that OpenCV reads, such as PNG or JPEG.")
-    return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB, dst=image), dtype=np.uint8)
 
 
 def _check_size(content: bytes, name: str) -> None:

@@ -37,9 +37,9 @@ def read_coco(path: Path, category: Category, rename: Mapping[str, str]) -> Anno
     content = Fields(read_json(path), f"{path}: ")
     layouts = _layouts(path, content, category, rename)
     images = {
-        entry.get("id"): str(entry.get("file_name", entry.get("id")))
-        for entry in content.data.get("images", [])
-        if isinstance(entry, Mapping)
+        entry["id"]: str(entry.get("file_name", entry["id"]))
+        for entry in (content.get("images", list) if "images" in content else [])
+        if isinstance(entry, Mapping) and isinstance(entry.get("id"), int | str)
     }
     keypoints: list[NDArray[np.float64]] = []
     names: list[str] = []
@@ -54,7 +54,8 @@ def read_coco(path: Path, category: Category, rename: Mapping[str, str]) -> Anno
         file_names, columns = layouts[kind]
         keypoints.append(_points(instance, file_names, columns))
         image = instance.data.get("image_id")
-        names.append(f"{images.get(image, image)} annotation {identity}")
+        name = images.get(image, image) if isinstance(image, int | str) else image
+        names.append(f"{name} annotation {identity}")
     array = np.array(keypoints).reshape(-1, category.size, 2)
     return Annotations(category, array, tuple(names), source=f"{path.name} (COCO)")
 

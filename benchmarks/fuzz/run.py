@@ -1,0 +1,115 @@
+"""One reader and many damaged files."""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+import time
+import traceback
+import warnings
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.fuzz.mutate import mutated
+from benchmarks.fuzz.readers import READERS
+from fgrecon.core.errors import FgreconError
+
+__all__ = ["Ended", "Find", "fuzz", "read"]
+
+_SLOW = 20.0  # seconds for one small file: a find; a picture of 178 million equal pixels takes six
+
+
+@dataclass(frozen=True)
+class Find:
+    """A file that a reader does not bear.
+
+    Attributes:
+        reader: Its name.
+        error: What it raised.
+        place: Where.
+        file: The file that was kept.
+    """
+
+    reader: str
+    error: str
+    place: str
+    file: Path
+
+
+@dataclass
+class Ended:
+    """How a run ended.
+
+    Attributes:
+        files: How many were read.
+        seconds: CPU time.
+        slowest: Wall time of the slowest file, seconds.
+        finds: One for each place that raised.
+    """
+
+    files: int = 0
+    seconds: float = 0.0
+    slowest: float = 0.0
+    finds: list[Find] = field(default_factory=list)
+
+
+def fuzz(name: str, start: int, seconds: float, out: Path | None = None, most: int | None = None) -> Ended:
+    """Damage and read.
+
+    Args:
+        name: Of the reader.
+        start: Number of the first file; the same number makes the same file.
+        seconds: CPU time.
+        out: Where files are kept that a reader does not bear.
+        most: At most so many files.
+    """
+    seeds = sorted(READERS[name].seeds().items())
+    ended, places = Ended(), set()
+    began = time.process_time()
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        while time.process_time() - began < seconds and (most is None or ended.files < most):
+            number = start + ended.files
+            rng = np.random.default_rng([number, *name.encode()])
+            title, content = seeds[int(rng.integers(len(seeds)))]
+            damaged = mutated(content, rng)
+            clock = time.perf_counter()
+            error = read(name, Path(folder) / title, damaged)
+            took = time.perf_counter() - clock
+            ended.slowest = max(ended.slowest, took)
+            ended.files += 1
+            if error is None and took > _SLOW:
+                error = TimeoutError(f"{took:.1f} seconds")
+            if error is None:
+                continue
+            last = traceback.extract_tb(error.__traceback__)[-1:]
+            place = f"{Path(last[0].filename).name}:{last[0].lineno}" if last else "?"
+            if (type(error), place) not in places:
+                places.add((type(error), place))
+                kept = _keep(out, name, title, damaged)
+                ended.finds.append(Find(name, f"{type(error).__name__}: {error}"[:200], place, kept))
+    ended.seconds = time.process_time() - began
+    return ended
+
+
+def read(name: str, path: Path, content: bytes) -> Exception | None:
+    """What a reader raises that it should not; None where it reads the file or refuses it on purpose."""
+    path.write_bytes(content)
+    try:
+        READERS[name].read(path)
+    except FgreconError:
+        return None
+    except Exception as error:  # noqa: BLE001  # that is the question
+        return error
+    return None
+
+
+def _keep(out: Path | None, name: str, title: str, content: bytes) -> Path:
+    digest = hashlib.sha256(content).hexdigest()[:10]
+    path = (out or Path()) / name.replace(" ", "_") / f"{digest}-{title}"
+    if out is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    return path

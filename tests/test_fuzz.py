@@ -1,0 +1,42 @@
+"""A short run of the fuzzer on every reader, and the files that longer ones have found."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.fuzz.mutate import mutated
+from benchmarks.fuzz.readers import READERS
+from benchmarks.fuzz.run import fuzz, read
+
+CORPUS = Path(__file__).parent / "corpus"
+FILES = sorted(path for path in CORPUS.rglob("*") if path.is_file())
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_the_valid_files_are_read(name, tmp_path):
+    for title, content in READERS[name].seeds().items():
+        (tmp_path / title).write_bytes(content)
+        if name != "weights":  # the start of a network alone: it must be refused
+            READERS[name].read(tmp_path / title)
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_damaged_files_are_refused_on_purpose(name):
+    ended = fuzz(name, start=10**9, seconds=2.0, most=150)
+    assert ended.finds == []
+    assert ended.files > 20
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: f"{path.parent.name}/{path.name}")
+def test_what_was_found_once_is_refused_on_purpose(path, tmp_path):
+    title = path.name.partition("-")[2]
+    assert read(path.parent.name.replace("_", " "), tmp_path / title, path.read_bytes()) is None
+
+
+def test_damage_is_the_same_for_the_same_number():
+    content = b'{"a": [1, 2, {"b": "c"}]}\n'
+    for number in range(50):
+        first, second = (mutated(content, np.random.default_rng(number)) for _ in range(2))
+        assert first == second
+    assert len({mutated(content, np.random.default_rng(number)) for number in range(50)}) > 30
