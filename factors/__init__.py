@@ -42,10 +42,12 @@ if TYPE_CHECKING:  # imported when used
     from factors.ground import ground_height_factor, upright_factor
     from factors.guard import guarded_factor
     from factors.kernel import Projection, ProjectionKernel
-    from factors.keys import DecodedKey, F, G, L, M, O, P, X, decode_key, key_name
+    from factors.keys import DecodedKey, F, G, L, M, O, P, V, X, decode_key, key_name
     from factors.laplacian import laplacian_factor
     from factors.losses import Loss, RobustLoss
+    from factors.marginal import Marginal, marginal, marginal_factor
     from factors.mixture import Form, mixture
+    from factors.motion import drive_factor, motion_factor
     from factors.noise import Noise, as_noise, diagonal_noise, keypoint_noise, keypoint_whiteners
     from factors.observation import BoxRows, GroundRows, ObservationRows, observation_factor
     from factors.planarity import (
@@ -77,6 +79,7 @@ __all__ = [
     "LinearShape",
     "Loss",
     "M",
+    "Marginal",
     "Noise",
     "O",
     "ObservationRows",
@@ -84,6 +87,7 @@ __all__ = [
     "Projection",
     "ProjectionKernel",
     "RobustLoss",
+    "V",
     "X",
     "as_noise",
     "box_factor",
@@ -94,6 +98,7 @@ __all__ = [
     "decode_key",
     "diagonal_noise",
     "dimensions_factor",
+    "drive_factor",
     "fit_plane",
     "ground_height_factor",
     "ground_parallel_factor",
@@ -103,7 +108,10 @@ __all__ = [
     "keypoint_whiteners",
     "laplacian_factor",
     "make_plane",
+    "marginal",
+    "marginal_factor",
     "mixture",
+    "motion_factor",
     "observation_factor",
     "offsets_prior",
     "penalty_ground_parallel_factor",

@@ -13,6 +13,7 @@ key        type in `Values`    meaning                                         u
 ``P(v,f)`` ``OrientedPlane3``  plane of face f, n'X + d = 0                    metres, object frame
 ``M(v)``   ``OrientedPlane3``  medial plane, n'X + d = 0                       metres, object frame
 ``G(t)``   vector (3,)         ground of frame t: height, pitch, roll          metres, radians
+``V(v,t)`` vector (3,)         velocity in frame t: forward, left, turn rate   metres, radians per second
 ``F(t)``   vector (1,)         focal length of frame t: log of its ratio to     -
                                the nominal one
 =========  ==================  ==============================================  ======================
@@ -26,7 +27,7 @@ import gtsam
 
 from factors.errors import InvalidInputError
 
-__all__ = ["DecodedKey", "F", "G", "L", "M", "O", "P", "X", "decode_key", "key_name"]
+__all__ = ["DecodedKey", "F", "G", "L", "M", "O", "P", "V", "X", "decode_key", "key_name"]
 
 _LOW_BITS = 32
 _VEHICLES = 1 << (56 - _LOW_BITS)
@@ -37,9 +38,9 @@ class DecodedKey(NamedTuple):
     """What a key stands for.
 
     Attributes:
-        letter: `X`, `L`, `O`, `P`, `M`, `G` or `F`.
+        letter: `X`, `L`, `O`, `P`, `M`, `G`, `V` or `F`.
         vehicle: Number of the vehicle; 0 for the ground and the focal length.
-        low: Frame of a pose, of the ground or of the focal length, face of a plane, 0 for the others.
+        low: Frame of a pose, a velocity, the ground or the focal length, face of a plane, 0 for the others.
     """
 
     letter: str
@@ -101,6 +102,15 @@ def G(t: int = 0) -> int:
     return _key("G", 0, t, "t")
 
 
+def V(vehicle: int = 0, t: int = 0) -> int:
+    """Key of a vehicle's velocity in frame t: forward, left and turn rate (`factors.motion`).
+
+    Raises:
+        InvalidInputError: A number is negative or too large.
+    """
+    return _key("V", vehicle, t, "t")
+
+
 def F(t: int = 0) -> int:
     """Key of the focal length of frame t (1,): the logarithm of its ratio to the nominal one (`factors.kernel`).
 
@@ -111,7 +121,7 @@ def F(t: int = 0) -> int:
 
 
 def decode_key(key: int) -> DecodedKey:
-    """Letter, vehicle and frame or face of a key; the reverse of `X`, `L`, `O`, `P`, `M`, `G` and `F`."""
+    """Letter, vehicle and frame or face of a key; the reverse of the functions of this module that make one."""
     symbol = gtsam.Symbol(key)
     index = symbol.index()
     return DecodedKey(chr(symbol.chr()), index >> _LOW_BITS, index & (_LOWS - 1))
@@ -122,7 +132,7 @@ def key_name(key: int) -> str:
     letter, vehicle, low = decode_key(key)
     if letter in "GF":
         return f"{letter}(t={low})"
-    detail = {"X": f",t={low}", "P": f",f={low}"}.get(letter, "")
+    detail = {"X": f",t={low}", "V": f",t={low}", "P": f",f={low}"}.get(letter, "")
     return f"{letter}(v={vehicle}{detail})"
 
 

@@ -28,6 +28,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.core.category import Category
     from fgrecon.core.choices import BoxModel, StrategyName
     from fgrecon.core.detection import Detection
+    from fgrecon.core.motion import MotionModel
     from fgrecon.core.observation import Observation
     from fgrecon.core.options import BoxOptions, KeypointOptions, Options, SearchOptions, ShapeOptions
     from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status, rotation_y
@@ -36,6 +37,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.core.shape_prior import ShapePrior, Surface
     from fgrecon.core.size_prior import SIZE_PRIORS, SizePrior
     from fgrecon.core.track_reconstruction import JointStep, TrackReconstruction
+    from fgrecon.core.vehicle_estimate import VehicleEstimate
     from fgrecon.io.catalogue import load_category, load_prior, save_prior
     from fgrecon.io.images import read_image
     from fgrecon.io.keypoints.reader import keypoints_from
@@ -45,6 +47,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.solve.pipeline import reconstruct
     from fgrecon.solve.scene import reconstruct_scene
     from fgrecon.solve.track import reconstruct_track
+    from fgrecon.solve.tracker import Tracker
 
 __all__ = [
     "SIZE_PRIORS",
@@ -62,6 +65,7 @@ __all__ = [
     "JointStep",
     "KeypointDetector",
     "KeypointOptions",
+    "MotionModel",
     "Observation",
     "Options",
     "Reconstruction",
@@ -75,7 +79,9 @@ __all__ = [
     "StrategyName",
     "Surface",
     "TrackReconstruction",
+    "Tracker",
     "VehicleDetector",
+    "VehicleEstimate",
     "Vehicles",
     "__version__",
     "keypoints_from",

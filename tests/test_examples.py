@@ -100,3 +100,12 @@ def test_many_cars(capsys):
     turns = [abs((yaw - true + 180) % 360 - 180) for yaw, true in yaws]
     assert len(turns) == 5
     assert np.median(turns) < 5.0
+
+
+def test_a_car_is_followed_online(capsys):
+    output = run("09", capsys)
+    speeds = [float(speed) for speed in re.findall(rf", {NUMBER} m/s", output)]
+    assert len(speeds) == 19
+    assert speeds[-1] == pytest.approx(6.0, abs=0.3)
+    first, *_, last = [float(off) for off in re.findall(rf": off by {NUMBER} m, facing", output)]
+    assert last < first

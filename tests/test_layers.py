@@ -20,7 +20,8 @@ ROOMS = {
     "io/export": {"core", "io", "solve/vehicle"},
     "solve/proposals": {"factors", "core", "solve/vehicle"},
     "solve/graph": {"factors", "core", "solve/vehicle", "solve/proposals"},
-    "solve": {"factors", "core", "io", "solve/vehicle", "solve/proposals", "solve/graph"},
+    "solve/time": {"factors", "core", "solve/proposals", "solve/graph"},
+    "solve": {"factors", "core", "io", "solve/vehicle", "solve/proposals", "solve/graph", "solve/time"},
     "perception/keypoints": {"core", "io"},
     "perception/vehicles": {"core", "io", "perception/keypoints"},
     "perception": {

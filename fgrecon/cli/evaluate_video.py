@@ -67,6 +67,13 @@ def video_command(
     ] = None,
     box_model: Annotated[BoxModel, typer.Option(help="What the 2D boxes enclose.")] = BoxModel.CUBOID,
     together: TogetherOption = True,
+    track: Annotated[
+        bool,
+        typer.Option(
+            "--track",
+            help="Follow the vehicles by their labelled ids as well: online, and in batch (`fgrecon.Tracker`).",
+        ),
+    ] = False,
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE", help=f"Contact sheet of the {_WORST} worst tracks' worst boxes.")
@@ -85,8 +92,9 @@ def video_command(
     """Find keypoints in every image of labelled drives, reconstruct cars and vans from their labelled boxes, and score.
 
     Boxes count that are at least 25 px high, largely occluded at most, and at most half outside the image. Each image
-    is taken on its own. A box without a result counts as 180 degrees and stays in. Intervals are of 95 %, by bootstrap
-    over tracks. For a picture the worst images are solved once more after they were scored. --verbose tells every box.
+    is taken on its own; with --track the same keypoints are followed over time as well. A box without a result counts
+    as 180 degrees and stays in. Intervals are of 95 %, by bootstrap over tracks. For a picture the worst images are
+    solved once more after they were scored. --verbose tells every box.
 
     Exit code 1: no box could be reconstructed.
     """
@@ -94,6 +102,7 @@ def video_command(
     from fgrecon.core.options import Options
     from fgrecon.evaluation.video_images import score_drives, wanted
     from fgrecon.evaluation.video_summary import document, facing_reliability, methods_of
+    from fgrecon.evaluation.video_tracks import follow_boxes
     from fgrecon.io.export.files import TABLE_FORMATS, export_rows
     from fgrecon.io.files import check_ending
     from fgrecon.io.kitti_drives import read_drive
@@ -119,6 +128,8 @@ def video_command(
             jobs=jobs,
             advance=counting(advance, "Images", frames),
         )
+        if track:
+            boxes = follow_boxes(boxes, drives, setups)
 
     screen.print(f"{len(drives)} drives, {frames} images, {len(boxes)} boxes; {origin}.")
     for method in methods_of(boxes):
@@ -136,6 +147,7 @@ def video_command(
         "size_prior": labelled.size_prior,
         "box_model": box_model.value,
         "together": together,
+        "track": track,
     }
     networks = _networks(files, setups)
     screen.write_json(json.dumps(document(boxes, given, networks), indent=1, allow_nan=False) + "\n")
@@ -242,7 +254,8 @@ def _table(boxes: list[VideoBox], method: str) -> Table:
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     shares = [f"AOP {threshold}° %" for threshold in THRESHOLDS]
     silent = ["silent %", "network %"] if whole else []
-    numbers = ["boxes", "tracks", "mean °", *shares, "turned %", *silent, "median m", "mean m", "refused"]
+    jitter = ["size cm", "jitter °", "jitter m"]
+    numbers = ["boxes", "tracks", "mean °", *shares, "turned %", *silent, "median m", "mean m", *jitter, "refused"]
     for heading in (method, *numbers):
         table.add_column(heading, justify="left" if heading == method else "right", no_wrap=True)
     for by, named in group_boxes(boxes).items():
@@ -262,10 +275,17 @@ def _table(boxes: list[VideoBox], method: str) -> Table:
                 *(["-" if s is None else f"{s.value:.1f}" for s in (score.silent, score.network_turned_round)] * whole),
                 f"{score.median_metres:.2f}",
                 f"{score.mean_metres:.2f}",
+                _number(score.mean_absolute_size_error, 100.0, ".0f"),
+                _number(score.jitter_degrees, 1.0, ".2f"),
+                _number(score.jitter_metres, 1.0, ".2f"),
                 str(score.refused),
             )
         table.add_section()
     return table
+
+
+def _number(value: float | None, factor: float, digits: str) -> str:
+    return "-" if value is None else format(factor * value, digits)
 
 
 def _cell(share: Interval, tracks: int) -> str:

@@ -8,7 +8,7 @@ All indices are 0-based; the file itself refers to keypoints by name. This modul
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.brief import brief_repr
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.motion import MotionModel
 
 __all__ = ["DIMENSIONS", "Category", "Dimension", "Face"]
 
@@ -73,6 +74,7 @@ class Category:
         dimensions: Length, width and height, in this order.
         ground_keypoints: Keypoints at a common height above the ground (the wheels).
         ground_ratio: Their height above the ground divided by the height of the vehicle's box.
+        motion: How such vehicles move.
     """
 
     name: str
@@ -84,6 +86,7 @@ class Category:
     dimensions: tuple[Dimension, ...]
     ground_keypoints: tuple[int, ...]
     ground_ratio: float
+    motion: MotionModel = field(default_factory=MotionModel)
 
     __repr__ = brief_repr
 
@@ -166,6 +169,7 @@ class Category:
                 d.name: {"plus": named(d.plus), "minus": named(d.minus), "ratio": d.ratio} for d in self.dimensions
             },
             "ground": {"keypoints": named(self.ground_keypoints), "ratio": self.ground_ratio},
+            **({} if self.motion == MotionModel() else {"motion": self.motion.to_dict()}),
         }
 
 
@@ -191,6 +195,7 @@ class _Reader:
             dimensions=tuple(self.dimension(name) for name in DIMENSIONS),
             ground_keypoints=self.group("ground.keypoints", self.get("ground", dict).get("keypoints")),
             ground_ratio=self.ratio("ground.ratio", self.get("ground", dict).get("ratio"), lowest=0.0),
+            motion=MotionModel.from_dict(self.data.get("motion", {})),
         )
 
     def get(self, field: str, kind: type) -> Any:

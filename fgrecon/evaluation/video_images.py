@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from multiprocessing import get_context
 from typing import Any
@@ -24,7 +24,9 @@ from fgrecon.core.detection import facing_probability
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import view_azimuth, yaw_rotation
 from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error, translation_error, wrap_angle
+from fgrecon.core.observation import Observation
 from fgrecon.core.processes import single_threaded
+from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.evaluation.kitti_images import Setup, reconstruct_boxes
 from fgrecon.evaluation.methods import SceneKnowledge, Solver, select
 from fgrecon.evaluation.run import score_pose
@@ -42,6 +44,7 @@ __all__ = [
     "VideoBox",
     "View",
     "labelled_azimuth",
+    "outcome",
     "reconstruct_frame",
     "score_drives",
     "view_of",
@@ -74,6 +77,7 @@ class BoxOutcome:
         size: Estimated minus labelled length, width and height, metres; None where the method finds no size.
         status: How the reconstruction ended; None without one, and for a rival.
         failure: Why there is no pose, or None.
+        off: Estimated minus labelled yaw in degrees, and origin (3) in metres; None where it was not wanted.
     """
 
     degrees: float
@@ -81,6 +85,7 @@ class BoxOutcome:
     size: tuple[float, float, float] | None
     status: str | None
     failure: str | None
+    off: tuple[float, float, float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -102,6 +107,7 @@ class VideoBox:
             gives no directions.
         outcomes: What each method found, by its name.
         line: What the whole system found, as a line of KITTI's results; empty where it found nothing.
+        observation: What the network found.
     """
 
     drive: str
@@ -117,6 +123,7 @@ class VideoBox:
     facing: float | None
     outcomes: Mapping[str, BoxOutcome]
     line: str = ""
+    observation: Observation | None = field(default=None, compare=False, repr=False)
 
     @property
     def view(self) -> View:
@@ -297,6 +304,7 @@ def _score_frame(
                 facing=None if directions is None else facing_probability(directions, azimuth),
                 outcomes=outcomes,
                 line=_line(one, labels.box[index], offset),
+                observation=one.detection.evidence,
             )
         )
     return boxes
@@ -310,14 +318,28 @@ def _line(found: FromImage, box: Array, offset: Array) -> str:
 
 def _outcome(found: FromImage, truth: GroundTruth, size: Array, offset: Array) -> BoxOutcome:
     """The whole system's outcome; truth and size (3,) are the label's."""
-    result = found.result
-    if result is None:
+    if found.result is None:
         return BoxOutcome(FAILURE_DEGREES, float("inf"), None, None, str(found.error))
+    return outcome(found.result, truth, size, offset)
+
+
+def outcome(result: Reconstruction, truth: GroundTruth, size: Array, offset: Array) -> BoxOutcome:
+    """How far a result is off.
+
+    Args:
+        result: The result.
+        truth: Labelled place and yaw.
+        size: (3,) labelled length, width and height.
+        offset: (3,) of the labels' frame in the camera's.
+    """
     length, width, height = (result.box_size - size).tolist()
+    turned = float(np.degrees(wrap_angle(result.rotation_y - truth.rotation_y)))
+    x, y, z = (result.location - offset - truth.location).tolist()
     return BoxOutcome(
         degrees=float(orientation_error([result.rotation_y], [truth.rotation_y])[0]),
         metres=float(translation_error([result.location - offset], [truth.location])[0]),
         size=(length, width, height),
         status=result.status.value,
         failure=None,
+        off=(turned, x, y, z),
     )

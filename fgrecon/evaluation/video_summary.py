@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from fgrecon.core.metrics import THRESHOLDS
+from fgrecon.core.metrics import THRESHOLDS, wrap_angle
 from fgrecon.core.reconstruction import Status
 from fgrecon.core.reliability import Reliability, reliability
 from fgrecon.evaluation.bootstrap import Interval, mean_interval
@@ -32,6 +32,7 @@ TURNED_ROUND = 90.0
 """Degrees of yaw error above which a vehicle is turned round."""
 
 FORMAT = "fgrecon.video-images/1"
+_NEXT = 2  # frames: labelled boxes are in every second one at least
 _SIZES = (25.0, 40.0, 60.0, 120.0, np.inf)  # pixels of the box's height
 _DISTANCES = (0.0, 10.0, 20.0, 30.0, 50.0, np.inf)  # metres
 _OCCLUSIONS = {0: "fully visible", 1: "partly occluded", 2: "largely occluded"}
@@ -45,6 +46,10 @@ _UNITS = {
     "median_metres": "between estimated and labelled origin, over the boxes with a pose",
     "mean_metres": "the same",
     "mean_size_error": "metres, estimated minus labelled length, width and height, over the boxes with a pose",
+    "mean_absolute_size_error": "metres, mean of the absolute errors of length, width and height",
+    "jitter_degrees": "mean change of the yaw error from a box to the next one of its track, at most two frames later; "
+    "null where no yaw errors are known",
+    "jitter_metres": "the same of the position error, a vector",
     "interval": "95 % by bootstrap over tracks; null where there is one track",
     "facing": "probability of the directions within 90 degrees of the labelled one; the bins, of equally many boxes, "
     "compare the probability of the more probable half, this one or the other, with how often it is the labelled one",
@@ -68,6 +73,9 @@ class BoxSummary:
         mean_metres: Mean position error over them; NaN without one.
         mean_size_error: Mean of estimated minus labelled length, width and height, metres; None where none is found.
         refused: Number of boxes without a pose.
+        mean_absolute_size_error: Mean absolute error of length, width and height, metres; None where none is found.
+        jitter_degrees: Mean change of the yaw error from a box to the next one of its track; None where none is known.
+        jitter_metres: The same of the position error.
     """
 
     boxes: int
@@ -81,6 +89,9 @@ class BoxSummary:
     mean_metres: float
     mean_size_error: tuple[float, float, float] | None
     refused: int
+    mean_absolute_size_error: float | None = None
+    jitter_degrees: float | None = None
+    jitter_metres: float | None = None
 
 
 def methods_of(boxes: Sequence[VideoBox]) -> tuple[str, ...]:
@@ -161,7 +172,27 @@ def summarise_boxes(boxes: Sequence[VideoBox], method: str) -> BoxSummary:
         mean_metres=float(np.mean(metres)) if len(metres) else np.nan,
         mean_size_error=(length, width, height) if sizes else None,
         refused=sum(one.failure is not None for one in found),
+        mean_absolute_size_error=float(np.mean(np.abs(sizes))) if sizes else None,
+        **_jitter(boxes, method),
     )
+
+
+def _jitter(boxes: Sequence[VideoBox], method: str) -> dict[str, float | None]:
+    """How much errors change from a box to the next one of its track."""
+    last: dict[tuple[str, int], tuple[int, tuple[float, ...]]] = {}
+    turns, ways = [], []
+    for box in boxes:
+        off, name = box.outcomes[method].off, (box.drive, box.track)
+        if off is None:
+            continue
+        frame, before = last.get(name, (-np.inf, off))
+        if box.frame - frame <= _NEXT:
+            turns.append(abs(float(wrap_angle(np.radians(off[0] - before[0])))))
+            ways.append(float(np.linalg.norm(np.subtract(off[1:], before[1:]))))
+        last[name] = box.frame, off
+    if not turns:
+        return {"jitter_degrees": None, "jitter_metres": None}
+    return {"jitter_degrees": float(np.degrees(np.mean(turns))), "jitter_metres": float(np.mean(ways))}
 
 
 def facing_reliability(boxes: Sequence[VideoBox]) -> Reliability:
@@ -247,4 +278,7 @@ def _plain(summary: BoxSummary) -> dict[str, Any]:
         "mean_metres": finite(summary.mean_metres),
         "mean_size_error": None if summary.mean_size_error is None else list(summary.mean_size_error),
         "refused": summary.refused,
+        "mean_absolute_size_error": summary.mean_absolute_size_error,
+        "jitter_degrees": summary.jitter_degrees,
+        "jitter_metres": summary.jitter_metres,
     }

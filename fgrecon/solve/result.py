@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import gtsam
 import numpy as np
@@ -33,6 +33,7 @@ def results(
     adjusted: Adjusted,
     milliseconds: dict[str, float],
     extra: Sequence[gtsam.NonlinearFactor] = (),
+    only: Collection[int] | None = None,
 ) -> list[Reconstruction]:
     """The result of each observation.
 
@@ -42,6 +43,7 @@ def results(
         adjusted: Where the graph's optimisation ended.
         milliseconds: Wall time by stage.
         extra: Factors of the caller's own.
+        only: Indices of the observations whose results are wanted; None for all.
     """
     graph, optimum = adjusted.graph, adjusted.optimum
     if not seen[0].problem.options.shape.joint:  # covariances count pose and shape together, whichever came last
@@ -57,6 +59,8 @@ def results(
     found: list[Reconstruction] = []
     shapes: dict[int, NDArray[np.float64]] = {}
     for i, (part, start) in enumerate(zip(graph.observations, starts, strict=True)):
+        if only is not None and i not in only:
+            continue
         if optimum.failure is not None:
             energies = {}
         elif alone:

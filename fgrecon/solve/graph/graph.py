@@ -24,7 +24,7 @@ from fgrecon.solve.graph.observation import ObservationPart, Weights
 from fgrecon.solve.graph.vehicle import Held, Terms, VehiclePart
 from fgrecon.solve.proposals.problem import Problem
 
-__all__ = ["EXTRA", "Graph", "Seen", "State", "Terms"]
+__all__ = ["EXTRA", "Graph", "Seen", "State", "Terms", "common_share"]
 
 Array = NDArray[np.float64]
 
@@ -64,6 +64,11 @@ class State:
     others: gtsam.Values = field(default_factory=gtsam.Values)
 
 
+def common_share(images: int, options: Options) -> float:
+    """Share of its information that each of so many images of one vehicle has for the graph; 1 for a single one."""
+    return 1.0 / (1.0 + (images - 1) * options.shape.common_error)
+
+
 class Graph:
     """Builds the factors for given weights; everything that does not depend on them is built once.
 
@@ -82,6 +87,7 @@ class Graph:
         pose_free: bool,
         hold_shape: bool = False,
         extra: Sequence[gtsam.NonlinearFactor] = (),
+        earlier: int = 0,
     ) -> None:
         """Prepare the graph.
 
@@ -91,6 +97,7 @@ class Graph:
             pose_free: Whether the poses are variables.
             hold_shape: Whether the shapes are constants.
             extra: The caller's own factors; those on variables that are held are left out.
+            earlier: How many more images of each vehicle the extra factors stand for.
 
         Raises:
             InvalidInputError: A factor of the caller's own has a key of no variable.
@@ -106,7 +113,7 @@ class Graph:
                 part = VehiclePart(one.problem.model, self.options, one.vehicle, held=held)
                 self.vehicles[one.vehicle] = part
             vehicle = self.vehicles[one.vehicle]
-            share = 1.0 / (1.0 + (counts[one.vehicle] - 1) * self.options.shape.common_error)
+            share = common_share(counts[one.vehicle] + earlier, self.options)
             self.observations.append(
                 ObservationPart(
                     one.problem,

@@ -80,8 +80,9 @@ class Descent:
         converged: Whether the last step was `STEADY`, or where steps leap over a crease of the energy, gained nothing.
     """
 
-    def __init__(self, graph: Graph, start: State) -> None:
-        """Begin at a state of a graph that `is_robust`."""
+    def __init__(self, graph: Graph, start: State, most: int | None = None) -> None:
+        """Begin at a state of a graph that `is_robust`; `most` steps are made where a number is given."""
+        self.most = most
         self.graph = graph
         self.values = graph.values(start)
         self.weights: list[Weights] = list(start.weights)
@@ -110,7 +111,7 @@ class Descent:
             if self._swinging.watch(before, self.weights):
                 steps.forget()
             self._record()
-            if self.converged or self._rescued >= _RESCUED:
+            if self.converged or self._rescued >= _RESCUED or self.iterations == self.most:
                 return
             if iteration >= _FOLLOWED // 2 and (energy := self._energy()) < best[0]:
                 best = energy, self.values, self.weights

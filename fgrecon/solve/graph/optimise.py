@@ -80,17 +80,18 @@ class Optimum:
         return sum(self.energies.values())
 
 
-def optimise(graph: Graph, start: State) -> Optimum:
+def optimise(graph: Graph, start: State, most: int | None = None) -> Optimum:
     """Minimise a graph's energy from a state.
 
     Args:
         graph: The graph; its options say how.
         start: Where to start, every keypoint in front of its camera.
+        most: Make no more of Newton's steps than that: for a start near the minimum, which is to be come closer to.
 
     Returns:
         The end. Where the start is behind the camera or a system is singular, the state so far and why.
     """
-    loop = Descent(graph, start) if graph.is_robust else _Loop(graph, start)
+    loop = Descent(graph, start, most) if graph.is_robust else _Loop(graph, start)
     failure = None
     try:
         graph.check_in_front(loop.values)

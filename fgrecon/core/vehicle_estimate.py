@@ -1,0 +1,46 @@
+"""What a tracker says of one vehicle in one frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.brief import brief_repr
+from fgrecon.core.reconstruction import Reconstruction
+
+__all__ = ["VehicleEstimate"]
+
+
+@dataclass(frozen=True, eq=False)
+class VehicleEstimate:
+    """One vehicle in one frame, by all that a tracker has seen of it.
+
+    Attributes:
+        id: Of the vehicle.
+        time: Of the frame, seconds.
+        reconstruction: Pose in this frame's camera, shape, covariances and status.
+        velocity: (3,) of its origin, metres per second: in the world and along its axes where `world_T_object` is
+            known, else relative to the camera and along the camera's axes. None in the first frame.
+        turn_rate: Rate of `rotation_y`, radians per second, in the same sense; None in the first frame.
+        facing_probability: How probably the vehicle faces where the pose says, within a quarter turn.
+        world_T_object: (4, 4) pose in the world, or None where the camera's is not known.
+        frames: How many frames of the vehicle it rests on.
+    """
+
+    id: int
+    time: float
+    reconstruction: Reconstruction
+    velocity: NDArray[np.float64] | None
+    turn_rate: float | None
+    facing_probability: float
+    world_T_object: NDArray[np.float64] | None = None
+    frames: int = 1
+
+    __repr__ = brief_repr
+
+    @property
+    def speed(self) -> float | None:
+        """Metres per second; None in the first frame."""
+        return None if self.velocity is None else float(np.linalg.norm(self.velocity))

@@ -1,0 +1,181 @@
+"""Which way a vehicle faces, by all of its frames: a Bayes filter over a grid of headings.
+
+    heading(0) ---- turn ---- heading(1) ---- turn ---- heading(2) ...
+        |                         |                         |
+      frame                     frame                     frame
+
+What a frame says is a density over headings (`rotation_y` in its camera): a bump at each pose that its keypoints allow,
+by its energy; smaller bumps half a turn away, since a network that takes a front for a rear does so with all keypoints;
+the network's directions; and where the vehicle has gone, if the world is known. Neither is ever certain, and frames
+that follow each other closely err alike: the logarithms count by the time between them. From frame to frame a vehicle
+turns little; that it faces elsewhere altogether (a change of identity) has a tiny probability.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.geometry import view_azimuth, yaw_rotation
+from fgrecon.core.metrics import wrap_angle
+
+__all__ = ["HEADINGS", "Belief", "backward", "combined", "directions_say", "motion_says", "poses_say"]
+
+Array = NDArray[np.float64]
+
+_BINS = 72
+HEADINGS = 2.0 * np.pi * np.arange(_BINS) / _BINS
+"""(B,) headings of the grid, `rotation_y` in radians."""
+
+_SPREAD = np.deg2rad(8.0)  # of a pose's heading
+_TOLD = 0.3  # share of a difference of energies that says which pose is right: outlines and points err together
+_TURNED_ROUND, _TURNED_ALONE = 0.4, 0.1
+"""Probability that keypoints are turned round as a whole: beside directions of the same network, which say all that it
+knows of front and rear, and without them."""
+_ANYTHING = 0.05  # that they say nothing
+_SAYS_NOTHING = 0.05  # that the network's directions do
+_REVERSE = 0.03  # that a vehicle that moves drives backwards
+_TALL = 60.0  # pixels: of lower vehicles less can be told, and frames err alike the more
+_ALIKE = 0.3  # seconds: what frames of so much time say together is what one of them says
+_TURN = 0.3  # radians that a vehicle turns in a second (1 sigma)
+_ELSEWHERE = 1e-4  # probability in a second that it faces elsewhere altogether
+
+
+def _half(heading: float) -> Array:
+    """(B,) share of each bin that is within a quarter turn of a heading."""
+    width = 2.0 * np.pi / _BINS
+    off = np.abs(wrap_angle(HEADINGS - heading))
+    share: Array = np.clip((np.pi / 2.0 - off) / width + 0.5, 0.0, 1.0)
+    return share
+
+
+_HALVES = np.array([_half(heading) for heading in HEADINGS])
+
+
+@dataclass(frozen=True)
+class Belief:
+    """Probability (B,) of each heading."""
+
+    probability: Array
+
+    @classmethod
+    def none(cls) -> Belief:
+        """Every heading alike."""
+        return cls(np.full(_BINS, 1.0 / _BINS))
+
+    def told(self, evidence: Array) -> Belief:
+        """With a frame's evidence (B,), logarithms."""
+        posterior = self.probability * np.exp(evidence - evidence.max())
+        return Belief(posterior / posterior.sum())
+
+    def later(self, seconds: float, camera_turn: float) -> Belief:
+        """After some time; by `camera_turn` the `rotation_y` of a thing at rest changes meanwhile."""
+        return Belief(_kernel_product(self.probability, seconds, camera_turn))
+
+    @property
+    def heading(self) -> float:
+        """The most probable heading of the more probable half of all, radians."""
+        towards = _HALVES @ self.probability
+        best = np.abs(wrap_angle(HEADINGS - HEADINGS[int(towards.argmax())])) <= np.pi / 2.0
+        return float(HEADINGS[int(np.where(best, self.probability, -1.0).argmax())])
+
+    def facing(self, heading: float) -> float:
+        """Probability of the headings within a quarter turn of one."""
+        return float(np.clip(_half(heading) @ self.probability, 0.0, 1.0))
+
+
+def weight_of(seconds: float | None, height: float) -> float:
+    """How much a frame's evidence counts.
+
+    Args:
+        seconds: Since the frame before; None for the first.
+        height: Of the vehicle in the image, pixels.
+    """
+    return (1.0 if seconds is None else min(seconds / _ALIKE, 1.0)) * min(height / _TALL, 1.0)
+
+
+def poses_say(headings: Sequence[float], energies: Sequence[float], *, alone: bool) -> Array:
+    """(B,) logarithms of what poses say, of which one is right or none.
+
+    Args:
+        headings: Of the poses.
+        energies: Of them, nats.
+        alone: Whether no directions are given beside them.
+    """
+    turned = _TURNED_ALONE if alone else _TURNED_ROUND
+    energy = np.asarray(energies, dtype=np.float64)
+    share = np.exp(_TOLD * (energy.min() - energy))
+    share /= share.sum()
+    off = wrap_angle(HEADINGS[:, None] - np.asarray(headings, dtype=np.float64))
+    here, there = _bump(off) @ share, _bump(wrap_angle(off + np.pi)) @ share
+    flat = 1.0 / (2.0 * np.pi)
+    density = (1.0 - turned - _ANYTHING) * here + turned * there + _ANYTHING * flat
+    said: Array = np.log(density)
+    return said
+
+
+def directions_say(azimuth: Array | None, location: Array) -> Array:
+    """(B,) logarithms of what the network's directions (A,) say of a vehicle at a place (3,) in the camera's frame."""
+    if azimuth is None:
+        return np.zeros(_BINS)
+    bins = len(azimuth)
+    seen = view_azimuth(yaw_rotation(HEADINGS), np.broadcast_to(location, (_BINS, 3)))
+    place = np.mod(seen, 2.0 * np.pi) / (2.0 * np.pi) * bins
+    low, share = place.astype(int) % bins, place % 1.0
+    density = ((1.0 - share) * azimuth[low] + share * azimuth[(low + 1) % bins]) * bins
+    said: Array = np.log((1.0 - _SAYS_NOTHING) * density + _SAYS_NOTHING)
+    return said
+
+
+def motion_says(moved: Array, sigma: float) -> Array:
+    """(B,) logarithms of what a way (3,) over the world says, known to `sigma` metres: vehicles seldom reverse."""
+    distance = float(np.hypot(moved[0], moved[2]))
+    heading = float(np.arctan2(-moved[2], moved[0]))
+    spread = float(np.hypot(_SPREAD, np.arctan2(sigma, distance)))
+    off = np.abs(wrap_angle(HEADINGS - heading))
+    sure = float(np.clip(distance / (3.0 * sigma) - 1.0, 0.0, 1.0))
+    ahead, behind = (np.exp(-0.5 * np.square(one / spread)) for one in (off, np.pi - off))
+    bump = ((1.0 - _REVERSE) * ahead + _REVERSE * behind) / (np.sqrt(2.0 * np.pi) * spread)
+    density = (1.0 - _ANYTHING) * bump + _ANYTHING / (2.0 * np.pi)
+    said: Array = sure * np.log(density)
+    return said
+
+
+def backward(evidence: Sequence[Array], steps: Sequence[tuple[float, float]]) -> list[Array]:
+    """(B,) likelihood of all later frames, for each frame.
+
+    Args:
+        evidence: (B,) logarithms of each frame.
+        steps: Seconds, and the camera's turn, from each frame to the next.
+    """
+    likelihood = [np.ones(_BINS)]
+    for own, (seconds, turn) in zip(evidence[:0:-1], steps[::-1], strict=True):
+        product = likelihood[-1] * np.exp(own - own.max())
+        before = _kernel_product(product / product.sum(), seconds, -turn)
+        likelihood.append(before / before.max())
+    return likelihood[::-1]
+
+
+def combined(belief: Belief, later: Array) -> Belief:
+    """By earlier and by later frames."""
+    both = belief.probability * later
+    return Belief(both / both.sum())
+
+
+def _bump(off: Array) -> Array:
+    density: Array = np.exp(-0.5 * np.square(off / _SPREAD)) / (np.sqrt(2.0 * np.pi) * _SPREAD)
+    return density
+
+
+def _kernel_product(probability: Array, seconds: float, turn: float) -> Array:
+    """Turned, blurred, and with a little of everything; done in Fourier series, exact on the circle."""
+    order = np.arange(_BINS // 2 + 1)
+    spread = _TURN * np.sqrt(seconds)
+    factor = np.exp(-1j * order * turn - 0.5 * np.square(order * spread))
+    smooth = np.maximum(np.fft.irfft(np.fft.rfft(probability) * factor, _BINS), 0.0)
+    elsewhere = min(_ELSEWHERE * seconds, 0.5)
+    result: Array = (1.0 - elsewhere) * smooth / smooth.sum() + elsewhere / _BINS
+    return result

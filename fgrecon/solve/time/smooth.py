@@ -1,0 +1,69 @@
+"""The whole past of a vehicle at once: the facing of every frame by all of them, and one graph for a stretch of frames.
+
+Long pasts are solved stretch by stretch; they overlap, and of an overlap each gives the half that is further inside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from fgrecon.core.motion import MotionModel
+from fgrecon.solve.graph.vehicle import Held
+from fgrecon.solve.time.heading import Belief, backward, combined
+from fgrecon.solve.time.vehicle import face
+from fgrecon.solve.time.window import Frame, OwnFactors, WindowSolve, solve_alone, solve_window
+
+__all__ = ["Smoothed", "smooth"]
+
+_STRETCH, _OVERLAP = 100, 20  # frames
+
+
+Smoothed = tuple[WindowSolve, Sequence[Frame], range]
+"""A stretch: what was solved, its frames, and those of them that it gives, by index."""
+
+
+def smooth(past: Sequence[Frame], shape: Held, model: MotionModel, own: OwnFactors | None = None) -> Iterator[Smoothed]:
+    """Solve all frames of a vehicle.
+
+    Args:
+        past: The frames, in order, each with a belief by those before; they stay as they are. Those without a step
+            begin anew.
+        shape: Where the shape begins.
+        model: How such vehicles move.
+        own: Makes factors of the caller's own for each step; or None.
+    """
+    begins = [i for i, frame in enumerate(past) if i == 0 or frame.step is None]
+    for begin, end in zip(begins, [*begins[1:], len(past)], strict=True):
+        frames = [replace(frame) for frame in past[begin:end]]
+        face(frames, shape)
+        for frame, belief in zip(frames, _beliefs(frames), strict=True):
+            frame.belief = belief
+        if len(frames) == 1:
+            yield solve_alone(frames[0].problem, frames[0].start, frames[0].number), frames, range(1)
+            continue
+        for low, high, first, last in _stretches(len(frames)):
+            some = frames[low:high]
+            yield solve_window(some, shape, model, own=own), some, range(first - low, last - low)
+
+
+def _beliefs(frames: Sequence[Frame]) -> list[Belief]:
+    """Of each frame by all of them."""
+    steps = [(f.step.seconds, f.step.turn) for f in frames[1:] if f.step is not None]
+    later = backward([f.evidence for f in frames], steps)
+    return [combined(f.belief, likelihood) for f, likelihood in zip(frames, later, strict=True)]
+
+
+def _stretches(count: int) -> Iterator[tuple[int, int, int, int]]:
+    """Beginning and end of each stretch, and of the part that it gives."""
+    if count <= _STRETCH + _OVERLAP:
+        yield 0, count, 0, count
+        return
+    first = 0
+    for low in range(0, count - _OVERLAP, _STRETCH - _OVERLAP):
+        high = min(low + _STRETCH, count)
+        last = count if high == count else high - _OVERLAP // 2
+        yield low, high, first, last
+        if high == count:
+            return
+        first = last

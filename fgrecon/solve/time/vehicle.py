@@ -1,0 +1,255 @@
+"""One vehicle that is followed: each frame alone first, then which way it faces, then the window's graph.
+
+Every frame is first solved alone, as a single image is. The belief of the heading (`heading`) then says which of its
+poses is meant, for this and for the other frames of the window; a frame that has none there starts anew, its keypoints
+turned round if that explains them better. Frames that leave the window stay as one linear factor on what they were tied
+to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from factors.keys import V, X
+from factors.marginal import Marginal, marginal
+from factors.mixture import Form
+from fgrecon.core.metrics import wrap_angle
+from fgrecon.core.motion import MotionModel
+from fgrecon.core.observation import Observation
+from fgrecon.core.reconstruction import Alternative, rotation_y
+from fgrecon.solve.graph.graph import Graph, Seen, State
+from fgrecon.solve.graph.observation import Weights
+from fgrecon.solve.graph.optimise import Optimum, optimise
+from fgrecon.solve.graph.vehicle import Held
+from fgrecon.solve.proposals.adjust import adjust_pose
+from fgrecon.solve.proposals.direction import direction_penalty
+from fgrecon.solve.proposals.problem import Problem
+from fgrecon.solve.time.heading import Belief, backward, combined, directions_say, motion_says, poses_say, weight_of
+from fgrecon.solve.time.turned import HALF_TURN, turned_round
+from fgrecon.solve.time.window import Frame, FrameStep, OwnFactors, WindowSolve, solve_alone, solve_window
+
+__all__ = ["Followed", "face"]
+
+Array = NDArray[np.float64]
+
+_ELSEWHERE = np.deg2rad(60.0)  # a pose that far from the heading is of another one
+_NEWTON = 2  # steps for a window: it starts at the last one's minimum
+_FADES = 0.2  # seconds: images that follow each other err alike, and where a vehicle was counts for less and less
+_COUNTED = 100  # frames: no more count for the shape, older ones are forgotten little by little
+_FAST = 60.0  # metres per second: no vehicle is taken to be faster when it is seen for the second time
+_WAY, _PLACE, _DEPTH = 2.0, 0.3, 0.05
+"""Metres that a vehicle must have gone for its way to say where it faces; how exactly its place is known: metres, and
+per metre of depth."""
+_ALIKE = 3.0  # nats: that keypoints are turned round as a whole, one time in twenty
+
+
+class Followed:
+    """A vehicle over time.
+
+    Attributes:
+        frames: Those of the window.
+        count: How many there were in all.
+        shape: Lambda (N,) and offsets (K, 3).
+        solved: The last solve.
+    """
+
+    solved: WindowSolve
+    shape: Held
+
+    def __init__(self, motion: MotionModel, window: int, own: OwnFactors | None = None) -> None:
+        """Begin without a frame.
+
+        Args:
+            motion: How such vehicles move.
+            window: Frames in the graph, at least two.
+            own: Makes factors of the caller's own for each step from frame to frame; or None.
+        """
+        self.motion, self.window, self.own = motion, min(window, _COUNTED), own
+        self.frames: list[Frame] = []
+        self.count = 0
+        self._left: Marginal | None = None  # as if every image counted whole
+        self._way = _Way()
+
+    def add(self, problem: Problem, time: float, step: FrameStep | None) -> Frame:
+        """Take a frame, and solve the window.
+
+        Args:
+            problem: What the frame shows.
+            time: Its time, seconds.
+            step: From the vehicle's frame before; None for the first.
+
+        Raises:
+            DegenerateProblemError: It determines no pose.
+        """
+        before = self.frames[-1] if self.frames else None
+        way = None if before is None or step is None else self._way.follow(before.pose, step)
+        frame = self._alone(problem, time, step, way)
+        self.frames.append(frame)
+        self.count += 1
+        if before is None or step is None:
+            frame.belief = Belief.none().told(frame.evidence)
+            return frame
+        frame.belief = before.belief.later(step.seconds, step.turn).told(frame.evidence)
+        changed = face(self.frames, self.shape)
+        if any(moved is not frame for moved in changed):
+            self._left = None  # what was left of earlier frames knows another side
+        self._start_velocity()
+        self._solve()
+        return frame
+
+    def _alone(self, problem: Problem, time: float, step: FrameStep | None, way: Array | None) -> Frame:
+        """The frame as a single image, and what it says of the heading."""
+        start = adjust_pose(problem)
+        solved = solve_alone(problem, start, self.count)
+        alone, state = solved.adjusted, solved.adjusted.optimum.state
+        if step is None:
+            self.solved, self.shape = solved, state.shapes[0]
+        poses = (Alternative(state.poses[0].matrix(), state.shapes[0][0], 0.0), *alone.alternatives[0])
+        azimuth = problem.observation.azimuth
+        energies = [p.excess - direction_penalty(azimuth, p.camera_T_object) for p in poses]
+        if not np.isfinite(energies).all():  # a strategy without an energy of its own
+            energies = [0.0 if i == 0 else _ALIKE for i in range(len(poses))]
+        evidence = poses_say([rotation_y(p.camera_T_object) for p in poses], energies, alone=azimuth is None)
+        evidence = evidence + directions_say(azimuth, poses[0].camera_T_object[:3, 3])
+        evidence = evidence * weight_of(None if step is None else step.seconds, _height(problem.observation))
+        if way is not None:
+            evidence = evidence + way
+        return Frame(self.count, time, problem, start, poses, evidence, step, state.poses[0], state.weights[0])
+
+    def _start_velocity(self) -> None:
+        """A new frame goes on as the one before did; the second tells how both do."""
+        *_, before, frame = self.frames
+        assert frame.step is not None
+        if len(self.frames) == 2 and self._left is None:
+            camera = gtsam.Pose3() if frame.step.camera is None else frame.step.camera
+            twist = gtsam.Pose3.Logmap(before.pose.inverse().compose(camera.compose(frame.pose))) / frame.step.seconds
+            before.velocity = np.array([*np.clip(twist[[3, 5]], -_FAST, _FAST), 0.0])
+        frame.velocity = before.velocity
+
+    def _solve(self) -> None:
+        earlier = min(self.count, _COUNTED) - len(self.frames)
+        solved = solve_window(
+            self.frames, self.shape, self.motion, earlier=earlier, left=self._left, most=_NEWTON, own=self.own
+        )
+        if solved.adjusted.optimum.failure is not None:
+            self._begin_again()
+            return
+        self.solved, self.shape = solved, solved.adjusted.optimum.state.shapes[0]
+        if len(self.frames) >= self.window:
+            self._leave()
+
+    def _leave(self) -> None:
+        """Take the oldest frame out of the window."""
+        graph, optimum = self.solved.adjusted.graph, self.solved.adjusted.optimum
+        first = self.frames.pop(0).number
+        leaving = {X(0, first), V(0, first)}
+        own = gtsam.NonlinearFactorGraph()
+        for factor in graph.observations[0].solved(optimum.state.weights[0], Form.WEIGHTED):
+            own.add(factor)
+        for factor in self.solved.extra:
+            if leaving & set(factor.keys()):
+                own.add(factor)
+        after = self.frames[0].step
+        assert after is not None
+        kept = float(np.exp(-after.seconds / _FADES))
+        now = [X(0, self.frames[0].number), V(0, self.frames[0].number)]
+        left = marginal(own, optimum.values, sorted(leaving)).scaled(1.0 / self.solved.share)
+        forgotten = 1.0 / _COUNTED if self.count >= _COUNTED else 0.0
+        self._left = left.fading(now, kept).scaled(1.0 - forgotten)
+
+    def _begin_again(self) -> None:
+        """A window that cannot be solved ends: its last frame is the first of another."""
+        last = self.frames[-1]
+        self.frames, self._left, last.step = [last], None, None
+        self.solved = solve_alone(last.problem, last.start, last.number)
+        state = self.solved.adjusted.optimum.state
+        self.shape, last.pose, last.weights = state.shapes[0], state.poses[0], state.weights[0]
+
+
+def face(frames: Sequence[Frame], shape: Held) -> list[Frame]:
+    """Bring every frame to the side where it is by what all of them say; those that it changes."""
+    steps = [(f.step.seconds, f.step.turn) for f in frames[1:] if f.step is not None]
+    later = backward([f.evidence for f in frames], steps)
+    changed = []
+    for frame, likelihood in zip(frames, later, strict=True):
+        heading = combined(frame.belief, likelihood).heading
+        if _apart(rotation_y(frame.pose.matrix()), heading) > _ELSEWHERE:
+            _move(frame, heading, shape)
+            changed.append(frame)
+    return changed
+
+
+def _move(frame: Frame, heading: float, shape: Held) -> None:
+    """Start a frame anew, where it faces a heading."""
+    near = [p for p in frame.poses if _apart(rotation_y(p.camera_T_object), heading) <= _ELSEWHERE]
+    if near:
+        frame.pose = gtsam.Pose3(min(near, key=lambda p: p.excess).camera_T_object)
+        return
+    given = frame.problem
+    other = turned_round(given.observation, given.model.prior)
+    pose = frame.pose.compose(gtsam.Pose3(HALF_TURN))
+    if _apart(rotation_y(pose.matrix()), heading) > _ELSEWHERE:
+        pose = _turned_to(frame.pose, heading)
+    turned = Problem.of(other, given.camera, given.model, given.ground, given.options)
+    ends = [_refined(problem, pose, frame.weights, shape) for problem in (given, turned)]
+    as_given, as_turned = (end.energy if end.failure is None else np.inf for end in ends)
+    end, frame.problem = (ends[1], turned) if as_turned + _ALIKE < as_given else (ends[0], given)
+    refined = end.state.poses[0]
+    frame.pose = refined if _apart(rotation_y(refined.matrix()), heading) <= _ELSEWHERE else pose
+
+
+def _refined(problem: Problem, pose: gtsam.Pose3, weights: Weights, shape: Held) -> Optimum:
+    """The pose by its image alone, the shape held."""
+    state = State([pose], {0: shape}, [weights])
+    return optimise(Graph([Seen(problem)], state, pose_free=True, hold_shape=True), state)
+
+
+class _Way:
+    """Where a vehicle has gone over the world, as far as the camera's own motion is known."""
+
+    def __init__(self) -> None:
+        self._camera = gtsam.Pose3()  # in a world that begins with the vehicle
+        self._from: Array | None = None
+
+    def follow(self, pose: gtsam.Pose3, step: FrameStep) -> Array | None:
+        """What the way up to a frame says of the heading in the next one, if the vehicle has gone far enough.
+
+        Args:
+            pose: The vehicle in the frame.
+            step: To the next one.
+        """
+        if step.camera is None:
+            self._from = None
+            return None
+        place = np.asarray(self._camera.transformFrom(pose.translation()))
+        self._camera = self._camera.compose(step.camera)
+        if self._from is None:
+            self._from = place
+            return None
+        sigma = float(np.hypot(_PLACE, _DEPTH * np.linalg.norm(pose.translation())))
+        moved = place - self._from
+        if np.linalg.norm(moved) < max(_WAY, 4.0 * sigma):
+            return None
+        self._from = place
+        return motion_says(np.asarray(self._camera.rotation().unrotate(moved)), sigma)
+
+
+def _height(observation: Observation) -> float:
+    """Of a vehicle in the image, pixels."""
+    if observation.box is not None:
+        return float(observation.box[3] - observation.box[1])
+    return float(np.ptp(observation.keypoints[observation.measured, 1]))
+
+
+def _apart(first: float, second: float) -> float:
+    return float(np.abs(wrap_angle(first - second)))
+
+
+def _turned_to(pose: gtsam.Pose3, heading: float) -> gtsam.Pose3:
+    """The pose, turned about its own vertical axis to a heading."""
+    turn = heading - rotation_y(pose.matrix())
+    return gtsam.Pose3(pose.rotation().compose(gtsam.Rot3.Ry(turn)), pose.translation())

@@ -1,0 +1,201 @@
+"""Frames of one vehicle in one graph: poses, velocities, the shape, and what ties them together.
+
+    marginal --- X(0,t-2) --- motion --- X(0,t-1) --- motion --- X(0,t)      the window
+       |            |                       |                      |
+       |         keypoints, box, ground   keypoints, ...        keypoints, ...
+       +------------+---------- L(0) -------+----------------------+
+
+Images of one vehicle err alike (`ShapeOptions.common_error`): the more there were, the less each counts against the
+terms of the shape. Motion counts by the same share, so that it has its full weight against the images.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from factors.keys import V
+from factors.marginal import Marginal, marginal_factor
+from fgrecon.core.motion import MotionModel
+from fgrecon.core.reconstruction import Alternative
+from fgrecon.solve.graph.adjust import Adjusted, SolvedStage, adjust
+from fgrecon.solve.graph.graph import Graph, Seen, State, common_share
+from fgrecon.solve.graph.observation import Weights
+from fgrecon.solve.graph.optimise import optimise
+from fgrecon.solve.graph.vehicle import Held
+from fgrecon.solve.proposals.adjust import PoseEstimate
+from fgrecon.solve.proposals.problem import Problem
+from fgrecon.solve.time.heading import Belief
+from fgrecon.solve.time.motion import link, velocity_terms
+
+__all__ = ["Frame", "FrameStep", "OwnFactors", "WindowSolve", "solve_alone", "solve_window"]
+
+Array = NDArray[np.float64]
+
+_LONGEST = 1.0  # seconds that one velocity stands for
+
+
+OwnFactors = Callable[[int, int, float, float], Sequence[gtsam.NonlinearFactor]]
+"""Numbers of two frames that follow each other, the seconds between them, and what to multiply standard deviations by:
+makes factors on X(0, number), V(0, number) and L(0)."""
+
+
+@dataclass(frozen=True)
+class FrameStep:
+    """From a frame to the next.
+
+    Attributes:
+        seconds: Time.
+        camera: camera_first_T_camera_second; None where it is unknown.
+        sigma: Standard deviations of the camera's motion, radians and metres.
+    """
+
+    seconds: float
+    camera: gtsam.Pose3 | None
+    sigma: tuple[float, float]
+
+    @property
+    def turn(self) -> float:
+        """By how much `rotation_y` of a thing at rest changes, radians."""
+        if self.camera is None:
+            return 0.0
+        axis = self.camera.rotation().matrix().T[:, 0]  # the first camera's x, in the second
+        return float(np.arctan2(-axis[2], axis[0]))
+
+
+@dataclass
+class Frame:
+    """One frame of the vehicle.
+
+    Attributes:
+        number: In the keys.
+        time: Seconds.
+        problem: What is given; the observation turned round where that is how it is taken.
+        start: Its proposals.
+        poses: The poses that its keypoints allow, with energies of the whole.
+        evidence: (B,) what it says of the heading, logarithms.
+        step: From the frame before; None for the first.
+        pose: Where it is now.
+        weights: Weights there.
+        velocity: (3,) where it is now.
+        belief: Of the heading, by this frame and those before.
+    """
+
+    number: int
+    time: float
+    problem: Problem
+    start: PoseEstimate
+    poses: tuple[Alternative, ...]
+    evidence: Array
+    step: FrameStep | None
+    pose: gtsam.Pose3
+    weights: Weights
+    velocity: Array = field(default_factory=lambda: np.zeros(3))
+    belief: Belief = field(default_factory=Belief.none)
+
+    @property
+    def known(self) -> bool:
+        """Whether the camera's motion from the frame before is."""
+        return self.step is not None and self.step.camera is not None
+
+
+@dataclass(frozen=True)
+class WindowSolve:
+    """Frames of a window, solved together.
+
+    Attributes:
+        seen: The frames' observations.
+        starts: Their proposals.
+        adjusted: Where the graph's optimisation ended.
+        extra: The factors of motion, and what is left of earlier frames.
+        share: Of their information that the frames have.
+    """
+
+    seen: tuple[Seen, ...]
+    starts: tuple[PoseEstimate, ...]
+    adjusted: Adjusted
+    extra: tuple[gtsam.NonlinearFactor, ...]
+    share: float = 1.0
+
+
+def solve_alone(problem: Problem, start: PoseEstimate, number: int) -> WindowSolve:
+    """Solve one frame as the single image that it is."""
+    seen = Seen(problem, image=number)
+    return WindowSolve((seen,), (start,), adjust([seen], [start]), ())
+
+
+def solve_window(
+    frames: Sequence[Frame],
+    shape: Held,
+    model: MotionModel,
+    *,
+    earlier: int = 0,
+    left: Marginal | None = None,
+    most: int | None = None,
+    own: OwnFactors | None = None,
+) -> WindowSolve:
+    """Solve frames that follow each other together, and bring them to where they end.
+
+    Args:
+        frames: The frames, at least two.
+        shape: Where the shape begins.
+        model: How such vehicles move.
+        earlier: How many more frames of the vehicle there were.
+        left: What is left of them, as if each counted whole; or None.
+        most: Newton's steps at most, see `fgrecon.solve.graph.optimise`.
+        own: Makes factors of the caller's own for each step; or None.
+
+    Returns:
+        What was solved; where it failed the frames stay as they are.
+    """
+    share = common_share(len(frames) + earlier, frames[0].problem.options)
+    seen = tuple(Seen(f.problem, image=f.number) for f in frames)
+    extra = motion_factors(frames, model, share)
+    if own is not None:
+        pairs = [(before.number, frame) for before, frame in pairwise(frames)]
+        extra += [
+            factor
+            for number, frame in pairs
+            if frame.step is not None
+            for factor in own(number, frame.number, frame.step.seconds, share**-0.5)
+        ]
+    if left is not None:
+        extra.append(marginal_factor(left.scaled(share)))
+    others = gtsam.Values()
+    for frame in frames:
+        others.insert(V(0, frame.number), frame.velocity)
+    state = State([f.pose for f in frames], {0: shape}, [f.weights for f in frames], others)
+    graph = Graph(seen, state, pose_free=True, extra=extra, earlier=earlier)
+    optimum = optimise(graph, state, most)
+    if optimum.failure is None:
+        if most is not None:
+            optimum = replace(optimum, unfinished=None)
+        for frame, pose, weights in zip(frames, optimum.state.poses, optimum.state.weights, strict=True):
+            frame.pose, frame.weights = pose, weights
+            frame.velocity = optimum.state.others.atVector(V(0, frame.number))
+    adjusted = Adjusted(optimum, (SolvedStage("track", graph, optimum.steps),), ((),) * len(frames))
+    return WindowSolve(seen, tuple(f.start for f in frames), adjusted, tuple(extra), share)
+
+
+def motion_factors(frames: Sequence[Frame], model: MotionModel, share: float) -> list[gtsam.NonlinearFactor]:
+    """The factors of motion of frames that follow each other, and about the velocity in each."""
+    found = []
+    for before, frame in pairwise(frames):
+        step = frame.step
+        assert step is not None
+        distance = float(np.linalg.norm(before.pose.translation()))
+        numbers = before.number, frame.number
+        found += link(
+            numbers, step.seconds, model, step.camera, motion_sigma=step.sigma, distance=distance, share=share
+        )
+    for frame, after in zip(frames, [*frames[1:], frames[-1]], strict=True):
+        step = after.step
+        assert step is not None
+        seconds = min(step.seconds, _LONGEST)
+        found += velocity_terms(frame.number, seconds, model, known=step.camera is not None, share=share)
+    return found

@@ -1,0 +1,275 @@
+"""Vehicles over time: keypoints of frame after frame in, poses, shapes and velocities out.
+
+    frame t: keypoints by id, camera ---- each alone ---- facing by all frames ---- graph of a window ---- estimates
+                                                                                          |
+                                                              what left the window: one linear factor
+
+A vehicle's first frame gives what `fgrecon.reconstruct` gives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import gtsam
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.checks import as_finite
+from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.observation import Observation
+from fgrecon.core.options import Options
+from fgrecon.core.reconstruction import Alternative, rotation_y
+from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.core.size_prior import SizePrior
+from fgrecon.core.size_prior import size_prior as named_size_prior
+from fgrecon.core.vehicle_estimate import VehicleEstimate
+from fgrecon.io.catalogue import load_prior
+from fgrecon.solve.graph.adjust import Adjusted
+from fgrecon.solve.pipeline import ground_plane, observe
+from fgrecon.solve.proposals.problem import Problem
+from fgrecon.solve.result import results
+from fgrecon.solve.scene import reconstruct_scene
+from fgrecon.solve.threads import single_threaded
+from fgrecon.solve.time.smooth import smooth
+from fgrecon.solve.time.turned import HALF_TURN
+from fgrecon.solve.time.vehicle import Followed
+from fgrecon.solve.time.window import Frame, FrameStep, OwnFactors, WindowSolve
+from fgrecon.solve.vehicle.model import prepare
+
+__all__ = ["Tracker"]
+
+Array = NDArray[np.float64]
+
+_TOLD = 12.0  # nats: a vehicle turned round that is less probable by more is no alternative
+_LEAST = 1e-12  # probability
+_OWN = 0.5  # share of a ground's deviations that stays each vehicle's own
+
+
+@dataclass
+class _Track:
+    """A vehicle and its past."""
+
+    followed: Followed
+    time: float = -np.inf
+    world_T_camera: gtsam.Pose3 | None = None
+    past: list[tuple[Frame, gtsam.Pose3 | None]] = field(default_factory=list)
+
+
+class Tracker:
+    """Follows vehicles by their ids; every frame makes their estimates better.
+
+    Attributes:
+        refused: Why vehicles of the last frame have no estimate, by id.
+    """
+
+    refused: Mapping[int, FgreconError]
+
+    def __init__(
+        self,
+        *,
+        prior: ShapePrior | str | Path = "car14",
+        size_prior: SizePrior | str | None = None,
+        options: Options | None = None,
+        window: int = 5,
+        shared_ground: bool = False,
+        past: int | None = 1000,
+        motion_factors: OwnFactors | None = None,
+    ) -> None:
+        """Prepare for vehicles of one category.
+
+        Args:
+            prior: Shape prior, or its name, or the path of its file.
+            size_prior: Fleet (`kitti`, `apollo79`), or a size prior; None takes sizes from the shape prior.
+            options: Settings; `joint` must be set.
+            window: Frames that are solved together when a new one comes; at least 2.
+            shared_ground: Whether the vehicles of a frame share one ground that is a variable: it is found first
+                (`fgrecon.reconstruct_scene`), which takes as long as the vehicles themselves.
+            past: Frames of each vehicle to keep for `smooth`; None keeps all.
+            motion_factors: Makes factors of your own for each step of a vehicle: called with the numbers of its two
+                frames, the seconds between them, and a factor to multiply standard deviations by (frames count by a
+                share, and so does what ties them). They are on X(0, number), V(0, number) and L(0) of `factors`.
+
+        Raises:
+            InvalidInputError: An argument cannot be used; names it, its value and the fix.
+        """
+        options = Options() if options is None else options
+        if not options.shape.joint:
+            raise InvalidInputError("options.shape.joint", value=False, fix="Let pose and shape move: joint=True.")
+        if window < 2:
+            raise InvalidInputError("window", window, "Give at least 2 frames.")
+        if past is not None and past < 1:
+            raise InvalidInputError("past", past, "Give at least 1 frame, or None.")
+        self._options = replace(options, keep_history=False)
+        self._prior = load_prior(prior)
+        fleet = None if size_prior is None else named_size_prior(size_prior)
+        self._model = prepare(self._prior, fleet, options.shape.basis_vectors)
+        self._window, self._past = window, past
+        self._shared, self._fleet, self._own = shared_ground, fleet, motion_factors
+        self._tracks: dict[int, _Track] = {}
+        self._time = -np.inf
+        self.refused = {}
+
+    @single_threaded
+    def update(
+        self,
+        time: float,
+        observations: Mapping[int, Observation],
+        *,
+        camera: Camera | ArrayLike,
+        world_T_camera: ArrayLike | None = None,
+        ground: Ground | float | None = None,
+        motion_sigma: tuple[float, float] | None = None,
+    ) -> dict[int, VehicleEstimate]:
+        """Take a frame.
+
+        Args:
+            time: Of the frame, seconds, later than of all before.
+            observations: Keypoints of each vehicle that it shows, by id.
+            camera: The camera that took it, or its matrix (3, 3), or (fx, fy, cx, cy).
+            world_T_camera: (4, 4) pose of the camera in a world that stands still; None where it is not known. Between
+                frames that both have one, vehicles move as their category does, and parked ones stand.
+            ground: Ground plane in the camera's frame; a number is the height in metres of a level camera.
+            motion_sigma: Standard deviations of the camera's motion since the frame before: rotation in radians and
+                translation in metres; None where it is exact.
+
+        Returns:
+            The estimates by id, by this frame and those before; vehicles without one are in `refused`.
+
+        Raises:
+            InvalidInputError: An argument cannot be used; names it, its value and the fix.
+        """
+        time = float(as_finite("time", time, (), "Give seconds."))
+        if not time > self._time:
+            raise InvalidInputError("time", time, f"Give frames in order: the last one was at {self._time:g} s.")
+        seen_by, plane = Camera.of(camera), ground_plane(ground)
+        place = None if world_T_camera is None else _pose("world_T_camera", world_T_camera)
+        sigma = (0.0, 0.0) if motion_sigma is None else _sigma(motion_sigma)
+        self._time = time
+        if self._shared and plane is not None and len(observations) > 1:
+            plane = self._ground(observations, seen_by, plane)
+        found: dict[int, VehicleEstimate] = {}
+        refused: dict[int, FgreconError] = {}
+        for name, given in observations.items():
+            track = self._tracks.get(name)
+            try:
+                observation = observe(given, seen_by, self._prior, self._options)
+                problem = Problem.of(observation, seen_by, self._model, plane, self._options)
+                if track is None:
+                    track = _Track(Followed(self._prior.category.motion, self._window, self._own))
+                frame = track.followed.add(problem, time, _step(track, time, place, sigma))
+            except FgreconError as error:
+                refused[name] = error
+                continue
+            self._tracks[name] = track
+            track.time, track.world_T_camera = time, place
+            track.past.append((frame, place))
+            if self._past is not None:
+                del track.past[: -self._past]
+            found[name] = self._estimate(name, track)
+        self.refused = refused
+        return found
+
+    @single_threaded
+    def smooth(self) -> dict[int, list[VehicleEstimate]]:
+        """The estimates of all frames that are kept, by all of them; by id, in the order of time."""
+        return {name: self._smoothed(name, track) for name, track in self._tracks.items()}
+
+    def forget(self, vehicle: int) -> None:
+        """Let go of a vehicle, and of its past; one that is not there is none to let go of."""
+        self._tracks.pop(vehicle, None)
+
+    def _ground(self, observations: Mapping[int, Observation], camera: Camera, plane: Ground) -> Ground:
+        """The ground under the vehicles of a frame; what is left of its uncertainty is each vehicle's own."""
+        scene = reconstruct_scene(
+            list(observations.values()),
+            camera,
+            prior=self._prior,
+            ground=plane,
+            size_prior=self._fleet,
+            options=self._options,
+        )
+        if scene.ground is None or scene.ground_covariance is None:
+            return plane
+        height, slope = _OWN * plane.height_sigma, _OWN * plane.slope_sigma
+        return replace(scene.ground, height_sigma=height, slope_sigma=slope)
+
+    def _estimate(self, name: int, track: _Track) -> VehicleEstimate:
+        """Of the last frame."""
+        followed, (frame, place) = track.followed, track.past[-1]
+        return _estimate(name, frame, place, followed.solved, len(followed.solved.seen) - 1, followed.count)
+
+    def _smoothed(self, name: int, track: _Track) -> list[VehicleEstimate]:
+        places = {frame.number: place for frame, place in track.past}
+        frames = [frame for frame, _ in track.past]
+        frames[0] = replace(frames[0], step=None)
+        found = []
+        for solved, some, given in smooth(frames, track.followed.shape, track.followed.motion, self._own):
+            for index in given:
+                frame = some[index]
+                found.append(_estimate(name, frame, places[frame.number], solved, index, len(frames)))
+        return found
+
+
+def _estimate(
+    name: int, frame: Frame, place: gtsam.Pose3 | None, solved: WindowSolve, index: int, count: int
+) -> VehicleEstimate:
+    pose = frame.pose.matrix()
+    facing = frame.belief.facing(rotation_y(pose))
+    alone = len(solved.seen) == 1
+    adjusted = solved.adjusted if alone else _with_alternative(solved.adjusted, index, pose, facing)
+    (result,) = results(solved.seen, solved.starts, adjusted, {}, solved.extra, only=[index])
+    velocity: Array | None = None
+    turn_rate: float | None = None
+    if not alone:
+        forward, left, turn_rate = frame.velocity.tolist()
+        velocity = pose[:3, :3] @ np.array([forward, 0.0, left])
+        if place is not None:
+            velocity = place.rotation().matrix() @ velocity
+    return VehicleEstimate(
+        id=name,
+        time=frame.time,
+        reconstruction=result,
+        velocity=velocity,
+        turn_rate=turn_rate,
+        facing_probability=facing,
+        world_T_object=None if place is None else place.matrix() @ result.camera_T_object,
+        frames=count,
+    )
+
+
+def _with_alternative(adjusted: Adjusted, index: int, pose: Array, facing: float) -> Adjusted:
+    """With the vehicle turned round as an alternative of a frame, as improbable as it is by the track."""
+    behind = float(np.log(max(facing, _LEAST)) - np.log(max(1.0 - facing, _LEAST)))
+    if behind > _TOLD:
+        return adjusted
+    shape = adjusted.optimum.state.shapes[0][0]
+    told = list(adjusted.alternatives)
+    told[index] = (Alternative(pose @ HALF_TURN, shape, behind),)
+    return replace(adjusted, alternatives=tuple(told))
+
+
+def _step(track: _Track, time: float, place: gtsam.Pose3 | None, sigma: tuple[float, float]) -> FrameStep | None:
+    if not track.followed.frames:
+        return None
+    before = track.world_T_camera
+    camera = None if before is None or place is None else before.between(place)
+    return FrameStep(time - track.time, camera, sigma)
+
+
+def _pose(name: str, given: ArrayLike) -> gtsam.Pose3:
+    matrix = as_finite(name, given, (4, 4))
+    rotation = matrix[:3, :3]
+    if not (np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) and np.linalg.det(rotation) > 0.0):
+        raise InvalidInputError(name, matrix.tolist(), "Give a rigid motion: a rotation (3, 3) and metres.")
+    return gtsam.Pose3(matrix)
+
+
+def _sigma(given: Sequence[float]) -> tuple[float, float]:
+    turn, way = as_finite("motion_sigma", given, (2,)).tolist()
+    if turn < 0.0 or way < 0.0:
+        raise InvalidInputError("motion_sigma", [turn, way], "Give radians and metres of at least zero.")
+    return turn, way

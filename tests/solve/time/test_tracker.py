@@ -1,0 +1,175 @@
+"""`fgrecon.Tracker` on made-up streets whose poses are known."""
+
+import numpy as np
+import pytest
+
+import fgrecon
+from fgrecon.core.errors import InvalidInputError
+from tests.solve.time.streets import CAMERA, off, seen, upright
+
+GROUND = 1.65
+
+
+def follow(frames, **options):
+    """Online estimates of vehicle 3, and those of the end; frames are (time, pose or None, observation, camera)."""
+    tracker = fgrecon.Tracker(size_prior="kitti", **options)
+    online = []
+    for time, observation, world_T_camera in frames:
+        given = {} if observation is None else {3: observation}
+        online += tracker.update(time, given, camera=CAMERA, world_T_camera=world_T_camera, ground=GROUND).values()
+    return online, tracker.smooth()[3]
+
+
+def approaching(count=24, speed=8.0):
+    """Poses of a car that comes along, a little faster in the camera than it drives."""
+    return [upright(1.4 - 0.004 * t, [3.0 + 0.02 * t, GROUND, 32.0 - 0.1 * speed * t]) for t in range(count)]
+
+
+def test_a_track_of_one_frame_is_a_single_image():
+    observation = seen(approaching()[0], np.random.default_rng(0))
+    online, smoothed = follow([(0.0, observation, None)])
+    alone = fgrecon.reconstruct(observation, CAMERA, ground=GROUND, size_prior="kitti")
+    for (estimate,) in (online, smoothed):
+        result = estimate.reconstruction
+        np.testing.assert_array_equal(result.camera_T_object, alone.camera_T_object)
+        np.testing.assert_array_equal(result.coefficients, alone.coefficients)
+        np.testing.assert_array_equal(result.pose_covariance, alone.pose_covariance)
+        assert (result.status, result.message) == (alone.status, alone.message)
+        assert estimate.velocity is None
+        assert estimate.facing_probability > 0.8
+
+
+def test_frames_that_are_turned_round_or_missing():
+    """Of every ten frames three are missing; every fourth of the others is turned round, and once five in a row."""
+    rng = np.random.default_rng(1)
+    poses = approaching(36)
+    frames, truth = [], []
+    for t, pose in enumerate(poses):
+        if t % 10 in (4, 6, 9):
+            continue
+        turned = t in (3, 12, 17, 30, 33) or 20 <= t <= 25
+        frames.append((0.1 * t, seen(pose, rng, turned=turned), None))
+        truth.append(pose)
+    online, smoothed = follow(frames)
+    assert max(off(estimate, pose)[0] for estimate, pose in zip(online, truth, strict=True)) < 15.0
+    assert max(off(estimate, pose)[0] for estimate, pose in zip(smoothed, truth, strict=True)) < 15.0
+    assert smoothed[10].facing_probability > 0.99
+    assert [one.time for one in smoothed] == [one.time for one in online]
+
+
+def test_a_turned_first_frame_is_mended_by_those_after():
+    rng = np.random.default_rng(2)
+    poses = approaching(12)
+    frames = [(0.1 * t, seen(pose, rng, turned=t < 2), None) for t, pose in enumerate(poses)]
+    online, smoothed = follow(frames)
+    assert off(online[0], poses[0])[0] > 150.0
+    assert off(online[-1], poses[-1])[0] < 10.0
+    assert max(off(estimate, pose)[0] for estimate, pose in zip(smoothed, poses, strict=True)) < 10.0
+    assert len({tuple(one.reconstruction.coefficients) for one in smoothed}) == 1
+
+
+@pytest.mark.parametrize("moving", [False, True], ids=["camera stands", "camera drives"])
+def test_parked_cars_stand(moving):
+    """0.3 m over their track, once all frames are there; the turn of the camera is no turn of theirs."""
+    rng = np.random.default_rng(3)
+    parked = [upright(1.5, [4.0, GROUND, 24.0]), upright(-1.6, [-4.0, GROUND, 28.0])]
+    tracker, places = fgrecon.Tracker(size_prior="kitti"), []
+    for t in range(20):
+        world_T_camera = upright(0.004 * t, [0.02 * t, 0.0, 0.5 * t]) if moving else np.eye(4)
+        places.append(world_T_camera)
+        given = {i: seen(np.linalg.inv(world_T_camera) @ pose, rng) for i, pose in enumerate(parked)}
+        online = tracker.update(0.1 * t, given, camera=CAMERA, world_T_camera=world_T_camera, ground=GROUND)
+    for number, past in tracker.smooth().items():
+        standing = np.array([one.world_T_object[:3, 3] for one in past])
+        assert np.linalg.norm(standing - standing.mean(axis=0), axis=1).max() < 0.3
+        np.testing.assert_allclose(places[-1] @ past[-1].reconstruction.camera_T_object, past[-1].world_T_object)
+        assert max(one.speed for one in past) < 0.5
+        assert online[number].speed < 1.0
+
+
+def test_velocity_is_over_the_world_where_it_is_known():
+    rng = np.random.default_rng(4)
+    frames = []
+    for t in range(25):
+        world_T_camera = upright(0.0, [0.0, 0.0, 1.0 * t])  # 10 m/s ahead
+        car = upright(-np.pi / 2.0, [3.0, GROUND, 15.0 + 1.2 * t])  # 12 m/s, before it
+        frames.append((0.1 * t, seen(np.linalg.inv(world_T_camera) @ car, rng), world_T_camera))
+    _, smoothed = follow(frames)
+    np.testing.assert_allclose(smoothed[12].velocity, [0.0, 0.0, 12.0], atol=0.6)
+    assert abs(smoothed[12].turn_rate) < 0.1
+    _, relative = follow([(time, observation, None) for time, observation, _ in frames])
+    np.testing.assert_allclose(relative[12].velocity, [0.0, 0.0, 2.0], atol=0.8)
+    assert relative[12].world_T_object is None
+
+
+def test_it_is_better_than_single_images():
+    rng = np.random.default_rng(5)
+    poses = approaching(30)
+    given = [seen(pose, rng, noise=0.04) for pose in poses]
+    online, smoothed = follow([(0.1 * t, one, None) for t, one in enumerate(given)])
+    alone = [fgrecon.reconstruct(one, CAMERA, ground=GROUND, size_prior="kitti") for one in given]
+    ways = [
+        np.array([result.location - pose[:3, 3] for result, pose in zip(some, poses, strict=True)])
+        for some in (alone, [one.reconstruction for one in online], [one.reconstruction for one in smoothed])
+    ]
+    single, by_track, at_the_end = (np.linalg.norm(way, axis=1).mean() for way in ways)
+    assert by_track < single
+    assert at_the_end < single
+    jitter = [np.linalg.norm(np.diff(way, axis=0), axis=1).mean() for way in ways]
+    assert jitter[1] < 0.6 * jitter[0]
+    assert jitter[2] < 0.5 * jitter[1]
+
+
+def test_what_is_kept_does_not_grow():
+    rng = np.random.default_rng(6)
+    pose = upright(0.8, [1.0, GROUND, 15.0])
+    tracker = fgrecon.Tracker(size_prior="kitti", past=7, window=3)
+    for t in range(20):
+        tracker.update(0.1 * t, {1: seen(pose, rng)}, camera=CAMERA, ground=GROUND)
+        assert len(tracker._tracks[1].followed.frames) <= 3
+    assert [round(one.time, 1) for one in tracker.smooth()[1]] == [1.3, 1.4, 1.5, 1.6, 1.7, 1.8, 1.9]
+    tracker.forget(1)
+    assert tracker.smooth() == {}
+
+
+def test_vehicles_that_cannot_be_solved_are_refused():
+    rng = np.random.default_rng(7)
+    good = seen(upright(0.8, [1.0, GROUND, 15.0]), rng)
+    empty = fgrecon.Observation(np.full((14, 2), np.nan), np.zeros(14))
+    tracker = fgrecon.Tracker(size_prior="kitti")
+    found = tracker.update(0.0, {1: good, 2: empty}, camera=CAMERA, ground=GROUND)
+    assert (set(found), set(tracker.refused)) == ({1}, {2})
+    again = tracker.update(0.1, {1: empty}, camera=CAMERA, ground=GROUND)
+    assert (again, set(tracker.refused)) == ({}, {1})
+    assert set(tracker.update(0.2, {1: good}, camera=CAMERA, ground=GROUND)) == {1}
+    assert len(tracker.smooth()[1]) == 2
+
+
+def test_the_ground_of_a_frame_may_be_shared():
+    rng = np.random.default_rng(8)
+    places = [(-4.0, 18.0), (2.0, 25.0), (6.0, 40.0)]
+    poses = [upright(1.3, [x, GROUND + 0.03 * z, z]) for x, z in places]  # a road that goes down
+    given = {i: seen(pose, rng) for i, pose in enumerate(poses)}
+    errors = []
+    for shared in (False, True):
+        tracker = fgrecon.Tracker(size_prior="kitti", shared_ground=shared)
+        found = tracker.update(0.0, given, camera=CAMERA, ground=GROUND)
+        errors.append(np.mean([off(found[i], pose)[1] for i, pose in enumerate(poses)]))
+    assert errors[1] < errors[0]
+
+
+def test_what_cannot_be_used_is_refused():
+    tracker = fgrecon.Tracker()
+    tracker.update(1.0, {}, camera=CAMERA)
+    with pytest.raises(InvalidInputError, match="time"):
+        tracker.update(1.0, {}, camera=CAMERA)
+    with pytest.raises(InvalidInputError, match="world_T_camera"):
+        tracker.update(2.0, {}, camera=CAMERA, world_T_camera=2.0 * np.eye(4))
+    with pytest.raises(InvalidInputError, match="motion_sigma"):
+        tracker.update(2.0, {}, camera=CAMERA, motion_sigma=(-1.0, 0.0))
+    with pytest.raises(InvalidInputError, match="window"):
+        fgrecon.Tracker(window=1)
+    with pytest.raises(InvalidInputError, match="past"):
+        fgrecon.Tracker(past=0)
+    with pytest.raises(InvalidInputError, match="joint"):
+        fgrecon.Tracker(options=fgrecon.Options(shape=fgrecon.ShapeOptions(joint=False)))
