@@ -109,3 +109,12 @@ def test_a_car_is_followed_online(capsys):
     assert speeds[-1] == pytest.approx(6.0, abs=0.3)
     first, *_, last = [float(off) for off in re.findall(rf": off by {NUMBER} m, facing", output)]
     assert last < first
+
+
+def test_video(capsys):
+    lines = run("10", capsys).splitlines()
+    assert lines[0] == "6 frames, cars: {0: 6}"
+    off = [float(re.search(rf"off by {NUMBER} m", line)[1]) for line in lines[1:]]
+    assert len(off) == 6
+    assert np.median(off) < 1.5
+    assert float(re.search(rf"{NUMBER} m/s", lines[-1])[1]) == pytest.approx(13.0, abs=4.0)

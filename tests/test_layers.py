@@ -46,6 +46,9 @@ ROOMS = {
         "perception/keypoints",
         "perception/vehicles",
     },
+    "video": {
+        *("factors", "core", "io", "solve", "batch", "perception", "perception/keypoints"),
+    },
     "simulation": {"factors", "core", "solve/vehicle"},
     "viz": {"core", "io", "io/export", "perception/keypoints"},
     "annotation": {
@@ -68,7 +71,7 @@ ROOMS = {
     },
     "cli": {
         *("core", "io", "io/cameras", "io/export", "io/keypoints", "solve", "simulation", "perception"),
-        *("perception/keypoints", "perception/vehicles", "batch", "viz", "evaluation", "training/priors"),
+        *("perception/keypoints", "perception/vehicles", "batch", "video", "viz", "evaluation", "training/priors"),
     },
     "cli/training": {
         *("core", "io", "io/annotations", "io/export", "perception", "perception/keypoints", "viz"),
@@ -159,6 +162,7 @@ def test_factors_depend_on_gtsam_and_numpy_alone():
         "io/cameras",
         "io/export",
         "batch",
+        "video",
         "simulation",
         *(r for r in ROOMS if "solve" in r or "perception" in r),
     ],

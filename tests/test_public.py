@@ -23,6 +23,7 @@ FACES = (
     "fgrecon.simulation",
     "fgrecon.solve",
     "fgrecon.training",
+    "fgrecon.video",
     "fgrecon.viz",
 )
 ALLOWED = {*FACES, "factors"}

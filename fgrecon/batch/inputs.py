@@ -17,20 +17,18 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from fgrecon.batch.pictures import count_frames
 from fgrecon.batch.reconstructor import instance_text
 from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.io.frames import VIDEOS
+from fgrecon.io.images import IMAGES
 from fgrecon.io.json_fields import read_json
-from fgrecon.io.kitti_calibration import read_calibration
+from fgrecon.io.kitti_calibration import calibration_beside
 
 __all__ = ["IMAGES", "VIDEOS", "InputFile", "sources_of"]
-
-IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
-VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")
 
 _LEFT_COLOUR = ("image_2", "image_02")
 _SHARED = ("K", "intrinsics", "distortion", "image_size")
@@ -218,22 +216,9 @@ def _frame_rows(source: InputFile) -> Iterator[Row]:
 
 
 def _kitti_camera(image: Path) -> str | None:
-    """The camera that KITTI's layouts have for an image: of the object set, of drives, of the tracking set."""
-    folder = image.resolve().parent
-    named = ((folder, image.stem), (folder.parent, folder.name))
-    for images, name in named:
-        side = images.name.removeprefix("image_")
-        if not (images.name.startswith("image_") and side.isdecimal()):
-            continue
-        for path in (images.parent / "calib" / f"{name}.txt", images.parent / "calib.txt"):
-            if path.is_file():
-                return _calibration(path, f"P{int(side)}")
-    return None
-
-
-@lru_cache(maxsize=64)
-def _calibration(path: Path, projection: str) -> str:
-    return json.dumps({"K": read_calibration(path, projection).camera.matrix.tolist()})
+    """The camera that KITTI's layouts have for an image, as JSON."""
+    found = calibration_beside(image)
+    return None if found is None else json.dumps({"K": found.camera.matrix.tolist()})
 
 
 _LINES = _Reader(_count_lines, _lines)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -29,9 +30,14 @@ _ROWS, _SECONDS = 4096, 10.0
 class Parts:
     """The parts of a folder: what is done already, and what is added."""
 
-    def __init__(self, folder: Path) -> None:
-        """Look at a folder, and clear away what a killed run has left half written."""
-        self._folder = folder
+    def __init__(self, folder: Path, schema: Any = None) -> None:
+        """Look at a folder, and clear away what a killed run has left half written.
+
+        Args:
+            folder: The folder.
+            schema: Columns of its tables, `row_id` among them; None for those of results.
+        """
+        self._folder, self._schema = folder, result_schema() if schema is None else schema
         for torn in folder.glob(".part-*.part"):
             torn.unlink()
         numbers = [int(path.stem.removeprefix("part-")) for path in self._paths()]
@@ -58,9 +64,26 @@ class Parts:
         for path in self._paths():
             yield from pq.read_table(path).to_pylist()
 
+    def rows_in_order(self) -> list[dict[str, Any]]:
+        """The rows of all parts before the first that is missing or damaged; those after it are to be computed again.
+
+        Warns:
+            DamagedFileWarning: A part is damaged, and is put aside.
+        """
+        self.done()  # puts damaged parts aside
+        rows: list[dict[str, Any]] = []
+        self._next = 0
+        for path in self._paths():
+            if path.stem == f"part-{self._next:06d}":
+                rows += pq.read_table(path).to_pylist()
+                self._next += 1
+            else:
+                path.unlink()
+        return rows
+
     def add(self, table: Any) -> None:
         """Add the rows of some tasks; they are in a part soon, all of them in the same one."""
-        self._tables.append(table.cast(result_schema()))
+        self._tables.append(table.cast(self._schema))
         if sum(map(len, self._tables)) >= _ROWS or monotonic() - self._written >= _SECONDS:
             self.flush()
 
@@ -87,8 +110,13 @@ def _row_ids(path: Path) -> list[str]:
     return ids
 
 
-def begin(folder: Path, settings: Mapping[str, Any]) -> None:
+def begin(folder: Path, settings: Mapping[str, Any], run_format: str = FORMAT) -> None:
     """Make the folder of a run, or see that what is in it was solved with the same settings.
+
+    Args:
+        folder: The folder.
+        settings: What its rows depend on, as plain values.
+        run_format: Name of their format.
 
     Raises:
         InvalidInputError: It cannot be made, or holds a run with other settings.
@@ -97,21 +125,17 @@ def begin(folder: Path, settings: Mapping[str, Any]) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InvalidInputError("out", str(folder), f"Give a folder that can be made ({error.strerror}).") from error
-    told = {"format": FORMAT, "settings": dict(settings)}
+    told = json.loads(json.dumps({"format": run_format, "settings": dict(settings)}))  # lists for tuples
     if not (folder / RUN).exists():
         if any(folder.glob("part-*.parquet")):
             raise InvalidInputError("out", f"{folder}, which has parts but no {RUN}", "Give another folder.")
-        write_text(folder / RUN, _json(told))
+        write_text(folder / RUN, json.dumps(told, indent=1) + "\n")
         return
     before = read_json(folder / RUN)
     if before != told:
-        raise InvalidInputError("out", f"{folder}, a run with other settings", "Give another folder for these.")
-
-
-def _json(content: Any) -> str:
-    import json
-
-    return json.dumps(content, indent=1) + "\n"
+        names = [name for name, value in told["settings"].items() if before.get("settings", {}).get(name) != value]
+        what = f"{folder}, a run with other settings ({', '.join(names) or 'another format'})"
+        raise InvalidInputError("out", what, "Give another folder for these.")
 
 
 @contextmanager

@@ -15,6 +15,7 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.choices import BoxModel
 from fgrecon.io.boxes import NamedBox
+from fgrecon.io.images import IMAGES
 from fgrecon.io.keypoint_file import Instance
 from fgrecon.perception.keypoints.detect import CascadeDetection, KeypointCascade, check_box
 from fgrecon.perception.protocols import check_category
@@ -22,12 +23,11 @@ from fgrecon.perception.protocols import check_category
 __all__ = ["find_keypoints", "is_image", "read_image_tasks"]
 
 _BATCH = 32  # cars that the networks look at together
-_IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
 
 
 def is_image(path: Path) -> bool:
     """Whether a file is an image, by its ending."""
-    return path.suffix.lower() in _IMAGES
+    return path.suffix.lower() in IMAGES
 
 
 def find_keypoints(

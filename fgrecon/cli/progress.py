@@ -20,13 +20,13 @@ Thing = TypeVar("Thing")
 class Advance(Protocol):
     """Shows how far a step has come."""
 
-    def __call__(self, step: str, done: float, total: float, note: str = "") -> None:
+    def __call__(self, step: str, done: float, total: float | None, note: str = "") -> None:
         """Show it.
 
         Args:
             step: What is being done; every step has a line of its own.
             done: How much of it.
-            total: How much there is.
+            total: How much there is; None where nobody knows.
             note: What else there is to say about it.
         """
 
@@ -65,7 +65,7 @@ def progress_bar(console: Console, *, shown: bool, per_minute: bool = False) -> 
 
     with Progress(*columns, console=console, transient=True) as bar:
 
-        def advance(step: str, done: float, total: float, note: str = "") -> None:
+        def advance(step: str, done: float, total: float | None, note: str = "") -> None:
             if step not in tasks:
                 identity = bar.add_task(step, total=total, completed=int(done), note=note)
                 tasks[step] = bar.tasks[bar.task_ids.index(identity)]

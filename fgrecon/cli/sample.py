@@ -29,11 +29,12 @@ def sample_command(
     """Make small inputs to try the other commands with: a rendered street of three cars, and a track of one.
 
     Writes street.png, its calibration calib.txt (KITTI's format), the cars' keypoints as a network would report them in
-    cars.json and their boxes in boxes.txt; and TRACK.json, one car in eight images with its true poses.
+    cars.json and their boxes in boxes.txt; and TRACK.json, one car in eight images with its true poses, and these
+    images in the folder drive.
     """
     from fgrecon.io.catalogue import load_prior
     from fgrecon.io.images import write_png
-    from fgrecon.simulation.sample import GROUND, sample_street, sample_track
+    from fgrecon.simulation.sample import GROUND, sample_drive, sample_street, sample_track
 
     screen = terminal.screen()
     prior = load_prior("car14")
@@ -44,6 +45,10 @@ def sample_command(
     screen.write_text(out / "cars.json", _json(_keypoint_file(street, prior.category)))
     screen.write_text(out / "boxes.txt", _boxes(street, "street.png"))
     screen.write_text(out / "TRACK.json", _json(_track_file(street, track, prior.category)))
+    (out / "drive").mkdir(exist_ok=True)
+    for number, frame in enumerate(sample_drive(prior, seed=seed)):
+        write_png(out / "drive" / f"{number:06d}.png", frame.image)
+    screen.wrote(out / "drive")
     screen.print(
         f"Try: fgrecon reconstruct {out / 'cars.json'} --camera-height {GROUND.distance:g} --image "
         f"{out / 'street.png'} --picture {out / 'cars.png'}"

@@ -15,7 +15,10 @@ from fgrecon.io.arrays import LARGEST, largest_bytes
 from fgrecon.io.exif import exif_camera
 from fgrecon.io.files import write_bytes
 
-__all__ = ["decode_image", "read_image", "read_photograph", "write_png"]
+__all__ = ["IMAGES", "decode_image", "read_image", "read_photograph", "write_png"]
+
+IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
+"""Endings of image files."""
 
 
 def read_image(path: str | Path) -> NDArray[np.uint8]:

@@ -14,7 +14,8 @@ The file holds one instance, a list of instances, or an object with `instances` 
                                                            first from ahead, then evenly all around over its left
       "initial": rotation_y in radians, or                 optional
                  {"location": [x, y, z], "rotation_y": r, "size": [length, width, height]},
-      "image": "street.jpg"                                optional: the photograph that it is in
+      "image": "street.jpg",                               optional: the photograph that it is in
+      "frame": 12, "track": 3                              optional, of videos: number of the frame, id of the vehicle
     }
 
 `confidence` and `covariance` may be given by name as well. The camera, for one instance or shared: `K` (3 x 3) or
@@ -56,6 +57,8 @@ _INSTANCE_FIELDS = {
     "azimuth",
     "initial",
     "image",
+    "frame",
+    "track",
 } | _CAMERA_FIELDS
 _FILE_FIELDS = {"instances"} | _CAMERA_FIELDS
 
@@ -75,6 +78,8 @@ class Instance:
         initial: 3D box, or guess of rotation_y in radians, or None.
         camera: The camera that the file names for it, or None.
         image: Name of the photograph that it is in, as the file has it, or None.
+        frame: Number of the frame of a video that it is in, or None.
+        track: Id of the vehicle through the frames of a video, or None.
     """
 
     name: str
@@ -87,6 +92,8 @@ class Instance:
     initial: Box3D | float | None = None
     camera: Camera | None = None
     image: str | None = None
+    frame: int | None = None
+    track: int | None = None
 
     @property
     def observation(self) -> Observation:
@@ -177,6 +184,8 @@ def _instance(fields: Fields, name: str, category: Category, camera: Camera | No
         initial=_initial(fields) if "initial" in fields else None,
         camera=parse_camera(fields) or camera,
         image=fields.get("image", str) if "image" in fields else None,
+        frame=fields.get("frame", int) if "frame" in fields else None,
+        track=fields.get("track", int) if "track" in fields else None,
     )
 
 

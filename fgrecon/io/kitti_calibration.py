@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["KittiCalibration", "read_calibration", "rectified_size"]
+__all__ = ["KittiCalibration", "calibration_beside", "read_calibration", "rectified_size"]
 
 _FOCAL_TOLERANCE = 0.01  # pixels
 _RECTIFIED_SIZES = {721.5377: (1242, 375), 707.0493: (1224, 370), 718.3351: (1238, 374), 718.856: (1241, 376)}
@@ -84,6 +85,28 @@ def read_calibration(path: Path, projection: str = "P2") -> KittiCalibration:
     except InvalidInputError as error:
         raise InvalidInputError(place, error.value, error.fix) from error
     return KittiCalibration(camera, np.linalg.solve(matrix[:, :3], matrix[:, 3]).astype(np.float64))
+
+
+def calibration_beside(image: Path) -> KittiCalibration | None:
+    """What KITTI's layouts have for an image: of the object set, of drives, of the tracking set; None elsewhere.
+
+    Raises:
+        InvalidInputError: There is a calibration file, but it is none.
+    """
+    folder = image.resolve().parent
+    for images, name in ((folder, image.stem), (folder.parent, folder.name)):
+        side = images.name.removeprefix("image_")
+        if not (images.name.startswith("image_") and side.isdecimal()):
+            continue
+        for path in (images.parent / "calib" / f"{name}.txt", images.parent / "calib.txt"):
+            if path.is_file():
+                return _calibration(path, f"P{int(side)}")
+    return None
+
+
+@lru_cache(maxsize=64)
+def _calibration(path: Path, projection: str) -> KittiCalibration:
+    return read_calibration(path, projection)
 
 
 def _numbers(words: list[str], count: int, place: str, fix: str) -> NDArray[np.float64]:

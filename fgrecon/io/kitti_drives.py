@@ -11,7 +11,6 @@ image. There every object is a track of its own.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,11 +23,13 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.kitti_calibration import KittiCalibration, read_calibration
 from fgrecon.io.kitti_files import Objects, parse_object
+from fgrecon.io.kitti_tracking import TrackedObjects, read_tracking
 
 __all__ = ["Drive", "DriveFrame", "read_drive", "read_images", "read_object_folder"]
 
 _SUFFIXES = "jpg", "png"
 _DRIVE, _SINGLE = "label_02.txt", "label_2"
+_NOTHING = TrackedObjects(Objects.of_rows([], np.zeros((0, 14))), np.zeros(0, dtype=np.int64))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,30 +100,26 @@ def read_drive(folder: Path) -> Drive:
     Raises:
         InvalidInputError: A file is missing or malformed; names file and line.
     """
-    path = folder / _DRIVE
-    rows: dict[int, list[tuple[int, str, list[float]]]] = defaultdict(list)
-    for number, line in _lines(path, f"Give a folder with {_DRIVE} of KITTI's tracking set."):
-        try:
-            frame, track, rest = line.split(maxsplit=2)
-            kind, numbers = parse_object(rest)
-            rows[int(frame)].append((int(track), kind, numbers))
-        except ValueError as error:
-            fix = "Give lines of frame, track and an object label."
-            raise InvalidInputError(f"{path}:{number}", str(error), fix) from error
+    fix = f"Give a folder with {_DRIVE} of KITTI's tracking set."
+    rows = read_tracking(folder / _DRIVE, fix, results=False)
     clean = _optional(folder / "clean_tracks.json")
     labelled = _optional(folder / "object_frames.json")
     calibration = read_calibration(folder / "calib.txt")
     frames = []
     for number, image in _images(folder / "image_02"):
-        objects = rows[number]
+        found = rows.get(number, _NOTHING)
         frames.append(
             DriveFrame(
                 number=number,
                 image=image,
-                objects=_objects([(kind, numbers) for _, kind, numbers in objects]),
-                tracks=np.array([track for track, _, _ in objects], dtype=np.int64),
+                objects=found.objects,
+                tracks=found.tracks,
                 usable=np.array(
-                    [clean is None or number in clean.get(f"{t} {kind}", ()) for t, kind, _ in objects], dtype=bool
+                    [
+                        clean is None or number in clean.get(f"{track} {kind}", ())
+                        for track, kind in zip(found.tracks.tolist(), found.objects.kind, strict=True)
+                    ],
+                    dtype=bool,
                 ),
                 labelled=labelled is None or str(number) in labelled,
                 calibration=calibration,
@@ -153,7 +150,7 @@ def read_object_folder(folder: Path) -> Drive:
             DriveFrame(
                 number=number,
                 image=image,
-                objects=_objects(rows),
+                objects=Objects.of_rows([kind for kind, _ in rows], np.array([numbers for _, numbers in rows])),
                 tracks=np.arange(count, count + len(rows), dtype=np.int64),
                 usable=np.ones(len(rows), dtype=bool),
                 labelled=True,
@@ -162,10 +159,6 @@ def read_object_folder(folder: Path) -> Drive:
         )
         count += len(rows)
     return Drive(folder.name, tuple(frames))
-
-
-def _objects(rows: list[tuple[str, list[float]]]) -> Objects:
-    return Objects.of_rows([kind for kind, _ in rows], np.array([numbers for _, numbers in rows]))
 
 
 def _lines(path: Path, fix: str) -> list[tuple[int, str]]:

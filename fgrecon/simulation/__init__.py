@@ -9,6 +9,7 @@ from factors.lazy import lazy_names
 if TYPE_CHECKING:  # imported when used
     from fgrecon.simulation.demo import DemoScene, demo_scene
     from fgrecon.simulation.keypoint_noise import HARD, HOURGLASS, NoiseModel
+    from fgrecon.simulation.sample import SampleStreet, sample_drive
     from fgrecon.simulation.vehicles import (
         KITTI_CAMERA,
         SimulatedTruth,
@@ -26,10 +27,12 @@ __all__ = [
     "KITTI_CAMERA",
     "DemoScene",
     "NoiseModel",
+    "SampleStreet",
     "SimulatedTruth",
     "Vehicle",
     "demo_scene",
     "kitti_like_pose",
+    "sample_drive",
     "simulate",
     "simulate_many",
     "simulate_track",

@@ -16,7 +16,7 @@ from fgrecon.simulation.render import Body, render
 from fgrecon.simulation.scenery import BODY_COLOURS, car_paint, road, with_shadow
 from fgrecon.simulation.vehicles import KITTI_CAMERA, SimulatedTruth, Vehicle, simulate, yaw_pose
 
-__all__ = ["GROUND", "LABEL_OFFSET", "SampleStreet", "SeenCar", "sample_street", "sample_track"]
+__all__ = ["GROUND", "LABEL_OFFSET", "SampleStreet", "SeenCar", "sample_drive", "sample_street", "sample_track"]
 
 GROUND = Ground.level(1.65)
 """The road under KITTI's camera."""
@@ -74,7 +74,9 @@ def sample_street(prior: ShapePrior, seed: int = 0) -> SampleStreet:
     vehicles = [_vehicle(prior, rng) for _ in poses]
     cars = tuple(_seen(vehicle, pose, rng) for vehicle, pose in zip(vehicles, poses, strict=True))
     colours = rng.permutation(list(BODY_COLOURS.values()))
-    return SampleStreet(_picture(prior, vehicles, poses, colours, seed), KITTI_CAMERA, cars)
+    assert KITTI_CAMERA.image_size is not None
+    background = road(KITTI_CAMERA, GROUND, KITTI_CAMERA.image_size, seed)
+    return SampleStreet(_picture(prior, vehicles, poses, colours, background), KITTI_CAMERA, cars)
 
 
 def sample_track(prior: ShapePrior, frames: int = 8, seed: int = 0) -> list[SeenCar]:
@@ -94,6 +96,28 @@ def sample_track(prior: ShapePrior, frames: int = 8, seed: int = 0) -> list[Seen
     return [_seen(vehicle, yaw_pose(_ONCOMING + turn, place), rng) for place in places]
 
 
+def sample_drive(prior: ShapePrior, frames: int = 8, seed: int = 0) -> list[SampleStreet]:
+    """The images of `sample_track`, ten a second, rendered by a camera that stands. The same seed gives the same bits.
+
+    Args:
+        prior: A prior with a surface.
+        frames: Number of images, at most 10.
+        seed: Of shape, keypoints and scenery.
+
+    Raises:
+        InvalidInputError: The prior has no surface.
+    """
+    assert KITTI_CAMERA.image_size is not None
+    background = road(KITTI_CAMERA, GROUND, KITTI_CAMERA.image_size, seed)
+    colours = np.random.default_rng(seed).permutation(list(BODY_COLOURS.values()))
+    return [
+        SampleStreet(
+            _picture(prior, [c.truth.vehicle], [c.truth.camera_T_object], colours, background), KITTI_CAMERA, (c,)
+        )
+        for c in sample_track(prior, frames, seed)
+    ]
+
+
 def _vehicle(prior: ShapePrior, rng: np.random.Generator) -> Vehicle:
     return Vehicle.of_prior(prior, np.clip(rng.standard_normal(prior.dimension), -_LAMBDA, _LAMBDA))
 
@@ -107,10 +131,8 @@ def _picture(
     vehicles: Sequence[Vehicle],
     poses: Sequence[NDArray[np.float64]],
     colours: NDArray[np.float64],
-    seed: int,
+    background: NDArray[np.float64],
 ) -> NDArray[np.uint8]:
-    assert KITTI_CAMERA.image_size is not None
-    background = road(KITTI_CAMERA, GROUND, KITTI_CAMERA.image_size, seed)
     bodies = []
     for vehicle, pose, colour in zip(vehicles, poses, colours, strict=False):
         length, width = np.ptp(vehicle.vertices[:, [0, 2]], axis=0)

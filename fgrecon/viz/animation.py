@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from fgrecon.core.geometry import transform
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Iteration, Reconstruction
 from fgrecon.io.files import check_ending, write_bytes
+from fgrecon.io.video import check_video, write_video
 from fgrecon.viz import style
 from fgrecon.viz.describe import describe_errors, total_energy
 from fgrecon.viz.geometry import BOX_EDGES, as_image, box_corners, crop_around, image_points
@@ -44,9 +44,13 @@ def check_format(path: str | Path) -> str:
     """The ending of the name, in lower case.
 
     Raises:
-        InvalidInputError: Nothing is written with that ending.
+        InvalidInputError: Nothing is written with that ending, or there is no encoder for it.
+        MissingPackageError: A package for it is not installed.
     """
-    return check_ending(path, FORMATS)
+    kind = check_ending(path, FORMATS)
+    if kind == "mp4":
+        check_video(path)
+    return kind
 
 
 def animate(
@@ -74,13 +78,14 @@ def animate(
     Raises:
         InvalidInputError: Another ending, a result without a history, an image that is not (H, W, 3) of bytes, or the
             file cannot be written.
+        MissingPackageError: It is an MP4, and PyAV is not installed.
     """
     kind = check_format(path)
     if not reconstruction.history:
         raise InvalidInputError("history", "empty", "Reconstruct with keep_history=True.")
     photograph = None if image is None else as_image(image)
     frames = list(_frames(reconstruction, observation, camera, photograph, truth))
-    return write_bytes(path, _gif(frames) if kind == "gif" else _mp4(frames))
+    return write_bytes(path, _gif(frames)) if kind == "gif" else _mp4(path, frames)
 
 
 def _frames(
@@ -163,16 +168,8 @@ def _gif(frames: list[NDArray[np.uint8]]) -> bytes:
     return content.getvalue()
 
 
-def _mp4(frames: list[NDArray[np.uint8]]) -> bytes:
-    import cv2
-
-    height, width = (size - size % 2 for size in frames[0].shape[:2])  # the codec wants even sizes
-    with tempfile.TemporaryDirectory() as folder:
-        part = Path(folder) / "animation.mp4"
-        writer = cv2.VideoWriter(str(part), cv2.VideoWriter.fourcc(*"mp4v"), _PER_SECOND, (width, height))
-        if not writer.isOpened():
-            raise InvalidInputError("animation", "mp4", "This OpenCV has no video encoder: write a GIF instead.")
+def _mp4(path: str | Path, frames: list[NDArray[np.uint8]]) -> Path:
+    with write_video(path, rate=_PER_SECOND) as add:
         for frame in [*frames, *[frames[-1]] * _HOLD]:
-            writer.write(np.ascontiguousarray(frame[:height, :width, ::-1]))
-        writer.release()
-        return part.read_bytes()
+            add(frame, None)
+    return Path(path)

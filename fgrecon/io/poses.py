@@ -1,0 +1,153 @@
+"""The poses of a moving camera, from files of others.
+
+| format | content |
+|---|---|
+| KITTI | a line a frame, from frame 0: twelve numbers, the upper rows of world_T_camera |
+| TUM | a line a pose: seconds, tx, ty, tz, qx, qy, qz, qw; `#` begins a comment. Between two poses it is interpolated |
+| JSON | a list of matrices (4 x 4), from frame 0; or an object of them by the frame's number |
+
+The camera's frame is OpenCV's: x right, y down, z forward.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.json_fields import numbers, read_json
+
+__all__ = ["CameraPoses", "read_poses"]
+
+Array = NDArray[np.float64]
+
+_FIX = "Give lines of 12 numbers (KITTI) or of 8 (TUM), or JSON with matrices 4 x 4."
+_KITTI, _TUM = 12, 8
+_LONGEST_GAP = 1.0  # seconds between which poses are interpolated
+_RIGID = 1e-2  # by so much a rotation may fail to be one
+
+
+@dataclass(frozen=True, eq=False)
+class CameraPoses:
+    """The poses of a camera in a world.
+
+    Attributes:
+        by_frame: (4, 4) world_T_camera by the number of the frame; empty where the file tells times.
+        times: Seconds of each pose, growing; empty where it tells frames.
+        poses: (4, 4) of each time.
+    """
+
+    by_frame: Mapping[int, Array]
+    times: tuple[float, ...] = ()
+    poses: tuple[Array, ...] = ()
+
+    def at(self, number: int, time: float) -> Array | None:
+        """(4, 4) world_T_camera of a frame; None where the file has none for it.
+
+        Args:
+            number: Of the frame.
+            time: Its time, seconds.
+        """
+        if not self.times:
+            return self.by_frame.get(number)
+        place = bisect_left(self.times, time)
+        if place < len(self.times) and abs(self.times[place] - time) < 1e-6:
+            return self.poses[place]
+        if place in (0, len(self.times)) or self.times[place] - self.times[place - 1] > _LONGEST_GAP:
+            return None
+        return _between(time, self.times[place - 1 : place + 1], self.poses[place - 1 : place + 1])
+
+
+def read_poses(path: Path) -> CameraPoses:
+    """Read the poses of a file.
+
+    Raises:
+        InvalidInputError: The file cannot be read, or a pose is none; names file and line or element.
+    """
+    if path.suffix.lower() == ".json":
+        return _of_json(path)
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidInputError("poses", str(path), _FIX) from error
+    by_frame: dict[int, Array] = {}
+    timed: dict[float, Array] = {}
+    for number, line in enumerate(lines, start=1):
+        words = line.partition("#")[0].replace(",", " ").split()
+        if not words:
+            continue
+        place = f"{path}:{number}"
+        try:
+            values = np.array(words, dtype=np.float64)
+        except ValueError as error:
+            raise InvalidInputError(place, line, _FIX) from error
+        if len(values) == _KITTI and not timed:
+            by_frame[len(by_frame)] = _checked(np.vstack([values.reshape(3, 4), [0, 0, 0, 1]]), place)
+        elif len(values) == _TUM and not by_frame:
+            timed[float(values[0])] = _checked(_of_quaternion(values[1:4], values[4:], place), place)
+        else:
+            raise InvalidInputError(place, f"{len(values)} numbers", _FIX)
+    if not by_frame and not timed:
+        raise InvalidInputError("poses", str(path), _FIX)
+    times = sorted(timed)
+    return CameraPoses(by_frame, tuple(times), tuple(timed[time] for time in times))
+
+
+def _of_json(path: Path) -> CameraPoses:
+    data = read_json(path)
+    items: Any = data.items() if isinstance(data, Mapping) else enumerate(data) if isinstance(data, list) else ()
+    found: dict[int, Array] = {}
+    for key, value in items:
+        if not str(key).isdecimal():
+            raise InvalidInputError(f"{path}: {key}", key, "Let the number of a frame be the name of its pose.")
+        if value is not None:
+            found[int(key)] = _checked(numbers(value, (4, 4), f"{path}: [{key}]"), f"{path}: [{key}]")
+    if not found:
+        raise InvalidInputError("poses", str(path), _FIX)
+    return CameraPoses(found)
+
+
+def _checked(pose: Array, place: str) -> Array:
+    """The pose, its rotation made an exact one.
+
+    Raises:
+        InvalidInputError: It is no rigid motion.
+    """
+    turn = pose[:3, :3]
+    good = np.isfinite(pose).all() and np.abs(turn @ turn.T - np.eye(3)).max() < _RIGID and np.linalg.det(turn) > 0
+    if not good or np.abs(pose[3] - [0, 0, 0, 1]).max() > 1e-9:
+        raise InvalidInputError(place, pose.tolist(), "Give a rotation and a translation.")
+    left, _, right = np.linalg.svd(turn)
+    exact = pose.copy()
+    exact[:3, :3] = left @ right
+    return exact
+
+
+def _of_quaternion(place: Array, quaternion: Array, where: str) -> Array:
+    from scipy.spatial.transform import Rotation
+
+    if not np.isfinite(quaternion).all() or np.linalg.norm(quaternion) < 1e-6:
+        raise InvalidInputError(where, quaternion.tolist(), "Give a quaternion qx, qy, qz, qw.")
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = Rotation.from_quat(quaternion).as_matrix(), place
+    return pose
+
+
+def _between(time: float, times: tuple[float, ...], poses: tuple[Array, ...]) -> Array:
+    """The pose at a time between two."""
+    from scipy.spatial.transform import Rotation
+
+    share = (time - times[0]) / (times[1] - times[0])
+    first, second = poses
+    turn = Rotation.from_matrix(first[:3, :3])
+    rest = (turn.inv() * Rotation.from_matrix(second[:3, :3])).as_rotvec()
+    pose = np.eye(4)
+    pose[:3, :3] = (turn * Rotation.from_rotvec(share * rest)).as_matrix()
+    pose[:3, 3] = (1.0 - share) * first[:3, 3] + share * second[:3, 3]
+    return pose

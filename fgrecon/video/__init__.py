@@ -1,0 +1,57 @@
+"""From the frames of a video to tracked vehicles.
+
+`run_video` does what `fgrecon run` does: a `FrameLook` finds vehicles and keypoints in each frame and stores them, a
+`Follower` gives ids (`GatedAssociation`, or any `Association`) and lets a tracker estimate (`fgrecon.Tracker`, or any
+`VehicleTracker`). `camera_motion` estimates how the camera itself has moved; `read_given` reads vehicles that others
+have found.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from factors.lazy import lazy_names
+
+if TYPE_CHECKING:  # imported when used
+    from fgrecon.io.frames import SourceFrame, open_frames
+    from fgrecon.io.poses import CameraPoses, read_poses
+    from fgrecon.io.video import write_video
+    from fgrecon.video.alone import SingleImages
+    from fgrecon.video.association import Association, AssociationSettings, Candidate, GatedAssociation
+    from fgrecon.video.egomotion import CameraMotion, camera_motion
+    from fgrecon.video.follow import Follower, TrackedFrame, VehicleTracker
+    from fgrecon.video.given import Given, read_given
+    from fgrecon.video.look import FrameLook
+    from fgrecon.video.records import FrameRecord, Sighting
+    from fgrecon.video.rows import frame_lines, rows_of, tracking_text
+    from fgrecon.video.run import VideoRun, run_video
+
+__all__ = [
+    "Association",
+    "AssociationSettings",
+    "CameraMotion",
+    "CameraPoses",
+    "Candidate",
+    "Follower",
+    "FrameLook",
+    "FrameRecord",
+    "GatedAssociation",
+    "Given",
+    "Sighting",
+    "SingleImages",
+    "SourceFrame",
+    "TrackedFrame",
+    "VehicleTracker",
+    "VideoRun",
+    "camera_motion",
+    "frame_lines",
+    "open_frames",
+    "read_given",
+    "read_poses",
+    "rows_of",
+    "run_video",
+    "tracking_text",
+    "write_video",
+]
+
+__getattr__, __dir__ = lazy_names(__name__)

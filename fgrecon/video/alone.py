@@ -1,0 +1,80 @@
+"""Every image on its own: a tracker that knows no motion, to compare with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.detection import facing_probability
+from fgrecon.core.errors import FgreconError
+from fgrecon.core.geometry import view_azimuth
+from fgrecon.core.observation import Observation
+from fgrecon.core.vehicle_estimate import VehicleEstimate
+from fgrecon.solve.pipeline import reconstruct
+
+__all__ = ["SingleImages"]
+
+Array = NDArray[np.float64]
+
+
+class SingleImages:
+    """A tracker (`fgrecon.video.VehicleTracker`) that reconstructs every image on its own.
+
+    Attributes:
+        refused: Why vehicles of the last frame have no estimate, by id.
+    """
+
+    refused: Mapping[int, FgreconError]
+
+    def __init__(self, **arguments: Any) -> None:
+        """Take the settings.
+
+        Args:
+            arguments: Of `fgrecon.reconstruct`: prior, size_prior, options.
+        """
+        self._arguments = arguments
+        self._tracks: dict[int, list[VehicleEstimate]] = {}
+        self.refused = {}
+
+    def update(
+        self,
+        time: float,
+        observations: Mapping[int, Observation],
+        *,
+        camera: Camera,
+        world_T_camera: Array | None = None,
+        ground: Ground | None = None,
+        motion_sigma: tuple[float, float] | None = None,  # noqa: ARG002 - one image knows of no motion
+    ) -> Mapping[int, VehicleEstimate]:
+        """The estimates of the vehicles that can be reconstructed, by id."""
+        found: dict[int, VehicleEstimate] = {}
+        refused: dict[int, FgreconError] = {}
+        for identity, observation in observations.items():
+            try:
+                result = reconstruct(observation, camera, ground=ground, **self._arguments)
+            except FgreconError as error:
+                refused[identity] = error
+                continue
+            pose = result.camera_T_object
+            told = observation.azimuth
+            seen_from = float(view_azimuth(pose[:3, :3], pose[:3, 3]))
+            found[identity] = VehicleEstimate(
+                id=identity,
+                time=time,
+                reconstruction=result,
+                velocity=None,
+                turn_rate=None,
+                facing_probability=float("nan") if told is None else facing_probability(told, seen_from),
+                world_T_object=None if world_T_camera is None else world_T_camera @ pose,
+            )
+            self._tracks.setdefault(identity, []).append(found[identity])
+        self.refused = refused
+        return found
+
+    def smooth(self) -> Mapping[int, Sequence[VehicleEstimate]]:
+        """The same estimates once more."""
+        return self._tracks

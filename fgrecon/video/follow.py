@@ -1,0 +1,219 @@
+"""From what each frame shows to tracked vehicles: ids, the camera's place in the world, and a tracker's estimates.
+
+record of a frame ---- ids (given, or by association) ---- tracker ---- estimates of this frame
+       |                          ^                           |
+       +---- camera's motion -----+------- told back ---------+
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.errors import FgreconError
+from fgrecon.core.geometry import transform
+from fgrecon.core.observation import Observation
+from fgrecon.core.vehicle_estimate import VehicleEstimate
+from fgrecon.io.poses import CameraPoses
+from fgrecon.video.association import Association, Candidate, stands_at
+from fgrecon.video.records import FrameRecord
+
+__all__ = ["Follower", "TrackedFrame", "VehicleTracker"]
+
+Array = NDArray[np.float64]
+
+_ANYHOW = (0.02, 0.5)
+"""Standard deviations of a motion that was not found, radians and metres."""
+
+
+class VehicleTracker(Protocol):
+    """Estimates many vehicles over time, by their ids; `fgrecon.Tracker` is one.
+
+    Attributes:
+        refused: Why vehicles of the last frame have no estimate, by id.
+    """
+
+    refused: Mapping[int, FgreconError]
+
+    def update(
+        self,
+        time: float,
+        observations: Mapping[int, Observation],
+        *,
+        camera: Camera,
+        world_T_camera: Array | None = None,
+        ground: Ground | None = None,
+        motion_sigma: tuple[float, float] | None = None,
+    ) -> Mapping[int, VehicleEstimate]:
+        """Take a frame; the estimates of the vehicles that it shows, by id. The arguments are `fgrecon.Tracker`'s."""
+
+    def smooth(self) -> Mapping[int, Sequence[VehicleEstimate]]:
+        """The estimates of all frames by all of them, by id, in the order of time."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedFrame:
+    """One frame with its vehicles.
+
+    Attributes:
+        number: Of the frame, within its source.
+        time: Seconds.
+        name: Of the frame.
+        problem: Why it could not be read, or None.
+        world_T_camera: (4, 4) pose of the camera, or None where it is not known.
+        boxes: (4,) 2D box by id.
+        scores: Of the detection by id.
+        observations: Keypoints by id.
+        estimates: By id; a vehicle that could not be solved has none.
+        refused: Why not, by id.
+    """
+
+    number: int
+    time: float
+    name: str
+    problem: str | None
+    world_T_camera: Array | None = None
+    boxes: Mapping[int, Array] = field(default_factory=dict)
+    scores: Mapping[int, float] = field(default_factory=dict)
+    observations: Mapping[int, Observation] = field(default_factory=dict)
+    estimates: Mapping[int, VehicleEstimate] = field(default_factory=dict)
+    refused: Mapping[int, str] = field(default_factory=dict)
+
+
+class Follower:
+    """Follows the vehicles of one video: called with the records of its frames, in order."""
+
+    def __init__(
+        self,
+        tracker: VehicleTracker,
+        association: Association,
+        camera: Camera,
+        *,
+        ground: Ground | None = None,
+        poses: CameraPoses | None = None,
+        moving: bool = False,
+    ) -> None:
+        """Take what does the work.
+
+        Args:
+            tracker: Estimates the vehicles.
+            association: Gives ids to those that come without.
+            camera: The camera.
+            ground: The ground in its frame, or None.
+            poses: The camera's poses, or None.
+            moving: Whether the motions in the records tell them instead; a motion that is missing goes on as before.
+        """
+        self.tracker, self.association, self.camera, self.ground = tracker, association, camera, ground
+        self._world = _World(poses, moving=moving)
+        self._time = -np.inf
+        self._seen: dict[int, tuple[float, Array, Array]] = {}  # time, place and velocity of each vehicle
+
+    def __call__(self, record: FrameRecord) -> TrackedFrame:
+        """The frame's vehicles; a frame that is not later than the one before is a gap."""
+        if record.time <= self._time:
+            problem = f"{record.name}: its time, {record.time:g} s, is not later than that of the frame before"
+            return TrackedFrame(record.number, record.time, record.name, record.problem or problem)
+        self._time = record.time
+        world_T_camera, previous_T_current, motion_sigma = self._world.move(record)
+        known = [s for s in record.sightings if s.identity is not None]
+        unknown = [s for s in record.sightings if s.identity is None]
+        found = self.association(record.time, [self._candidate(s.box, s.score) for s in unknown], previous_T_current)
+        named = {s.identity: s for s in known} | dict(zip(found, unknown, strict=True))
+        sightings = {identity: s for identity, s in named.items() if identity is not None}
+        observations = {i: s.observation for i, s in sightings.items() if s.observation is not None}
+        estimates = self.tracker.update(
+            record.time,
+            observations,
+            camera=self.camera,
+            world_T_camera=world_T_camera,
+            ground=self.ground,
+            motion_sigma=motion_sigma,
+        )
+        for identity in found:
+            if identity is not None and identity in estimates:
+                self._tell(identity, estimates[identity])
+        return TrackedFrame(
+            number=record.number,
+            time=record.time,
+            name=record.name,
+            problem=record.problem,
+            world_T_camera=world_T_camera,
+            boxes={i: s.box for i, s in sightings.items()},
+            scores={i: s.score for i, s in sightings.items()},
+            observations=observations,
+            estimates=dict(estimates),
+            refused={identity: str(error) for identity, error in self.tracker.refused.items()},
+        )
+
+    def _candidate(self, box: Array, score: float) -> Candidate:
+        stands = None if self.ground is None else stands_at(box, self.camera, self.ground)
+        return Candidate(box, score) if stands is None else Candidate(box, score, *stands)
+
+    def _tell(self, identity: int, estimate: VehicleEstimate) -> None:
+        """Let the association know where a vehicle is and how it moves, seen from the camera."""
+        result = estimate.reconstruction
+        before = self._seen.get(identity)
+        velocity = np.zeros(3)
+        if before is not None and estimate.time > before[0]:
+            velocity = 0.5 * before[2] + 0.5 * (result.location - before[1]) / (estimate.time - before[0])
+            self.association.tell(identity, transform(result.camera_T_object, result.wireframe), velocity, self.camera)
+        self._seen[identity] = estimate.time, result.location, velocity
+
+
+class _World:
+    """Where the camera is, frame by frame: by given poses, or by the motions in the records."""
+
+    def __init__(self, poses: CameraPoses | None, *, moving: bool) -> None:
+        self._poses, self._moving = poses, moving
+        self._pose: Array | None = None
+        self._step: Array | None = None  # the last motion that was found, and how long it took
+        self._passed = 0.0
+        self._time: float | None = None
+
+    def move(self, record: FrameRecord) -> tuple[Array | None, Array | None, tuple[float, float] | None]:
+        """The camera's place, and how it came there.
+
+        Returns:
+            (4, 4) world_T_camera; (4, 4) previous_T_current since the last frame that has a place; and the standard
+            deviations of that, radians and metres, where it was estimated. None where not known.
+        """
+        before = self._pose
+        if self._poses is not None:
+            here = self._poses.at(record.number, record.time)
+            if here is None:
+                return None, None, None
+            self._pose = here
+            return here, None if before is None else np.asarray(np.linalg.inv(before) @ here), None
+        if not self._moving or record.problem is not None:  # the next motion covers this frame as well
+            return None, None, None
+        passed = 0.0 if self._time is None else record.time - self._time
+        self._time = record.time
+        if before is None:
+            self._pose = np.eye(4)
+            return self._pose, None, None
+        step, sigma = np.eye(4), _ANYHOW
+        if record.motion is not None:
+            step = self._step = record.motion.previous_T_current
+            self._passed = passed
+            covariance = record.motion.covariance
+            turn, way = (float(np.linalg.eigvalsh(c).max()) ** 0.5 for c in (covariance[:3, :3], covariance[3:, 3:]))
+            sigma = turn, way
+        elif self._step is not None:  # as before, for as long
+            step = _scaled(self._step, passed / self._passed)
+        self._pose = before @ step
+        return self._pose, step, sigma
+
+
+def _scaled(motion: Array, share: float) -> Array:
+    """A motion that goes on for a share of its time."""
+    from scipy.spatial.transform import Rotation
+
+    scaled = np.eye(4)
+    scaled[:3, :3] = Rotation.from_rotvec(share * Rotation.from_matrix(motion[:3, :3]).as_rotvec()).as_matrix()
+    scaled[:3, 3] = share * motion[:3, 3]
+    return scaled

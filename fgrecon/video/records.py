@@ -1,0 +1,136 @@
+"""What each frame of a video shows, before anything is solved; stored so that networks look at a frame once.
+
+Numbers are stored with every bit: a run that goes on from what is stored gives the results of one that was not stopped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from fgrecon.core.observation import Observation
+from fgrecon.video.egomotion import CameraMotion
+
+__all__ = ["FORMAT", "FrameRecord", "Sighting", "from_row", "record_schema", "to_table"]
+
+Array = NDArray[np.float64]
+
+FORMAT = "fgrecon.video/1"
+
+_NUMBERS = pa.list_(pa.float64())
+_ARRAYS = ("keypoints", "confidence", "covariance", "azimuth")
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """One vehicle of a frame.
+
+    Attributes:
+        box: (4,) x1, y1, x2, y2 in pixels; around the keypoints where no other is known.
+        score: Of the detection, 0 to 1.
+        identity: Id that it came with, or None.
+        observation: Its keypoints; None where there are none.
+    """
+
+    box: Array
+    score: float
+    identity: int | None
+    observation: Observation | None
+
+
+@dataclass(frozen=True, eq=False)
+class FrameRecord:
+    """What one frame shows.
+
+    Attributes:
+        number: Of the frame, within its source.
+        time: Seconds, by the source's clock.
+        name: Of the frame.
+        problem: Why the frame could not be read, or None.
+        sightings: The vehicles.
+        motion: How the camera has moved since the last frame that could be read; None where nobody looked, or failed.
+    """
+
+    number: int
+    time: float
+    name: str
+    problem: str | None
+    sightings: tuple[Sighting, ...] = ()
+    motion: CameraMotion | None = None
+
+
+def record_schema() -> Any:
+    """The columns of the stored records, a row for each frame."""
+    sighting = [("box", _NUMBERS), ("score", pa.float64()), ("identity", pa.int64()), ("midpoint", pa.float64())]
+    sighting += [("boxed", pa.bool_())]
+    fields = [
+        *(("row_id", pa.string()), ("frame", pa.int64()), ("time", pa.float64())),
+        *(("name", pa.string()), ("problem", pa.string())),
+        ("sightings", pa.list_(pa.struct([*sighting, *((name, _NUMBERS) for name in _ARRAYS)]))),
+        *(("previous_T_current", _NUMBERS), ("motion_covariance", _NUMBERS), ("motion_points", pa.int64())),
+    ]
+    return pa.schema(fields, metadata={"fgrecon.format": FORMAT})
+
+
+def to_table(record: FrameRecord) -> Any:
+    """A record as a table of one row."""
+    motion = record.motion
+    row = {
+        "row_id": str(record.number),
+        "frame": record.number,
+        "time": record.time,
+        "name": record.name,
+        "problem": record.problem,
+        "sightings": [_plain(sighting) for sighting in record.sightings],
+        "previous_T_current": None if motion is None else motion.previous_T_current.ravel().tolist(),
+        "motion_covariance": None if motion is None else motion.covariance.ravel().tolist(),
+        "motion_points": None if motion is None else motion.points,
+    }
+    return pa.Table.from_pylist([row], schema=record_schema())
+
+
+def from_row(row: Mapping[str, Any]) -> FrameRecord:
+    """A record from a row of plain values."""
+    motion = None
+    if row["previous_T_current"] is not None:
+        pose, covariance = np.array(row["previous_T_current"]), np.array(row["motion_covariance"])
+        motion = CameraMotion(pose.reshape(4, 4), covariance.reshape(6, 6), row["motion_points"])
+    sightings = tuple(_sighting(item) for item in row["sightings"])
+    return FrameRecord(row["frame"], row["time"], row["name"], row["problem"], sightings, motion)
+
+
+def _plain(sighting: Sighting) -> dict[str, Any]:
+    seen = sighting.observation
+    arrays: dict[str, Any] = dict.fromkeys(_ARRAYS)
+    if seen is not None:
+        values = {name: getattr(seen, name) for name in _ARRAYS}
+        arrays = {name: None if value is None else value.ravel().tolist() for name, value in values.items()}
+    return {
+        "box": sighting.box.tolist(),
+        "score": sighting.score,
+        "identity": sighting.identity,
+        "midpoint": None if seen is None else seen.confidence_midpoint,
+        "boxed": seen is not None and seen.box is not None,
+        **arrays,
+    }
+
+
+def _sighting(item: Mapping[str, Any]) -> Sighting:
+    box = np.array(item["box"])
+    if item["keypoints"] is None:
+        return Sighting(box, item["score"], item["identity"], None)
+    covariance, azimuth = item["covariance"], item["azimuth"]
+    observation = Observation(
+        np.array(item["keypoints"]).reshape(-1, 2),
+        np.array(item["confidence"]),
+        box if item["boxed"] else None,
+        None if covariance is None else np.array(covariance).reshape(-1, 2, 2),
+        item["midpoint"],
+        None if azimuth is None else np.array(azimuth),
+    )
+    return Sighting(box, item["score"], item["identity"], observation)

@@ -1,0 +1,133 @@
+"""The results of a video as rows of tables, as KITTI's tracking lines, and as a JSON line for each frame."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.metrics import wrap_angle
+from fgrecon.core.plain import plain
+from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.vehicle_estimate import VehicleEstimate
+from fgrecon.io.kitti_files import Objects
+from fgrecon.io.kitti_tracking import TrackedObjects, format_tracking
+from fgrecon.video.follow import TrackedFrame
+
+__all__ = ["FRAME_FORMAT", "frame_lines", "rows_of", "tracking_text"]
+
+Array = NDArray[np.float64]
+
+FRAME_FORMAT = "fgrecon.video-frame/1"
+_UNKNOWN = -1.0
+
+
+def rows_of(frames: Sequence[TrackedFrame], *, flat: bool = True) -> list[dict[str, Any]]:
+    """A row for each vehicle in each frame, in the order of frames and ids.
+
+    Args:
+        frames: The frames.
+        flat: Numbers and texts alone; else arrays as lists beside them, as in `Reconstruction.to_row`.
+    """
+    return [
+        {"frame": frame.number, "time": frame.time, **_row(frame, identity, flat=flat)}
+        for frame in frames
+        for identity in sorted(frame.estimates)
+    ]
+
+
+def _row(frame: TrackedFrame, identity: int, *, flat: bool) -> dict[str, Any]:
+    estimate = frame.estimates[identity]
+    result: Reconstruction = estimate.reconstruction
+    row = result.to_row(str(identity), flat=False)
+    lists = [name for name, value in row.items() if isinstance(value, list)]
+    box = frame.boxes[identity].tolist()
+    in_world = estimate.world_T_object
+    place = (None, None, None) if in_world is None else in_world[:3, 3].tolist()
+    row = row | motion_of(estimate) | dict(zip(("world_x", "world_y", "world_z"), place, strict=True))
+    row |= {"id": identity, "score": frame.scores[identity]}
+    row |= dict(zip(("x1", "y1", "x2", "y2"), box, strict=True))
+    if flat:
+        return {name: value for name, value in row.items() if name not in lists}
+    covariance = result.pose_covariance
+    return row | {
+        "pose_covariance": None if covariance is None else covariance.ravel().tolist(),
+        "world_T_object": None if in_world is None else in_world.ravel().tolist(),
+    }
+
+
+def motion_of(estimate: VehicleEstimate) -> dict[str, float | None]:
+    """Velocity (m/s), speed, turn rate (rad/s) and the probability of the facing; None where not known.
+
+    The velocity is along the world's axes where the world is known, else relative to the camera and along its axes.
+    """
+    velocity, facing = estimate.velocity, estimate.facing_probability
+    along = (None, None, None) if velocity is None else velocity.tolist()
+    return {
+        **dict(zip(("velocity_x", "velocity_y", "velocity_z"), along, strict=True)),
+        "speed": estimate.speed,
+        "turn_rate": estimate.turn_rate,
+        "facing_probability": facing if np.isfinite(facing) else None,
+    }
+
+
+def tracking_text(frames: Sequence[TrackedFrame], label_offset: Array | None = None) -> str:
+    """KITTI's tracking results.
+
+    Args:
+        frames: The frames.
+        label_offset: (3,) of a labelled point in the camera's frame, which is taken off; or None.
+    """
+    offset = np.zeros(3) if label_offset is None else label_offset
+    found: dict[int, TrackedObjects] = {}
+    for frame in frames:
+        if not (ids := sorted(frame.estimates)):
+            continue
+        lines = [_line(frame, identity, offset) for identity in ids]
+        objects = Objects.of_rows(["Car"] * len(ids), np.array(lines))
+        found[frame.number] = TrackedObjects(objects, np.array(ids, dtype=np.int64))
+    return format_tracking(found)
+
+
+def _line(frame: TrackedFrame, identity: int, offset: Array) -> list[float]:
+    result: Reconstruction = frame.estimates[identity].reconstruction
+    place, yaw = result.location - offset, result.rotation_y
+    alpha = float(wrap_angle(yaw - np.arctan2(place[0], place[2])))
+    length, width, height = result.box_size
+    size = (height, width, length)
+    return [_UNKNOWN, _UNKNOWN, alpha, *frame.boxes[identity], *size, *place, yaw, frame.scores[identity]]
+
+
+def frame_lines(frames: Sequence[TrackedFrame]) -> Iterator[str]:
+    """A JSON line for each frame, those without a vehicle and those that could not be read included."""
+    for frame in frames:
+        content = {
+            "format": FRAME_FORMAT,
+            "frame": frame.number,
+            "time": frame.time,
+            "name": frame.name,
+            "problem": frame.problem,
+            "world_T_camera": plain(frame.world_T_camera),
+            "vehicles": [_vehicle(frame, identity) for identity in sorted(frame.boxes)],
+        }
+        yield json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n"
+
+
+def _vehicle(frame: TrackedFrame, identity: int) -> Mapping[str, Any]:
+    seen = {
+        "id": identity,
+        "box": frame.boxes[identity].tolist(),
+        "score": frame.scores[identity],
+    }
+    estimate = frame.estimates.get(identity)
+    if estimate is None:
+        return seen | {"result": None, "refused": frame.refused.get(identity)}
+    pose = estimate.world_T_object
+    return (
+        seen
+        | motion_of(estimate)
+        | {"world_T_object": plain(pose), "result": estimate.reconstruction.to_dict(compact=True)}
+    )

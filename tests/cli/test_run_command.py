@@ -1,0 +1,234 @@
+"""`fgrecon run`: its files, what it refuses, and what is left when it is killed or interrupted."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from typer.testing import CliRunner
+
+from fgrecon.cli import main
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.frames import open_frames
+from fgrecon.io.kitti_tracking import read_tracking
+from fgrecon.io.video import write_video
+from tests.conftest import REPOSITORY
+from tests.video.streets import make_drive
+
+SLOWLY = """
+import sys, time
+import fgrecon.batch.parts as parts
+from fgrecon.video.look import FrameLook
+from fgrecon.cli.main import main
+parts._ROWS = 1
+look = FrameLook.__call__
+FrameLook.__call__ = lambda self, frame: (time.sleep(0.15), look(self, frame))[1]
+main()
+"""
+
+
+def run(*arguments):
+    return CliRunner().invoke(main.app, ["run", *map(str, arguments)])
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    images, file = make_drive(tmp_path_factory.mktemp("drive"))
+    (images / "000009.png").write_bytes(b"torn")
+    return images, file
+
+
+@pytest.fixture(scope="module")
+def whole(drive, tmp_path_factory):
+    """The folder of a run that nobody stopped, and what the command said."""
+    images, file = drive
+    out = tmp_path_factory.mktemp("whole") / "out"
+    done = run(images, "--tracks", file, "--fps", 10, "--out", out, "--json", out.parent / "run.json", "--verbose")
+    assert done.exit_code == 0, done.output
+    return out, done.stdout
+
+
+def contents(out):
+    return {name: (out / name).read_text() for name in ("tracks.txt", "tracks.csv")}
+
+
+def test_its_tables_agree(whole):
+    out, said = whole
+    rows = pq.read_table(out / "tracks.parquet").to_pylist()
+    assert len(rows) > 12
+    assert {row["id"] for row in rows} == {10, 11}
+    assert [row["frame"] for row in rows] == sorted(row["frame"] for row in rows)
+    assert rows[-1]["time"] == pytest.approx(1.1)
+    tracked = read_tracking(out / "tracks.txt")
+    assert sum(len(found.tracks) for found in tracked.values()) == len(rows)
+    first = rows[0]
+    line = tracked[first["frame"]]
+    assert line.objects.location[0] == pytest.approx([first["x"], first["y"], first["z"]], abs=1e-4)
+    assert line.objects.box[0] == pytest.approx([first[name] for name in ("x1", "y1", "x2", "y2")], abs=0.01)
+    frames = [json.loads(text) for text in (out / "frames.jsonl").read_text().splitlines()]
+    assert [frame["frame"] for frame in frames] == [3, 4, 5, 6, 8, 9, 10, 11]
+    assert sum(v["result"] is not None for frame in frames for v in frame["vehicles"]) == len(rows)
+    assert "000009.png" in frames[5]["problem"]
+    assert "8 frames, 1 of them gaps, 2 cars" in said
+    assert "gap 000009.png" in said
+    document = json.loads((out.parent / "run.json").read_text())
+    assert document["tracks"] == [{"id": i, "frames": 8, "first": 3, "last": 11} for i in (10, 11)]
+    assert (document["estimates"], document["stopped"]) == (len(rows), False)
+
+
+def test_again_it_looks_at_nothing_and_other_options_are_solved(drive, whole, tmp_path):
+    images, file = drive
+    arguments = (images, "--tracks", file, "--fps", 10, "--out", tmp_path / "out")
+    assert run(*arguments, "--end", 0.5).exit_code == 0
+    with pytest.raises(InvalidInputError, match=r"other settings \(end\)"):
+        raise run(*arguments).exception
+    again = run(*arguments, "--end", 0.5, "--size-prior", "kitti", "--online")
+    assert again.exit_code == 0, again.output
+    assert "each estimate as of its frame; 4 were looked at before" in again.stdout
+    before = [row["length"] for row in pq.read_table(whole[0] / "tracks.parquet").to_pylist()][:4]
+    after = [row["length"] for row in pq.read_table(tmp_path / "out" / "tracks.parquet").to_pylist()][:4]
+    assert np.abs(np.subtract(before, after)).max() > 1e-3
+
+
+def slowly(drive, out):
+    images, file = drive
+    arguments = ["run", str(images), "--tracks", str(file), "--fps", "10", "--out", str(out)]
+    return subprocess.Popen(
+        [sys.executable, "-c", SLOWLY, *arguments],
+        env=os.environ | {"PYTHONPATH": str(REPOSITORY)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def wait_for_parts(running, out, count):
+    deadline = time.monotonic() + 120
+    while len(list(out.glob("records/part-*.parquet"))) < count and time.monotonic() < deadline:
+        assert running.poll() is None, running.communicate()
+        time.sleep(0.02)
+
+
+def test_killed_it_goes_on_where_it_was(drive, whole, tmp_path):
+    images, file = drive
+    out = tmp_path / "out"
+    running = slowly(drive, out)
+    wait_for_parts(running, out, 3)
+    running.kill()
+    running.communicate()
+    assert not (out / "tracks.csv").exists()
+    done = run(images, "--tracks", file, "--fps", 10, "--out", out)
+    assert done.exit_code == 0, done.output
+    before = int(done.stdout.partition("; ")[2].split()[0])
+    assert 3 <= before < 8
+    assert contents(out) == contents(whole[0])
+
+
+def test_interrupted_it_leaves_what_there_is(drive, whole, tmp_path):
+    out = tmp_path / "out"
+    running = slowly(drive, out)
+    wait_for_parts(running, out, 2)
+    running.send_signal(signal.SIGINT)
+    said, complaint = running.communicate(timeout=60)
+    assert running.returncode == 130, complaint
+    assert "Stopped before the end" in complaint
+    some = pq.read_table(out / "tracks.parquet").to_pylist()
+    everything = pq.read_table(whole[0] / "tracks.parquet").to_pylist()
+    assert 2 <= len(some) < len(everything)
+    places, whole_places = ([(row["frame"], row["id"]) for row in rows] for rows in (some, everything))
+    assert places == whole_places[: len(places)]
+    assert "frames" in said
+
+
+def test_a_video_in_and_a_video_out(drive, tmp_path):
+    images, file = drive
+    film = tmp_path / "in.mp4"
+    with write_video(film, rate=10) as add:
+        for frame in open_frames(images, rate=10).read():
+            if frame.image is not None:
+                add(frame.image, frame.time)
+    content = json.loads(file.read_text())
+    for place, instance in enumerate(content["instances"]):  # in a video, frames count from 0
+        instance["frame"] = place // 2
+    (tmp_path / "keypoints.json").write_text(json.dumps(content))
+    out, drawn = tmp_path / "out", tmp_path / "drawn.mp4"
+    done = run(
+        film, "--tracks", tmp_path / "keypoints.json", "--out", out, "--video", drawn, "--save", tmp_path / "r.rrd"
+    )
+    assert done.exit_code == 0, done.output
+    read, written = (list(open_frames(path).read()) for path in (film, drawn))
+    assert len(read) == len(written) == 7
+    assert [frame.time for frame in written] == pytest.approx([frame.time for frame in read], abs=1e-3)
+    assert all(frame.image.shape == (374, 1242, 3) for frame in written)
+    assert (tmp_path / "r.rrd").stat().st_size > 10_000
+
+
+def test_keypoints_alone_give_the_same(drive, whole, tmp_path):
+    _, file = drive
+    done = run(file, "--fps", 10, "--out", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    assert contents(tmp_path / "out")["tracks.txt"] == contents(whole[0])["tracks.txt"]
+    for option, field in ((["--video", tmp_path / "a.mp4"], "video"), (["--tracks", file], "tracks")):
+        assert run(file, "--out", tmp_path / "x", *option).exception.field == field
+
+
+def test_a_viewer_sees_it_while_it_goes_on(drive, tmp_path):
+    import rerun as rr
+
+    from fgrecon.viz.sinks import free_port
+
+    images, file = drive
+    port = free_port()
+    viewer = rr.RecordingStream("viewer")
+    viewer.serve_grpc(grpc_port=port)
+    shown = ("--tracks", file, "--end", 0.3, "--fps", 10, "--connect", f"127.0.0.1:{port}")
+    done = run(images, "--out", tmp_path / "out", *shown)
+    assert done.exit_code == 0, done.output
+    viewer.disconnect()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "field"),
+    [
+        (["--video", "a.avi"], "a.avi"),
+        (["--forget-ids"], "forget_ids"),
+        (["--estimate-motion"], "estimate_motion"),
+        (["--estimate-motion", "--camera-height", "1.65", "--poses", "x.txt"], "poses"),
+        (["--poses", "none.txt"], "poses"),
+        (["--tracks", "none.json"], "file"),
+        (["--save", "a.mp4"], "save"),
+        (["--end", "0"], "end"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_before_the_work(drive, tmp_path, arguments, field):
+    done = run(drive[0], "--out", tmp_path / "out", *arguments)
+    assert isinstance(done.exception, InvalidInputError), done.output
+    assert done.exception.field == field
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_codec_that_is_missing_is_told_before_the_work(drive, tmp_path, monkeypatch):
+    monkeypatch.setattr("fgrecon.io.video._CODEC", "libnone")
+    done = run(drive[0], "--out", tmp_path / "out", "--video", tmp_path / "a.mp4")
+    assert "codec libnone" in str(done.exception)
+    assert not (tmp_path / "out").exists()
+
+
+def test_frames_of_which_none_can_be_read(tmp_path):
+    (tmp_path / "images").mkdir()
+    (tmp_path / "images" / "0.png").write_bytes(b"torn")
+    done = run(tmp_path / "images", "--out", tmp_path / "out")
+    assert done.exception.field == "source"
+
+
+def test_no_car_is_exit_code_1(drive, tmp_path):
+    labels = tmp_path / "labels.txt"
+    labels.write_text("99 1 Car 0 0 0 20 30 110 80 1.5 1.6 4.0 0.5 1.6 15.0 1.5\n")
+    done = run(drive[0], "--tracks", labels, "--out", tmp_path / "out", "--fps", 10, "--end", 0.2)
+    assert done.exit_code == 1
+    assert (tmp_path / "out" / "tracks.txt").read_text() == ""

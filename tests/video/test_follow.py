@@ -1,0 +1,123 @@
+"""Following vehicles: ids, the camera's place in the world, and what the association is told."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fgrecon.core.camera import Ground
+from fgrecon.io.poses import CameraPoses
+from fgrecon.simulation import KITTI_CAMERA
+from fgrecon.video import Follower, GatedAssociation, SingleImages
+from fgrecon.video.egomotion import CameraMotion
+from fgrecon.video.records import FrameRecord, Sighting
+from tests.video.streets import simulated
+
+
+def follower(**arguments):
+    return Follower(SingleImages(prior="car14"), GatedAssociation(first=50), KITTI_CAMERA, **arguments)
+
+
+def record(number, *sightings, **arguments):
+    return FrameRecord(number, 0.1 * number, f"{number}.png", arguments.pop("problem", None), sightings, **arguments)
+
+
+def step(length):
+    motion = np.eye(4)
+    motion[2, 3] = length
+    return CameraMotion(motion, np.eye(6) * 1e-4, 100)
+
+
+def test_given_ids_stay_and_others_are_new():
+    first, second = simulated(2, seeds=(25, 7))
+    follow = follower(ground=Ground.level(1.65))
+    frames = [
+        follow(record(n, Sighting(first[n].box, 1.0, 3, first[n]), Sighting(second[n].box, 1.0, None, second[n])))
+        for n in range(2)
+    ]
+    assert [sorted(frame.boxes) for frame in frames] == [[3, 50]] * 2
+    assert [sorted(frame.estimates) for frame in frames] == [[3, 50]] * 2
+    assert frames[1].observations[3] is first[1]
+    assert frames[0].world_T_camera is None
+
+
+def test_a_vehicle_without_keypoints_has_a_box_alone():
+    (first,) = simulated(1, seeds=(25,))
+    frame = follower()(record(0, Sighting(first[0].box, 1.0, None, None)))
+    assert (sorted(frame.boxes), frame.estimates) == ([50], {})
+
+
+def test_weak_detections_have_no_id():
+    (first,) = simulated(1, seeds=(25,))
+    assert follower()(record(0, Sighting(first[0].box, 0.2, None, first[0]))).boxes == {}
+
+
+def test_the_world_is_made_of_motions():
+    """One that is missing goes on as before; a frame that cannot be read has no place, and the next covers it."""
+    follow = follower(moving=True)
+    records = [
+        record(0),
+        record(1, motion=step(1.0)),
+        record(2),
+        record(3, problem="torn"),
+        record(4, motion=step(2.0)),
+    ]
+    places = [follow(r).world_T_camera for r in records]
+    assert [None if p is None else round(float(p[2, 3]), 6) for p in places] == [0.0, 1.0, 2.0, None, 4.0]
+
+
+def test_the_world_is_given():
+    poses = CameraPoses({n: step(float(n)).previous_T_current for n in (0, 2)})
+    follow = follower(poses=poses)
+    places = [follow(record(n)).world_T_camera for n in range(3)]
+    assert places[1] is None
+    assert places[2][2, 3] == 2.0
+
+
+def test_an_estimate_is_in_the_world():
+    (first,) = simulated(1, seeds=(25,))
+    poses = CameraPoses({0: step(5.0).previous_T_current})
+    frame = follower(poses=poses, ground=Ground.level(1.65))(record(0, Sighting(first[0].box, 1.0, 1, first[0])))
+    estimate = frame.estimates[1]
+    assert estimate.world_T_object[2, 3] == pytest.approx(estimate.reconstruction.location[2] + 5.0)
+
+
+def test_time_goes_forward():
+    """A frame that is not later than the one before is a gap, whatever it shows."""
+    (first,) = simulated(2, seeds=(25,))
+    follow = follower()
+    sighting = Sighting(first[0].box, 1.0, 1, first[0])
+    assert follow(record(5, sighting)).problem is None
+    again = follow(FrameRecord(6, 0.5, "6.png", None, (sighting,)))
+    assert "not later" in again.problem
+    assert (again.boxes, again.estimates) == ({}, {})
+    assert follow(record(7, sighting)).estimates.keys() == {1}
+
+
+def test_single_images_tell_their_facing_and_why_they_refuse():
+    (first,) = simulated(1, seeds=(25,))
+    towards = np.zeros(8)
+    towards[0] = 1.0
+    few = replace(first[0], keypoints=np.where(np.arange(14)[:, None] < 1, first[0].keypoints, np.nan), box=None)
+    tracker = SingleImages(prior="car14")
+    found = tracker.update(0.0, {1: replace(first[0], azimuth=towards), 2: first[0], 3: few}, camera=KITTI_CAMERA)
+    assert 0.0 <= found[1].facing_probability <= 1.0
+    assert np.isnan(found[2].facing_probability)
+    assert tracker.refused.keys() == {3}
+    assert tracker.smooth()[1] == [found[1]]
+
+
+def test_a_tracker_is_told_how_sure_a_motion_is():
+    told = []
+
+    class Listening(SingleImages):
+        def update(self, time, observations, *, motion_sigma=None, **arguments):
+            told.append(motion_sigma)
+            return super().update(time, observations, **arguments)
+
+    follow = Follower(Listening(prior="car14"), GatedAssociation(), KITTI_CAMERA, moving=True)
+    for one in (record(0), record(1, motion=step(1.0)), record(2)):
+        follow(one)
+    assert told[0] is None
+    assert told[1] == pytest.approx((0.01, 0.01))
+    assert told[2][1] > 0.1

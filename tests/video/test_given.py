@@ -1,0 +1,111 @@
+"""Vehicles that others have found: boxes and keypoints, with ids and without; and records as they are stored."""
+
+import json
+
+import numpy as np
+import pytest
+
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.catalogue import load_category
+from fgrecon.video import read_given
+from fgrecon.video.egomotion import CameraMotion
+from fgrecon.video.records import FrameRecord, Sighting, from_row, record_schema, to_table
+from tests.made_up_track import make_track
+from tests.video.streets import instance, simulated
+
+CAR14 = load_category("car14")
+CAR = "Car 0.00 1 1.5 20.0 30.0 110.0 80.0 1.5 1.6 4.0 0.5 1.6 15.0 1.5"
+
+
+def test_kittis_labels_are_boxes(tmp_path):
+    path = tmp_path / "label_02.txt"
+    path.write_text(f"2 7 {CAR}\n2 -1 {CAR.replace('Car', 'Van')} 0.75\n2 -1 {CAR.replace('Car', 'DontCare')}\n")
+    given = read_given(path, CAR14)
+    known, unknown = given.vehicles[2]
+    assert (known.identity, known.score, known.observation) == (7, 1.0, None)
+    assert (unknown.identity, unknown.score) == (None, 0.75)
+    assert known.box.tolist() == [20.0, 30.0, 110.0, 80.0]
+    assert (given.cuboids, given.complete, given.largest_id) == (True, False, 7)
+    forgotten = read_given(path, CAR14, forget_ids=True)
+    assert [s.identity for s in forgotten.vehicles[2]] == [None, None]
+    assert forgotten.largest_id == -1
+
+
+def test_keypoints_name_their_frames(tmp_path):
+    (seen,) = (car[0] for car in simulated(1, seeds=(3,)))
+    named = instance(seen, 12, 4)
+    bare = {key: value for key, value in named.items() if key not in ("frame", "track", "box")}
+    bare |= {"id": "x", "image": "drive/left_000013.png"}
+    path = tmp_path / "keypoints.json"
+    path.write_text(json.dumps({"intrinsics": [700, 700, 600, 180], "instances": [named, bare]}))
+    given = read_given(path, CAR14)
+    assert given.vehicles[12][0].identity == 4
+    assert given.vehicles[12][0].observation.keypoints == pytest.approx(seen.keypoints, nan_ok=True)
+    around = given.vehicles[13][0]
+    points = seen.keypoints[seen.measured]
+    assert around.identity is None
+    assert around.box == pytest.approx([*points.min(axis=0), *points.max(axis=0)])
+    assert around.observation.box is None
+    assert given.camera.matrix[0, 0] == 700.0
+    assert given.complete
+
+
+def test_a_track_file_is_one_vehicle(tmp_path, scene):
+    path = tmp_path / "TRACK.json"
+    path.write_text(json.dumps(make_track(scene.prior, [0.3, 1.9])))
+    given = read_given(path, CAR14)
+    assert {s.identity for sightings in given.vehicles.values() for s in sightings} == {0}
+    assert len(given.vehicles) == 2
+    assert given.camera is not None
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"frame": None}, "frame"),
+        ({"frame": "x"}, "frame"),
+        ({"keypoints": [None] * 14}, "keypoints"),
+        ({"confidence": [7.0] * 14}, "confidence"),
+    ],
+)
+def test_an_instance_that_cannot_be_used_is_named(tmp_path, change, match):
+    (seen,) = (car[0] for car in simulated(1, seeds=(3,)))
+    path = tmp_path / "keypoints.json"
+    path.write_text(json.dumps([instance(seen, 1, 1) | change]))
+    with pytest.raises(InvalidInputError, match=match):
+        read_given(path, CAR14)
+
+
+def test_an_id_twice_in_a_frame_is_refused_and_so_is_nothing(tmp_path):
+    path = tmp_path / "label_02.txt"
+    path.write_text(f"2 7 {CAR}\n2 7 {CAR}\n")
+    with pytest.raises(InvalidInputError, match="frame 2: got track 7, twice"):
+        read_given(path, CAR14)
+    path.write_text(f"2 7 {CAR.replace('Car', 'Tram')}\n")
+    with pytest.raises(InvalidInputError, match="tracks"):
+        read_given(path, CAR14)
+
+
+def test_records_are_stored_with_every_bit():
+    rng = np.random.default_rng(1)
+    (seen,) = (car[0] for car in simulated(1, seeds=(3,)))
+    motion = CameraMotion(rng.normal(size=(4, 4)), rng.normal(size=(6, 6)), 77)
+    sightings = Sighting(seen.box, 0.1, 5, seen), Sighting(np.arange(4.0), 1.0, None, None)
+    record = FrameRecord(3, 0.1 + 0.2, "3.png", None, sightings, motion)
+    (row,) = to_table(record).cast(record_schema()).to_pylist()
+    back = from_row(row)
+    assert (back.number, back.time, back.name, back.problem) == (3, 0.1 + 0.2, "3.png", None)
+    assert (back.motion.previous_T_current == motion.previous_T_current).all()
+    assert (back.motion.covariance == motion.covariance).all()
+    assert back.motion.points == 77
+    first, second = back.sightings
+    assert (first.box == sightings[0].box).all()
+    assert (first.identity, second.identity, second.observation) == (5, None, None)
+    for name in ("keypoints", "confidence", "covariance", "azimuth", "confidence_midpoint"):
+        stored, given = getattr(first.observation, name), getattr(seen, name)
+        assert (stored is None) == (given is None)
+        if given is not None:
+            assert np.array_equal(stored, given, equal_nan=True)
+    gap = FrameRecord(4, 0.5, "4.png", "torn")
+    (row,) = to_table(gap).to_pylist()
+    assert from_row(row).problem == "torn"

@@ -1,0 +1,137 @@
+"""Runs over videos: stopped and gone on with, they give what one that was not stopped gives."""
+
+import numpy as np
+import pytest
+
+from fgrecon.core.camera import Ground
+from fgrecon.core.errors import DamagedFileWarning, InvalidInputError
+from fgrecon.io.catalogue import load_category
+from fgrecon.io.kitti_drives import read_drive
+from fgrecon.simulation import KITTI_CAMERA
+from fgrecon.video import (
+    Follower,
+    FrameLook,
+    GatedAssociation,
+    SingleImages,
+    open_frames,
+    read_given,
+    rows_of,
+    run_video,
+)
+from tests.video.streets import make_drive
+
+CAR14 = load_category("car14")
+GROUND = Ground.level(1.65)
+
+
+class Counting(FrameLook):
+    """Counts how many frames it looks at."""
+
+    looked = 0
+
+    def __call__(self, frame):
+        self.looked += 1
+        return super().__call__(frame)
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    images, file = make_drive(tmp_path_factory.mktemp("drive"))
+    (images / "000009.png").write_bytes(b"torn")
+    return images, file
+
+
+def run(drive, out, *, most=None, moving=False, **arguments):
+    images, file = drive
+    look = Counting(
+        CAR14,
+        given=read_given(file, CAR14).vehicles,
+        moving=(KITTI_CAMERA, GROUND) if moving else None,
+    )
+    follower = Follower(SingleImages(prior="car14"), GatedAssociation(), KITTI_CAMERA, ground=GROUND, moving=moving)
+    seen = []
+    found = run_video(
+        open_frames(images, rate=10),
+        look,
+        follower,
+        out,
+        settings={"of": "a test"},
+        stop=lambda: most is not None and len(seen) >= most,
+        report=lambda run, _: seen.append(len(run.frames)),
+        **arguments,
+    )
+    return found, look
+
+
+def test_a_run_has_every_frame(drive, tmp_path):
+    found, look = run(drive, tmp_path / "out")
+    assert [frame.number for frame in found.frames] == [3, 4, 5, 6, 8, 9, 10, 11]
+    assert [frame.time for frame in found.frames][-1] == pytest.approx(1.1)
+    assert found.total == look.looked == 8
+    assert list(found.gaps) == ["000009.png"]
+    assert found.tracks == {10: 8, 11: 8}
+    assert found.estimates == len(rows_of(found.frames)) > 12
+    assert (found.stopped, found.smoothed, found.before) == (False, True, 0)
+
+
+@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize("most", [1, 3, 6])
+def test_a_stopped_run_goes_on(drive, tmp_path, most, moving):
+    whole, _ = run(drive, tmp_path / "whole", moving=moving)
+    part, look = run(drive, tmp_path / "out", most=most, moving=moving)
+    assert (part.stopped, look.looked, len(part.frames)) == (True, most, most)
+    rest, look = run(drive, tmp_path / "out", moving=moving)
+    assert (rest.stopped, rest.before, look.looked) == (False, most, 8 - most)
+    assert rows_of(rest.frames, flat=False) == rows_of(whole.frames, flat=False)
+    again, look = run(drive, tmp_path / "out", moving=moving, online=True)
+    assert (again.before, look.looked, again.smoothed) == (8, 0, False)
+
+
+@pytest.mark.parametrize("damaged", [1, 3])
+def test_damaged_records_are_made_again(drive, tmp_path, monkeypatch, damaged):
+    monkeypatch.setattr("fgrecon.batch.parts._ROWS", 2)
+    whole, _ = run(drive, tmp_path / "out")
+    parts = sorted((tmp_path / "out" / "records").glob("part-*.parquet"))
+    assert len(parts) == 4
+    parts[damaged].write_bytes(parts[damaged].read_bytes()[:-50])
+    with pytest.warns(DamagedFileWarning, match=parts[damaged].name):
+        again, look = run(drive, tmp_path / "out")
+    assert (again.before, look.looked) == (2 * damaged, 8 - 2 * damaged)
+    assert rows_of(again.frames, flat=False) == rows_of(whole.frames, flat=False)
+    assert run(drive, tmp_path / "out")[0].before == 8
+
+
+def test_a_folder_is_for_one_run(drive, tmp_path):
+    run(drive, tmp_path / "out", most=1)
+    with pytest.raises(InvalidInputError, match="other settings"):
+        run_video(open_frames(drive[0]), None, None, tmp_path / "out", settings={"of": "another"})
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_kittis_frames_from_pixels(data, tmp_path):
+    """Detector, networks, association and ego-motion on six frames; stopped after two, it goes on to the same rows."""
+    from fgrecon.perception.keypoints.detect import shipped_cascade
+    from fgrecon.perception.vehicles.detect import NanodetVehicleDetector
+
+    folder = data / "kitti_video" / "kitti_tracking_0010"
+    camera = read_drive(folder).calibration.camera
+    detector, cascade = NanodetVehicleDetector(), shipped_cascade()
+
+    def go(out, most):
+        look = FrameLook(CAR14, vehicle_detector=detector, keypoint_detector=cascade, moving=(camera, GROUND))
+        tracker = SingleImages(prior="car14", size_prior="kitti")
+        follower = Follower(tracker, GatedAssociation(), camera, ground=GROUND, moving=True)
+        source, count = open_frames(folder, rate=10, start=8.0, end=8.6), []
+        stop = {"stop": lambda: len(count) >= most, "report": lambda *_: count.append(1)}
+        return run_video(source, look, follower, out, settings={}, **stop)
+
+    whole = go(tmp_path / "whole", 99)
+    assert len(whole.frames) == 6
+    assert max(whole.tracks.values()) == 6
+    world = [frame.world_T_camera for frame in whole.frames]
+    assert 3.0 < np.linalg.norm(world[-1][:3, 3]) < 12.0
+    assert go(tmp_path / "out", 2).stopped
+    rest = go(tmp_path / "out", 99)
+    assert rest.before == 2
+    assert rows_of(rest.frames, flat=False) == rows_of(whole.frames, flat=False)
