@@ -225,7 +225,7 @@ WRONG_WEIGHTS = (
         "common-error-ignored",
         "so many images of a car count as so many independent ones",
         GRAPH,
-        (("share = 1.0 / (1.0 + (counts[one.vehicle] - 1) * self.options.shape.common_error)", "share = 1.0"),),
+        (("return 1.0 / (1.0 + (images - 1) * options.shape.common_error)", "return 1.0"),),
         (TEST_TRACK + "::test_copies_of_an_image_count_as_their_common_error_says",),
     ),
     Mutation(
