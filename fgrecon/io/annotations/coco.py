@@ -16,6 +16,8 @@ from fgrecon.io.json_fields import Fields, read_json
 
 __all__ = ["read_coco"]
 
+_LARGEST = 1e9  # pixels; so no number is infinite or none
+
 
 def read_coco(path: Path, category: Category, rename: Mapping[str, str]) -> Annotations:
     """Annotations of one COCO file: `categories[].keypoints` names, `annotations[].keypoints` (u, v, flag) x K.
@@ -96,7 +98,7 @@ def _points(instance: Fields, names: list[str], columns: NDArray[np.intp]) -> ND
         if isinstance(flag, bool) or flag not in (0, 1, 2):
             raise InvalidInputError(where, f"flag {flag!r}", "Give 0 (not labelled), 1 (hidden) or 2 (visible).")
         if flag:
-            if not all(isinstance(x, int | float) and not isinstance(x, bool) and np.isfinite(x) for x in (u, v)):
+            if not all(isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < _LARGEST for x in (u, v)):
                 raise InvalidInputError(where, [u, v], "Give finite pixels u, v.")
             points[row] = u, v
     return points
