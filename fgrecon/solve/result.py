@@ -100,7 +100,8 @@ def _result(
     surface = occluder(prior)
     vertices = surface.vertices(coefficients)
     centre = -camera_T_object[:3, :3].T @ camera_T_object[:3, 3]
-    status, message = _status(camera_T_object, alternatives, uncertainty, problem.options, optimum)
+    box_size = prior.box_size(coefficients, offsets)
+    status, message = _status(camera_T_object, box_size, alternatives, uncertainty, problem.options, optimum)
     sigma = np.sqrt(np.sqrt(np.linalg.det(keypoint_covariances(problem.observation, problem.options.keypoints))))
     with np.errstate(divide="ignore"):
         sigmas = sigma / np.sqrt(weights.keypoints)
@@ -116,7 +117,7 @@ def _result(
         wireframe=wireframe,
         wireframe_uv=camera.distort(camera.project(in_camera)),
         edges=np.array(prior.category.edges, dtype=np.int64).reshape(-1, 2),
-        box_size=prior.box_size(coefficients, offsets),
+        box_size=box_size,
         weights=weights.keypoints,
         sigmas=sigmas,
         visibility=probability(clearance(vertices, surface.faces, wireframe, centre)),
@@ -139,6 +140,7 @@ def _result(
 
 def _status(
     camera_T_object: NDArray[np.float64],
+    box_size: NDArray[np.float64],
     alternatives: tuple[Alternative, ...],
     uncertainty: Covariances | None,
     options: Options,
@@ -150,6 +152,11 @@ def _status(
         return Status.DEGENERATE, "The keypoints with any weight leave pose or shape undetermined."
     if optimum.unfinished is not None:
         return Status.DEGENERATE, f"The solver was stopped {optimum.unfinished}: near a minimum, not at one."
+    if not (box_size > 0.0).all():
+        length, width, height = box_size.tolist()
+        return Status.DEGENERATE, f"No vehicle measures {length:.2f} x {width:.2f} x {height:.2f} m."
+    if camera_T_object[2, 3] <= 0.0:
+        return Status.DEGENERATE, f"The vehicle's origin is behind the camera ({camera_T_object[2, 3]:.2f} m)."
     turn = float(np.sqrt(np.linalg.eigvalsh(uncertainty.pose[:3, :3])[-1]))
     if turn > _LOOSE:
         return Status.DEGENERATE, f"The orientation is known to {np.rad2deg(turn):.0f} degrees only (1 sigma)."

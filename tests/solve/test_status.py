@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import gtsam
 import numpy as np
 import pytest
 
@@ -96,3 +97,21 @@ def test_whole_cars_and_halves():
     loose = reconstruct(observation.keypoints, CAMERA, options=make_options(sigma_pixels=500.0, box_model="off"))
     assert loose.status is Status.DEGENERATE
     assert "degrees only" in loose.message
+
+
+def test_what_no_vehicle_is_does_not_converge(status_of, solved):
+    """A negative length, an origin behind the camera."""
+    optimum = solved.adjusted.optimum
+    prior = solved.problem.model.prior
+    operator = np.array([np.tensordot(prior.category.dimension_operator[0], vector, axes=2) for vector in prior.basis])
+    inside_out = -operator * 2.0 * prior.box_size(np.zeros(len(operator)))[0] / (operator @ operator)
+    (number,) = optimum.state.shapes
+    shapes = {number: (inside_out, np.zeros((14, 3)))}
+    status, message = status_of(state=replace(optimum.state, shapes=shapes))
+    assert status is Status.DEGENERATE
+    assert message.startswith("No vehicle measures -")
+    behind = optimum.state.poses[0].matrix()
+    behind[:3, 3] *= -1.0
+    status, message = status_of(state=replace(optimum.state, poses=[gtsam.Pose3(behind)]))
+    assert status is Status.DEGENERATE
+    assert "behind the camera" in message
