@@ -45,7 +45,7 @@ if TYPE_CHECKING:  # imported when used
     from factors.keys import DecodedKey, F, G, L, M, O, P, V, X, decode_key, key_name
     from factors.laplacian import laplacian_factor
     from factors.losses import Loss, RobustLoss
-    from factors.marginal import Marginal, marginal, marginal_factor
+    from factors.marginals import Marginal, marginal, marginal_factor
     from factors.mixture import Form, mixture
     from factors.motion import drive_factor, motion_factor
     from factors.noise import Noise, as_noise, diagonal_noise, keypoint_noise, keypoint_whiteners

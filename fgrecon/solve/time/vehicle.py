@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.keys import V, X
-from factors.marginal import Marginal, marginal
+from factors.marginals import Marginal, marginal
 from factors.mixture import Form
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.motion import MotionModel

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.keys import V
-from factors.marginal import Marginal, marginal_factor
+from factors.marginals import Marginal, marginal_factor
 from fgrecon.core.motion import MotionModel
 from fgrecon.core.reconstruction import Alternative
 from fgrecon.solve.graph.adjust import Adjusted, SolvedStage, adjust
