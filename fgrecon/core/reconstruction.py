@@ -149,6 +149,8 @@ class Reconstruction:
         graph: The factors of the graph at the result; empty where no history is kept.
         graph_iterations: Iterations that the graph's solver took from the proposal that led to the result.
         graph_gain: Nats that they took off its energy; NaN where the strategy defines none.
+        facing_probability: How probably the vehicle faces where the pose says, within a quarter turn, by the detector's
+            directions, calibrated on real cars; NaN without directions.
     """
 
     status: Status
@@ -180,6 +182,7 @@ class Reconstruction:
     graph: Sequence[GraphFactor] = ()
     graph_iterations: int = 0
     graph_gain: float = float("nan")
+    facing_probability: float = float("nan")
 
     @property
     def pose(self) -> gtsam.Pose3:
@@ -288,7 +291,7 @@ class Reconstruction:
         if data.get("format") not in (FORMAT, COMPACT):
             raise InvalidInputError("format", data.get("format"), f"Give a result written as {COMPACT} or {FORMAT}.")
         absent = _LARGE if data["format"] == COMPACT else {}
-        later = ("graph_iterations", "graph_gain")  # files of the first release have them not
+        later = ("graph_iterations", "graph_gain", "facing_probability")  # earlier files have them not
         names = [f.name for f in fields(cls) if f.name in data or f.name not in (*later, *absent)]
         missing = [name for name in names if name not in data]
         if missing:
@@ -367,6 +370,7 @@ _READERS: Mapping[str, Callable[[Any], Any]] = {
     "status": Status,
     "graph_iterations": int,
     "graph_gain": float,
+    "facing_probability": float,
     "message": str,
     "category": str,
     "prior": str,

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.deferred import Deferred
+from fgrecon.core.detection import calibrated_facing, facing_probability
+from fgrecon.core.geometry import view_azimuth
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status, rotation_y
 from fgrecon.solve.graph.adjust import Adjusted
@@ -24,6 +26,8 @@ from fgrecon.solve.vehicle.visibility import clearance, occluder, probability
 
 __all__ = ["history_of", "results"]
 
+_SURE_FACING = 0.8
+"""Less is ambiguous: 80 % of the cars that are turned round on KITTI's video, and 6 % of the others."""
 _LOOSE = np.deg2rad(30.0)  # a rotation known no better than this is not determined
 
 
@@ -101,7 +105,8 @@ def _result(
     vertices = surface.vertices(coefficients)
     centre = -camera_T_object[:3, :3].T @ camera_T_object[:3, 3]
     box_size = prior.box_size(coefficients, offsets)
-    status, message = _status(camera_T_object, box_size, alternatives, uncertainty, problem.options, optimum)
+    facing = _facing(part, camera_T_object)
+    status, message = _status(camera_T_object, box_size, facing, alternatives, uncertainty, problem.options, optimum)
     sigma = np.sqrt(np.sqrt(np.linalg.det(keypoint_covariances(problem.observation, problem.options.keypoints))))
     with np.errstate(divide="ignore"):
         sigmas = sigma / np.sqrt(weights.keypoints)
@@ -135,12 +140,23 @@ def _result(
         graph=structure,
         graph_iterations=optimum.iterations,
         graph_gain=optimum.gain,
+        facing_probability=facing,
     )
+
+
+def _facing(part: ObservationPart, camera_T_object: NDArray[np.float64]) -> float:
+    """How probable the facing is by the observation's directions; NaN where there are none, or other images decide."""
+    directions = part.problem.observation.azimuth
+    if directions is None or part.share < 1.0 or not np.isfinite(camera_T_object).all():
+        return float("nan")
+    azimuth = float(view_azimuth(camera_T_object[:3, :3], camera_T_object[:3, 3]))
+    return calibrated_facing(facing_probability(directions, azimuth))
 
 
 def _status(
     camera_T_object: NDArray[np.float64],
     box_size: NDArray[np.float64],
+    facing: float,
     alternatives: tuple[Alternative, ...],
     uncertainty: Covariances | None,
     options: Options,
@@ -165,4 +181,6 @@ def _status(
         turn = rotation_y(close[0].camera_T_object) - rotation_y(camera_T_object)
         degrees = abs(np.rad2deg((turn + np.pi) % (2.0 * np.pi) - np.pi))
         return Status.AMBIGUOUS, f"A pose turned by {degrees:.0f} degrees is only {close[0].excess:.1f} nats worse."
+    if facing < _SURE_FACING:
+        return Status.AMBIGUOUS, f"The detector's directions leave {100 * (1 - facing):.0f} % for the other facing."
     return Status.CONVERGED, "The pose search and the graph found one pose and a minimum there."

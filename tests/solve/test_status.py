@@ -6,8 +6,10 @@ import gtsam
 import numpy as np
 import pytest
 
+from fgrecon.core.detection import calibrated_facing
+from fgrecon.core.geometry import view_azimuth
 from fgrecon.core.options import Options
-from fgrecon.core.reconstruction import Alternative, Status
+from fgrecon.core.reconstruction import Alternative, Reconstruction, Status
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph.covariance import Covariances
 from fgrecon.solve.graph.graph import Seen
@@ -115,3 +117,31 @@ def test_what_no_vehicle_is_does_not_converge(status_of, solved):
     status, message = status_of(state=replace(optimum.state, poses=[gtsam.Pose3(behind)]))
     assert status is Status.DEGENERATE
     assert "behind the camera" in message
+
+
+@pytest.mark.parametrize(
+    ("behind", "status"), [(0.0, Status.CONVERGED), (0.1, Status.CONVERGED), (0.3, Status.AMBIGUOUS)]
+)
+def test_directions_that_leave_the_other_facing_open_are_ambiguous(behind, status):
+    """The network gives the true side of the car 1 - behind, and the other the rest."""
+    prior, pose = load_prior("car14"), yaw_pose(0.6)
+    seen = observe(prior, pose)
+    bin_ = round(float(view_azimuth(pose[:3, :3], pose[:3, 3])) / (2 * np.pi) * 36) % 36
+    directions = np.zeros(36)
+    directions[bin_], directions[(bin_ + 18) % 36] = 1.0 - behind, behind
+    told = reconstruct(replace(seen, azimuth=directions), CAMERA, ground=1.65)
+    assert told.status is status
+    assert told.facing_probability == pytest.approx(calibrated_facing(1.0 - behind), abs=1e-6)
+    assert np.isnan(reconstruct(seen, CAMERA, ground=1.65).facing_probability)
+    back = Reconstruction.from_dict(told.to_dict(compact=True))
+    assert back.facing_probability == told.facing_probability
+    if status is Status.AMBIGUOUS:
+        assert "for the other facing" in told.message
+
+
+def test_the_calibration_keeps_the_order_and_is_less_sure():
+    probabilities = np.linspace(0.0, 1.0, 101)
+    calibrated = [calibrated_facing(p) for p in probabilities.tolist()]
+    assert (np.diff(calibrated) > 0.0).all()
+    assert all(c < p for c, p in zip(calibrated[50:], probabilities[50:], strict=True))
+    assert 0.0 < calibrated[0] < calibrated[-1] < 1.0
