@@ -17,6 +17,7 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from factors.marginals import Marginal
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import FgreconError, InvalidInputError
@@ -32,7 +33,8 @@ from fgrecon.solve.graph.adjust import Adjusted
 from fgrecon.solve.pipeline import ground_plane, observe
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import results
-from fgrecon.solve.scene import reconstruct_scene
+from fgrecon.solve.road import Road
+from fgrecon.solve.scene import ground_evidence
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.time.smooth import smooth
 from fgrecon.solve.time.turned import HALF_TURN
@@ -46,7 +48,6 @@ Array = NDArray[np.float64]
 
 _TOLD = 12.0  # nats: a vehicle turned round that is less probable by more is no alternative
 _LEAST = 1e-12  # probability
-_OWN = 0.5  # share of a ground's deviations that stays each vehicle's own
 
 
 @dataclass
@@ -86,8 +87,9 @@ class Tracker:
             size_prior: Fleet (`kitti`, `apollo79`), or a size prior; None takes sizes from the shape prior.
             options: Settings; `joint` must be set.
             window: Frames that are solved together when a new one comes; at least 2.
-            shared_ground: Whether the vehicles of a frame share one ground that is a variable: it is found first
-                (`fgrecon.reconstruct_scene`), which takes as long as the vehicles themselves.
+            shared_ground: Whether the vehicles share one ground that is a variable and changes slowly from frame to
+                frame: it is found first, by solving the vehicles of the frame together as `fgrecon.reconstruct_scene`
+                does, which takes as long as following them.
             past: Frames of each vehicle to keep for `smooth`; None keeps all.
             motion_factors: Makes factors of your own for each step of a vehicle: called with the numbers of its two
                 frames, the seconds between them, and a factor to multiply standard deviations by (frames count by a
@@ -108,7 +110,7 @@ class Tracker:
         fleet = None if size_prior is None else named_size_prior(size_prior)
         self._model = prepare(self._prior, fleet, options.shape.basis_vectors)
         self._window, self._past = window, past
-        self._shared, self._fleet, self._own = shared_ground, fleet, motion_factors
+        self._shared, self._own, self._road = shared_ground, motion_factors, Road()
         self._tracks: dict[int, _Track] = {}
         self._time = -np.inf
         self.refused = {}
@@ -149,8 +151,8 @@ class Tracker:
         place = None if world_T_camera is None else _pose("world_T_camera", world_T_camera)
         sigma = (0.0, 0.0) if motion_sigma is None else _sigma(motion_sigma)
         self._time = time
-        if self._shared and plane is not None and len(observations) > 1:
-            plane = self._ground(observations, seen_by, plane)
+        if self._shared and plane is not None:
+            plane = self._ground(time, observations, seen_by, plane, place)
         found: dict[int, VehicleEstimate] = {}
         refused: dict[int, FgreconError] = {}
         for name, given in observations.items():
@@ -182,20 +184,21 @@ class Tracker:
         """Let go of a vehicle, and of its past; one that is not there is none to let go of."""
         self._tracks.pop(vehicle, None)
 
-    def _ground(self, observations: Mapping[int, Observation], camera: Camera, plane: Ground) -> Ground:
-        """The ground under the vehicles of a frame; what is left of its uncertainty is each vehicle's own."""
-        scene = reconstruct_scene(
-            list(observations.values()),
-            camera,
-            prior=self._prior,
-            ground=plane,
-            size_prior=self._fleet,
-            options=self._options,
-        )
-        if scene.ground is None or scene.ground_covariance is None:
-            return plane
-        height, slope = _OWN * plane.height_sigma, _OWN * plane.slope_sigma
-        return replace(scene.ground, height_sigma=height, slope_sigma=slope)
+    def _ground(
+        self,
+        time: float,
+        observations: Mapping[int, Observation],
+        camera: Camera,
+        told: Ground,
+        place: gtsam.Pose3 | None,
+    ) -> Ground:
+        """By the vehicles of this frame and those before."""
+
+        def says(known: Marginal) -> Marginal | None:
+            given = list(observations.values())
+            return ground_evidence(given, camera, self._model, told, self._options, known)
+
+        return self._road.later(time, told, place, says)
 
     def _estimate(self, name: int, track: _Track) -> VehicleEstimate:
         """Of the last frame."""

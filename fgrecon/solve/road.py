@@ -1,0 +1,151 @@
+"""The ground over time: what the vehicles of frame after frame say of the road under the camera.
+
+    told ---- G(0) ---- road ---- G(1) ---- road ---- G(2)
+                |                   |                   |
+             vehicles            vehicles            vehicles
+
+A camera nods, and the road bends; both change slowly, and what is told of the ground (`Ground`) is right in the long
+run. Each frame is one step: what its vehicles say, with poses and shapes eliminated (`fgrecon.solve.scene`), one factor
+from the ground before, and what is left of that. Vehicles that are seen again err alike: they count by the time that
+has passed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from factors.contact import GroundFrame
+from factors.keys import G
+from factors.marginals import Marginal, marginal, marginal_factor
+from factors.noise import diagonal_noise
+from factors.road import road_factor
+from fgrecon.core.camera import Ground
+from fgrecon.solve.scene import OWN_HEIGHT, OWN_SLOPE
+
+__all__ = ["Road"]
+
+Array = NDArray[np.float64]
+
+_ALIKE = 1.0  # seconds after which what vehicles say of the ground counts whole again
+_LASTS = 30.0  # seconds that the ground keeps a deviation from what is told
+_WALK = np.array([0.03, 0.004, 0.006])
+"""By how much height, pitch and roll change in a second (1 sigma), metres and radians."""
+_NEAR, _FAR = 10.0, 40.0  # metres: depths at which the uncertainty is that of the ground's
+_COUNTED = 0.25
+"""Share of the ground's variance that is added to what is each vehicle's own (chosen on KITTI's video)."""
+_ROUNDS = 3  # of a solve that is nearly linear
+_LEAST_HEIGHT = 0.2  # metres; a camera is above the road
+
+Says = Callable[[Marginal], Marginal | None]
+"""What a frame's vehicles say of G(0), beside what is known of it."""
+
+
+@dataclass(frozen=True)
+class _Past:
+    """The ground of the last frame."""
+
+    time: float
+    frame: GroundFrame
+    world_T_camera: gtsam.Pose3 | None
+    left: Marginal  # on G(0)
+
+
+class Road:
+    """The ground of one video, frame by frame."""
+
+    def __init__(self) -> None:
+        """Begin without a frame."""
+        self._past: _Past | None = None
+
+    def later(self, time: float, told: Ground, world_T_camera: gtsam.Pose3 | None, says: Says) -> Ground:
+        """Take a frame.
+
+        Args:
+            time: Of the frame, seconds.
+            told: About where the ground is.
+            world_T_camera: Pose of the camera, or None.
+            says: What its vehicles say; may say nothing.
+
+        Returns:
+            The ground, its uncertainty that of the ground itself and what is each vehicle's own.
+        """
+        frame = GroundFrame.of(told.normal, told.distance)
+        past, weight = self._past, 1.0
+        spread = np.array([told.height_sigma, told.slope_sigma, told.slope_sigma])
+        if past is None:
+            values = gtsam.Values()
+            values.insert(G(0), np.zeros(3))
+            known = Marginal((G(0),), (3,), values, np.diag(1.0 / spread), np.zeros(3))
+        else:
+            seconds = time - past.time
+            known = _moved(past, seconds, frame, world_T_camera, spread)
+            weight = min(seconds / _ALIKE, 1.0)
+        said = says(known)
+        if said is not None:
+            known = _both(known, said.scaled(weight))
+        self._past = _Past(time, frame, world_T_camera, known)
+        return _ground(told, frame, known)
+
+
+def _moved(
+    past: _Past, seconds: float, frame: GroundFrame, world_T_camera: gtsam.Pose3 | None, spread: Array
+) -> Marginal:
+    """What is known of a frame's ground by those before."""
+    motion = None
+    if past.world_T_camera is not None and world_T_camera is not None:
+        motion = past.world_T_camera.between(world_T_camera)
+    kept = float(np.exp(-seconds / _LASTS))
+    sigma = np.hypot(np.sqrt(seconds) * _WALK, np.sqrt(1.0 - kept**2) * spread)
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values(past.left.values)
+    graph.add(marginal_factor(past.left))
+    graph.add(road_factor(G(0), G(1), (past.frame, frame), diagonal_noise("road", sigma), motion, kept))
+    values.insert(G(1), np.zeros(3))
+    return _on_first(marginal(graph, _solved(graph, values), [G(0)]))
+
+
+def _both(known: Marginal, said: Marginal) -> Marginal:
+    """What is known of a ground by both."""
+    graph = gtsam.NonlinearFactorGraph()
+    graph.add(marginal_factor(known))
+    graph.add(marginal_factor(said))
+    values = _solved(graph, known.values)
+    return marginal(graph, values, [])
+
+
+def _solved(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
+    for _ in range(_ROUNDS):
+        values = values.retract(graph.linearize(values).optimize())
+    return values
+
+
+def _on_first(left: Marginal) -> Marginal:
+    """The same about G(0)."""
+    values = gtsam.Values()
+    values.insert(G(0), left.values.atVector(left.keys[0]))
+    return Marginal((G(0),), left.dims, values, left.matrix, left.right)
+
+
+def _ground(told: Ground, frame: GroundFrame, known: Marginal) -> Ground:
+    """The plane, and how far a vehicle's origin may lie off it: at two depths as far as is known."""
+    normal, distance = frame.plane(known.values.atVector(G(0)))
+    covariance = np.linalg.inv(known.matrix.T @ known.matrix)
+    near, far = (
+        (OWN_HEIGHT * told.height_sigma) ** 2
+        + (OWN_SLOPE * told.slope_sigma * z) ** 2
+        + _COUNTED * float(at @ covariance @ at)
+        for z, at in ((z, np.array([1.0, -z, 0.0])) for z in (_NEAR, _FAR))
+    )
+    slope = max((far - near) / (_FAR**2 - _NEAR**2), (OWN_SLOPE * told.slope_sigma) ** 2)
+    height = max(near - slope * _NEAR**2, (OWN_HEIGHT * told.height_sigma) ** 2)
+    return replace(
+        told,
+        normal=normal,
+        distance=max(distance, _LEAST_HEIGHT),
+        height_sigma=float(np.sqrt(height)),
+        slope_sigma=float(np.sqrt(slope)),
+    )

@@ -1,0 +1,112 @@
+"""The ground over time: what vehicles said of it stays known, is forgotten slowly, and follows the camera."""
+
+import gtsam
+import numpy as np
+import pytest
+
+import fgrecon
+from factors.contact import GroundFrame
+from factors.keys import G
+from factors.marginals import Marginal
+from fgrecon.core.camera import Ground
+from fgrecon.solve.road import Road
+from tests.solve.time.streets import CAMERA, off, seen, upright
+
+GROUND = 1.65
+TOLD = Ground.level(GROUND)
+LEVEL = GroundFrame.of(TOLD.normal, GROUND)
+SLOPE = np.array([0.05, 0.02, 0.0])  # the camera is 5 cm higher than told, and the road goes up
+SURE = np.array([0.01, 0.001, 0.001])
+
+
+def saying(change, sigma=SURE):
+    """Vehicles that say where the ground is."""
+
+    def says(known):
+        del known
+        values = gtsam.Values()
+        values.insert(G(0), np.asarray(change, dtype=float))
+        return Marginal((G(0),), (3,), values, np.diag(1.0 / sigma), np.zeros(3))
+
+    return says
+
+
+def silent(known):
+    """No vehicles."""
+    del known
+
+
+def slope_of(ground):
+    return ground.normal[2] / ground.normal[1]
+
+
+def test_the_first_frame_is_what_is_told_and_what_vehicles_say():
+    ground = Road().later(0.0, TOLD, None, saying(SLOPE))
+    prior = np.array([TOLD.height_sigma, TOLD.slope_sigma, TOLD.slope_sigma])
+    expected = SLOPE * prior**2 / (prior**2 + SURE**2)
+    assert slope_of(ground) == pytest.approx(expected[1], rel=1e-6)
+    assert ground.distance == pytest.approx(GROUND + expected[0], rel=1e-6)
+    assert ground.height_sigma < TOLD.height_sigma
+    assert ground.slope_sigma < 0.5 * TOLD.slope_sigma
+
+
+def test_without_vehicles_it_is_what_is_told():
+    ground = Road().later(0.0, TOLD, None, silent)
+    np.testing.assert_allclose(ground.normal, TOLD.normal, atol=1e-12)
+    assert ground.distance == pytest.approx(GROUND)
+    assert ground.slope_sigma == pytest.approx(TOLD.slope_sigma, rel=0.05)
+
+
+def test_it_stays_known_and_is_forgotten_slowly():
+    road = Road()
+    first = road.later(0.0, TOLD, None, saying(SLOPE))
+    grounds = [road.later(time, TOLD, None, silent) for time in (0.5, 5.0, 300.0)]
+    slopes = [slope_of(first), *map(slope_of, grounds)]
+    assert slopes == sorted(slopes, reverse=True)
+    assert slopes[1] > 0.95 * slopes[0]
+    assert slopes[3] < 0.01 * slopes[0]
+    sigmas = [first.slope_sigma, *(ground.slope_sigma for ground in grounds)]
+    assert sigmas == sorted(sigmas)
+
+
+def test_vehicles_that_are_seen_again_count_by_the_time_that_passed():
+    """Ten frames in a second say what two a second apart do, and less than ten that are far apart."""
+
+    def slope_after(times):
+        road = Road()
+        for time in times:
+            ground = road.later(time, TOLD, None, saying(SLOPE, sigma=10.0 * SURE))
+        return slope_of(ground)
+
+    dense, two = slope_after(0.1 * np.arange(11)), slope_after([0.0, 1.0])
+    assert dense == pytest.approx(two, rel=0.05)
+    assert slope_after(1.0 * np.arange(10)) > 1.2 * dense
+
+
+def test_it_turns_with_the_camera():
+    """A camera that has nodded by the slope of the road sees it level."""
+    nod = gtsam.Pose3(gtsam.Rot3.Rx(SLOPE[1]), np.zeros(3))  # its axis goes up with the road
+    seen_by, slopes = [None, gtsam.Pose3()], []
+    for first in seen_by:
+        road = Road()
+        before = road.later(0.0, TOLD, first, saying(SLOPE))
+        slopes.append(slope_of(road.later(0.1, TOLD, None if first is None else nod, silent)))
+    assert slopes[0] == pytest.approx(slope_of(before), rel=0.01)
+    assert abs(slopes[1]) < 0.1 * slopes[0]
+
+
+@pytest.mark.parametrize("slope", [0.03, -0.03])
+def test_a_vehicle_alone_stands_on_the_ground_that_others_told(slope):
+    """Three cars on a slope are seen for a while; then a fourth, far one, by itself."""
+    rng = np.random.default_rng(0)
+    places = {0: (-4.0, 10.0), 1: (2.0, 20.0), 2: (-3.0, 28.0), 3: (5.0, 36.0)}
+    poses = {i: upright(1.3, [x, GROUND + slope * z, z]) for i, (x, z) in places.items()}
+    near = [{i: seen(poses[i], rng) for i in (0, 1, 2)} for _ in range(5)]
+    far = {3: seen(poses[3], rng)}
+    errors = []
+    for frames in ([], near):
+        tracker = fgrecon.Tracker(size_prior="kitti", shared_ground=True)
+        for t, given in enumerate(frames):
+            tracker.update(0.1 * t, given, camera=CAMERA, ground=GROUND)
+        errors.append(off(tracker.update(1.0, far, camera=CAMERA, ground=GROUND)[3], poses[3])[1])
+    assert errors[1] < 0.9 * errors[0]
