@@ -36,8 +36,6 @@ _LASTS = 30.0  # seconds that the ground keeps a deviation from what is told
 _WALK = np.array([0.03, 0.004, 0.006])
 """By how much height, pitch and roll change in a second (1 sigma), metres and radians."""
 _NEAR, _FAR = 10.0, 40.0  # metres: depths at which the uncertainty is that of the ground's
-_COUNTED = 0.25
-"""Share of the ground's variance that is added to what is each vehicle's own (chosen on KITTI's video)."""
 _ROUNDS = 3  # of a solve that is nearly linear
 _LEAST_HEIGHT = 0.2  # metres; a camera is above the road
 
@@ -131,17 +129,20 @@ def _on_first(left: Marginal) -> Marginal:
 
 
 def _ground(told: Ground, frame: GroundFrame, known: Marginal) -> Ground:
-    """The plane, and how far a vehicle's origin may lie off it: at two depths as far as is known."""
+    """The plane, and how far a vehicle's origin may lie off it: as far as is told where nothing is known."""
     normal, distance = frame.plane(known.values.atVector(G(0)))
     covariance = np.linalg.inv(known.matrix.T @ known.matrix)
-    near, far = (
-        (OWN_HEIGHT * told.height_sigma) ** 2
-        + (OWN_SLOPE * told.slope_sigma * z) ** 2
-        + _COUNTED * float(at @ covariance @ at)
-        for z, at in ((z, np.array([1.0, -z, 0.0])) for z in (_NEAR, _FAR))
-    )
-    slope = max((far - near) / (_FAR**2 - _NEAR**2), (OWN_SLOPE * told.slope_sigma) ** 2)
-    height = max(near - slope * _NEAR**2, (OWN_HEIGHT * told.height_sigma) ** 2)
+    own_height, own_slope = OWN_HEIGHT * told.height_sigma, OWN_SLOPE * told.slope_sigma
+
+    def variance(depth: float) -> float:
+        across = np.array([1.0, -depth, 0.0])
+        own, whole = own_height**2 + (own_slope * depth) ** 2, told.height_sigma_at_depth(depth) ** 2
+        left = min(float(across @ covariance @ across) / whole, 1.0)
+        return own + (whole - own) * left**2  # what is left of it counts less: it is mostly the same for all vehicles
+
+    near, far = variance(_NEAR), variance(_FAR)
+    slope = max((far - near) / (_FAR**2 - _NEAR**2), own_slope**2)
+    height = max(near - slope * _NEAR**2, own_height**2)
     return replace(
         told,
         normal=normal,
