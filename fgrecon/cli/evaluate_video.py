@@ -71,7 +71,8 @@ def video_command(
         bool,
         typer.Option(
             "--track",
-            help="Follow the vehicles by their labelled ids as well: online, and in batch (`fgrecon.Tracker`).",
+            help="Follow the vehicles by their labelled ids as well: online, and in batch (`fgrecon.Tracker`); "
+            "score velocities, and covariances against errors.",
         ),
     ] = False,
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
@@ -134,6 +135,8 @@ def video_command(
     screen.print(f"{len(drives)} drives, {frames} images, {len(boxes)} boxes; {origin}.")
     for method in methods_of(boxes):
         screen.print(_table(boxes, method))
+    if track:
+        screen.print(_consistency_table(boxes))
     screen.print(_in_words(facing_reliability(boxes)))
     for box in boxes:
         for method, found in box.outcomes.items():
@@ -281,6 +284,37 @@ def _table(boxes: list[VideoBox], method: str) -> Table:
                 str(score.refused),
             )
         table.add_section()
+    return table
+
+
+def _consistency_table(boxes: list[VideoBox]) -> Table:
+    """How sure the methods are that have covariances, against how far they are off."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    from fgrecon.evaluation.video_images import DIMENSIONS
+    from fgrecon.evaluation.video_summary import methods_of, summarise_boxes
+
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("squared errors by covariance", no_wrap=True)
+    for name in DIMENSIONS:
+        for heading in (f"{name} mean", "median", "in 95 %"):
+            table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("velocity m/s", justify="right", no_wrap=True)
+    for method in methods_of(boxes):
+        score = summarise_boxes(boxes, method)
+        if not score.consistency:
+            continue
+        cells = []
+        for name in DIMENSIONS:
+            one = score.consistency.get(name)
+            cells += ["-"] * 3 if one is None else [f"{one.mean:.2f}", f"{one.median:.2f}", f"{one.inside:.1f}"]
+        table.add_row(method, *cells, _number(score.median_velocity, 1.0, ".2f"))
+    sure = summarise_boxes(boxes, methods_of(boxes)[0]).consistency
+    bounds = [(one.low, one.high) for one in sure.values()]
+    if bounds:
+        cells = [text for low, high in bounds for text in (f"{low:.2f}-{high:.2f}", "1.00", "95.0")]
+        table.add_row("right covariances", *cells)
     return table
 
 

@@ -31,7 +31,7 @@ __all__ = ["Road"]
 
 Array = NDArray[np.float64]
 
-_ALIKE = 1.0  # seconds after which what vehicles say of the ground counts whole again
+_ALIKE = 0.3  # seconds after which what vehicles say of the ground counts whole again
 _LASTS = 30.0  # seconds that the ground keeps a deviation from what is told
 _WALK = np.array([0.03, 0.004, 0.006])
 """By how much height, pitch and roll change in a second (1 sigma), metres and radians."""

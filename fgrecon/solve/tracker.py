@@ -39,7 +39,7 @@ from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.time.smooth import smooth
 from fgrecon.solve.time.turned import HALF_TURN
 from fgrecon.solve.time.vehicle import Followed
-from fgrecon.solve.time.window import Frame, FrameStep, OwnFactors, WindowSolve
+from fgrecon.solve.time.window import Frame, FrameStep, OwnFactors, WindowSolve, velocity_covariance
 from fgrecon.solve.vehicle.model import prepare
 
 __all__ = ["Tracker"]
@@ -226,12 +226,14 @@ def _estimate(
     adjusted = solved.adjusted if alone else _with_alternative(solved.adjusted, index, pose, facing)
     (result,) = results(solved.seen, solved.starts, adjusted, {}, solved.extra, only=[index])
     velocity: Array | None = None
+    spread: Array | None = None
     turn_rate: float | None = None
     if not alone:
+        axes = pose[:3, :3] if place is None else place.rotation().matrix() @ pose[:3, :3]
         forward, left, turn_rate = frame.velocity.tolist()
-        velocity = pose[:3, :3] @ np.array([forward, 0.0, left])
-        if place is not None:
-            velocity = place.rotation().matrix() @ velocity
+        velocity = axes @ np.array([forward, 0.0, left])
+        own = velocity_covariance(solved, frame)
+        spread = None if own is None else axes @ own @ axes.T
     return VehicleEstimate(
         id=name,
         time=frame.time,
@@ -241,6 +243,7 @@ def _estimate(
         facing_probability=facing,
         world_T_object=None if place is None else place.matrix() @ result.camera_T_object,
         frames=count,
+        velocity_covariance=spread,
     )
 
 
