@@ -60,7 +60,15 @@ class Road:
         """Begin without a frame."""
         self._past: _Past | None = None
 
-    def later(self, time: float, told: Ground, world_T_camera: gtsam.Pose3 | None, says: Says) -> Ground:
+    def later(
+        self,
+        time: float,
+        told: Ground,
+        world_T_camera: gtsam.Pose3 | None,
+        says: Says,
+        *,
+        motion_sigma: tuple[float, float] = (0.0, 0.0),
+    ) -> Ground:
         """Take a frame.
 
         Args:
@@ -68,6 +76,7 @@ class Road:
             told: About where the ground is.
             world_T_camera: Pose of the camera, or None.
             says: What its vehicles say; may say nothing.
+            motion_sigma: Standard deviations of the camera's motion since the frame before, radians and metres.
 
         Returns:
             The ground, its uncertainty that of the ground itself and what is each vehicle's own.
@@ -81,7 +90,7 @@ class Road:
             known = Marginal((G(0),), (3,), values, np.diag(1.0 / spread), np.zeros(3))
         else:
             seconds = time - past.time
-            known = _moved(past, seconds, frame, world_T_camera, spread)
+            known = _moved(past, seconds, frame, world_T_camera, spread, motion_sigma)
             weight = min(seconds / _ALIKE, 1.0)
         said = says(known)
         if said is not None:
@@ -91,14 +100,21 @@ class Road:
 
 
 def _moved(
-    past: _Past, seconds: float, frame: GroundFrame, world_T_camera: gtsam.Pose3 | None, spread: Array
+    past: _Past,
+    seconds: float,
+    frame: GroundFrame,
+    world_T_camera: gtsam.Pose3 | None,
+    spread: Array,
+    motion_sigma: tuple[float, float],
 ) -> Marginal:
     """What is known of a frame's ground by those before."""
     motion = None
     if past.world_T_camera is not None and world_T_camera is not None:
         motion = past.world_T_camera.between(world_T_camera)
+    turn, way = (0.0, 0.0) if motion is None else motion_sigma
     kept = float(np.exp(-seconds / _LASTS))
-    sigma = np.hypot(np.sqrt(seconds) * _WALK, np.sqrt(1.0 - kept**2) * spread)
+    walk = np.hypot(np.sqrt(seconds) * _WALK, np.array([way, turn, turn]))
+    sigma = np.hypot(walk, np.sqrt(1.0 - kept**2) * spread)
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values(past.left.values)
     graph.add(marginal_factor(past.left))
     graph.add(road_factor(G(0), G(1), (past.frame, frame), diagonal_noise("road", sigma), motion, kept))

@@ -152,7 +152,7 @@ class Tracker:
         sigma = (0.0, 0.0) if motion_sigma is None else _sigma(motion_sigma)
         self._time = time
         if self._shared and plane is not None:
-            plane = self._ground(time, observations, seen_by, plane, place)
+            plane = self._ground(time, observations, seen_by, plane, place, sigma)
         found: dict[int, VehicleEstimate] = {}
         refused: dict[int, FgreconError] = {}
         for name, given in observations.items():
@@ -191,6 +191,7 @@ class Tracker:
         camera: Camera,
         told: Ground,
         place: gtsam.Pose3 | None,
+        sigma: tuple[float, float],
     ) -> Ground:
         """By the vehicles of this frame and those before."""
 
@@ -198,7 +199,7 @@ class Tracker:
             given = list(observations.values())
             return ground_evidence(given, camera, self._model, told, self._options, known)
 
-        return self._road.later(time, told, place, says)
+        return self._road.later(time, told, place, says, motion_sigma=sigma)
 
     def _estimate(self, name: int, track: _Track) -> VehicleEstimate:
         """Of the last frame."""

@@ -95,6 +95,15 @@ def test_it_turns_with_the_camera():
     assert abs(slopes[1]) < 0.1 * slopes[0]
 
 
+def test_a_motion_that_is_not_exact_leaves_the_ground_less_sure():
+    sigmas = []
+    for turn in (0.0, 0.01):
+        road = Road()
+        road.later(0.0, TOLD, gtsam.Pose3(), saying(SLOPE))
+        sigmas.append(road.later(0.1, TOLD, gtsam.Pose3(), silent, motion_sigma=(turn, 0.0)).slope_sigma)
+    assert sigmas[1] > 1.2 * sigmas[0]
+
+
 @pytest.mark.parametrize("slope", [0.03, -0.03])
 def test_vehicles_tell_the_road(slope):
     """Three cars on a slope; 20 m ahead their road is 0.6 m off the one that is told."""
