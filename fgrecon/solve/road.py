@@ -27,7 +27,7 @@ from factors.road import road_factor
 from fgrecon.core.camera import Ground
 from fgrecon.solve.scene import OWN_HEIGHT, OWN_SLOPE
 
-__all__ = ["Road"]
+__all__ = ["KnownGround", "Road"]
 
 Array = NDArray[np.float64]
 
@@ -53,6 +53,36 @@ class _Past:
     left: Marginal  # on G(0)
 
 
+@dataclass(frozen=True)
+class KnownGround:
+    """The ground of a frame.
+
+    Attributes:
+        ground: The plane, and how far each vehicle is taken to lie off it for itself.
+        told: About where it was told to be.
+        covariance: (3, 3) of its height, pitch and roll.
+    """
+
+    ground: Ground
+    told: Ground
+    covariance: Array
+
+    def considered(self, camera_T_object: Array, covariance: Array) -> Array:
+        """The covariance (6, 6) of a pose that was solved on it, with what was left out of the ground's own.
+
+        For the solve most of what is unsure about the ground is the same for all vehicles and frames, and no freedom of
+        each. The pose is as unsure nevertheless, as far as the ground decides it (Schmidt's consider covariance).
+        """
+        rotation, place = camera_T_object[:3, :3], camera_T_object[:3, 3]
+        across = np.array([-1.0, *(GroundFrame.of(self.ground.normal, self.ground.distance).across @ place)])
+        depth = float(place[2])
+        whole = _own_variance(self.told, depth) + float(across @ self.covariance @ across)
+        used = self.ground.height_sigma_at_depth(depth) ** 2
+        by_height = covariance[:, 3:] @ rotation.T @ self.ground.normal / used  # of the pose, by the ground's height
+        considered: Array = covariance + max(whole - used, 0.0) * np.outer(by_height, by_height)
+        return considered
+
+
 class Road:
     """The ground of one video, frame by frame."""
 
@@ -68,7 +98,7 @@ class Road:
         says: Says,
         *,
         motion_sigma: tuple[float, float] = (0.0, 0.0),
-    ) -> Ground:
+    ) -> KnownGround:
         """Take a frame.
 
         Args:
@@ -77,9 +107,6 @@ class Road:
             world_T_camera: Pose of the camera, or None.
             says: What its vehicles say; may say nothing.
             motion_sigma: Standard deviations of the camera's motion since the frame before, radians and metres.
-
-        Returns:
-            The ground, its uncertainty that of the ground itself and what is each vehicle's own.
         """
         frame = GroundFrame.of(told.normal, told.distance)
         past, weight = self._past, 1.0
@@ -144,25 +171,30 @@ def _on_first(left: Marginal) -> Marginal:
     return Marginal((G(0),), left.dims, values, left.matrix, left.right)
 
 
-def _ground(told: Ground, frame: GroundFrame, known: Marginal) -> Ground:
+def _ground(told: Ground, frame: GroundFrame, known: Marginal) -> KnownGround:
     """The plane, and how far a vehicle's origin may lie off it: as far as is told where nothing is known."""
     normal, distance = frame.plane(known.values.atVector(G(0)))
-    covariance = np.linalg.inv(known.matrix.T @ known.matrix)
-    own_height, own_slope = OWN_HEIGHT * told.height_sigma, OWN_SLOPE * told.slope_sigma
+    covariance: Array = np.linalg.inv(known.matrix.T @ known.matrix).astype(np.float64)
 
     def variance(depth: float) -> float:
-        across = np.array([1.0, -depth, 0.0])
-        own, whole = own_height**2 + (own_slope * depth) ** 2, told.height_sigma_at_depth(depth) ** 2
+        across = np.array([-1.0, depth, 0.0])
+        own, whole = _own_variance(told, depth), told.height_sigma_at_depth(depth) ** 2
         left = min(float(across @ covariance @ across) / whole, 1.0)
         return own + (whole - own) * left**2  # what is left of it counts less: it is mostly the same for all vehicles
 
     near, far = variance(_NEAR), variance(_FAR)
-    slope = max((far - near) / (_FAR**2 - _NEAR**2), own_slope**2)
-    height = max(near - slope * _NEAR**2, own_height**2)
-    return replace(
+    slope = max((far - near) / (_FAR**2 - _NEAR**2), (OWN_SLOPE * told.slope_sigma) ** 2)
+    height = max(near - slope * _NEAR**2, (OWN_HEIGHT * told.height_sigma) ** 2)
+    ground = replace(
         told,
         normal=normal,
         distance=max(distance, _LEAST_HEIGHT),
         height_sigma=float(np.sqrt(height)),
         slope_sigma=float(np.sqrt(slope)),
     )
+    return KnownGround(ground, told, covariance)
+
+
+def _own_variance(told: Ground, depth: float) -> float:
+    """Of a vehicle's origin off the ground, what is its own, square metres."""
+    return (OWN_HEIGHT * told.height_sigma) ** 2 + (OWN_SLOPE * told.slope_sigma * depth) ** 2

@@ -33,7 +33,7 @@ from fgrecon.solve.graph.adjust import Adjusted
 from fgrecon.solve.pipeline import ground_plane, observe
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import results
-from fgrecon.solve.road import Road
+from fgrecon.solve.road import KnownGround, Road
 from fgrecon.solve.scene import ground_evidence
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.time.smooth import smooth
@@ -50,6 +50,15 @@ _TOLD = 12.0  # nats: a vehicle turned round that is less probable by more is no
 _LEAST = 1e-12  # probability
 
 
+@dataclass(frozen=True)
+class _Past:
+    """A frame of a vehicle: what was seen, from where, and the ground that it was solved on."""
+
+    frame: Frame
+    world_T_camera: gtsam.Pose3 | None
+    known: KnownGround | None
+
+
 @dataclass
 class _Track:
     """A vehicle and its past."""
@@ -57,7 +66,7 @@ class _Track:
     followed: Followed
     time: float = -np.inf
     world_T_camera: gtsam.Pose3 | None = None
-    past: list[tuple[Frame, gtsam.Pose3 | None]] = field(default_factory=list)
+    past: list[_Past] = field(default_factory=list)
 
 
 class Tracker:
@@ -150,9 +159,10 @@ class Tracker:
         seen_by, plane = Camera.of(camera), ground_plane(ground)
         place = None if world_T_camera is None else _pose("world_T_camera", world_T_camera)
         sigma = (0.0, 0.0) if motion_sigma is None else _sigma(motion_sigma)
-        self._time = time
+        self._time, known = time, None
         if self._shared and plane is not None:
-            plane = self._ground(time, observations, seen_by, plane, place, sigma)
+            known = self._ground(time, observations, seen_by, plane, place, sigma)
+            plane = known.ground
         found: dict[int, VehicleEstimate] = {}
         refused: dict[int, FgreconError] = {}
         for name, given in observations.items():
@@ -168,7 +178,7 @@ class Tracker:
                 continue
             self._tracks[name] = track
             track.time, track.world_T_camera = time, place
-            track.past.append((frame, place))
+            track.past.append(_Past(frame, place, known))
             if self._past is not None:
                 del track.past[: -self._past]
             found[name] = self._estimate(name, track)
@@ -192,7 +202,7 @@ class Tracker:
         told: Ground,
         place: gtsam.Pose3 | None,
         sigma: tuple[float, float],
-    ) -> Ground:
+    ) -> KnownGround:
         """By the vehicles of this frame and those before."""
 
         def says(known: Marginal) -> Marginal | None:
@@ -203,29 +213,30 @@ class Tracker:
 
     def _estimate(self, name: int, track: _Track) -> VehicleEstimate:
         """Of the last frame."""
-        followed, (frame, place) = track.followed, track.past[-1]
-        return _estimate(name, frame, place, followed.solved, len(followed.solved.seen) - 1, followed.count)
+        followed = track.followed
+        return _estimate(name, track.past[-1], followed.solved, len(followed.solved.seen) - 1, followed.count)
 
     def _smoothed(self, name: int, track: _Track) -> list[VehicleEstimate]:
-        places = {frame.number: place for frame, place in track.past}
-        frames = [frame for frame, _ in track.past]
+        pasts = {past.frame.number: past for past in track.past}
+        frames = [past.frame for past in track.past]
         frames[0] = replace(frames[0], step=None)
         found = []
         for solved, some, given in smooth(frames, track.followed.shape, track.followed.motion, self._own):
             for index in given:
-                frame = some[index]
-                found.append(_estimate(name, frame, places[frame.number], solved, index, len(frames)))
+                past = replace(pasts[some[index].number], frame=some[index])
+                found.append(_estimate(name, past, solved, index, len(frames)))
         return found
 
 
-def _estimate(
-    name: int, frame: Frame, place: gtsam.Pose3 | None, solved: WindowSolve, index: int, count: int
-) -> VehicleEstimate:
+def _estimate(name: int, past: _Past, solved: WindowSolve, index: int, count: int) -> VehicleEstimate:
+    frame, place = past.frame, past.world_T_camera
     pose = frame.pose.matrix()
     facing = frame.belief.facing(rotation_y(pose))
     alone = len(solved.seen) == 1
     adjusted = solved.adjusted if alone else _with_alternative(solved.adjusted, index, pose, facing)
     (result,) = results(solved.seen, solved.starts, adjusted, {}, solved.extra, only=[index])
+    if past.known is not None and result.pose_covariance is not None:
+        result = replace(result, pose_covariance=past.known.considered(pose, result.pose_covariance))
     velocity: Array | None = None
     spread: Array | None = None
     turn_rate: float | None = None

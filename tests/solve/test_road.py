@@ -36,22 +36,24 @@ def silent(known):
     del known
 
 
-def slope_of(ground):
+def slope_of(known):
+    ground = known.ground
     return ground.normal[2] / ground.normal[1]
 
 
 def test_the_first_frame_is_what_is_told_and_what_vehicles_say():
-    ground = Road().later(0.0, TOLD, None, saying(SLOPE))
+    known = Road().later(0.0, TOLD, None, saying(SLOPE))
+    ground = known.ground
     prior = np.array([TOLD.height_sigma, TOLD.slope_sigma, TOLD.slope_sigma])
     expected = SLOPE * prior**2 / (prior**2 + SURE**2)
-    assert slope_of(ground) == pytest.approx(expected[1], rel=1e-6)
+    assert slope_of(known) == pytest.approx(expected[1], rel=1e-6)
     assert ground.distance == pytest.approx(GROUND + expected[0], rel=1e-6)
     assert ground.height_sigma < TOLD.height_sigma
     assert ground.slope_sigma < 0.5 * TOLD.slope_sigma
 
 
 def test_without_vehicles_it_is_what_is_told():
-    ground = Road().later(0.0, TOLD, None, silent)
+    ground = Road().later(0.0, TOLD, None, silent).ground
     np.testing.assert_allclose(ground.normal, TOLD.normal, atol=1e-12)
     assert ground.distance == pytest.approx(GROUND)
     assert (ground.height_sigma, ground.slope_sigma) == pytest.approx((TOLD.height_sigma, TOLD.slope_sigma))
@@ -65,7 +67,7 @@ def test_it_stays_known_and_is_forgotten_slowly():
     assert slopes == sorted(slopes, reverse=True)
     assert slopes[1] > 0.95 * slopes[0]
     assert slopes[3] < 0.01 * slopes[0]
-    sigmas = [first.slope_sigma, *(ground.slope_sigma for ground in grounds)]
+    sigmas = [known.ground.slope_sigma for known in (first, *grounds)]
     assert sigmas == sorted(sigmas)
 
 
@@ -100,8 +102,24 @@ def test_a_motion_that_is_not_exact_leaves_the_ground_less_sure():
     for turn in (0.0, 0.01):
         road = Road()
         road.later(0.0, TOLD, gtsam.Pose3(), saying(SLOPE))
-        sigmas.append(road.later(0.1, TOLD, gtsam.Pose3(), silent, motion_sigma=(turn, 0.0)).slope_sigma)
+        sigmas.append(road.later(0.1, TOLD, gtsam.Pose3(), silent, motion_sigma=(turn, 0.0)).ground.slope_sigma)
     assert sigmas[1] > 1.2 * sigmas[0]
+
+
+def test_a_pose_is_as_unsure_as_the_ground_that_decides_it():
+    """A pose that only the ground's height decides has the ground's variance and its own; one that is known, none."""
+    known = Road().later(0.0, TOLD, None, saying(SLOPE, sigma=3.0 * SURE))
+    pose = upright(0.7, [2.0, GROUND, 20.0])
+    down = pose[:3, :3].T @ known.ground.normal
+    used = known.ground.height_sigma_at_depth(20.0) ** 2
+    decided = np.zeros((6, 6))
+    decided[3:, 3:] = used * np.outer(down, down)
+    found = known.considered(pose, decided)
+    across = np.array([-1.0, 20.0, 2.0])
+    own = (0.35 * TOLD.height_sigma) ** 2 + (0.15 * TOLD.slope_sigma * 20.0) ** 2
+    assert down @ found[3:, 3:] @ down == pytest.approx(own + across @ known.covariance @ across, rel=0.05)
+    assert down @ found[3:, 3:] @ down > 1.2 * used
+    np.testing.assert_allclose(known.considered(pose, 1e-9 * np.eye(6)), 1e-9 * np.eye(6), atol=1e-12)
 
 
 @pytest.mark.parametrize("slope", [0.03, -0.03])
@@ -114,7 +132,7 @@ def test_vehicles_tell_the_road(slope):
     for t in range(5):
         given = {i: seen(pose, rng) for i, pose in enumerate(poses)}
         tracker.update(0.1 * t, given, camera=CAMERA, ground=GROUND)
-    ground = tracker._tracks[1].past[-1][0].problem.ground
+    ground = tracker._tracks[1].past[-1].frame.problem.ground
     assert (ground.distance - 20.0 * ground.normal[2]) / ground.normal[1] == pytest.approx(
         GROUND + 20.0 * slope, abs=0.15
     )
