@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fgrecon.cli.common import check_outputs
-from fgrecon.cli.options import JsonOption, LabelledScene, TogetherOption, WeightsOption, fitting_names
+from fgrecon.cli.options import JsonOption, LabelledScene, MarkdownOption, TogetherOption, WeightsOption, fitting_names
 from fgrecon.cli.progress import counting
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.choices import BoxModel
@@ -88,6 +88,7 @@ def video_command(
             metavar="FOLDER", help="Write the boxes as KITTI's results, DRIVE/FRAME.txt, for `evaluate boxes`."
         ),
     ] = None,
+    markdown: MarkdownOption = None,
     json_out: JsonOption = None,
 ) -> None:
     """Find keypoints in every image of labelled drives, reconstruct cars and vans from their labelled boxes, and score.
@@ -102,13 +103,14 @@ def video_command(
     from fgrecon.core.errors import InvalidInputError
     from fgrecon.core.options import Options
     from fgrecon.evaluation.video_images import score_drives, wanted
+    from fgrecon.evaluation.video_markdown import markdown as side_by_side
     from fgrecon.evaluation.video_summary import document, facing_reliability, methods_of
     from fgrecon.evaluation.video_tracks import follow_boxes
     from fgrecon.io.export.files import TABLE_FORMATS, export_rows
     from fgrecon.io.files import check_ending
     from fgrecon.io.kitti_drives import read_drive
 
-    check_outputs(json_out, picture, table)
+    check_outputs(json_out, picture, table, markdown)
     if table is not None:
         check_ending(table, TABLE_FORMATS)
     screen = terminal.screen(json_out)
@@ -158,6 +160,7 @@ def video_command(
         screen.wrote(*_write_results(results, boxes))
     if table is not None:
         screen.wrote(export_rows(table, [row for box in boxes for row in box.rows()]))
+    screen.write_text(markdown, side_by_side(boxes))
     if picture is not None and (sights := _sights(boxes, drives, setups)):
         from fgrecon.viz import contact_sheet, save_picture
 
