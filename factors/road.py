@@ -1,4 +1,4 @@
-"""The ground from one image to the next: a random walk of its plane, carried along with the camera.
+"""The ground from one image to the next: its plane is kept, and carried along with the camera.
 
     G(t) ---- road (3) ---- G(t')
 

@@ -4,10 +4,10 @@
                 |                   |                   |
              vehicles            vehicles            vehicles
 
-A camera nods, and the road bends; both change slowly, and what is told of the ground (`Ground`) is right in the long
-run. Each frame is one step: what its vehicles say, with poses and shapes eliminated (`fgrecon.solve.scene`), one factor
-from the ground before, and what is left of that. Vehicles that are seen again err alike: they count by the time that
-has passed.
+A camera nods, and the road bends; both change slowly, and in the long run the ground is as near to what is told as that
+says (`Ground`). Each frame is one step: what its vehicles say, with poses and shapes eliminated
+(`fgrecon.solve.scene`), one factor from the ground before, and what is left of that. Vehicles that are seen again err
+alike: they count by the time that has passed.
 """
 
 from __future__ import annotations
@@ -32,10 +32,9 @@ __all__ = ["KnownGround", "Road"]
 Array = NDArray[np.float64]
 
 _ALIKE = 0.3  # seconds after which what vehicles say of the ground counts whole again
-_LASTS = 30.0  # seconds that the ground keeps a deviation from what is told
-_WALK = np.array([0.03, 0.004, 0.006])
-"""By how much height, pitch and roll change in a second (1 sigma), metres and radians."""
+_LASTS = 12.0  # seconds after which a deviation from what is told has fallen to a third, and another one has come
 _NEAR, _FAR = 10.0, 40.0  # metres: depths at which the uncertainty is that of the ground's
+_LEAST_KEPT = 1e-6
 _ROUNDS = 3  # of a solve that is nearly linear
 _LEAST_HEIGHT = 0.2  # metres; a camera is above the road
 
@@ -139,9 +138,8 @@ def _moved(
     if past.world_T_camera is not None and world_T_camera is not None:
         motion = past.world_T_camera.between(world_T_camera)
     turn, way = (0.0, 0.0) if motion is None else motion_sigma
-    kept = float(np.exp(-seconds / _LASTS))
-    walk = np.hypot(np.sqrt(seconds) * _WALK, np.array([way, turn, turn]))
-    sigma = np.hypot(walk, np.sqrt(1.0 - kept**2) * spread)
+    kept = max(float(np.exp(-seconds / _LASTS)), _LEAST_KEPT)
+    sigma = np.hypot(np.sqrt(1.0 - kept**2) * spread, np.array([way, turn, turn]))
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values(past.left.values)
     graph.add(marginal_factor(past.left))
     graph.add(road_factor(G(0), G(1), (past.frame, frame), diagonal_noise("road", sigma), motion, kept))

@@ -246,7 +246,8 @@ def ground_evidence(
     for factor in map(built.at, range(built.size())):
         if list(factor.keys()) != [G(0)]:
             told.add(factor)
-    return marginal(told, values, [key for key in values.keys() if key != G(0)])  # noqa: SIM118 - no mapping
+    found = marginal(told, values, [key for key in values.keys() if key != G(0)])  # noqa: SIM118 - no mapping
+    return found if np.isfinite(found.matrix).all() and np.isfinite(found.right).all() else None
 
 
 def _together(

@@ -65,10 +65,13 @@ def test_it_stays_known_and_is_forgotten_slowly():
     grounds = [road.later(time, TOLD, None, silent) for time in (0.5, 5.0, 300.0)]
     slopes = [slope_of(first), *map(slope_of, grounds)]
     assert slopes == sorted(slopes, reverse=True)
-    assert slopes[1] > 0.95 * slopes[0]
+    assert slopes[1] > 0.9 * slopes[0]
     assert slopes[3] < 0.01 * slopes[0]
     sigmas = [known.ground.slope_sigma for known in (first, *grounds)]
     assert sigmas == sorted(sigmas)
+    assert sigmas[3] == pytest.approx(TOLD.slope_sigma, rel=1e-3)
+    late = road.later(1e7, TOLD, None, silent)
+    assert late.ground.slope_sigma == pytest.approx(TOLD.slope_sigma, rel=1e-3)
 
 
 def test_vehicles_that_are_seen_again_count_by_the_time_that_passed():

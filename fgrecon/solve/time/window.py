@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from factors.keys import V, X
 from factors.marginals import Marginal, marginal_factor
+from fgrecon.core.errors import FactorCallbackError
 from fgrecon.core.motion import MotionModel
 from fgrecon.core.reconstruction import Alternative
 from fgrecon.solve.graph.adjust import Adjusted, SolvedStage, adjust
@@ -194,7 +195,12 @@ def velocity_covariance(solved: WindowSolve, frame: Frame) -> Array | None:
     if marginals is None:
         return None
     pose, velocity = X(0, frame.number), V(0, frame.number)
-    joint = joint_covariance(marginals, [pose, velocity])
+    try:
+        joint = joint_covariance(marginals, [pose, velocity])
+    except FactorCallbackError:
+        raise
+    except RuntimeError:  # GTSAM's only sign of an indeterminate system
+        return None
     forward, left, _ = frame.velocity
     by_both = np.zeros((3, 9))
     by_both[:, :3] = -np.array([[0.0, -left, 0.0], [left, 0.0, -forward], [0.0, forward, 0.0]])

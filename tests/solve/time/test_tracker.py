@@ -106,6 +106,17 @@ def test_velocity_is_over_the_world_where_it_is_known():
     assert relative[12].world_T_object is None
 
 
+def test_a_velocity_whose_spread_cannot_be_had_has_none(monkeypatch):
+    def indeterminate(marginals, keys):
+        raise RuntimeError("Indeterminant linear system")
+
+    monkeypatch.setattr("fgrecon.solve.time.window.joint_covariance", indeterminate)
+    rng = np.random.default_rng(9)
+    online, _ = follow([(0.1 * t, seen(pose, rng), None) for t, pose in enumerate(approaching(3))])
+    assert online[-1].velocity is not None
+    assert online[-1].velocity_covariance is None
+
+
 def test_it_is_better_than_single_images():
     rng = np.random.default_rng(5)
     poses = approaching(30)
