@@ -221,7 +221,7 @@ def _estimate(
     facing = frame.belief.facing(rotation_y(pose))
     alone = len(solved.seen) == 1
     adjusted = solved.adjusted if alone else _with_alternative(solved.adjusted, index, pose, facing)
-    (result,) = results(solved.seen, solved.starts, adjusted, {}, solved.extra, only=[index])
+    (result,) = results(solved.seen, solved.starts, adjusted, {}, solved.extra, only=[index], weigh=alone)
     velocity: Array | None = None
     turn_rate: float | None = None
     if not alone:
