@@ -27,6 +27,7 @@ from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error, translation
 from fgrecon.core.observation import Observation
 from fgrecon.core.processes import single_threaded
 from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.evaluation.consistency import normalised_squared_error
 from fgrecon.evaluation.kitti_images import Setup, reconstruct_boxes
 from fgrecon.evaluation.methods import SceneKnowledge, Solver, select
 from fgrecon.evaluation.run import score_pose
@@ -39,7 +40,9 @@ from fgrecon.io.track_file import GroundTruth, TrackFrame
 from fgrecon.perception.from_image import FromImage
 
 __all__ = [
+    "DIMENSIONS",
     "SYSTEM",
+    "TURNED_ROUND",
     "BoxOutcome",
     "VideoBox",
     "View",
@@ -52,6 +55,12 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
+
+TURNED_ROUND = 90.0
+"""Degrees of yaw error above which a vehicle is turned round."""
+
+DIMENSIONS = {"position": 3, "yaw": 1, "velocity": 2}
+"""What normalised squared errors are of, and its dimension; velocity is over the ground."""
 
 SYSTEM = "reconstruct_image"
 """The whole way, which `fgrecon.reconstruct_image` goes: networks, both stages, and the network's direction."""
@@ -78,6 +87,9 @@ class BoxOutcome:
         status: How the reconstruction ended; None without one, and for a rival.
         failure: Why there is no pose, or None.
         off: Estimated minus labelled yaw in degrees, and origin (3) in metres; None where it was not wanted.
+        squared: Normalised squared errors (`fgrecon.evaluation.consistency`) of `position`, `yaw` and `velocity`, as
+            far as there are covariances; none of a vehicle that is turned round.
+        velocity: Distance of the estimated from the labelled velocity, metres per second; None where either is unknown.
     """
 
     degrees: float
@@ -86,6 +98,8 @@ class BoxOutcome:
     status: str | None
     failure: str | None
     off: tuple[float, float, float, float] | None = None
+    squared: Mapping[str, float] = field(default_factory=dict)
+    velocity: float | None = None
 
 
 @dataclass(frozen=True)
@@ -160,6 +174,8 @@ class VideoBox:
                     "height_error_m": height,
                     "status": found.status,
                     "failure": found.failure,
+                    "velocity_error_m_s": found.velocity,
+                    **{f"{name}_nees": found.squared.get(name) for name in DIMENSIONS},
                 }
             )
         return rows
@@ -342,4 +358,18 @@ def outcome(result: Reconstruction, truth: GroundTruth, size: Array, offset: Arr
         status=result.status.value,
         failure=None,
         off=(turned, x, y, z),
+        squared={} if abs(turned) > TURNED_ROUND else _squared(result, np.radians(turned), np.array([x, y, z])),
     )
+
+
+def _squared(result: Reconstruction, turned: float, off: Array) -> dict[str, float]:
+    """Errors by their covariances: yaw about the vehicle's own vertical axis, and position."""
+    covariance = result.pose_covariance
+    if covariance is None:
+        return {}
+    axes = result.camera_T_object[:3, :3]
+    found = {
+        "position": normalised_squared_error(off, axes @ covariance[3:, 3:] @ axes.T),
+        "yaw": normalised_squared_error(np.array([turned]), covariance[1:2, 1:2]),
+    }
+    return {name: value for name, value in found.items() if value is not None}

@@ -27,6 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 from factors.contact import GroundFrame, contact_factor
 from factors.keys import F, G, X
 from factors.losses import Loss, RobustLoss
+from factors.marginals import Marginal, marginal, marginal_factor
 from factors.noise import diagonal_noise
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FgreconError, InvalidInputError
@@ -51,11 +52,11 @@ from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.vehicle.model import VehicleModel, prepare
 from fgrecon.solve.weakness import off_ground
 
-__all__ = ["reconstruct_scene"]
+__all__ = ["OWN_HEIGHT", "OWN_SLOPE", "OWN_TILT", "ground_evidence", "reconstruct_scene"]
 
 Array = NDArray[np.float64]
 
-_OWN_HEIGHT, _OWN_SLOPE, _OWN_TILT = 0.35, 0.15, 0.5
+OWN_HEIGHT, OWN_SLOPE, OWN_TILT = 0.35, 0.15, 0.5
 """Shares of a told ground's deviations that are each vehicle's own; chosen on KITTI's video (docs/method.md)."""
 _WIDE = (0.5, 0.3, 0.1)  # metres, radians, radians: prior of height, pitch and roll where no ground is told
 _OUTLYING = 3.0  # standard deviations from which on a contact counts less
@@ -216,7 +217,42 @@ def _result(one: _Alone) -> Reconstruction:
     return results([Seen(one.problem)], [one.start], one.adjusted, {})[0]
 
 
-def _together(alone: _Tried, known: Camera, plane: Ground | None, options: Options) -> _Joint | None:
+def ground_evidence(
+    observations: Sequence[Observation],
+    camera: Camera,
+    model: VehicleModel,
+    plane: Ground,
+    options: Options,
+    known: Marginal,
+) -> Marginal | None:
+    """What the vehicles of an image say of the ground, their poses and shapes eliminated.
+
+    Args:
+        observations: The keypoints of each vehicle.
+        camera: The camera, whose focal length is taken as it is.
+        model: The prepared prior.
+        plane: About where the ground is.
+        options: Settings.
+        known: What is known of its change G(0) from there; of the evidence it is no part.
+
+    Returns:
+        The evidence about G(0); None where there are fewer than two vehicles, or they could not be solved.
+    """
+    sure = replace(camera, focal_sigma=0.0)
+    best = _together(_each_alone(observations, sure, model, plane, options), sure, plane, options, known)
+    if best is None or best.frame is None:
+        return None
+    told, values = gtsam.NonlinearFactorGraph(), best.optimum.values
+    built = best.graph.build(best.optimum.state.weights)
+    for factor in map(built.at, range(built.size())):
+        if list(factor.keys()) != [G(0)]:
+            told.add(factor)
+    return marginal(told, values, [key for key in values.keys() if key != G(0)])  # noqa: SIM118 - no mapping
+
+
+def _together(
+    alone: _Tried, known: Camera, plane: Ground | None, options: Options, before: Marginal | None = None
+) -> _Joint | None:
     """The joint solve; None where there is nothing to solve together, or it gave up."""
     solved = alone.solved
     on_ground = len(solved) > 1 and "ground" not in options.disabled_terms
@@ -231,8 +267,12 @@ def _together(alone: _Tried, known: Camera, plane: Ground | None, options: Optio
         nominal = plane if plane is not None else _seen_ground([one.pose for one in solved.values()])
         frame = GroundFrame.of(nominal.normal, nominal.distance)
         spread = _WIDE if plane is None else (nominal.height_sigma, nominal.slope_sigma, nominal.slope_sigma)
-        others.insert(G(0), np.zeros(3))
-        priors.append(gtsam.PriorFactorVector(G(0), np.zeros(3), diagonal_noise("ground", np.array(spread))))
+        if before is None:
+            others.insert(G(0), np.zeros(3))
+            priors.append(gtsam.PriorFactorVector(G(0), np.zeros(3), diagonal_noise("ground", np.array(spread))))
+        else:
+            others.insert(before.values)
+            priors.append(marginal_factor(before))
         for number, one in solved.items():
             noise = _contact_noise(nominal, float(one.pose[2, 3]))
             contacts[number] = contact_factor(X(number, 0), G(0), frame, noise)
@@ -333,13 +373,13 @@ def _seen_ground(poses: Sequence[Array]) -> Ground:
 
 def _contact_noise(ground: Ground, depth: float) -> gtsam.noiseModel.Robust:
     """What is a vehicle's own of its deviation from the plane."""
-    height, tilt = _own_height(ground, depth), _OWN_TILT * ground.tilt_sigma
+    height, tilt = _own_height(ground, depth), OWN_TILT * ground.tilt_sigma
     return RobustLoss.of(Loss.CAUCHY, _OUTLYING).wrap(diagonal_noise("contact", np.array([height, tilt, tilt, tilt])))
 
 
 def _own_height(ground: Ground, depth: float) -> float:
     """How far a vehicle's origin may lie off the ground of the others, metres (1 sigma)."""
-    return float(np.hypot(_OWN_HEIGHT * ground.height_sigma, _OWN_SLOPE * ground.slope_sigma * depth))
+    return float(np.hypot(OWN_HEIGHT * ground.height_sigma, OWN_SLOPE * ground.slope_sigma * depth))
 
 
 def _marginal(marginals: gtsam.Marginals | None, key: int) -> Array | None:
