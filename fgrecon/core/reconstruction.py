@@ -41,6 +41,8 @@ class Status(StrEnum):
     """How a reconstruction ended."""
 
     CONVERGED = "converged"
+    WEAK = "weak"
+    """It converged, but little carries it, or it is at odds with what was told: see `reasons`."""
     AMBIGUOUS = "ambiguous"
     """Another pose explains the keypoints nearly as well: see `alternatives`."""
     DEGENERATE = "degenerate"
@@ -151,6 +153,7 @@ class Reconstruction:
         graph_gain: Nats that they took off its energy; NaN where the strategy defines none.
         facing_probability: How probably the vehicle faces where the pose says, within a quarter turn, by the detector's
             directions, calibrated on real cars; NaN without directions.
+        reasons: Clauses that say what makes the result weak, whatever its status.
     """
 
     status: Status
@@ -183,6 +186,7 @@ class Reconstruction:
     graph_iterations: int = 0
     graph_gain: float = float("nan")
     facing_probability: float = float("nan")
+    reasons: tuple[str, ...] = ()
 
     @property
     def pose(self) -> gtsam.Pose3:
@@ -291,7 +295,7 @@ class Reconstruction:
         if data.get("format") not in (FORMAT, COMPACT):
             raise InvalidInputError("format", data.get("format"), f"Give a result written as {COMPACT} or {FORMAT}.")
         absent = _LARGE if data["format"] == COMPACT else {}
-        later = ("graph_iterations", "graph_gain", "facing_probability")  # earlier files have them not
+        later = ("graph_iterations", "graph_gain", "facing_probability", "reasons")  # earlier files have them not
         names = [f.name for f in fields(cls) if f.name in data or f.name not in (*later, *absent)]
         missing = [name for name in names if name not in data]
         if missing:
@@ -371,6 +375,7 @@ _READERS: Mapping[str, Callable[[Any], Any]] = {
     "graph_iterations": int,
     "graph_gain": float,
     "facing_probability": float,
+    "reasons": tuple,
     "message": str,
     "category": str,
     "prior": str,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -23,8 +24,9 @@ from fgrecon.solve.graph.structure import graph_factors
 from fgrecon.solve.proposals.adjust import PoseEstimate
 from fgrecon.solve.proposals.problem import keypoint_covariances
 from fgrecon.solve.vehicle.visibility import clearance, occluder, probability
+from fgrecon.solve.weakness import weaknesses
 
-__all__ = ["history_of", "results"]
+__all__ = ["history_of", "results", "weakened"]
 
 _SURE_FACING = 0.8
 """Less is ambiguous: 80 % of the cars that are turned round on KITTI's video, and 6 % of the others."""
@@ -38,6 +40,7 @@ def results(
     milliseconds: dict[str, float],
     extra: Sequence[gtsam.NonlinearFactor] = (),
     only: Collection[int] | None = None,
+    weigh: bool = True,
 ) -> list[Reconstruction]:
     """The result of each observation.
 
@@ -48,6 +51,7 @@ def results(
         milliseconds: Wall time by stage.
         extra: Factors of the caller's own.
         only: Indices of the observations whose results are wanted; None for all.
+        weigh: Whether what each image tells must carry its result; else others do.
     """
     graph, optimum = adjusted.graph, adjusted.optimum
     if not seen[0].problem.options.shape.joint:  # covariances count pose and shape together, whichever came last
@@ -74,7 +78,18 @@ def results(
         history = history_of(start, adjusted, i, alone=alone) if keep else ()
         uncertainty = read_covariances(part, weights[i], values, marginals, shapes)
         found.append(
-            _result(part, optimum, i, adjusted.alternatives[i], uncertainty, energies, history, structure, milliseconds)
+            _result(
+                part,
+                optimum,
+                i,
+                adjusted.alternatives[i],
+                uncertainty,
+                energies,
+                history,
+                structure,
+                milliseconds,
+                weigh=weigh,
+            )
         )
     return found
 
@@ -94,6 +109,8 @@ def _result(
     history: Sequence[Iteration],
     structure: Sequence[GraphFactor],
     milliseconds: dict[str, float],
+    *,
+    weigh: bool,
 ) -> Reconstruction:
     problem, prior, camera = part.problem, part.problem.model.prior, part.camera(optimum.values)
     weights = optimum.state.weights[index]
@@ -107,10 +124,14 @@ def _result(
     box_size = prior.box_size(coefficients, offsets)
     facing = _facing(part, camera_T_object)
     status, message = _status(camera_T_object, box_size, facing, alternatives, uncertainty, problem.options, optimum)
+    reasons: tuple[str, ...] = ()
+    if weigh and status in (Status.CONVERGED, Status.AMBIGUOUS):
+        told = problem.observation, weights.keypoints, problem.camera, camera_T_object
+        reasons = weaknesses(*told, coefficients, box_size, problem.ground)
     sigma = np.sqrt(np.sqrt(np.linalg.det(keypoint_covariances(problem.observation, problem.options.keypoints))))
     with np.errstate(divide="ignore"):
         sigmas = sigma / np.sqrt(weights.keypoints)
-    return Reconstruction(
+    found = Reconstruction(
         status=status,
         message=message,
         category=prior.category.name,
@@ -142,6 +163,18 @@ def _result(
         graph_gain=optimum.gain,
         facing_probability=facing,
     )
+    return weakened(found, reasons)
+
+
+def weakened(result: Reconstruction, reasons: Sequence[str]) -> Reconstruction:
+    """The result with further reasons to be weak, which it is where it had converged."""
+    if not reasons:
+        return result
+    told = (*result.reasons, *reasons)
+    if result.status not in (Status.CONVERGED, Status.WEAK):
+        return replace(result, reasons=told)
+    text = "; ".join(told)
+    return replace(result, status=Status.WEAK, message=f"{text[0].upper()}{text[1:]}.", reasons=told)
 
 
 def _facing(part: ObservationPart, camera_T_object: NDArray[np.float64]) -> float:

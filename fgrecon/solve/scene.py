@@ -47,9 +47,10 @@ from fgrecon.solve.graph.optimise import Optimum, optimise
 from fgrecon.solve.pipeline import ground_plane, observe
 from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
 from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.result import history_of, results
+from fgrecon.solve.result import history_of, results, weakened
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.vehicle.model import VehicleModel, prepare
+from fgrecon.solve.weakness import off_ground
 
 __all__ = ["OWN_HEIGHT", "OWN_SLOPE", "OWN_TILT", "ground_evidence", "reconstruct_scene"]
 
@@ -314,6 +315,9 @@ def _told(best: _Joint, joint: Sequence[_Joint], known: Camera) -> _Told:
     for number, contact in best.contacts.items():
         energies = {**each[number].energies, "ground": float(contact.error(values))}
         each[number] = replace(each[number], energies=energies)
+        if best.frame is not None and best.nominal is not None:
+            told = solved[number].problem.ground
+            each[number] = weakened(each[number], _off_ground(each[number], told, best, values.atVector(G(0))))
     marginals = factorise(best.graph.build(optimum.state.weights), values)
     ground, camera, shared = best.nominal, best.alone.camera, []
     lengths: tuple[tuple[float, float], ...] = ()
@@ -333,6 +337,17 @@ def _told(best: _Joint, joint: Sequence[_Joint], known: Camera) -> _Told:
     message = f"{len(each)} were solved together with {' and '.join(shared)}."
     covariance = None if best.frame is None else _marginal(marginals, G(0))
     return _Told(each, ground, covariance, camera, _distinct(lengths), message, best.alone)
+
+
+def _off_ground(result: Reconstruction, told: Ground | None, joint: _Joint, change: Array) -> list[str]:
+    """The clause of a vehicle that does not stand on the ground that was told, or else on that of the others."""
+    assert joint.frame is not None
+    assert joint.nominal is not None
+    depth = float(result.location[2])
+    if told is not None:
+        return off_ground(float(told.normal @ result.location - told.distance), told.height_sigma_at_depth(depth))
+    normal, distance = joint.frame.plane(change)
+    return off_ground(float(normal @ result.location - distance), _own_height(joint.nominal, depth))
 
 
 def _camera(joint: _Joint) -> Camera:
@@ -359,9 +374,13 @@ def _seen_ground(poses: Sequence[Array]) -> Ground:
 
 def _contact_noise(ground: Ground, depth: float) -> gtsam.noiseModel.Robust:
     """What is a vehicle's own of its deviation from the plane."""
-    height = float(np.hypot(OWN_HEIGHT * ground.height_sigma, OWN_SLOPE * ground.slope_sigma * depth))
-    tilt = OWN_TILT * ground.tilt_sigma
+    height, tilt = _own_height(ground, depth), OWN_TILT * ground.tilt_sigma
     return RobustLoss.of(Loss.CAUCHY, _OUTLYING).wrap(diagonal_noise("contact", np.array([height, tilt, tilt, tilt])))
+
+
+def _own_height(ground: Ground, depth: float) -> float:
+    """How far a vehicle's origin may lie off the ground of the others, metres (1 sigma)."""
+    return float(np.hypot(OWN_HEIGHT * ground.height_sigma, OWN_SLOPE * ground.slope_sigma * depth))
 
 
 def _marginal(marginals: gtsam.Marginals | None, key: int) -> Array | None:
