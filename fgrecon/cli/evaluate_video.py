@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
     from fgrecon.io.kitti_drives import Drive
     from fgrecon.viz import Sight
 
-__all__ = ["read_folds", "video_command"]
+__all__ = ["drive_setups", "read_folds", "video_command"]
 
 _WORST = 20
 _RIVAL = "sqpnp_confident"
@@ -121,7 +121,7 @@ def video_command(
         fix = "Give drives with labelled cars or vans of at least 25 pixels."
         raise InvalidInputError("drives", ", ".join(drive.name for drive in drives), fix)
     scene, (_, origin) = labelled.scene(), labelled.plane()
-    setups = _setups(files, scene, Options(box=box_model), together=together)
+    setups = drive_setups(files, scene, Options(box=box_model), together=together)
     with screen.bar() as advance:
         boxes = score_drives(
             drives,
@@ -214,7 +214,9 @@ def read_folds(folds: Sequence[str], drives: Sequence[str], weights: Path | None
     return {name: found.get(name, weights) for name in drives}
 
 
-def _setups(files: dict[str, Path | None], scene: SceneKnowledge, options: Any, *, together: bool) -> dict[str, Setup]:
+def drive_setups(
+    files: dict[str, Path | None], scene: SceneKnowledge, options: Any, *, together: bool
+) -> dict[str, Setup]:
     """What each drive is reconstructed with, by its name; each network is loaded once."""
     from fgrecon.evaluation.kitti_images import Setup
     from fgrecon.perception.keypoints.detect import KeypointCascade

@@ -89,6 +89,8 @@ class BoxOutcome:
         off: Estimated minus labelled yaw in degrees, and origin (3) in metres; None where it was not wanted.
         squared: Normalised squared errors (`fgrecon.evaluation.consistency`) of `position`, `yaw` and `velocity`, as
             far as there are covariances; none of a vehicle that is turned round.
+        spread: Geometric mean of the one-sigma regions' semi-axes that those are by, degrees or metres.
+        facing: The result's `facing_probability`; None where it has none.
         velocity: Distance of the estimated from the labelled velocity, metres per second; None where either is unknown.
     """
 
@@ -99,6 +101,8 @@ class BoxOutcome:
     failure: str | None
     off: tuple[float, float, float, float] | None = None
     squared: Mapping[str, float] = field(default_factory=dict)
+    spread: Mapping[str, float] = field(default_factory=dict)
+    facing: float | None = None
     velocity: float | None = None
 
 
@@ -349,8 +353,15 @@ def outcome(result: Reconstruction, truth: GroundTruth, size: Array, offset: Arr
         offset: (3,) of the labels' frame in the camera's.
     """
     length, width, height = (result.box_size - size).tolist()
+    regions = _regions(result)
     turned = float(np.degrees(wrap_angle(result.rotation_y - truth.rotation_y)))
     x, y, z = (result.location - offset - truth.location).tolist()
+    errors = {"position": np.array([x, y, z]), "yaw": np.radians([turned])}
+    squared = {
+        name: value
+        for name, covariance in regions.items()
+        if (value := normalised_squared_error(errors[name], covariance)) is not None
+    }
     return BoxOutcome(
         degrees=float(orientation_error([result.rotation_y], [truth.rotation_y])[0]),
         metres=float(translation_error([result.location - offset], [truth.location])[0]),
@@ -358,18 +369,22 @@ def outcome(result: Reconstruction, truth: GroundTruth, size: Array, offset: Arr
         status=result.status.value,
         failure=None,
         off=(turned, x, y, z),
-        squared={} if abs(turned) > TURNED_ROUND else _squared(result, np.radians(turned), np.array([x, y, z])),
+        squared={} if abs(turned) > TURNED_ROUND else squared,
+        spread={name: _spread(name, regions[name]) for name in squared},
+        facing=result.facing_probability if np.isfinite(result.facing_probability) else None,
     )
 
 
-def _squared(result: Reconstruction, turned: float, off: Array) -> dict[str, float]:
-    """Errors by their covariances: yaw about the vehicle's own vertical axis, and position."""
+def _regions(result: Reconstruction) -> dict[str, Array]:
+    """Covariances of the position in the camera's frame, and of yaw about the vehicle's own vertical axis."""
     covariance = result.pose_covariance
     if covariance is None:
         return {}
     axes = result.camera_T_object[:3, :3]
-    found = {
-        "position": normalised_squared_error(off, axes @ covariance[3:, 3:] @ axes.T),
-        "yaw": normalised_squared_error(np.array([turned]), covariance[1:2, 1:2]),
-    }
-    return {name: value for name, value in found.items() if value is not None}
+    return {"position": axes @ covariance[3:, 3:] @ axes.T, "yaw": covariance[1:2, 1:2]}
+
+
+def _spread(name: str, covariance: Array) -> float:
+    """Geometric mean of the one-sigma region's semi-axes, degrees or metres."""
+    radius = float(np.linalg.det(covariance)) ** (0.5 / len(covariance))
+    return float(np.degrees(radius)) if name == "yaw" else radius

@@ -127,7 +127,8 @@ def _alone(box: VideoBox, frame: DriveFrame, setup: Setup, truth: GroundTruth) -
 
 
 def _moving(found: BoxOutcome, estimate: VehicleEstimate, velocity: Array | None) -> BoxOutcome:
-    """With the velocity's error over the ground."""
+    """With the facing's probability over time, and the velocity's error over the ground."""
+    found = replace(found, facing=estimate.facing_probability)
     if velocity is None or estimate.velocity is None:
         return found
     off = (estimate.velocity - velocity)[_OVER_GROUND]

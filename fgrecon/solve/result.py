@@ -40,7 +40,6 @@ def results(
     milliseconds: dict[str, float],
     extra: Sequence[gtsam.NonlinearFactor] = (),
     only: Collection[int] | None = None,
-    weigh: bool = True,
 ) -> list[Reconstruction]:
     """The result of each observation.
 
@@ -51,7 +50,6 @@ def results(
         milliseconds: Wall time by stage.
         extra: Factors of the caller's own.
         only: Indices of the observations whose results are wanted; None for all.
-        weigh: Whether what each image tells must carry its result; else others do.
     """
     graph, optimum = adjusted.graph, adjusted.optimum
     if not seen[0].problem.options.shape.joint:  # covariances count pose and shape together, whichever came last
@@ -78,18 +76,7 @@ def results(
         history = history_of(start, adjusted, i, alone=alone) if keep else ()
         uncertainty = read_covariances(part, weights[i], values, marginals, shapes)
         found.append(
-            _result(
-                part,
-                optimum,
-                i,
-                adjusted.alternatives[i],
-                uncertainty,
-                energies,
-                history,
-                structure,
-                milliseconds,
-                weigh=weigh,
-            )
+            _result(part, optimum, i, adjusted.alternatives[i], uncertainty, energies, history, structure, milliseconds)
         )
     return found
 
@@ -109,8 +96,6 @@ def _result(
     history: Sequence[Iteration],
     structure: Sequence[GraphFactor],
     milliseconds: dict[str, float],
-    *,
-    weigh: bool,
 ) -> Reconstruction:
     problem, prior, camera = part.problem, part.problem.model.prior, part.camera(optimum.values)
     weights = optimum.state.weights[index]
@@ -125,7 +110,7 @@ def _result(
     facing = _facing(part, camera_T_object)
     status, message = _status(camera_T_object, box_size, facing, alternatives, uncertainty, problem.options, optimum)
     reasons: tuple[str, ...] = ()
-    if weigh and status in (Status.CONVERGED, Status.AMBIGUOUS):
+    if status in (Status.CONVERGED, Status.AMBIGUOUS):
         told = problem.observation, weights.keypoints, problem.camera, camera_T_object
         reasons = weaknesses(*told, coefficients, box_size, problem.ground)
     sigma = np.sqrt(np.sqrt(np.linalg.det(keypoint_covariances(problem.observation, problem.options.keypoints))))

@@ -234,7 +234,7 @@ def _estimate(name: int, past: _Past, solved: WindowSolve, index: int, count: in
     facing = frame.belief.facing(rotation_y(pose))
     alone = len(solved.seen) == 1
     adjusted = solved.adjusted if alone else _with_alternative(solved.adjusted, index, pose, facing)
-    (result,) = results(solved.seen, solved.starts, adjusted, {}, solved.extra, only=[index], weigh=alone)
+    (result,) = results(solved.seen, solved.starts, adjusted, {}, solved.extra, only=[index])
     if past.known is not None and result.pose_covariance is not None:
         result = replace(result, pose_covariance=past.known.considered(pose, result.pose_covariance))
     velocity: Array | None = None

@@ -126,3 +126,30 @@ def test_the_shipped_network_on_real_images(data, tmp_path):
     assert whole["aop"]["5"]["value"] == 100.0
     assert whole["median_metres"] < 0.5
     assert all(row["facing"] > 0.9 and row["view"] == "rear" for row in made["boxes"])
+
+
+def test_what_results_say_of_themselves(drives, weights, tmp_path):
+    out, picture = tmp_path / "c.json", tmp_path / "c.png"
+    arguments = [
+        "evaluate",
+        "calibration",
+        *drives,
+        "--weights",
+        weights,
+        "--track",
+        "--json",
+        out,
+        "--picture",
+        picture,
+    ]
+    done = CliRunner().invoke(main.app, [str(argument) for argument in arguments])
+    assert done.exit_code == 0, done.output
+    assert "2 drives, 2 images, 4 boxes" in done.stdout
+    documents = json.loads(out.read_text())
+    assert [told["method"] for told in documents] == ["reconstruct_image", "online", "batch"]
+    assert sum(row["count"] for row in documents[0]["statuses"]) == 4
+    assert documents[0]["drives"] == ["one", "two"]
+    assert picture.stat().st_size > 5000
+    refused = CliRunner().invoke(main.app, ["evaluate", "calibration", str(drives[0]), "--fold", "three=x"])
+    assert isinstance(refused.exception, InvalidInputError)
+    assert refused.exception.field == "fold"
