@@ -25,7 +25,7 @@ from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.text import printable
 from fgrecon.solve.track import TrackReconstruction
-from fgrecon.viz import Recording, Sight, animate, contact_sheet, picture, save_picture
+from fgrecon.viz import Recording, Shown, Sight, animate, contact_sheet, picture, save_picture, scene_picture
 
 __all__ = [
     "FORMAT",
@@ -50,6 +50,7 @@ _TRUSTED = 0.5  # weight from which a keypoint counts as trusted
 _HEADINGS = ("id", "status", "yaw °", "x, y, z m", "l, w, h m", "trusted", "message")
 _CLAUSE = 60  # characters of a message in the table
 _WIDE = 130  # columns of the terminal that leave it that room
+_PLATE, _WORDS = 6, 24  # characters of a vehicle's name on its plate in a picture, and beside its numbers
 
 
 def print_table(screen: Screen, outcomes: Sequence[Outcome]) -> None:
@@ -202,17 +203,67 @@ def _entry(outcome: Outcome, *, history: bool) -> dict[str, Any]:
     return entry_of(outcome.task, outcome.result, outcome.error, history=history)
 
 
-def draw(path: Path, outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None) -> list[Path]:
-    """Draw the results: one with its stages, several as a sheet; nothing where there is none.
+def draw(
+    path: Path,
+    outcomes: Sequence[Outcome],
+    image: NDArray[np.uint8] | None,
+    grounds: Mapping[str | None, Ground | None],
+    *,
+    sheet: bool,
+) -> list[Path]:
+    """Draw the results: the scene of an image; nothing where there is no result.
+
+    Args:
+        path: File to write.
+        outcomes: One per vehicle.
+        image: (H, W, 3) photograph.
+        grounds: The ground of each image, by its name.
+        sheet: Draw the part of the image around each instead, and of a single vehicle the stages. So are vehicles of
+            several images drawn in any case.
 
     Returns:
         The files written.
     """
     sights = _sights(outcomes, image)
+    if not sights:
+        return []
+    if not sheet and (place := _one_image(outcomes)):
+        name, camera = place
+        figure = scene_picture(image, _shown(outcomes), camera, ground=grounds.get(name))
+        return [save_picture(path, figure)]
     if len(sights) == 1:
         only = sights[0]
         return [save_picture(path, picture(only.reconstruction, only.observation, only.camera, image=image))]
-    return [save_picture(path, contact_sheet(sights))] if sights else []
+    return [save_picture(path, contact_sheet(sights))]
+
+
+def _one_image(outcomes: Sequence[Outcome]) -> tuple[str | None, Camera] | None:
+    """Name and camera of the image that all vehicles are in; None where there are several."""
+    first = outcomes[0].task
+    same = all(
+        outcome.task.instance.image == first.instance.image
+        and np.array_equal(outcome.task.camera.matrix, first.camera.matrix)
+        for outcome in outcomes
+    )
+    return (first.instance.image, first.camera) if same else None
+
+
+def _shown(outcomes: Sequence[Outcome]) -> list[Shown]:
+    """The vehicles as a scene shows them; with long names they are numbered."""
+    names = [printable(outcome.name, 80) for outcome in outcomes]
+    short = max(map(len, names)) <= _PLATE
+    shown = []
+    for number, (name, outcome) in enumerate(zip(names, outcomes, strict=True)):
+        seen = outcome.task.observation
+        box = seen.box
+        if box is None:
+            measured = seen.keypoints[seen.measured]
+            if not len(measured):
+                continue
+            box = np.concatenate([measured.min(axis=0), measured.max(axis=0)])
+        words = "" if short else name if len(name) <= _WORDS else f"{name[: _WORDS - 1]}…"
+        shown.append(Shown(number, box, outcome.result, words, name=name if short else str(number + 1)))
+    return shown
 
 
 def draw_moving(path: Path, outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None) -> list[Path]:

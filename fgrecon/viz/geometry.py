@@ -15,9 +15,12 @@ __all__ = [
     "as_image",
     "box_corners",
     "crop_around",
+    "ellipse",
     "ellipsoids",
     "ground_grid",
     "image_points",
+    "level_axes",
+    "position_covariance",
     "resolution",
     "vertex_normals",
 ]
@@ -158,3 +161,35 @@ def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> N
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     unit: NDArray[np.float64] = normals / np.where(lengths > 0, lengths, 1.0)
     return unit
+
+
+def level_axes(ground: Ground | None) -> NDArray[np.float64]:
+    """(3, 3) rotation of the camera frame into one with its y axis down: rows are right, down and ahead.
+
+    Without a ground the camera is taken for level.
+    """
+    if ground is None:
+        return np.eye(3)
+    down = ground.normal
+    forward = np.array([0.0, 0.0, 1.0] if down[2] < 0.99 else [0.0, -1.0, 0.0])  # a camera may look straight down
+    ahead = forward - (forward @ down) * down
+    ahead /= np.linalg.norm(ahead)
+    return np.stack([cross(down, ahead), down, ahead])
+
+
+def ellipse(covariance: NDArray[np.float64], radius: float, points: int = 48) -> NDArray[np.float64]:
+    """(points, 2) outline of the ellipse of a covariance (2, 2), that many standard deviations large, about 0."""
+    values, vectors = np.linalg.eigh(covariance)
+    angles = np.linspace(0.0, 2 * np.pi, points, endpoint=False)
+    circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    outline: NDArray[np.float64] = radius * circle * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+    return outline
+
+
+def position_covariance(
+    camera_T_object: NDArray[np.float64], pose_covariance: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(3, 3) covariance of the origin in the camera frame, of that (6, 6) of the pose in GTSAM's order and frame."""
+    rotation = camera_T_object[:3, :3]
+    covariance: NDArray[np.float64] = rotation @ pose_covariance[3:, 3:] @ rotation.T
+    return covariance
