@@ -47,8 +47,16 @@ def name_of(vehicle: Shown) -> str:
     return vehicle.name or str(vehicle.identity)
 
 
-def extent_from_above(vehicles: Sequence[Shown], ground: Ground | None) -> NDArray[np.float64]:
-    """(2, 2) lowest and highest coordinates, right and ahead, of the camera and all vehicles; metres."""
+def extent_from_above(
+    vehicles: Sequence[Shown], ground: Ground | None, before: Mapping[int, NDArray[np.float64]]
+) -> NDArray[np.float64]:
+    """(2, 2) lowest and highest coordinates, right and ahead, of all that is drawn; metres.
+
+    Args:
+        vehicles: What is drawn.
+        ground: The ground plane; without one the camera is taken for level.
+        before: (4, 4) poses at the start, by id.
+    """
     level = level_axes(ground)
     axes = level[[0, 2]]
     points, clouds = [np.array([(-1.5, -_BORDER), (1.5, 6.0)])], []
@@ -56,6 +64,8 @@ def extent_from_above(vehicles: Sequence[Shown], ground: Ground | None) -> NDArr
         if vehicle.result is not None and vehicle.pose is not None:
             footprint, nose = _outline(vehicle.pose, vehicle.result)
             points += [footprint @ axes.T, nose @ axes.T]
+            if (start := before.get(vehicle.identity)) is not None:
+                points.append(_outline(start, vehicle.result)[0] @ axes.T)
             if (covariance := _covariance(vehicle, level)) is not None:
                 clouds.append(vehicle.pose[:3, 3] @ axes.T + ellipse(covariance, _RADIUS))
     reach = np.concatenate(points)

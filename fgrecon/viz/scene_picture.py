@@ -75,7 +75,7 @@ def scene_picture(
     high = min((_WIDTH - 2 * _EDGE) * size[1] / size[0], _TALLEST)
     wide = high * size[0] / size[1]
 
-    extent = extent_from_above(vehicles, ground)
+    extent = extent_from_above(vehicles, ground, starts)
     page = scene_page(vehicles, starts)
     lines = page.lines + _KEY
     across, ahead = extent[1] - extent[0]

@@ -95,6 +95,23 @@ def test_pictures_and_recordings(write, tmp_path):
     assert [stage.stage for stage in replay(record).summary()][-1] == "shape"
 
 
+def test_a_picture_is_the_scene_unless_a_sheet_is_asked_for(write, tmp_path):
+    cars = [car() | {"id": "a"}, car(1.0, LOCATION + (4.0, 0, 3.0)) | {"id": "a name that is long"}]
+    file, told = write(cars), [INTRINSICS, "--camera-height", 1.65]
+    sizes = {}
+    for name, more in {"scene": [], "sheet": ["--sheet"], "together": ["--together"]}.items():
+        picture = tmp_path / f"{name}.png"
+        assert run(file, *told, *more, "--picture", picture).exit_code == 0
+        sizes[name] = read_image(picture).shape
+    assert sizes["scene"][1] == sizes["together"][1] > 1200  # 8 cm, fine enough for the photograph
+    assert sizes["sheet"] != sizes["scene"]
+    several = [one | {"image": f"{number}.png"} for number, one in enumerate(cars)]
+    picture = tmp_path / "several.png"
+    assert run(write(several, "several.json"), *told, "--picture", picture).exit_code == 0
+    assert read_image(picture).shape == sizes["sheet"]  # they have no image in common
+    assert "--picture" in str(run(file, INTRINSICS, "--sheet").exception)
+
+
 def test_the_size_of_the_image_is_used(write, tmp_path):
     image = write_png(tmp_path / "image.png", np.zeros((375, 1242, 3), np.uint8))
     done = run(write(car()), INTRINSICS, "--image", image, "--json", "-")
