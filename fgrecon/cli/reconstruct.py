@@ -206,8 +206,8 @@ def reconstruct_command(
     grounds = {task.instance.image: settings.ground for task in tasks} | {s.image: s.result.ground for s in scenes}
     drawings.draw(outcomes, photograph, grounds, screen)
     if delivery.wanted:
-        recordings = show.recordings(outcomes, photograph, settings.ground)
-        delivery.deliver(recordings, screen, several=len(outcomes) > 1)
+        recordings = show.recordings(outcomes, photograph, grounds)
+        delivery.deliver(recordings, screen, several=len(grounds) > 1 or len(recordings) > 1)
     if not batch.check_any(file, outcomes):
         screen.fail("No vehicle could be reconstructed.")
         raise typer.Exit(1)

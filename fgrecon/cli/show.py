@@ -25,7 +25,17 @@ from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.text import printable
 from fgrecon.solve.track import TrackReconstruction
-from fgrecon.viz import Recording, Shown, Sight, animate, contact_sheet, picture, save_picture, scene_picture
+from fgrecon.viz import (
+    Recording,
+    Shown,
+    Sight,
+    animate,
+    contact_sheet,
+    picture,
+    save_picture,
+    scene_picture,
+    scene_recording_of,
+)
 
 __all__ = [
     "FORMAT",
@@ -51,6 +61,7 @@ _HEADINGS = ("id", "status", "yaw °", "x, y, z m", "l, w, h m", "trusted", "mes
 _CLAUSE = 60  # characters of a message in the table
 _WIDE = 130  # columns of the terminal that leave it that room
 _PLATE, _WORDS = 6, 24  # characters of a vehicle's name on its plate in a picture, and beside its numbers
+_TOGETHER = 40  # vehicles of an image that one recording has at most
 
 
 def print_table(screen: Screen, outcomes: Sequence[Outcome]) -> None:
@@ -227,25 +238,14 @@ def draw(
     sights = _sights(outcomes, image)
     if not sights:
         return []
-    if not sheet and (place := _one_image(outcomes)):
-        name, camera = place
-        figure = scene_picture(image, _shown(outcomes), camera, ground=grounds.get(name))
+    if not sheet and len(_by_image(outcomes)) == 1:
+        task = outcomes[0].task
+        figure = scene_picture(image, _shown(outcomes), task.camera, ground=grounds.get(task.instance.image))
         return [save_picture(path, figure)]
     if len(sights) == 1:
         only = sights[0]
         return [save_picture(path, picture(only.reconstruction, only.observation, only.camera, image=image))]
     return [save_picture(path, contact_sheet(sights))]
-
-
-def _one_image(outcomes: Sequence[Outcome]) -> tuple[str | None, Camera] | None:
-    """Name and camera of the image that all vehicles are in; None where there are several."""
-    first = outcomes[0].task
-    same = all(
-        outcome.task.instance.image == first.instance.image
-        and np.array_equal(outcome.task.camera.matrix, first.camera.matrix)
-        for outcome in outcomes
-    )
-    return (first.instance.image, first.camera) if same else None
 
 
 def _shown(outcomes: Sequence[Outcome]) -> list[Shown]:
@@ -285,10 +285,32 @@ def draw_moving(path: Path, outcomes: Sequence[Outcome], image: NDArray[np.uint8
 
 
 def recordings(
-    outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None, ground: Ground | None
+    outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None, grounds: Mapping[str | None, Ground | None]
 ) -> list[tuple[str, Recording]]:
-    """Id and recording of every result."""
-    return recordings_of(_sights(outcomes, image), ground)
+    """Name and recording of every image with its vehicles; of very many vehicles in one, of each.
+
+    Args:
+        outcomes: One per vehicle.
+        image: (H, W, 3) photograph.
+        grounds: The ground of each image, by its name.
+    """
+    made: list[tuple[str, Recording]] = []
+    for (name, _), members in _by_image(outcomes).items():
+        sights = _sights(members, image)
+        if 1 < len(sights) <= _TOGETHER:
+            made.append((Path(name or "scene").stem, scene_recording_of(sights, ground=grounds.get(name))))
+        else:
+            made += recordings_of(sights, grounds.get(name))
+    return made
+
+
+def _by_image(outcomes: Sequence[Outcome]) -> dict[tuple[str | None, bytes], list[Outcome]]:
+    """The vehicles by name and camera of their image."""
+    images: dict[tuple[str | None, bytes], list[Outcome]] = {}
+    for outcome in outcomes:
+        task = outcome.task
+        images.setdefault((task.instance.image, task.camera.matrix.tobytes()), []).append(outcome)
+    return images
 
 
 def _sights(outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None) -> list[Sight]:

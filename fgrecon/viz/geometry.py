@@ -18,6 +18,7 @@ __all__ = [
     "ellipse",
     "ellipsoids",
     "ground_grid",
+    "ground_lines",
     "image_points",
     "level_axes",
     "position_covariance",
@@ -161,6 +162,26 @@ def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> N
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     unit: NDArray[np.float64] = normals / np.where(lengths > 0, lengths, 1.0)
     return unit
+
+
+def ground_lines(
+    ground: Ground, sideways: NDArray[np.float64], ahead: NDArray[np.float64], nearest: float = 0.5
+) -> NDArray[np.float64]:
+    """(L, 2, 3) lines of a grid on the ground before the camera, in the camera frame, metres.
+
+    Args:
+        ground: The ground plane.
+        sideways: How far right of the camera there is a line ahead.
+        ahead: How far ahead there is a line across; the last one ends the lines ahead.
+        nearest: How far ahead these begin.
+    """
+    right, down, forward = level_axes(ground)
+    low, high = sideways[[0, -1]]
+    along = np.array([[(x, nearest), (x, ahead[-1])] for x in sideways])
+    across = np.array([[(low, z), (high, z)] for z in ahead])
+    places = np.concatenate([along, across])
+    lines: NDArray[np.float64] = ground.distance * down + places[..., :1] * right + places[..., 1:] * forward
+    return lines
 
 
 def level_axes(ground: Ground | None) -> NDArray[np.float64]:

@@ -18,7 +18,7 @@ from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Status
 from fgrecon.viz import style
 from fgrecon.viz.from_above import DASHES, draw_scene_from_above, ellipse_scale, extent_from_above, name_of
-from fgrecon.viz.geometry import BOX_EDGES, as_image, box_corners, level_axes, resolution
+from fgrecon.viz.geometry import BOX_EDGES, as_image, box_corners, ground_lines, level_axes, resolution
 from fgrecon.viz.marks import draw_crop, draw_paths
 from fgrecon.viz.occlusion import DepthImage, depth_image, pieces_of, runs_of
 from fgrecon.viz.overlay import Shown
@@ -178,21 +178,13 @@ def _draw_ground(
     colour: style.Colour,
 ) -> None:
     """The horizon, and a grid on the ground as far as the vehicles are."""
-    right, down, ahead = level_axes(ground)
-    farthest = max((float(pose[:3, 3] @ ahead) for pose in poses), default=_BEYOND) + _BEYOND
-    widest = max((abs(float(pose[:3, 3] @ right)) for pose in poses), default=0.0)
-    widest = np.ceil(max(widest, _ASIDE) / _SPACING) * _SPACING
-    xs = np.arange(-widest, widest + 1e-6, _SPACING)
-    zs = _AHEAD[farthest >= _AHEAD]
-    foot = ground.distance * down
-
-    def at(x: Any, z: Any) -> NDArray[np.float64]:
-        points: NDArray[np.float64] = foot + np.multiply.outer(x, right) + np.multiply.outer(z, ahead)
-        return points
-
-    along = np.stack([at(xs, np.full_like(xs, 0.5)), at(xs, np.full_like(xs, farthest))], axis=1)
-    across = np.stack([at(np.full_like(zs, -widest), zs), at(np.full_like(zs, widest), zs)], axis=1)
-    seen, _ = runs_of(pieces_of(np.concatenate([along, across]), 120), camera, depth)
+    right, _, ahead = level_axes(ground)
+    places = [pose[:3, 3] @ np.stack([right, ahead]).T for pose in poses]
+    farthest = max((float(place[1]) for place in places), default=_BEYOND) + _BEYOND
+    widest = max([_ASIDE, *(abs(float(place[0])) for place in places)])
+    sideways = _SPACING * np.arange(-np.ceil(widest / _SPACING), np.ceil(widest / _SPACING) + 1)
+    lines = ground_lines(ground, sideways, _AHEAD[max(farthest, _AHEAD[0]) >= _AHEAD])
+    seen, _ = runs_of(pieces_of(lines, 120), camera, depth)
     draw_paths(axes, seen, colour, 0.35, "-", zorder=1, casing=False, alpha=0.65)
     turns = np.linspace(-1.2, 1.2, 40)
     horizon = (np.multiply.outer(np.sin(turns), right) + np.multiply.outer(np.cos(turns), ahead)) * 1e4
