@@ -49,6 +49,7 @@ def scene_picture(
     *,
     ground: Ground | None = None,
     before: bool = False,
+    beside: bool = False,
 ) -> Any:
     """Draw the vehicles of an image, of a still one or of a frame of a video.
 
@@ -58,9 +59,10 @@ def scene_picture(
         camera: The camera that saw them.
         ground: The ground plane: its grid and horizon are drawn, and the view from above is along its normal.
         before: Draw the first estimates of the histories too, in a photograph of their own and from above.
+        beside: Put the view from above beside the photograph and not below it, as for a slide.
 
     Returns:
-        A `matplotlib.figure.Figure` with an Agg canvas, 8 cm wide; see `fgrecon.viz.save_picture`.
+        A `matplotlib.figure.Figure` with an Agg canvas, 8 cm wide, or twice as much; see `fgrecon.viz.save_picture`.
 
     Raises:
         InvalidInputError: There is no vehicle, two have the same id, or the image is not (H, W, 3) of bytes.
@@ -75,36 +77,36 @@ def scene_picture(
     high = min((_WIDTH - 2 * _EDGE) * size[1] / size[0], _TALLEST)
     wide = high * size[0] / size[1]
 
+    panels, heading = (2, _HEADING) if starts else (1, 0.0)
+    photographs = panels * (high + heading)
+
     extent = extent_from_above(vehicles, ground, starts)
     page = scene_page(vehicles, starts)
-    lines = page.lines + _KEY
     across, ahead = extent[1] - extent[0]
     width = _ABOVE - _AXIS_LEFT
-    beside = lines * _LINE - _AXIS_BELOW  # what the table needs
-    tall = float(np.clip(width * ahead / across, max(_LOW, min(beside, _MOST)), max(_HIGH, min(beside, _MOST))))
+    least = (photographs if beside else (page.lines + _KEY) * _LINE) - _AXIS_BELOW  # else there were empty space
+    tall = float(np.clip(width * ahead / across, max(_LOW, min(least, _MOST)), max(_HIGH, min(least, _MOST))))
     extent = _filled(extent, width / tall)
     scale = ellipse_scale(vehicles, (extent[1, 0] - extent[0, 0]) / (width / _CM * 10))
 
-    panels = 2 if starts else 1
-    heading = _HEADING if starts else 0.0
-    total = panels * (high + heading) + 2 * _EDGE + _GAP + tall + _AXIS_BELOW
-    figure = new_figure(_WIDTH, total)
+    height = tall + _AXIS_BELOW
+    total = 2 * _EDGE + (max(photographs, height) if beside else photographs + _GAP + height)
+    figure = new_figure(2 * _WIDTH + _GAP if beside else _WIDTH, total)
     figure.set_dpi(np.clip(np.ceil(size[0] / wide), _DPI, _MOST_DPI))
     top = total - _EDGE
-    left = (_WIDTH - wide) / 2
     for panel in range(panels):
         top -= heading + high
-        axes = place_axes(figure, left, top, wide, high)
+        axes = place_axes(figure, (_WIDTH - wide) / 2, top, wide, high)
         start = starts if panels == 2 and panel == 0 else None
         _draw_photograph(axes, photograph, vehicles, camera, size, ground if start is None else None, start)
         if starts:
             axes.set_title("Start" if start is not None else "Result", fontsize=_FONT + 1, loc="left", pad=2)
-    below = place_axes(figure, _AXIS_LEFT, _AXIS_BELOW, width, tall)
+    left, bottom = (_WIDTH + _GAP, total - _EDGE - height) if beside else (0.0, 0.0)
+    above = place_axes(figure, left + _AXIS_LEFT, bottom + _AXIS_BELOW, width, tall)
     draw_scene_from_above(
-        *(below, vehicles, camera, size), ground=ground, extent=extent, scale=scale, font=_FONT, before=starts
+        *(above, vehicles, camera, size), ground=ground, extent=extent, scale=scale, font=_FONT, before=starts
     )
-    right, height = _ABOVE + _GAP, tall + _AXIS_BELOW
-    aside = place_axes(figure, right, 0.0, _WIDTH - right - _EDGE, height)
+    aside = place_axes(figure, left + _ABOVE + _GAP, bottom, _WIDTH - _ABOVE - _GAP - _EDGE, height)
     used = draw_table(aside, page, int(height / _LINE) - _KEY, height / _LINE, _FONT)
     draw_key(aside, vehicles, height / _LINE - used, height / _LINE, _FONT, scale=scale, before=bool(starts))
     return figure

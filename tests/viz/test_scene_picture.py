@@ -175,6 +175,16 @@ def test_trails_and_portraits(example, seen, vehicles):
     assert figure.get_size_inches()[1] < 14 / 2.54
 
 
+def test_for_a_slide_the_view_from_above_is_beside_the_photograph(seen, vehicles):
+    figure = draw(seen, vehicles, beside=True)
+    width, height = figure.get_size_inches()
+    assert width > 2 * 8.0 / 2.54
+    assert width > 2.5 * height
+    photograph, above, aside = (axes.get_position() for axes in figure.axes)
+    assert photograph.x1 < above.x0 < above.x1 < aside.x0
+    assert above.y0 > 0
+
+
 @pytest.mark.parametrize("kind", ["png", "svg", "pdf"])
 def test_files(seen, vehicles, tmp_path, kind):
     path = save_picture(tmp_path / f"scene.{kind}", draw(seen, vehicles))
