@@ -74,7 +74,7 @@ def scene_page(vehicles: Sequence[Shown], starts: Mapping[int, NDArray[np.float6
     columns: tuple[tuple[str, float], ...] = (("distance [m]", 0.58), ("yaw [°]", 1.0))
     cells = [_values(v) for v in ordered]
     if any(vehicle.truth is not None for vehicle in vehicles):
-        columns = (("position error [m]", 0.62), ("yaw error [°]", 1.0))
+        columns = (("position error [m]", 0.6), ("yaw [°]", 1.0))
         cells = [_errors(v, starts.get(v.identity)) for v in ordered]
     elif not few and not words:
         columns = (("dist. [m]", 0.48), ("yaw [°]", 0.82), ("l [m]", 1.0))

@@ -144,6 +144,20 @@ def test_with_the_truth_it_tells_the_gain(example, seen):
         assert start[2, 3] + 2.0 < figure.axes[2].get_ylim()[1]
 
 
+@pytest.mark.parametrize("count", [3, 9])
+@pytest.mark.parametrize("before", [False, True])
+def test_no_text_of_the_table_covers_another(example, seen, count, before):
+    vehicles = shown_of(example, seen, truth=before)
+    vehicles = [replace(vehicles[number % 3], identity=number) for number in range(count)]
+    figure = draw(seen, vehicles, before=before)
+    figure.canvas.draw()
+    places = [text.get_window_extent() for text in figure.axes[-1].texts if text.get_text()]
+    assert len(places) > 3 * count
+    for index, place in enumerate(places):
+        assert not any(place.shrunk(0.99, 0.7).overlaps(other.shrunk(0.99, 0.7)) for other in places[:index])
+        assert place.x1 <= figure.bbox.x1 + 1
+
+
 def test_what_was_not_solved_has_its_box(example, seen, vehicles):
     lost = [vehicles[0], replace(vehicles[1], result=failed(example)), replace(vehicles[2], result=None, name="far")]
     figure = draw(seen, lost)
