@@ -30,6 +30,7 @@ _VISIBLE = 0.9  # millimetres that the middle one of the ellipses is to be long,
 _SCALES = (1.0, 2.0, 5.0, 10.0, 20.0)
 _NOSE, _LEAST_NOSE = 1.6, 1.5  # metres of an arrow before the vehicle; millimetres
 _MARGIN = 1.5
+_REACH = np.array([(-150.0, -50.0), (150.0, 250.0)])  # lowest and highest coordinates that are shown at all
 _CLOUDS = 1.2  # how much farther than to the vehicles it is shown for their ellipses
 _BORDER = 0.3  # metres behind the camera
 
@@ -68,7 +69,7 @@ def extent_from_above(
                 points.append(_outline(start, vehicle.result)[0] @ axes.T)
             if (covariance := _covariance(vehicle, level)) is not None:
                 clouds.append(vehicle.pose[:3, 3] @ axes.T + ellipse(covariance, _RADIUS))
-    reach = np.concatenate(points)
+    reach = np.clip(np.concatenate(points), *_REACH)  # a pose that is none must not make all others dots
     low, high = reach.min(axis=0), reach.max(axis=0) + np.array([0.0, _MARGIN])
     if clouds:  # but a position that is not known at all does not make all others small
         high[1] = np.clip(np.concatenate(clouds)[:, 1].max() + 0.5, high[1], _CLOUDS * high[1])

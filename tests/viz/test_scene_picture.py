@@ -168,6 +168,15 @@ def test_what_was_not_solved_has_its_box(example, seen, vehicles):
     assert as_rgb(nothing, 60).std() > 10
 
 
+def test_a_vehicle_that_is_nowhere_leaves_room_for_the_others(seen, vehicles):
+    pose = vehicles[1].result.camera_T_object.copy()
+    pose[2, 3] = 1e6
+    figure = draw(seen, [vehicles[0], replace(vehicles[1], result=replace(vehicles[1].result, camera_T_object=pose))])
+    assert figure.axes[1].get_ylim()[1] < 400
+    assert texts(figure.axes[1]) == ["0", "1"]  # at the border
+    assert as_rgb(figure, 60).std() > 10
+
+
 def test_a_long_table_says_how_many_are_left_out(seen, vehicles):
     many = [replace(vehicles[0], identity=number) for number in range(60)]
     figure = draw(seen, many)
