@@ -25,11 +25,15 @@ class KeypointOptions:
             noise plus the difference between annotators' and models' idea of a keypoint (KITTI: 2 to 4 %).
         sigma_pixels: The same in pixels, added in quadrature: what even a large image leaves.
         least_confidence: Keypoints of less confidence are taken as not measured.
+        common_factor: Where the detector gives covariances, by how much keypoints and box say less in the covariances
+            of the result than if their errors were independent: those of one vehicle go together. It moves no result.
+            The default makes regions of the shipped networks hold on KITTI's video (docs/result.md).
     """
 
     sigma_relative: float = number(0.035, least=0.0)
     sigma_pixels: float = number(1.0, least=1e-3)
     least_confidence: float = number(0.0, least=0.0, most=1.0)
+    common_factor: float = number(4.0, least=1.0)
 
     def __post_init__(self) -> None:
         """Check the settings (`InvalidInputError`)."""

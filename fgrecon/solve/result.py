@@ -18,7 +18,7 @@ from fgrecon.solve.graph.adjust import Adjusted
 from fgrecon.solve.graph.covariance import Covariances, factorise, read_covariances
 from fgrecon.solve.graph.graph import Graph, Seen
 from fgrecon.solve.graph.history import iterations
-from fgrecon.solve.graph.observation import ObservationPart
+from fgrecon.solve.graph.observation import ObservationPart, Weights
 from fgrecon.solve.graph.optimise import Optimum
 from fgrecon.solve.graph.structure import graph_factors
 from fgrecon.solve.proposals.adjust import PoseEstimate
@@ -56,7 +56,8 @@ def results(
         graph = Graph(seen, optimum.state, pose_free=True, extra=extra)
     weights = optimum.state.weights
     values = graph.values(optimum.state)
-    marginals = factorise(graph.build(weights), values) if optimum.failure is None else None
+    told = [_common(part, weight) for part, weight in zip(graph.observations, weights, strict=True)]
+    marginals = factorise(graph.build(told), values) if optimum.failure is None else None
     alone = len(seen) == 1
     keep = seen[0].problem.options.keep_history
     structure: Sequence[GraphFactor] = ()
@@ -74,11 +75,19 @@ def results(
         else:
             energies = part.energies(values, weights[i])
         history = history_of(start, adjusted, i, alone=alone) if keep else ()
-        uncertainty = read_covariances(part, weights[i], values, marginals, shapes)
+        uncertainty = read_covariances(part, told[i], values, marginals, shapes)
         found.append(
             _result(part, optimum, i, adjusted.alternatives[i], uncertainty, energies, history, structure, milliseconds)
         )
     return found
+
+
+def _common(part: ObservationPart, weights: Weights) -> Weights:
+    """The weights with which keypoints and box count for covariances: a detector's errors go together."""
+    if part.problem.observation.covariance is None:
+        return weights
+    factor = part.problem.options.keypoints.common_factor
+    return replace(weights, keypoints=weights.keypoints / factor, box=weights.box / factor)
 
 
 def history_of(start: PoseEstimate, adjusted: Adjusted, index: int, *, alone: bool) -> Sequence[Iteration]:
