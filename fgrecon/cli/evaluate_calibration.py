@@ -88,8 +88,8 @@ def calibration_command(
         screen.print(_regions_table(method, one), _status_table(method, one), _in_words(one))
     for box in boxes:
         for method in methods:
-            one = box.outcomes[method]
-            told = one.failure or f"{one.status}, {one.degrees:.1f} degrees, {one.metres:.2f} m"
+            outcome = box.outcomes[method]
+            told = outcome.failure or f"{outcome.status}, {outcome.degrees:.1f} degrees, {outcome.metres:.2f} m"
             screen.detail(f"{box.drive}/{box.frame:06d}/{box.index} {method}: {told}")
     given = {"drives": [drive.name for drive in drives], "ground": origin, "size_prior": labelled.size_prior}
     documents = [calibration_document(one, {"method": method, **given}) for method, one in found.items()]

@@ -36,7 +36,7 @@ _BORDER = 0.3  # metres behind the camera
 
 DASHES: Mapping[Status, Any] = {
     Status.CONVERGED: "-",
-    Status.WEAK: (0, (6.0, 1.2)),
+    Status.WEAK: (0, (8.0, 1.2)),
     Status.AMBIGUOUS: (0, (3.2, 1.2)),
     Status.DEGENERATE: (0, (1.0, 1.0)),
     Status.FAILED: (0, (1.0, 2.4)),
