@@ -55,7 +55,7 @@ def calibration_command(
 
     A region of 68 or 95 % should hold so many errors, and be no wider than one that is made to hold: by scaling the
     covariances, or of one size for all, with the drive left out of the fit. Vehicles turned round count for the facing
-    alone. Wrong are results more than 15 degrees or 20 % of the distance off.
+    alone. Wrong are results more than 15 degrees or 20 % of the distance off. --verbose tells every box.
 
     Exit code 1: no box could be reconstructed.
     """
@@ -86,6 +86,11 @@ def calibration_command(
     screen.print(f"{len(drives)} drives, {frames} images, {len(boxes)} boxes; {origin}.")
     for method, one in found.items():
         screen.print(_regions_table(method, one), _status_table(method, one), _in_words(one))
+    for box in boxes:
+        for method in methods:
+            one = box.outcomes[method]
+            told = one.failure or f"{one.status}, {one.degrees:.1f} degrees, {one.metres:.2f} m"
+            screen.detail(f"{box.drive}/{box.frame:06d}/{box.index} {method}: {told}")
     given = {"drives": [drive.name for drive in drives], "ground": origin, "size_prior": labelled.size_prior}
     documents = [calibration_document(one, {"method": method, **given}) for method, one in found.items()]
     screen.write_json(json.dumps(documents, indent=1, allow_nan=False) + "\n")
