@@ -1,4 +1,4 @@
-"""A 3D box as other detectors give it."""
+"""A 3D box as other detectors give it, and how far those err."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import MIN_DEPTH
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.settings import check_settings, number
 
-__all__ = ["Box3D"]
+__all__ = ["Box3D", "BoxErrors"]
 
 Array = NDArray[np.float64]
 
@@ -47,3 +48,26 @@ class Box3D:
             if (size <= 0).any():
                 raise InvalidInputError("box3d.size", size.tolist(), "Give length, width and height above zero.")
             object.__setattr__(self, "size", size)
+
+
+@dataclass(frozen=True)
+class BoxErrors:
+    """How far a detector's 3D boxes are off (1 sigma); the defaults are a monocular detector's.
+
+    Attributes:
+        depth: Of the distance, as a share of it.
+        bearing: Of where the origin is seen, pixels across and down.
+        yaw: Of the yaw of a box that is not turned round, radians.
+        size: Of length, width and height, each as a share of it.
+        turned: Probability that a box is turned round.
+    """
+
+    depth: float = number(0.06, least=1e-3, most=1.0)
+    bearing: float = number(2.0, least=0.1)
+    yaw: float = number(float(np.deg2rad(10.0)), least=1e-3, most=float(np.pi))
+    size: float = number(0.05, least=1e-3, most=1.0)
+    turned: float = number(0.05, least=1e-6, most=0.5)
+
+    def __post_init__(self) -> None:
+        """Check the settings (`InvalidInputError`)."""
+        check_settings(self, "box_errors")

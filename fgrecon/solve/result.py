@@ -38,6 +38,7 @@ def results(
     milliseconds: dict[str, float],
     extra: Sequence[gtsam.NonlinearFactor] = (),
     only: Collection[int] | None = None,
+    facing: Sequence[float | None] | None = None,
 ) -> list[Reconstruction]:
     """The result of each observation.
 
@@ -48,6 +49,7 @@ def results(
         milliseconds: Wall time by stage.
         extra: Factors of the caller's own.
         only: Indices of the observations whose results are wanted; None for all.
+        facing: How probable the facing of each is where more than its directions tells; None where only they do.
     """
     graph, optimum = adjusted.graph, adjusted.optimum
     if not seen[0].problem.options.shape.joint:  # covariances count pose and shape together, whichever came last
@@ -73,9 +75,8 @@ def results(
             energies = part.energies(values, weights[i])
         history = history_of(start, adjusted, i, alone=alone) if keep else ()
         uncertainty = read_covariances(part, weights[i], values, marginals, shapes)
-        found.append(
-            _result(part, optimum, i, adjusted.alternatives[i], uncertainty, energies, history, structure, milliseconds)
-        )
+        others, told = adjusted.alternatives[i], None if facing is None else facing[i]
+        found.append(_result(part, optimum, i, others, told, uncertainty, energies, history, structure, milliseconds))
     return found
 
 
@@ -89,6 +90,7 @@ def _result(
     optimum: Optimum,
     index: int,
     alternatives: tuple[Alternative, ...],
+    told: float | None,
     uncertainty: Covariances | None,
     energies: dict[str, float],
     history: Sequence[Iteration],
@@ -105,7 +107,7 @@ def _result(
     vertices = surface.vertices(coefficients)
     centre = -camera_T_object[:3, :3].T @ camera_T_object[:3, 3]
     box_size = prior.box_size(coefficients, offsets)
-    facing = _facing(part, camera_T_object)
+    facing = _facing(part, camera_T_object) if told is None else told
     status, message = _status(camera_T_object, box_size, facing, alternatives, uncertainty, problem.options, optimum)
     sigma = np.sqrt(np.sqrt(np.linalg.det(keypoint_covariances(problem.observation, problem.options.keypoints))))
     with np.errstate(divide="ignore"):

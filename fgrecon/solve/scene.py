@@ -9,7 +9,8 @@ plane's fault, pitch above all, and the same for all of them; so that part of th
 G, and what is left is each vehicle's own. A vehicle on another road or a kerb is an outlier of its contact alone.
 Without a ground the vehicles' own poses say about where it is, and the prior is wide.
 
-Where the focal length is not known it is the variable F(0) of all keypoints and boxes (`fgrecon.solve.focal`).
+Where the focal length is not known it is the variable F(0) of all keypoints and boxes (`fgrecon.solve.focal`). Vehicles
+of which another detector has a 3D box have its factors as well (`fgrecon.solve.detected`).
 """
 
 from __future__ import annotations
@@ -28,16 +29,18 @@ from factors.contact import GroundFrame, contact_factor
 from factors.keys import F, G, X
 from factors.losses import Loss, RobustLoss
 from factors.noise import diagonal_noise
+from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
-from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.reconstruction import Alternative, Reconstruction, rotation_y
 from fgrecon.core.scene_reconstruction import SceneReconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as named_size_prior
 from fgrecon.io.catalogue import load_prior
+from fgrecon.solve.detected import DetectedVehicle, KnownBox
 from fgrecon.solve.focal import candidates, focal_prior, log_ratio, starts
 from fgrecon.solve.graph.adjust import Adjusted, SolvedStage, adjust
 from fgrecon.solve.graph.covariance import factorise
@@ -48,7 +51,9 @@ from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import history_of, results
 from fgrecon.solve.threads import single_threaded
-from fgrecon.solve.vehicle.model import VehicleModel, prepare
+from fgrecon.solve.time.heading import Belief
+from fgrecon.solve.time.turned import turned_alternative
+from fgrecon.solve.vehicle.model import prepare
 
 __all__ = ["reconstruct_scene"]
 
@@ -71,6 +76,8 @@ def reconstruct_scene(
     ground: Ground | float | None = None,
     size_prior: SizePrior | str | None = None,
     options: Options | None = None,
+    boxes: Sequence[Box3D | None] | None = None,
+    box_errors: BoxErrors | None = None,
 ) -> SceneReconstruction:
     """Recover pose and shape of all vehicles of an image, and the ground that they stand on.
 
@@ -83,6 +90,9 @@ def reconstruct_scene(
             vehicles say where it is.
         size_prior: Fleet (`kitti`, `apollo79`), or a size prior; None takes sizes from the shape prior.
         options: Settings; `joint` must be set.
+        boxes: What another detector says of each vehicle, None where it does not: factors on its pose, and a size in
+            the place of `size_prior`.
+        box_errors: How far these boxes are off; None for a monocular detector's.
 
     Returns:
         The scene. Vehicles that determine no pose are in `refused`. Where fewer than two were solved there is nothing
@@ -96,11 +106,11 @@ def reconstruct_scene(
     if not options.shape.joint:
         raise InvalidInputError("options.shape.joint", value=False, fix="Let pose and shape move: joint=True.")
     shape_prior, known, plane = load_prior(prior), Camera.of(camera), ground_plane(ground)
-    model = prepare(
-        shape_prior, None if size_prior is None else named_size_prior(size_prior), options.shape.basis_vectors
-    )
+    fleet = None if size_prior is None else named_size_prior(size_prior)
+    given = _known_boxes(boxes, box_errors, len(observations), known)
+    vehicles = list(zip(observations, given, strict=True))
     started = perf_counter()
-    tried = [_each_alone(observations, one, model, plane, options) for one in candidates(known)]
+    tried = [_each_alone(vehicles, one, shape_prior, fleet, plane, options) for one in candidates(known)]
     energies = _energies(tried, known)
     found = perf_counter()
     joint = [scene for i in starts(energies) if (scene := _together(tried[i], known, plane, options)) is not None]
@@ -133,11 +143,28 @@ class _Alone:
     problem: Problem
     start: PoseEstimate
     adjusted: Adjusted
+    known: KnownBox | None = None
+    belief: Belief | None = None
 
     @property
     def pose(self) -> Array:
         pose: Array = self.adjusted.optimum.state.poses[0].matrix()
         return pose
+
+    def own(self, vehicle: int = 0) -> list[gtsam.NonlinearFactor]:
+        """The factors of its box."""
+        return [] if self.known is None else self.known.factors(self.problem.camera, vehicle)
+
+    def facing(self, camera_T_object: Array) -> float | None:
+        """How probable a pose's facing is by its box and all else; None where only the directions tell."""
+        return None if self.belief is None else self.belief.facing(rotation_y(camera_T_object))
+
+    def alternatives(self, camera_T_object: Array) -> tuple[Alternative, ...]:
+        """Its other poses, where the scene brought it to a pose."""
+        facing = self.facing(camera_T_object)
+        if facing is None:
+            return self.adjusted.alternatives[0]
+        return turned_alternative(camera_T_object, self.adjusted.optimum.state.shapes[0][0], facing)
 
 
 @dataclass(frozen=True)
@@ -180,14 +207,44 @@ class _Told:
     alone: _Tried
 
 
+def _known_boxes(
+    boxes: Sequence[Box3D | None] | None, errors: BoxErrors | None, count: int, camera: Camera
+) -> list[KnownBox | None]:
+    """What is known of each of so many vehicles.
+
+    Raises:
+        InvalidInputError: Another number of boxes is given, or they are of an unknown camera.
+    """
+    if boxes is None:
+        return [None] * count
+    if len(boxes) != count:
+        raise InvalidInputError("boxes", f"{len(boxes)} for {count} vehicles", "Give a box, or None, for each.")
+    if camera.focal_sigma:
+        fix = "Give the focal length that the boxes were found with."
+        raise InvalidInputError("boxes", "given without a known focal length", fix)
+    off = BoxErrors() if errors is None else errors
+    return [None if box is None else KnownBox(box, off) for box in boxes]
+
+
 def _each_alone(
-    observations: Sequence[Observation], camera: Camera, model: VehicleModel, plane: Ground | None, options: Options
+    vehicles: Sequence[tuple[Observation, KnownBox | None]],
+    camera: Camera,
+    prior: ShapePrior,
+    fleet: SizePrior | None,
+    plane: Ground | None,
+    options: Options,
 ) -> _Tried:
     alone: dict[int, _Alone] = {}
     refused: dict[int, FgreconError] = {}
-    for number, given in enumerate(observations):
+    for number, (given, known) in enumerate(vehicles):
+        size = fleet if known is None or known.box.size is None else None
+        model = prepare(prior, size, options.shape.basis_vectors)
         try:
             observation = observe(given, camera, model.prior, options)
+            if known is not None:
+                found = DetectedVehicle.solve(known.problem(observation, camera, model, plane, options), known)
+                alone[number] = _Alone(found.problem, found.start, found.adjusted, known, found.belief)
+                continue
             problem = Problem.of(observation, camera, model, plane, options)
             start = adjust_pose(problem)
         except FgreconError as error:
@@ -212,7 +269,8 @@ def _energies(tried: Sequence[_Tried], known: Camera) -> list[float]:
 
 
 def _result(one: _Alone) -> Reconstruction:
-    return results([Seen(one.problem)], [one.start], one.adjusted, {})[0]
+    adjusted = replace(one.adjusted, alternatives=(one.alternatives(one.pose),))
+    return results([Seen(one.problem)], [one.start], adjusted, {}, one.own(), facing=[one.facing(one.pose)])[0]
 
 
 def _together(alone: _Tried, known: Camera, plane: Ground | None, options: Options) -> _Joint | None:
@@ -239,6 +297,7 @@ def _together(alone: _Tried, known: Camera, plane: Ground | None, options: Optio
         others.insert(F(0), np.zeros(1))
         priors.append(focal_prior(known, alone.camera))
     for number, one in solved.items():
+        priors += one.own(number)
         free = replace(one.problem, ground=None, energy=replace(one.problem.energy, ground=None))
         seen.append(Seen(free if on_ground else one.problem, vehicle=number))
     states = [one.adjusted.optimum.state for one in solved.values()]
@@ -259,17 +318,19 @@ def _together(alone: _Tried, known: Camera, plane: Ground | None, options: Optio
 def _told(best: _Joint, joint: Sequence[_Joint], known: Camera) -> _Told:
     """Results of the vehicles, the ground and the camera, with what is left open of both."""
     solved, optimum, values = best.alone.solved, best.optimum, best.optimum.values
+    poses = [pose.matrix() for pose in optimum.state.poses]
     adjusted = Adjusted(
         optimum,
         (SolvedStage("scene", best.graph, optimum.steps),),
-        tuple(one.adjusted.alternatives[0] for one in solved.values()),
+        tuple(one.alternatives(pose) for one, pose in zip(solved.values(), poses, strict=True)),
     )
     starts_ = [one.start for one in solved.values()]
     if best.graph.options.keep_history:  # what led to each vehicle's pose alone; the scene's steps follow
         starts_ = [
             replace(one.start, history=history_of(one.start, one.adjusted, 0, alone=True)) for one in solved.values()
         ]
-    each = dict(zip(solved, results(best.seen, starts_, adjusted, {}, best.extra), strict=True))
+    facing = [one.facing(pose) for one, pose in zip(solved.values(), poses, strict=True)]
+    each = dict(zip(solved, results(best.seen, starts_, adjusted, {}, best.extra, facing=facing), strict=True))
     for number, contact in best.contacts.items():
         energies = {**each[number].energies, "ground": float(contact.error(values))}
         each[number] = replace(each[number], energies=energies)
