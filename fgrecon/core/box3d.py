@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import MIN_DEPTH
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import yaw_rotation
 from fgrecon.core.settings import check_settings, number
 
-__all__ = ["Box3D", "BoxErrors"]
+__all__ = ["Box3D", "BoxErrors", "box_corners"]
 
 Array = NDArray[np.float64]
 
@@ -48,6 +49,29 @@ class Box3D:
             if (size <= 0).any():
                 raise InvalidInputError("box3d.size", size.tolist(), "Give length, width and height above zero.")
             object.__setattr__(self, "size", size)
+
+    @property
+    def corners(self) -> Array:
+        """(8, 3) corners in the camera frame, metres.
+
+        Raises:
+            InvalidInputError: The box has no size.
+        """
+        if self.size is None:
+            raise InvalidInputError("box3d.size", None, "Give length, width and height in metres.")
+        corners: Array = box_corners(self.size) @ yaw_rotation(self.rotation_y).T + self.location
+        return corners
+
+
+def box_corners(size: Array) -> Array:
+    """(8, 3) corners of a box of length, width and height standing on the origin; linear in the size.
+
+    Rear before front, bottom before top, right before left, the last changing fastest.
+    """
+    length, width, height = size
+    return np.array(
+        [[x * length / 2, -y * height, z * width / 2] for x in (-1, 1) for y in (0, 1) for z in (-1, 1)], dtype=float
+    )
 
 
 @dataclass(frozen=True)

@@ -151,6 +151,7 @@ class Reconstruction:
         graph_gain: Nats that they took off its energy; NaN where the strategy defines none.
         facing_probability: How probably the vehicle faces where the pose says, within a quarter turn, by the detector's
             directions, calibrated on real cars; NaN without directions.
+        size_covariance: (3, 3) covariance of `box_size`, or None where it is not determined.
     """
 
     status: Status
@@ -183,6 +184,7 @@ class Reconstruction:
     graph_iterations: int = 0
     graph_gain: float = float("nan")
     facing_probability: float = float("nan")
+    size_covariance: NDArray[np.float64] | None = None
 
     @property
     def pose(self) -> gtsam.Pose3:
@@ -291,7 +293,12 @@ class Reconstruction:
         if data.get("format") not in (FORMAT, COMPACT):
             raise InvalidInputError("format", data.get("format"), f"Give a result written as {COMPACT} or {FORMAT}.")
         absent = _LARGE if data["format"] == COMPACT else {}
-        later = ("graph_iterations", "graph_gain", "facing_probability")  # earlier files have them not
+        later = (
+            "graph_iterations",
+            "graph_gain",
+            "facing_probability",
+            "size_covariance",
+        )  # earlier files have them not
         names = [f.name for f in fields(cls) if f.name in data or f.name not in (*later, *absent)]
         missing = [name for name in names if name not in data]
         if missing:

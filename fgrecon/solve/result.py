@@ -143,6 +143,7 @@ def _result(
         graph_iterations=optimum.iterations,
         graph_gain=optimum.gain,
         facing_probability=facing,
+        size_covariance=None if uncertainty is None else uncertainty.size,
     )
 
 

@@ -24,7 +24,7 @@ def test_jacobians():
     rng = np.random.default_rng(0)
     for _ in range(6):
         pose = random_pose(rng)
-        pose = gtsam.Pose3(pose.rotation(), np.abs(pose.translation()) + [0.0, 0.0, 4.0])
+        pose = gtsam.Pose3(pose.rotation(), np.abs(pose.translation()) + np.array([0.0, 0.0, 4.0]))
         assert_jacobian(detected_origin_factor(X(), [1.0, 1.5, 20.0], NOISE), values_of(pose))
         assert_jacobian(detected_yaw_factor(X(), rng.uniform(-3, 3), 0.2), values_of(pose))
 

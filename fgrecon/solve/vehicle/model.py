@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.box3d import box_corners
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import BoxModel
 from fgrecon.core.shape_prior import ShapePrior
@@ -15,7 +16,7 @@ from fgrecon.core.size_prior import SizePrior
 from fgrecon.solve.vehicle.conditioning import given_size, is_one_vehicle
 from fgrecon.solve.vehicle.visibility import VisibilityTable
 
-__all__ = ["LinearPoints", "VehicleModel", "box_corners", "prepare", "sized"]
+__all__ = ["LinearPoints", "VehicleModel", "prepare", "sized"]
 
 Array = NDArray[np.float64]
 
@@ -122,17 +123,6 @@ def _model(prior: ShapePrior, size: SizePrior | None, visibility: VisibilityTabl
     corners = LinearPoints(box_corners(mean), np.array([box_corners(column) for column in basis.T]).reshape(-1, 8, 3))
     outline = corners if prior.surface is None else _outline(prior)
     return VehicleModel(prior, size, visibility, outline, corners, mean, basis)
-
-
-def box_corners(size: Array) -> Array:
-    """(8, 3) corners of a box of length, width and height standing on the origin; linear in the size.
-
-    Rear before front, bottom before top, right before left, the last changing fastest.
-    """
-    length, width, height = size
-    return np.array(
-        [[x * length / 2, -y * height, z * width / 2] for x in (-1, 1) for y in (0, 1) for z in (-1, 1)], dtype=float
-    )
 
 
 def _outline(prior: ShapePrior) -> LinearPoints:
