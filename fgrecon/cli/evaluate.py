@@ -12,6 +12,7 @@ from fgrecon.cli.common import check_outputs
 from fgrecon.cli.deliver import Delivery
 from fgrecon.cli.evaluate_boxes import boxes_command
 from fgrecon.cli.evaluate_kitti import kitti_command
+from fgrecon.cli.evaluate_refine import refine_evaluation_command
 from fgrecon.cli.evaluate_video import video_command
 from fgrecon.cli.options import JsonOption, LabelledScene, MarkdownOption, fitting_names
 from fgrecon.cli.progress import counting
@@ -128,3 +129,4 @@ add_command(app, "tracks", tracks_command)
 add_command(app, "kitti", kitti_command)
 add_command(app, "video", video_command)
 add_command(app, "boxes", boxes_command)
+add_command(app, "refine", refine_evaluation_command)
