@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.box3d import Box3D, BoxErrors
-from fgrecon.core.camera import Camera, Ground
-from fgrecon.core.metrics import orientation_error, wrap_angle
+from fgrecon.core.camera import Ground
+from fgrecon.core.metrics import orientation_error
 from fgrecon.core.options import Options
 from fgrecon.core.refined_box import RefinedBox
 from fgrecon.core.shape_prior import ShapePrior
@@ -30,8 +30,9 @@ from fgrecon.io.kitti_drives import Drive, DriveFrame
 from fgrecon.io.kitti_files import Objects
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.refine import refine_boxes
+from fgrecon.simulation.detected_boxes import disturbed_boxes
 
-__all__ = ["BoxError", "Comparison", "RefinedVehicle", "Refinement", "compare", "disturbed", "document", "refine_drive"]
+__all__ = ["BoxError", "Comparison", "RefinedVehicle", "Refinement", "compare", "document", "refine_drive"]
 
 Array = NDArray[np.float64]
 
@@ -146,32 +147,6 @@ class Refinement:
     size_prior: SizePrior | None = None
 
 
-def disturbed(labels: Objects, camera: Camera, offset: Array, errors: BoxErrors, rng: np.random.Generator) -> Objects:
-    """Labels as a detector would give them that errs so.
-
-    Args:
-        labels: The labels.
-        camera: The camera.
-        offset: (3,) where the labels' frame lies from the camera's.
-        errors: How far boxes are off.
-        rng: Source of the errors.
-    """
-    count = len(labels)
-    place = labels.location + offset
-    rays = place / place[:, 2:]
-    rays[:, :2] += errors.bearing * rng.standard_normal((count, 2)) / camera.matrix.diagonal()[:2]
-    # A draw beyond three standard deviations would put a box behind the camera, where errors are large.
-    share = 1.0 + errors.depth * np.clip(rng.standard_normal(count), -3.0, 3.0)
-    turn = errors.yaw * rng.standard_normal(count) + np.pi * (rng.random(count) < errors.turned)
-    size = 1.0 + errors.size * np.clip(rng.standard_normal((count, 3)), -3.0, 3.0)
-    return replace(
-        labels,
-        location=rays * (place[:, 2] * share)[:, None] - offset,
-        rotation_y=wrap_angle(labels.rotation_y + turn),
-        size=labels.size * size,
-    )
-
-
 def refine_drive(
     drive: Drive,
     boxes: Mapping[int, Objects] | np.random.Generator,
@@ -190,18 +165,19 @@ def refine_drive(
         advance: Called with the drive's name after each image.
     """
     scored: list[RefinedVehicle] = []
-    given = None if isinstance(boxes, np.random.Generator) else boxes
-    frames = [f for f in drive.frames if len(wanted(f)) > 0 and (given is None or f.number in given)]
+    frames = [f for f in drive.frames if len(wanted(f)) > 0]
+    if not isinstance(boxes, np.random.Generator):
+        frames = [frame for frame in frames if frame.number in boxes]
     for frame in frames[::every]:
-        labels = frame.objects.take(wanted(frame))
+        labels, calibration = frame.objects.take(wanted(frame)), frame.calibration
         if isinstance(boxes, np.random.Generator):
-            calibration = frame.calibration
-            own = disturbed(labels, calibration.camera, calibration.label_offset, how.errors, boxes)
-            at = np.arange(len(labels))
+            own, at = labels, np.arange(len(labels))
+            true = _boxes(labels, calibration.label_offset)
+            given = disturbed_boxes(true, calibration.camera, how.errors, boxes)
         else:
             own = boxes[frame.number]
-            at = match_detections(labels, own, _OVERLAP)
-        scored += _refine_frame(drive.name, frame, own, at, how)
+            at, given = match_detections(labels, own, _OVERLAP), _boxes(own, calibration.label_offset)
+        scored += _refine_frame(drive.name, frame, given, own.box, at, how)
         advance(drive.name)
     return scored
 
@@ -228,17 +204,23 @@ def document(vehicles: Sequence[RefinedVehicle], given: Mapping[str, Any]) -> di
     }
 
 
+def _boxes(objects: Objects, offset: Array) -> list[Box3D]:
+    """3D boxes in the camera's frame."""
+    each = zip(objects.location, objects.rotation_y.tolist(), objects.size, strict=True)
+    return [Box3D(location + offset, yaw, size) for location, yaw, size in each]
+
+
 def _refine_frame(
-    name: str, frame: DriveFrame, boxes: Objects, at: NDArray[np.intp], how: Refinement
+    name: str, frame: DriveFrame, boxes: Sequence[Box3D], corners: Array, at: NDArray[np.int64], how: Refinement
 ) -> list[RefinedVehicle]:
     offset, labels, rows = frame.calibration.label_offset, frame.objects, wanted(frame)
     image = read_image(frame.image)
     camera = replace(frame.calibration.camera, image_size=(image.shape[1], image.shape[0]))
     found = refine_boxes(
         image,
-        [Box3D(boxes.location[j] + offset, float(boxes.rotation_y[j]), boxes.size[j]) for j in range(len(boxes))],
+        boxes,
         camera,
-        corners=boxes.box,
+        corners=corners,
         box_errors=how.errors,
         keypoint_detector=how.detector,
         prior=how.prior,
