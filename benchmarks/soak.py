@@ -24,7 +24,7 @@ from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.io.catalogue import load_prior
 from fgrecon.simulation.vehicles import yaw_pose
 
-_GOOD = (Status.CONVERGED, Status.AMBIGUOUS)
+_GOOD = (Status.CONVERGED, Status.WEAK, Status.AMBIGUOUS)
 _SIZES = (0.3, 30.0)  # metres: what a car can measure
 _SLOW = 5.0  # seconds for one car, or for a car of a scene or an image of a track
 _AGAIN = 20  # every so many-th problem is solved twice

@@ -60,6 +60,7 @@ if TYPE_CHECKING:  # imported when used
     from factors.planes import fit_plane, make_plane
     from factors.rectangularity import rectangularity_factor
     from factors.reprojection import reprojection_factor, reprojection_factors, stacked_reprojection_factor
+    from factors.road import road_factor
     from factors.shape import LinearShape
     from factors.shape_prior import coefficients_prior, offsets_prior
     from factors.symmetry import symmetry_factor
@@ -123,6 +124,7 @@ __all__ = [
     "rectangularity_factor",
     "reprojection_factor",
     "reprojection_factors",
+    "road_factor",
     "stacked_reprojection_factor",
     "symmetry_factor",
     "upright_factor",

@@ -87,7 +87,7 @@ def test_car_from_image(capsys):
 
 def test_own_network(capsys):
     output = run("07", capsys)
-    assert output.startswith("Reconstruction: converged")
+    assert output.startswith("Reconstruction: weak. Keypoints of weight")  # it finds a few alone
     yaw, true_yaw = map(float, re.findall(f"rotation_y {NUMBER} degrees", output))
     assert abs(yaw - true_yaw) < 5.0
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.fuzz.reader import Reader
+from benchmarks.fuzz.stored_readers import STORED
 from fgrecon.io.annotations.reader import load_annotations
 from fgrecon.io.boxes import read_boxes
 from fgrecon.io.cameras import read_camera
@@ -25,7 +26,7 @@ from fgrecon.io.kitti_files import read_detections, read_image_set, read_labels
 from fgrecon.io.track_file import read_track
 from fgrecon.perception.keypoints.weights import load_weights
 
-__all__ = ["READERS", "Reader"]
+__all__ = ["READERS"]
 
 _DATA = Path(__file__).parents[2] / "fgrecon" / "data"
 _CAR = load_category("car14")
@@ -48,19 +49,6 @@ distortion_coefficients: !!opencv-matrix
    dt: d
    data: [0.1, 0., 0., 0., 0.]
 """
-
-
-@dataclass(frozen=True)
-class Reader:
-    """A reader and what it reads.
-
-    Attributes:
-        read: Reads a file.
-        seeds: Valid files: content by name.
-    """
-
-    read: Callable[[Path], Any]
-    seeds: Callable[[], Mapping[str, bytes]]
 
 
 def _plain(name: str, content: Any) -> Callable[[], Mapping[str, bytes]]:
@@ -165,5 +153,6 @@ READERS: Mapping[str, Reader] = {
     "image set": Reader(read_image_set, _text("val.txt", "000000\n000001\n")),
     "picture": Reader(_picture, _pictures),
     "weights": Reader(load_weights, _weights),
+    **STORED,
 }
 """Every reader by its name."""

@@ -76,7 +76,7 @@ def fit_unboxed(views: Sequence[tuple[Observation, Camera]], prior: ShapePrior, 
     turned = _turned([result.camera_T_object for result in track.frames])
     found: list[Fit | Reason] = [Reason.FEW_POINTS] * len(views)
     for number, result, wrong in zip(track.numbers, track.frames, turned, strict=True):
-        if result.status is not Status.CONVERGED or result.pose_covariance is None:
+        if result.status not in (Status.CONVERGED, Status.WEAK) or result.pose_covariance is None:
             found[number] = Reason.UNSURE
         elif wrong:
             found[number] = Reason.TURNED

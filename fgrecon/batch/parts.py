@@ -91,7 +91,7 @@ class Parts:
         """Write what has been added."""
         if self._tables:
             with replacing(self._folder / f"part-{self._next:06d}.parquet") as part:
-                pq.write_table(pa.concat_tables(self._tables), part, compression="zstd")
+                pq.write_table(pa.concat_tables(self._tables), part, compression="zstd", write_page_checksum=True)
             self._next += 1
             self._tables = []
         self._written = monotonic()
@@ -104,8 +104,10 @@ def _row_ids(path: Path) -> list[str]:
         InvalidInputError: It is damaged, or none of ours.
     """
     try:
-        ids: list[str] = pq.read_table(path).column("row_id").to_pylist()
-    except (pa.ArrowException, OSError, KeyError) as error:
+        table = pq.read_table(path, page_checksum_verification=True)
+        table.validate(full=True)
+        ids: list[str] = table.column("row_id").to_pylist()
+    except (pa.ArrowException, OSError, KeyError, ValueError) as error:  # ValueError: names that are no text
         raise InvalidInputError(str(path), str(error), MADE_AGAIN) from error
     return ids
 

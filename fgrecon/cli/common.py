@@ -64,7 +64,13 @@ def parse_numbers(field: str, text: str, wanted: str, counts: tuple[int, ...]) -
 
 
 def chosen_boxes(
-    path: Path, image: NDArray[Any], box: Sequence[str] | None, boxes: Path | None, *, detect: bool
+    path: Path,
+    image: NDArray[Any],
+    box: Sequence[str] | None,
+    boxes: Path | None,
+    *,
+    detect: bool,
+    least_score: float | None = None,
 ) -> list[NamedBox]:
     """The cars of an image by --box, --boxes or --detect.
 
@@ -74,6 +80,7 @@ def chosen_boxes(
         box: Boxes as `x1,y1,x2,y2`.
         boxes: File of boxes, or None.
         detect: Whether the image is searched.
+        least_score: Boxes of a lower score are left out; None for what suits their source.
 
     Raises:
         InvalidInputError: Not exactly one of these is given, a box is none, or there is no car.
@@ -82,7 +89,8 @@ def chosen_boxes(
 
     wanted = "x1,y1,x2,y2: four numbers in pixels"
     given = [parse_numbers("box", text, wanted, (4,)) for text in box or ()]
-    return boxes_of(path, given, boxes, image if detect else None, (image.shape[1], image.shape[0]))
+    search = image if detect else None
+    return boxes_of(path, given, boxes, search, (image.shape[1], image.shape[0]), least_score)
 
 
 def check_output(path: Path | None) -> None:

@@ -44,7 +44,7 @@ class Delivery(Viewer):
         Path | None,
         typer.Option(
             metavar="FILE.rrd",
-            help="Record for the rerun viewer; several: FILE-ID.rrd each.",
+            help="Record for the rerun viewer; several recordings: FILE-NAME.rrd each.",
             rich_help_panel=_PANEL,
         ),
     ] = None

@@ -15,6 +15,8 @@ from fgrecon.cli.terminal import Verbosity
 
 __all__ = ["demo_command"]
 
+_DPI = 300  # of the street's picture, for a page on a screen
+
 
 def demo_command(
     viewer: Viewer,
@@ -29,6 +31,7 @@ def demo_command(
     """Render a car, perturb and hide its keypoints, reconstruct it, and compare with the truth.
 
     Writes picture.png, recording.rrd for the rerun viewer and result.json, and what went in: image.png, keypoints.json.
+    And scene.jpg: the cars of a street at the start and at the end, with the scene from above.
     --verbose tells energies and times.
     """
     from fgrecon.cli import demo_report as report
@@ -60,6 +63,7 @@ def demo_command(
     write_text(out / "keypoints.json", json.dumps(report.keypoint_file(scene, prior.category), indent=1) + "\n")
     write_text(out / "result.json", document)
     save_picture(out / "picture.png", picture(result, seen, camera, image=image, truth=truth))
+    save_picture(out / "scene.jpg", report.street_picture(prior, seed), dpi=_DPI)
     recording = recording_of(result, seen, camera, image=image, truth=truth, ground=scene.ground)
     deliver([("demo", recording)], out / "recording.rrd", viewer.connect, spawn=viewer.spawn, several=False)
     if animation is not None:
@@ -77,6 +81,6 @@ def demo_command(
         f"Play it back with: fgrecon replay {out / 'recording.rrd'}",
         f"Do it again with: fgrecon reconstruct {again}",
     )
-    names = ("image.png", "keypoints.json", "result.json", "picture.png", "recording.rrd")
+    names = ("image.png", "keypoints.json", "result.json", "picture.png", "scene.jpg", "recording.rrd")
     screen.wrote(*(out / name for name in names), *([] if animation is None else [animation]))
     screen.write_json(document)

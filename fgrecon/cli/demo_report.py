@@ -14,11 +14,24 @@ from rich.table import Table
 from fgrecon.core.category import Category
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Reconstruction, rotation_y
+from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.simulation.demo import DemoScene
-from fgrecon.viz import Truth
+from fgrecon.simulation.sample import GROUND, sample_street
+from fgrecon.solve.pipeline import reconstruct
+from fgrecon.viz import Shown, Truth, scene_picture
 from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR
 
-__all__ = ["FORMAT", "Stage", "document", "keypoint_file", "plain_observation", "stages", "table", "true_values"]
+__all__ = [
+    "FORMAT",
+    "Stage",
+    "document",
+    "keypoint_file",
+    "plain_observation",
+    "stages",
+    "street_picture",
+    "table",
+    "true_values",
+]
 
 FORMAT = "fgrecon.demo/1"
 
@@ -125,6 +138,20 @@ def document(
 
 def _plain_pose(pose: NDArray[np.float64]) -> dict[str, Any]:
     return {"camera_T_object": pose.tolist(), "rotation_y": rotation_y(pose), "location": pose[:3, 3].tolist()}
+
+
+def street_picture(prior: ShapePrior, seed: int) -> Any:
+    """The picture of a simulated street: each car's start and result over the image and from above, with the truth."""
+    street = sample_street(prior, seed)
+    shown = []
+    for number, car in enumerate(street.cars, start=1):
+        seen, vehicle = car.observation, car.truth.vehicle
+        truth = Truth(car.truth.camera_T_object, _size(vehicle.category, vehicle.keypoints), vehicle.keypoints)
+        result = reconstruct(
+            seen.keypoints, street.camera, confidence=seen.confidence, box=seen.box, prior=prior, ground=GROUND
+        )
+        shown.append(Shown(number, car.truth.box, result, truth=truth))
+    return scene_picture(street.image, shown, street.camera, ground=GROUND, before=True, beside=True)
 
 
 def keypoint_file(scene: DemoScene, category: Category) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fgrecon.cli.common import check_outputs
-from fgrecon.cli.options import JsonOption, LabelledScene, TogetherOption, WeightsOption, fitting_names
+from fgrecon.cli.options import JsonOption, LabelledScene, MarkdownOption, TogetherOption, WeightsOption, fitting_names
 from fgrecon.cli.progress import counting
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.choices import BoxModel
@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
     from fgrecon.io.kitti_drives import Drive
     from fgrecon.viz import Sight
 
-__all__ = ["read_folds", "video_command"]
+__all__ = ["drive_setups", "read_folds", "video_command"]
 
 _WORST = 20
 _RIVAL = "sqpnp_confident"
@@ -71,7 +71,8 @@ def video_command(
         bool,
         typer.Option(
             "--track",
-            help="Follow the vehicles by their labelled ids as well: online, and in batch (`fgrecon.Tracker`).",
+            help="Follow the vehicles by their labelled ids as well: online, and in batch (`fgrecon.Tracker`); "
+            "score velocities, and covariances against errors.",
         ),
     ] = False,
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
@@ -87,6 +88,7 @@ def video_command(
             metavar="FOLDER", help="Write the boxes as KITTI's results, DRIVE/FRAME.txt, for `evaluate boxes`."
         ),
     ] = None,
+    markdown: MarkdownOption = None,
     json_out: JsonOption = None,
 ) -> None:
     """Find keypoints in every image of labelled drives, reconstruct cars and vans from their labelled boxes, and score.
@@ -101,13 +103,14 @@ def video_command(
     from fgrecon.core.errors import InvalidInputError
     from fgrecon.core.options import Options
     from fgrecon.evaluation.video_images import score_drives, wanted
+    from fgrecon.evaluation.video_markdown import markdown as side_by_side
     from fgrecon.evaluation.video_summary import document, facing_reliability, methods_of
     from fgrecon.evaluation.video_tracks import follow_boxes
     from fgrecon.io.export.files import TABLE_FORMATS, export_rows
     from fgrecon.io.files import check_ending
     from fgrecon.io.kitti_drives import read_drive
 
-    check_outputs(json_out, picture, table)
+    check_outputs(json_out, picture, table, markdown)
     if table is not None:
         check_ending(table, TABLE_FORMATS)
     screen = terminal.screen(json_out)
@@ -118,7 +121,7 @@ def video_command(
         fix = "Give drives with labelled cars or vans of at least 25 pixels."
         raise InvalidInputError("drives", ", ".join(drive.name for drive in drives), fix)
     scene, (_, origin) = labelled.scene(), labelled.plane()
-    setups = _setups(files, scene, Options(box=box_model), together=together)
+    setups = drive_setups(files, scene, Options(box=box_model), together=together)
     with screen.bar() as advance:
         boxes = score_drives(
             drives,
@@ -134,6 +137,8 @@ def video_command(
     screen.print(f"{len(drives)} drives, {frames} images, {len(boxes)} boxes; {origin}.")
     for method in methods_of(boxes):
         screen.print(_table(boxes, method))
+    if track:
+        screen.print(_consistency_table(boxes))
     screen.print(_in_words(facing_reliability(boxes)))
     for box in boxes:
         for method, found in box.outcomes.items():
@@ -155,6 +160,7 @@ def video_command(
         screen.wrote(*_write_results(results, boxes))
     if table is not None:
         screen.wrote(export_rows(table, [row for box in boxes for row in box.rows()]))
+    screen.write_text(markdown, side_by_side(boxes))
     if picture is not None and (sights := _sights(boxes, drives, setups)):
         from fgrecon.viz import contact_sheet, save_picture
 
@@ -208,7 +214,9 @@ def read_folds(folds: Sequence[str], drives: Sequence[str], weights: Path | None
     return {name: found.get(name, weights) for name in drives}
 
 
-def _setups(files: dict[str, Path | None], scene: SceneKnowledge, options: Any, *, together: bool) -> dict[str, Setup]:
+def drive_setups(
+    files: dict[str, Path | None], scene: SceneKnowledge, options: Any, *, together: bool
+) -> dict[str, Setup]:
     """What each drive is reconstructed with, by its name; each network is loaded once."""
     from fgrecon.evaluation.kitti_images import Setup
     from fgrecon.perception.keypoints.detect import KeypointCascade
@@ -281,6 +289,37 @@ def _table(boxes: list[VideoBox], method: str) -> Table:
                 str(score.refused),
             )
         table.add_section()
+    return table
+
+
+def _consistency_table(boxes: list[VideoBox]) -> Table:
+    """How sure the methods are that have covariances, against how far they are off."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    from fgrecon.evaluation.video_images import DIMENSIONS
+    from fgrecon.evaluation.video_summary import methods_of, summarise_boxes
+
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("squared errors by covariance", no_wrap=True)
+    for name in DIMENSIONS:
+        for heading in (f"{name} mean", "median", "in 95 %"):
+            table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("velocity m/s", justify="right", no_wrap=True)
+    for method in methods_of(boxes):
+        score = summarise_boxes(boxes, method)
+        if not score.consistency:
+            continue
+        cells = []
+        for name in DIMENSIONS:
+            one = score.consistency.get(name)
+            cells += ["-"] * 3 if one is None else [f"{one.mean:.2f}", f"{one.median:.2f}", f"{one.inside:.1f}"]
+        table.add_row(method, *cells, _number(score.median_velocity, 1.0, ".2f"))
+    sure = summarise_boxes(boxes, methods_of(boxes)[0]).consistency
+    bounds = [(one.low, one.high) for one in sure.values()]
+    if bounds:
+        cells = [text for low, high in bounds for text in (f"{low:.2f}-{high:.2f}", "1.00", "95.0")]
+        table.add_row("right covariances", *cells)
     return table
 
 

@@ -96,7 +96,7 @@ def batch_command(
     screen.print(table, f"{tally.done} of {tally.total} rows are done, {tally.before} of them before.")
     screen.detail(*(f"{count} x {error}" for error, count in tally.errors.most_common()))
     screen.wrote(out)
-    solved = {"converged", "ambiguous", "degenerate"}
+    solved = {"converged", "weak", "ambiguous", "degenerate"}
     if tally.statuses and not solved & set(tally.statuses):
         screen.fail("No vehicle could be reconstructed.")
         raise typer.Exit(1)

@@ -5,7 +5,7 @@ See `fgrecon.cli.commands` for how a group becomes options.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -169,6 +169,9 @@ class SceneOptions:
         ),
     ] = None
     strategy: Annotated[StrategyName, typer.Option(help="Robust strategy.")] = StrategyName.MIXTURE
+    min_confidence: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Keypoints of less confidence count as not measured.")
+    ] = 0.0
 
     def settings(self, options: Options) -> Settings:
         """What holds for every vehicle of a run.
@@ -178,7 +181,8 @@ class SceneOptions:
         """
         from fgrecon.cli.batch import Settings
 
-        return Settings.of(self.prior, self.ground, self.camera_height, self.size_prior, options)
+        told = replace(options, keypoints=replace(options.keypoints, least_confidence=self.min_confidence))
+        return Settings.of(self.prior, self.ground, self.camera_height, self.size_prior, told)
 
 
 @dataclass(frozen=True)
@@ -241,6 +245,15 @@ class VehicleBoxes:
     detect: Annotated[bool, typer.Option("--detect", help="Find the cars in the image with the shipped detector.")] = (
         False
     )
+    min_score: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            max=1.0,
+            help="Boxes of a lower score are left out.",
+            show_default="0.5 in files, the detector's own otherwise",
+        ),
+    ] = None
     weights: WeightsOption = None
 
     def choose(self, path: Path, image: NDArray[Any]) -> list[NamedBox]:
@@ -253,7 +266,7 @@ class VehicleBoxes:
         Raises:
             InvalidInputError: Not exactly one of the ways is given, a box is none, or there is no car.
         """
-        return chosen_boxes(path, image, self.box, self.boxes, detect=self.detect)
+        return chosen_boxes(path, image, self.box, self.boxes, detect=self.detect, least_score=self.min_score)
 
     def refuse(self) -> None:
         """Refuse what means nothing for a keypoint file.
@@ -263,7 +276,8 @@ class VehicleBoxes:
         """
         from fgrecon.core.errors import InvalidInputError
 
-        given = (("box", self.box), ("boxes", self.boxes), ("weights", self.weights), ("detect", self.detect))
+        names = ("box", "boxes", "weights", "detect", "min_score")
+        given = [(name, getattr(self, name)) for name in names]
         for field, value in given:
             if value:
                 raise InvalidInputError(field, str(value), "Give an image instead of keypoints, or leave this out.")

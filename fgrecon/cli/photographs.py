@@ -155,7 +155,8 @@ def _reconstruct(one: Photograph, how: How, screen: Screen) -> list[Outcome]:
         write_text(_ending(one, ".json"), show.document(one.image, outcomes, settings, plain, history=how.history))
     )
     if how.pictures:
-        screen.wrote(*show.draw(_ending(one, ".png"), outcomes, pixels))
+        grounds = {task.instance.image: settings.ground for task in tasks} | {s.image: s.result.ground for s in scenes}
+        screen.wrote(*show.draw(_ending(one, ".png"), outcomes, pixels, grounds, sheet=False))
     if not batch.check_any(one.image, outcomes):
         first = next(outcome for outcome in outcomes)
         raise first.error or InvalidInputError("image", str(one.image), "Solving failed on every vehicle.")

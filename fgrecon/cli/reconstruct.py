@@ -24,7 +24,7 @@ from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
@@ -32,6 +32,7 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
     from fgrecon.cli.batch import Outcome
     from fgrecon.cli.terminal import Screen
     from fgrecon.cli.together import Scene
+    from fgrecon.core.camera import Ground
 
 __all__ = ["reconstruct_command"]
 
@@ -60,8 +61,12 @@ class Drawings:
         Path | None, typer.Option(metavar="FILE", help="The photograph: to draw on, and for its size.")
     ] = None
     picture: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Draw the result (png, svg, pdf, jpg); several: a sheet.")
+        Path | None, typer.Option(metavar="FILE", help="Draw the image and the scene from above (png, svg, pdf, jpg).")
     ] = None
+    sheet: Annotated[
+        bool,
+        typer.Option("--sheet", help="Let --picture have a part of the image for each; of one vehicle the stages."),
+    ] = False
     animation: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Animate the optimisation of a single vehicle (gif, mp4).")
     ] = None
@@ -75,7 +80,7 @@ class Drawings:
         """Refuse before the work what could not be drawn after it.
 
         Raises:
-            InvalidInputError: A name's ending means no format.
+            InvalidInputError: A name's ending means no format, or a sheet is asked for but no picture.
         """
         from fgrecon.viz.animation import check_format
         from fgrecon.viz.picture import FORMATS
@@ -84,9 +89,23 @@ class Drawings:
             raise InvalidInputError("picture", str(self.picture), f"Let the name end in one of {', '.join(FORMATS)}.")
         if self.animation is not None:
             check_format(self.animation)
+        if self.sheet and self.picture is None:
+            raise InvalidInputError("sheet", "without --picture", "Say with --picture where it is to be written.")
 
-    def draw(self, outcomes: Sequence[Outcome], photograph: NDArray[np.uint8] | None, screen: Screen) -> None:
+    def draw(
+        self,
+        outcomes: Sequence[Outcome],
+        photograph: NDArray[np.uint8] | None,
+        grounds: Mapping[str | None, Ground | None],
+        screen: Screen,
+    ) -> None:
         """Draw the results, and say which files were written.
+
+        Args:
+            outcomes: One per vehicle.
+            photograph: (H, W, 3), or None.
+            grounds: The ground of each image, by its name.
+            screen: Where it is said.
 
         Raises:
             InvalidInputError: Several are to be animated.
@@ -94,7 +113,7 @@ class Drawings:
         from fgrecon.cli import show
 
         if self.picture is not None:
-            screen.wrote(*show.draw(self.picture, outcomes, photograph))
+            screen.wrote(*show.draw(self.picture, outcomes, photograph, grounds, sheet=self.sheet))
         if self.animation is not None:
             screen.wrote(*show.draw_moving(self.animation, outcomes, photograph))
 
@@ -203,10 +222,11 @@ def reconstruct_command(
     if ignored:
         screen.print(f"Fields of the file without a meaning here: {', '.join(ignored)}.")
     screen.write_json(show.document(file, outcomes, settings, [scene.plain() for scene in scenes], history=history))
-    drawings.draw(outcomes, photograph, screen)
+    grounds = {task.instance.image: settings.ground for task in tasks} | {s.image: s.result.ground for s in scenes}
+    drawings.draw(outcomes, photograph, grounds, screen)
     if delivery.wanted:
-        recordings = show.recordings(outcomes, photograph, settings.ground)
-        delivery.deliver(recordings, screen, several=len(outcomes) > 1)
+        recordings = show.recordings(outcomes, photograph, grounds)
+        delivery.deliver(recordings, screen, several=len(grounds) > 1 or len(recordings) > 1)
     if not batch.check_any(file, outcomes):
         screen.fail("No vehicle could be reconstructed.")
         raise typer.Exit(1)

@@ -81,6 +81,11 @@ def _become(command: list[str]) -> None:
 
 
 def _print(content: Replay, screen: Screen) -> None:
+    for name, vehicle in content.vehicles.items():
+        screen.print(f"{name}:")
+        _print(vehicle, screen)
+    if content.vehicles:
+        screen.print(f"All {len(content.vehicles)} vehicles:")
     screen.print(_table(content))
     if len(content.frames) > 1:
         screen.print(f"{len(content.frames)} frames, {min(content.frames)} to {max(content.frames)}.")
@@ -105,9 +110,13 @@ def _table(content: Replay) -> Table:
 
 def _document(recording: Path, content: Replay) -> dict[str, Any]:
     """The summary as plain values; energies that are not finite become strings."""
+    vehicles = {name: _content(vehicle) for name, vehicle in content.vehicles.items()}
+    document = {"format": "fgrecon.replay/1", "recording": str(recording), **_content(content)}
+    return document | ({"vehicles": vehicles} if vehicles else {})
+
+
+def _content(content: Replay) -> dict[str, Any]:
     return {
-        "format": "fgrecon.replay/1",
-        "recording": str(recording),
         "stages": [_plain(asdict(stage)) for stage in content.summary()],
         "frames": {str(number): len(steps) for number, steps in content.frames.items()},
         "log": [asdict(line) for line in content.log],

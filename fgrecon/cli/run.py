@@ -9,7 +9,7 @@ import typer
 
 from fgrecon.cli.common import check_outputs
 from fgrecon.cli.deliver import Delivery
-from fgrecon.cli.options import CameraOptions, JsonOption, SceneOptions, WeightsOption
+from fgrecon.cli.options import CameraOptions, JsonOption, SceneOptions, TogetherOption, WeightsOption
 from fgrecon.cli.run_options import FrameOptions, MotionOptions
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.choices import BoxModel
@@ -50,6 +50,7 @@ def run_command(
     alone: Annotated[bool, typer.Option("--alone", help="Take every image on its own: no motion, no smoothing.")] = (
         False
     ),
+    together: TogetherOption = True,
     video: Annotated[
         Path | None, typer.Option(metavar="FILE.mp4", help="Write the video with what was found drawn into it (H.264).")
     ] = None,
@@ -83,6 +84,7 @@ def run_command(
             weights=weights,
             online=online,
             alone=alone,
+            together=together,
             video=video,
         ),
         screen,

@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from fgrecon.cli.progress import Advance
 from fgrecon.core.camera import Camera
-from fgrecon.core.geometry import transform, view_azimuth
+from fgrecon.core.geometry import transform
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.frames import FrameSource
 from fgrecon.io.video import write_video
 from fgrecon.video.follow import TrackedFrame
 from fgrecon.video.rows import motion_of
 from fgrecon.viz.overlay import Shown, annotated
+from fgrecon.viz.overview import state_in_words
 from fgrecon.viz.video_recording import ShownFrame
 
 __all__ = ["Showing", "film", "recorded"]
@@ -121,9 +122,7 @@ def _state(estimate: VehicleEstimate | None) -> str:
     """Status, and whether the camera is ahead of the vehicle or behind it."""
     if estimate is None:
         return "refused"
-    pose = estimate.reconstruction.camera_T_object
-    ahead = abs(float(view_azimuth(pose[:3, :3], pose[:3, 3]))) < np.pi / 2
-    return f"{estimate.reconstruction.status.value}, {'front' if ahead else 'rear'}"
+    return state_in_words(estimate.reconstruction.status.value, estimate.reconstruction.camera_T_object)
 
 
 def _words(estimate: VehicleEstimate) -> str:

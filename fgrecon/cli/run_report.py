@@ -79,6 +79,7 @@ class Request:
     weights: Path | None
     online: bool
     alone: bool
+    together: bool
     video: Path | None
 
 
@@ -208,7 +209,7 @@ def perform(job: Job, viewer: Viewer, screen: Screen) -> VideoRun:
         "size_prior": settings.size_prior,
         "options": settings.options,
     }
-    tracker = SingleImages(**arguments) if ask.alone else Tracker(**arguments)
+    tracker = SingleImages(**arguments) if ask.alone else Tracker(**arguments, shared_ground=ask.together)
     association = GatedAssociation(first=0 if given is None else given.largest_id + 1)
     moving = ask.motion.estimate_motion
     follower = Follower(tracker, association, job.camera, ground=settings.ground, poses=job.poses, moving=moving)
@@ -335,6 +336,7 @@ def document(job: Job, run: VideoRun) -> str:
         "frames_before": run.before,
         "stopped": run.stopped,
         "smoothed": run.smoothed,
+        "together": job.request.together and not job.request.alone,
         "estimates": run.estimates,
         "gaps": run.gaps,
         "tracks": [

@@ -25,7 +25,17 @@ from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.text import printable
 from fgrecon.solve.track import TrackReconstruction
-from fgrecon.viz import Recording, Sight, animate, contact_sheet, picture, save_picture
+from fgrecon.viz import (
+    Recording,
+    Shown,
+    Sight,
+    animate,
+    contact_sheet,
+    picture,
+    save_picture,
+    scene_picture,
+    scene_recording_of,
+)
 
 __all__ = [
     "FORMAT",
@@ -50,6 +60,8 @@ _TRUSTED = 0.5  # weight from which a keypoint counts as trusted
 _HEADINGS = ("id", "status", "yaw °", "x, y, z m", "l, w, h m", "trusted", "message")
 _CLAUSE = 60  # characters of a message in the table
 _WIDE = 130  # columns of the terminal that leave it that room
+_PLATE, _WORDS = 6, 24  # characters of a vehicle's name on its plate in a picture, and beside its numbers
+_TOGETHER = 40  # vehicles of an image that one recording has at most
 
 
 def print_table(screen: Screen, outcomes: Sequence[Outcome]) -> None:
@@ -202,17 +214,56 @@ def _entry(outcome: Outcome, *, history: bool) -> dict[str, Any]:
     return entry_of(outcome.task, outcome.result, outcome.error, history=history)
 
 
-def draw(path: Path, outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None) -> list[Path]:
-    """Draw the results: one with its stages, several as a sheet; nothing where there is none.
+def draw(
+    path: Path,
+    outcomes: Sequence[Outcome],
+    image: NDArray[np.uint8] | None,
+    grounds: Mapping[str | None, Ground | None],
+    *,
+    sheet: bool,
+) -> list[Path]:
+    """Draw the results: the scene of an image; nothing where there is no result.
+
+    Args:
+        path: File to write.
+        outcomes: One per vehicle.
+        image: (H, W, 3) photograph.
+        grounds: The ground of each image, by its name.
+        sheet: Draw the part of the image around each instead, and of a single vehicle the stages. So are vehicles of
+            several images drawn in any case.
 
     Returns:
         The files written.
     """
     sights = _sights(outcomes, image)
+    if not sights:
+        return []
+    if not sheet and len(_by_image(outcomes)) == 1:
+        task = outcomes[0].task
+        figure = scene_picture(image, _shown(outcomes), task.camera, ground=grounds.get(task.instance.image))
+        return [save_picture(path, figure)]
     if len(sights) == 1:
         only = sights[0]
         return [save_picture(path, picture(only.reconstruction, only.observation, only.camera, image=image))]
-    return [save_picture(path, contact_sheet(sights))] if sights else []
+    return [save_picture(path, contact_sheet(sights))]
+
+
+def _shown(outcomes: Sequence[Outcome]) -> list[Shown]:
+    """The vehicles as a scene shows them; with long names they are numbered."""
+    names = [printable(outcome.name, 80) for outcome in outcomes]
+    short = max(map(len, names)) <= _PLATE
+    shown = []
+    for number, (name, outcome) in enumerate(zip(names, outcomes, strict=True)):
+        seen = outcome.task.observation
+        box = seen.box
+        if box is None:
+            measured = seen.keypoints[seen.measured]
+            if not len(measured):
+                continue
+            box = np.concatenate([measured.min(axis=0), measured.max(axis=0)])
+        words = "" if short else name if len(name) <= _WORDS else f"{name[: _WORDS - 1]}…"
+        shown.append(Shown(number, box, outcome.result, words, name=name if short else str(number + 1)))
+    return shown
 
 
 def draw_moving(path: Path, outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None) -> list[Path]:
@@ -234,10 +285,32 @@ def draw_moving(path: Path, outcomes: Sequence[Outcome], image: NDArray[np.uint8
 
 
 def recordings(
-    outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None, ground: Ground | None
+    outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None, grounds: Mapping[str | None, Ground | None]
 ) -> list[tuple[str, Recording]]:
-    """Id and recording of every result."""
-    return recordings_of(_sights(outcomes, image), ground)
+    """Name and recording of every image with its vehicles; of very many vehicles in one, of each.
+
+    Args:
+        outcomes: One per vehicle.
+        image: (H, W, 3) photograph.
+        grounds: The ground of each image, by its name.
+    """
+    made: list[tuple[str, Recording]] = []
+    for (name, _), members in _by_image(outcomes).items():
+        sights = _sights(members, image)
+        if 1 < len(sights) <= _TOGETHER:
+            made.append((Path(name or "scene").stem, scene_recording_of(sights, ground=grounds.get(name))))
+        else:
+            made += recordings_of(sights, grounds.get(name))
+    return made
+
+
+def _by_image(outcomes: Sequence[Outcome]) -> dict[tuple[str | None, bytes], list[Outcome]]:
+    """The vehicles by name and camera of their image."""
+    images: dict[tuple[str | None, bytes], list[Outcome]] = {}
+    for outcome in outcomes:
+        task = outcome.task
+        images.setdefault((task.instance.image, task.camera.matrix.tobytes()), []).append(outcome)
+    return images
 
 
 def _sights(outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None) -> list[Sight]:

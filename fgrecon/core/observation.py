@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -112,6 +112,11 @@ class Observation:
         """(K,) whether a keypoint has a measurement."""
         finite: NDArray[np.bool_] = np.isfinite(self.keypoints[:, 0])
         return finite
+
+    def of_at_least(self, confidence: float) -> Observation:
+        """The observation whose keypoints of less confidence count as not measured."""
+        low = self.confidence < confidence
+        return replace(self, keypoints=np.where(low[:, None], np.nan, self.keypoints)) if low.any() else self
 
     @property
     def right(self) -> NDArray[np.float64]:

@@ -24,10 +24,12 @@ class KeypointOptions:
         sigma_relative: Standard deviation of a keypoint per axis, as a fraction of the box's longer side: detector
             noise plus the difference between annotators' and models' idea of a keypoint (KITTI: 2 to 4 %).
         sigma_pixels: The same in pixels, added in quadrature: what even a large image leaves.
+        least_confidence: Keypoints of less confidence are taken as not measured.
     """
 
     sigma_relative: float = number(0.035, least=0.0)
     sigma_pixels: float = number(1.0, least=1e-3)
+    least_confidence: float = number(0.0, least=0.0, most=1.0)
 
     def __post_init__(self) -> None:
         """Check the settings (`InvalidInputError`)."""

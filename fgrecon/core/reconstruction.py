@@ -41,6 +41,8 @@ class Status(StrEnum):
     """How a reconstruction ended."""
 
     CONVERGED = "converged"
+    WEAK = "weak"
+    """It converged, but little carries it, or it is at odds with what was told: see `reasons`."""
     AMBIGUOUS = "ambiguous"
     """Another pose explains the keypoints nearly as well: see `alternatives`."""
     DEGENERATE = "degenerate"
@@ -151,6 +153,7 @@ class Reconstruction:
         graph_gain: Nats that they took off its energy; NaN where the strategy defines none.
         facing_probability: How probably the vehicle faces where the pose says, within a quarter turn, by the detector's
             directions, calibrated on real cars; NaN without directions.
+        reasons: Clauses that say what makes the result weak, whatever its status.
         size_covariance: (3, 3) covariance of `box_size`, or None where it is not determined.
     """
 
@@ -184,6 +187,7 @@ class Reconstruction:
     graph_iterations: int = 0
     graph_gain: float = float("nan")
     facing_probability: float = float("nan")
+    reasons: tuple[str, ...] = ()
     size_covariance: NDArray[np.float64] | None = None
 
     @property
@@ -293,12 +297,8 @@ class Reconstruction:
         if data.get("format") not in (FORMAT, COMPACT):
             raise InvalidInputError("format", data.get("format"), f"Give a result written as {COMPACT} or {FORMAT}.")
         absent = _LARGE if data["format"] == COMPACT else {}
-        later = (
-            "graph_iterations",
-            "graph_gain",
-            "facing_probability",
-            "size_covariance",
-        )  # earlier files have them not
+        # Earlier files have them not.
+        later = ("graph_iterations", "graph_gain", "facing_probability", "reasons", "size_covariance")
         names = [f.name for f in fields(cls) if f.name in data or f.name not in (*later, *absent)]
         missing = [name for name in names if name not in data]
         if missing:
@@ -378,6 +378,7 @@ _READERS: Mapping[str, Callable[[Any], Any]] = {
     "graph_iterations": int,
     "graph_gain": float,
     "facing_probability": float,
+    "reasons": tuple,
     "message": str,
     "category": str,
     "prior": str,

@@ -34,7 +34,7 @@ def number(default: float | None, *, least: float, most: float = math.inf) -> An
     """A finite number from `least` to `most`; None is taken where it is the default."""
 
     def check(name: str, value: Any) -> float:
-        if not _is(value, Real) or not (least <= value <= most and math.isfinite(value)):
+        if not _is(value, Real) or not (least <= value <= most and _is_float(value)):
             wanted = f"from {least:g} to {most:g}" if math.isfinite(most) else f"of at least {least:g}"
             raise InvalidInputError(name, value, f"Give a finite number {wanted}.")
         return float(value)
@@ -104,3 +104,11 @@ def _is(value: Any, kind: type) -> bool:
 
 def _or_none(check: Check, default: Any) -> Check:
     return check if default is not None else lambda name, value: None if value is None else check(name, value)
+
+
+def _is_float(value: Real) -> bool:
+    """Whether a number is finite; a whole number may lie beyond the range of floats."""
+    try:
+        return math.isfinite(value)
+    except OverflowError:
+        return False

@@ -44,7 +44,8 @@ class TrackReconstruction:
     """Poses of one vehicle over several images, and its one shape.
 
     Attributes:
-        status: How it ended: `degenerate` or `failed` where that is so, else `ambiguous` where a frame is.
+        status: How it ended: `degenerate` or `failed` where that is so, else `ambiguous` where a frame is, else
+            `weak` where all are.
         message: Why, in a sentence.
         numbers: T indices of the observations that were solved, in order.
         frames: T results, all with the same shape; energies and history hold the terms of the frame alone.

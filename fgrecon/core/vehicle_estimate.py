@@ -23,6 +23,7 @@ class VehicleEstimate:
         reconstruction: Pose in this frame's camera, shape, covariances and status.
         velocity: (3,) of its origin, metres per second: in the world and along its axes where `world_T_object` is
             known, else relative to the camera and along the camera's axes. None in the first frame.
+        velocity_covariance: (3, 3) of it, along the same axes; None in the first frame, or where it cannot be had.
         turn_rate: Rate of `rotation_y`, radians per second, in the same sense; None in the first frame.
         facing_probability: How probably the vehicle faces where the pose says, within a quarter turn.
         world_T_object: (4, 4) pose in the world, or None where the camera's is not known.
@@ -37,6 +38,7 @@ class VehicleEstimate:
     facing_probability: float
     world_T_object: NDArray[np.float64] | None = None
     frames: int = 1
+    velocity_covariance: NDArray[np.float64] | None = None
 
     __repr__ = brief_repr
 

@@ -27,6 +27,7 @@ from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error, translation
 from fgrecon.core.observation import Observation
 from fgrecon.core.processes import single_threaded
 from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.evaluation.consistency import normalised_squared_error
 from fgrecon.evaluation.kitti_images import Setup, reconstruct_boxes
 from fgrecon.evaluation.methods import SceneKnowledge, Solver, select
 from fgrecon.evaluation.run import score_pose
@@ -39,7 +40,9 @@ from fgrecon.io.track_file import GroundTruth, TrackFrame
 from fgrecon.perception.from_image import FromImage
 
 __all__ = [
+    "DIMENSIONS",
     "SYSTEM",
+    "TURNED_ROUND",
     "BoxOutcome",
     "VideoBox",
     "View",
@@ -52,6 +55,12 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
+
+TURNED_ROUND = 90.0
+"""Degrees of yaw error above which a vehicle is turned round."""
+
+DIMENSIONS = {"position": 3, "yaw": 1, "velocity": 2}
+"""What normalised squared errors are of, and its dimension; velocity is over the ground."""
 
 SYSTEM = "reconstruct_image"
 """The whole way, which `fgrecon.reconstruct_image` goes: networks, both stages, and the network's direction."""
@@ -78,6 +87,11 @@ class BoxOutcome:
         status: How the reconstruction ended; None without one, and for a rival.
         failure: Why there is no pose, or None.
         off: Estimated minus labelled yaw in degrees, and origin (3) in metres; None where it was not wanted.
+        squared: Normalised squared errors (`fgrecon.evaluation.consistency`) of `position`, `yaw` and `velocity`, as
+            far as there are covariances; none of a vehicle that is turned round.
+        spread: Geometric mean of the one-sigma regions' semi-axes that those are by, degrees or metres.
+        facing: The result's `facing_probability`; None where it has none.
+        velocity: Distance of the estimated from the labelled velocity, metres per second; None where either is unknown.
     """
 
     degrees: float
@@ -86,6 +100,10 @@ class BoxOutcome:
     status: str | None
     failure: str | None
     off: tuple[float, float, float, float] | None = None
+    squared: Mapping[str, float] = field(default_factory=dict)
+    spread: Mapping[str, float] = field(default_factory=dict)
+    facing: float | None = None
+    velocity: float | None = None
 
 
 @dataclass(frozen=True)
@@ -160,6 +178,8 @@ class VideoBox:
                     "height_error_m": height,
                     "status": found.status,
                     "failure": found.failure,
+                    "velocity_error_m_s": found.velocity,
+                    **{f"{name}_nees": found.squared.get(name) for name in DIMENSIONS},
                 }
             )
         return rows
@@ -333,8 +353,15 @@ def outcome(result: Reconstruction, truth: GroundTruth, size: Array, offset: Arr
         offset: (3,) of the labels' frame in the camera's.
     """
     length, width, height = (result.box_size - size).tolist()
+    regions = _regions(result)
     turned = float(np.degrees(wrap_angle(result.rotation_y - truth.rotation_y)))
     x, y, z = (result.location - offset - truth.location).tolist()
+    errors = {"position": np.array([x, y, z]), "yaw": np.radians([turned])}
+    squared = {
+        name: value
+        for name, covariance in regions.items()
+        if (value := normalised_squared_error(errors[name], covariance)) is not None
+    }
     return BoxOutcome(
         degrees=float(orientation_error([result.rotation_y], [truth.rotation_y])[0]),
         metres=float(translation_error([result.location - offset], [truth.location])[0]),
@@ -342,4 +369,22 @@ def outcome(result: Reconstruction, truth: GroundTruth, size: Array, offset: Arr
         status=result.status.value,
         failure=None,
         off=(turned, x, y, z),
+        squared={} if abs(turned) > TURNED_ROUND else squared,
+        spread={name: _spread(name, regions[name]) for name in squared},
+        facing=result.facing_probability if np.isfinite(result.facing_probability) else None,
     )
+
+
+def _regions(result: Reconstruction) -> dict[str, Array]:
+    """Covariances of the position in the camera's frame, and of yaw about the vehicle's own vertical axis."""
+    covariance = result.pose_covariance
+    if covariance is None:
+        return {}
+    axes = result.camera_T_object[:3, :3]
+    return {"position": axes @ covariance[3:, 3:] @ axes.T, "yaw": covariance[1:2, 1:2]}
+
+
+def _spread(name: str, covariance: Array) -> float:
+    """Geometric mean of the one-sigma region's semi-axes, degrees or metres."""
+    radius = float(np.linalg.det(covariance)) ** (0.5 / len(covariance))
+    return float(np.degrees(radius)) if name == "yaw" else radius

@@ -6,7 +6,7 @@ Boxes of one track show one vehicle and go wrong together, so the intervals draw
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from typing import Any
 
@@ -16,7 +16,8 @@ from fgrecon.core.metrics import THRESHOLDS, wrap_angle
 from fgrecon.core.reconstruction import Status
 from fgrecon.core.reliability import Reliability, reliability
 from fgrecon.evaluation.bootstrap import Interval, mean_interval
-from fgrecon.evaluation.video_images import SYSTEM, VideoBox, View
+from fgrecon.evaluation.consistency import Consistency, consistency
+from fgrecon.evaluation.video_images import DIMENSIONS, SYSTEM, TURNED_ROUND, VideoBox, View
 
 __all__ = [
     "BoxSummary",
@@ -27,9 +28,6 @@ __all__ = [
     "summarise_boxes",
     "worst_boxes",
 ]
-
-TURNED_ROUND = 90.0
-"""Degrees of yaw error above which a vehicle is turned round."""
 
 FORMAT = "fgrecon.video-images/1"
 _NEXT = 2  # frames: labelled boxes are in every second one at least
@@ -50,6 +48,9 @@ _UNITS = {
     "jitter_degrees": "mean change of the yaw error from a box to the next one of its track, at most two frames later; "
     "null where no yaw errors are known",
     "jitter_metres": "the same of the position error, a vector",
+    "median_velocity": "metres per second over the ground, estimated minus labelled; labels within 0.2 s make a line",
+    "consistency": "normalised squared errors by dimension (NEES): mean, its 95 % bounds for as many draws as tracks, "
+    "median over that of the chi-square distribution, percent within the 95 % region; boxes turned round are left out",
     "interval": "95 % by bootstrap over tracks; null where there is one track",
     "facing": "probability of the directions within 90 degrees of the labelled one; the bins, of equally many boxes, "
     "compare the probability of the more probable half, this one or the other, with how often it is the labelled one",
@@ -76,6 +77,8 @@ class BoxSummary:
         mean_absolute_size_error: Mean absolute error of length, width and height, metres; None where none is found.
         jitter_degrees: Mean change of the yaw error from a box to the next one of its track; None where none is known.
         jitter_metres: The same of the position error.
+        median_velocity: Median velocity error, metres per second; None where none is known.
+        consistency: Of what has covariances, by its name (`DIMENSIONS`).
     """
 
     boxes: int
@@ -92,6 +95,8 @@ class BoxSummary:
     mean_absolute_size_error: float | None = None
     jitter_degrees: float | None = None
     jitter_metres: float | None = None
+    median_velocity: float | None = None
+    consistency: Mapping[str, Consistency] = field(default_factory=dict)
 
 
 def methods_of(boxes: Sequence[VideoBox]) -> tuple[str, ...]:
@@ -160,6 +165,7 @@ def summarise_boxes(boxes: Sequence[VideoBox], method: str) -> BoxSummary:
     sizes = [one.size for one in found if one.size is not None]
     length, width, height = np.mean(sizes, axis=0).tolist() if sizes else (np.nan,) * 3
     facing = [box.facing for box in boxes if box.facing is not None]
+    velocities = [one.velocity for one in found if one.velocity is not None]
     return BoxSummary(
         boxes=len(boxes),
         tracks=len(numbers),
@@ -174,7 +180,21 @@ def summarise_boxes(boxes: Sequence[VideoBox], method: str) -> BoxSummary:
         refused=sum(one.failure is not None for one in found),
         mean_absolute_size_error=float(np.mean(np.abs(sizes))) if sizes else None,
         **_jitter(boxes, method),
+        median_velocity=float(np.median(velocities)) if velocities else None,
+        consistency=_consistency(boxes, method),
     )
+
+
+def _consistency(boxes: Sequence[VideoBox], method: str) -> dict[str, Consistency]:
+    told = {}
+    for name, dimension in DIMENSIONS.items():
+        pairs = [(box.outcomes[method].squared.get(name), (box.drive, box.track)) for box in boxes]
+        errors = [error for error, _ in pairs if error is not None]
+        tracks = {track for error, track in pairs if error is not None}
+        one = consistency(errors, dimension, len(tracks))
+        if one is not None:
+            told[name] = one
+    return told
 
 
 def _jitter(boxes: Sequence[VideoBox], method: str) -> dict[str, float | None]:
@@ -281,4 +301,6 @@ def _plain(summary: BoxSummary) -> dict[str, Any]:
         "mean_absolute_size_error": summary.mean_absolute_size_error,
         "jitter_degrees": summary.jitter_degrees,
         "jitter_metres": summary.jitter_metres,
+        "median_velocity": summary.median_velocity,
+        "consistency": {name: asdict(one) for name, one in summary.consistency.items()},
     }

@@ -1,7 +1,8 @@
 """Labelled boxes of video drives over time: the keypoints that single images gave, followed by their labelled ids.
 
 `ONLINE` is what `fgrecon.Tracker` says after each frame, by that one and those before; `BATCH` what it says at the end,
-by all. Both get what the single images got, and nothing else: the camera's own motion is not given.
+by all. Both get what the single images got, and nothing else: the camera's own motion is not given, and velocities are
+relative to the camera. `ALONE` is each vehicle of each image by itself.
 """
 
 from __future__ import annotations
@@ -10,26 +11,38 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
 
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.metrics import FAILURE_DEGREES
 from fgrecon.core.vehicle_estimate import VehicleEstimate
+from fgrecon.evaluation.consistency import normalised_squared_error
 from fgrecon.evaluation.kitti_images import Setup
-from fgrecon.evaluation.video_images import BoxOutcome, VideoBox, outcome
-from fgrecon.io.kitti_drives import Drive
+from fgrecon.evaluation.video_images import TURNED_ROUND, BoxOutcome, VideoBox, outcome
+from fgrecon.io.kitti_drives import Drive, DriveFrame
 from fgrecon.io.track_file import GroundTruth
+from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.tracker import Tracker
 
-__all__ = ["BATCH", "ONLINE", "follow_boxes"]
+__all__ = ["ALONE", "BATCH", "ONLINE", "follow_boxes", "labelled_velocities"]
 
+Array = NDArray[np.float64]
+
+ALONE = "alone"
+"""Each vehicle of each image by itself; without what is known of others the whole system does the same."""
 ONLINE = "online"
 """Each frame by itself and those before."""
 BATCH = "batch"
 """Each frame by all."""
 
 _RATE = 10.0  # images of KITTI's drives in a second
+_OVER_GROUND = [0, 2]  # axes of the camera
+_ABOUT, _FEWEST = 2, 4  # a labelled velocity is of labels at most so many frames away, and of so many labels
 
 
 def follow_boxes(boxes: Sequence[VideoBox], drives: Sequence[Drive], setups: Mapping[str, Setup]) -> list[VideoBox]:
-    """The boxes with outcomes of `ONLINE` and `BATCH` beside those that they have.
+    """The boxes with outcomes of `ALONE` (where all were solved together), `ONLINE` and `BATCH` beside their own.
 
     Args:
         boxes: Those of `fgrecon.evaluation.video_images.score_drives`, in its order.
@@ -56,16 +69,72 @@ def _follow(boxes: Sequence[VideoBox], drive: Drive, setup: Setup) -> list[Video
     times = {key: estimate.time for key, estimate in online.items()}
     smoothed = {(track, one.time): one for track, past in tracker.smooth().items() for one in past}
     batch = {key: smoothed.get((key[1], time)) for key, time in times.items()}
+    velocities = labelled_velocities(drive)
     scored = []
     for box in boxes:
-        objects, key = frames[box.frame].objects, (box.frame, box.track)
+        frame, key = frames[box.frame], (box.frame, box.track)
+        objects, offset = frame.objects, frame.calibration.label_offset
         truth = GroundTruth(objects.location[box.index], float(objects.rotation_y[box.index]))
-        size, offset = objects.size[box.index], frames[box.frame].calibration.label_offset
-        both: dict[str, BoxOutcome] = {}
+        size, velocity = objects.size[box.index], velocities.get(key)
+        more: dict[str, BoxOutcome] = {}
+        if setup.together:
+            more[ALONE] = _alone(box, frame, setup, truth)
         for name, estimate in ((ONLINE, online.get(key)), (BATCH, batch.get(key))):
             if estimate is None:
-                both[name] = BoxOutcome(FAILURE_DEGREES, float("inf"), None, None, "no estimate")
+                more[name] = BoxOutcome(FAILURE_DEGREES, float("inf"), None, None, "no estimate")
             else:
-                both[name] = outcome(estimate.reconstruction, truth, size, offset)
-        scored.append(replace(box, outcomes={**box.outcomes, **both}))
+                more[name] = _moving(outcome(estimate.reconstruction, truth, size, offset), estimate, velocity)
+        scored.append(replace(box, outcomes={**box.outcomes, **more}))
     return scored
+
+
+def labelled_velocities(drive: Drive) -> dict[tuple[int, int], Array]:
+    """(3,) velocity of each labelled box relative to the camera, metres per second, by frame and track.
+
+    It is the slope of a line through the track's labels within two frames, of which there are at least four, on both
+    sides.
+    """
+    tracks: dict[int, dict[int, Array]] = {}
+    for frame in drive.frames:
+        for index in np.flatnonzero(frame.boxed & (frame.tracks >= 0)):
+            tracks.setdefault(int(frame.tracks[index]), {})[frame.number] = frame.objects.location[index]
+    found: dict[tuple[int, int], Array] = {}
+    for track, places in tracks.items():
+        for number in places:
+            near = [n for n in range(number - _ABOUT, number + _ABOUT + 1) if n in places]
+            if len(near) >= _FEWEST and near[0] < number < near[-1]:
+                slope, _ = np.polyfit(np.array(near) / _RATE, np.array([places[n] for n in near]), 1)
+                found[number, track] = slope
+    return found
+
+
+def _alone(box: VideoBox, frame: DriveFrame, setup: Setup, truth: GroundTruth) -> BoxOutcome:
+    calibration = frame.calibration
+    if box.observation is None:
+        return BoxOutcome(FAILURE_DEGREES, float("inf"), None, None, "no keypoints")
+    try:
+        result = reconstruct(
+            box.observation,
+            calibration.camera,
+            prior=setup.prior,
+            ground=setup.ground,
+            size_prior=setup.size_prior,
+            options=setup.options,
+        )
+    except DegenerateProblemError as error:
+        return BoxOutcome(FAILURE_DEGREES, float("inf"), None, None, str(error))
+    return outcome(result, truth, frame.objects.size[box.index], calibration.label_offset)
+
+
+def _moving(found: BoxOutcome, estimate: VehicleEstimate, velocity: Array | None) -> BoxOutcome:
+    """With the facing's probability over time, and the velocity's error over the ground."""
+    found = replace(found, facing=estimate.facing_probability)
+    if velocity is None or estimate.velocity is None:
+        return found
+    off = (estimate.velocity - velocity)[_OVER_GROUND]
+    found = replace(found, velocity=float(np.linalg.norm(off)))
+    spread = estimate.velocity_covariance
+    if spread is None or found.degrees > TURNED_ROUND:
+        return found
+    squared = normalised_squared_error(off, spread[np.ix_(_OVER_GROUND, _OVER_GROUND)])
+    return found if squared is None else replace(found, squared={**found.squared, "velocity": squared})

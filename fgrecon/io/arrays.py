@@ -21,6 +21,8 @@ LARGEST = "FGRECON_LARGEST"
 
 _LARGEST = 1 << 29
 _ENDING = ".npy"
+_CHUNK = 1 << 24
+_FLOAT = 8  # bytes of a number once it is used: who reads an array of bytes makes floats of them
 
 
 def largest_bytes() -> int:
@@ -47,7 +49,8 @@ def read_arrays(
         fields: Those that are wanted, as far as they are there; None for all.
 
     Raises:
-        InvalidInputError: It is none, is damaged, has pickled content, or unpacks to more than `largest_bytes`.
+        InvalidInputError: It is none, is damaged, has pickled content, or unpacks to more than
+            `largest_bytes`, with 8 bytes for each number.
         FileNotFoundError: There is no such file.
     """
     wanted = None if fields is None else set(fields)
@@ -56,13 +59,15 @@ def read_arrays(
         with zipfile.ZipFile(BytesIO(content) if isinstance(content, bytes) else content) as archive:
             members = [one for one in archive.infolist() if one.filename.endswith(_ENDING)]
             members = [one for one in members if wanted is None or one.filename.removesuffix(_ENDING) in wanted]
-            whole = sum(one.file_size for one in members)
-            if whole > limit:
-                raise InvalidInputError(name, f"{whole} bytes when unpacked", _raise_it(limit))
+            _check_room(sum(one.file_size for one in members), name, limit)
+            room = 0
             for member in members:
                 field = member.filename.removesuffix(_ENDING)
                 with archive.open(member) as file:
-                    arrays[field] = _read(file, member.file_size)
+                    shape, fortran, kind, count = _header(file, member.file_size)
+                    room += count * max(kind.itemsize, _FLOAT if kind.kind in "biuf" else 1)
+                    _check_room(room, name, limit)
+                    arrays[field] = _content(file, kind, count).reshape(shape, order="F" if fortran else "C")
     except FileNotFoundError:
         raise
     except InvalidInputError:
@@ -74,11 +79,11 @@ def read_arrays(
     return arrays
 
 
-def _read(file: IO[bytes], size: int) -> NDArray[Any]:
-    """An array of a member of so many bytes.
+def _header(file: IO[bytes], size: int) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
+    """Shape, order, kind and number of the elements of a member of so many bytes.
 
     Raises:
-        ValueError: Its header claims another size.
+        ValueError: The header claims another size.
     """
     version = np.lib.format.read_magic(file)
     header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
@@ -90,11 +95,30 @@ def _read(file: IO[bytes], size: int) -> NDArray[Any]:
         count *= side
     if count < 0 or count * kind.itemsize > size:
         raise ValueError(f"an array of shape {shape} in {size} bytes")
-    data = file.read(count * kind.itemsize)
-    if len(data) < count * kind.itemsize:
-        raise ValueError("cut off")
-    array = np.frombuffer(bytearray(data), dtype=kind, count=count) if kind.itemsize else np.zeros(count, kind)
-    return array.reshape(shape, order="F" if fortran else "C")
+    return shape, fortran, kind, count
+
+
+def _content(file: IO[bytes], kind: np.dtype[Any], count: int) -> NDArray[Any]:
+    """The elements that follow a header, read to where they stay.
+
+    Raises:
+        ValueError: There are fewer.
+    """
+    if not kind.itemsize:
+        return np.zeros(count, kind)
+    data = bytearray(count * kind.itemsize)
+    room, read = memoryview(data), 0
+    while read < len(data):
+        got = file.readinto(room[read : read + _CHUNK])  # type: ignore[attr-defined]  # of every binary file
+        if not got:
+            raise ValueError("cut off")
+        read += got
+    return np.frombuffer(data, dtype=kind, count=count)
+
+
+def _check_room(room: int, name: str, limit: int) -> None:
+    if room > limit:
+        raise InvalidInputError(name, f"{room} bytes when unpacked", _raise_it(limit))
 
 
 def _raise_it(limit: int) -> str:

@@ -17,12 +17,13 @@ from fgrecon.io.kitti_files import DETECTION_CLASSES, LABEL_COLUMNS, parse_detec
 from fgrecon.io.nuscenes import is_nuscenes, open_nuscenes
 from fgrecon.io.nuscenes_boxes import cuboid_boxes
 
-__all__ = ["NamedBox", "read_boxes"]
+__all__ = ["LEAST_SCORE", "NamedBox", "read_boxes"]
 
 _COCO_CAR = 3  # COCO's number of cars, where the file names no categories
 _YOLO_CAR = 2  # the place of cars among COCO's 80 classes, as which YOLO numbers them
 _YOLO_COLUMNS = 5
-_LEAST_SCORE = 0.5
+LEAST_SCORE = 0.5
+"""Boxes of a lower score are left out where nothing else is said."""
 _CLASSES = "classes.txt"
 _FIX = (
     "Give KITTI labels (object, tracking), detections `image class score x1 y1 x2 y2`, YOLO's `class x y w h`, COCO "
@@ -45,8 +46,10 @@ class NamedBox:
     model: BoxModel
 
 
-def read_boxes(file: Path, image: str, size: tuple[int, int] | None = None) -> list[NamedBox]:
-    """The cars of an image in a file; of those with a score, the ones from 0.5.
+def read_boxes(
+    file: Path, image: str, size: tuple[int, int] | None = None, least_score: float | None = None
+) -> list[NamedBox]:
+    """The cars of an image in a file.
 
     KITTI's boxes enclose the projected 3D box, and so do those of detectors trained on them and nuScenes' projected
     cuboids; those of COCO and YOLO the outline.
@@ -58,6 +61,8 @@ def read_boxes(file: Path, image: str, size: tuple[int, int] | None = None) -> l
             folder with such a file for each image, of its name.
         image: Name of the image, without ending.
         size: Width and height of the image, pixels, which YOLO's boxes need.
+        least_score: Boxes of a lower score are left out; None for 0.5, and all of KITTI's results, whose scores are
+            of any scale.
 
     Raises:
         InvalidInputError: The file cannot be read or has another format; names line or field.
@@ -68,7 +73,7 @@ def read_boxes(file: Path, image: str, size: tuple[int, int] | None = None) -> l
     if file.is_dir():
         file = next((path for ending in (".txt", ".json") if (path := file / f"{image}{ending}").is_file()), file)
     if file.suffix.lower() == ".json":
-        return _coco(read_json(file), file, image)
+        return _coco(read_json(file), file, image, LEAST_SCORE if least_score is None else least_score)
     try:
         lines = file.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -82,13 +87,26 @@ def read_boxes(file: Path, image: str, size: tuple[int, int] | None = None) -> l
                 raise InvalidInputError(f"{file}:{number + 1}", line, _FIX) from error
             if isinstance(box, _Relative):
                 box = box.in_image(file, number, size)
-            if box is not None:
-                corners, model, named = box
-                boxes.append(NamedBox(str(number if named else len(boxes)), corners, model))
+            if box is not None and not box.doubtful(least_score):
+                boxes.append(NamedBox(str(number if box.named else len(boxes)), box.corners, box.model))
     return boxes
 
 
-_Box = tuple[NDArray[np.float64], BoxModel, bool]  # corners, what they enclose, and whether its line is its name
+@dataclass(frozen=True)
+class _Box:
+    """A box in pixels: what it encloses, whether its line is its name, its score, and whether scores end at 1."""
+
+    corners: NDArray[np.float64]
+    model: BoxModel
+    named: bool
+    score: float | None
+    unit: bool = True
+
+    def doubtful(self, least: float | None) -> bool:
+        """Whether its score is lower than is asked for."""
+        if self.score is None or (least is None and not self.unit):
+            return False
+        return self.score < (LEAST_SCORE if least is None else least)
 
 
 @dataclass(frozen=True)
@@ -100,13 +118,13 @@ class _Relative:
     score: float
 
     def in_image(self, file: Path, number: int, size: tuple[int, int] | None) -> _Box | None:
-        """The box in pixels; None where it is of no car, or too doubtful."""
+        """The box in pixels; None where it is of no car."""
         if size is None:
             raise InvalidInputError(f"{file}:{number + 1}", "a box in parts of the image", "Give the image's size.")
-        if self.kind != _car_class(file) or self.score < _LEAST_SCORE:
+        if self.kind != _car_class(file):
             return None
         centre, half = self.box[:2] * size, self.box[2:] * size / 2
-        return np.concatenate([centre - half, centre + half]), BoxModel.SURFACE, True
+        return _Box(np.concatenate([centre - half, centre + half]), BoxModel.SURFACE, named=True, score=self.score)
 
 
 def _of_line(words: list[str], line: str, image: str) -> _Box | _Relative | None:
@@ -126,11 +144,15 @@ def _of_line(words: list[str], line: str, image: str) -> _Box | _Relative | None
             return None
         columns, line = columns - 2, " ".join(words[2:])
     if columns in (LABEL_COLUMNS, LABEL_COLUMNS + 1):
-        kind, numbers_ = parse_object(line, scored=columns > LABEL_COLUMNS)
-        return (np.array(numbers_[3:7]), BoxModel.CUBOID, True) if kind == "Car" else None
+        scored = columns > LABEL_COLUMNS
+        kind, numbers_ = parse_object(line, scored=scored)
+        score = numbers_[-1] if scored else None
+        corners = np.array(numbers_[3:7])
+        return _Box(corners, BoxModel.CUBOID, named=True, score=score, unit=False) if kind == "Car" else None
     found = parse_detection(line)
-    is_car = DETECTION_CLASSES.get(found.label) == "Car" and found.score >= _LEAST_SCORE
-    return (np.array(found.box), BoxModel.CUBOID, False) if is_car and Path(found.image).stem == image else None
+    if DETECTION_CLASSES.get(found.label) != "Car" or Path(found.image).stem != image:
+        return None
+    return _Box(np.array(found.box), BoxModel.CUBOID, named=False, score=found.score)
 
 
 def _is_integer(word: str) -> bool:
@@ -152,7 +174,7 @@ def _car_class(file: Path) -> int:
     return lines.index("car")
 
 
-def _coco(data: Any, file: Path, image: str) -> list[NamedBox]:
+def _coco(data: Any, file: Path, image: str, least_score: float) -> list[NamedBox]:
     """COCO's results (a list) or annotations (an object with images, categories and annotations)."""
     cars: list[Any] = [_COCO_CAR]
     ids: list[Any] = [image]
@@ -173,7 +195,7 @@ def _coco(data: Any, file: Path, image: str) -> list[NamedBox]:
         fields = Fields(entry, f"{file}: [{number}].")
         if fields.data.get("image_id") not in ids or fields.data.get("category_id") not in cars:
             continue
-        if "score" in fields and float(fields.numbers("score", ())) < _LEAST_SCORE:
+        if "score" in fields and float(fields.numbers("score", ())) < least_score:
             continue
         x, y, width, height = fields.numbers("bbox", (4,))
         boxes.append(NamedBox(str(number), np.array([x, y, x + width, y + height]), BoxModel.SURFACE))

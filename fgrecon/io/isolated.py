@@ -2,12 +2,13 @@
 
 Some decoders (SciPy's for MATLAB files, rerun's for recordings, those of ONNX) do not raise on damaged content but end
 the process. A child process that dies is an error like any other. It is started when it is first asked, which takes
-about a second, and serves until it is closed.
+about a second, and serves until it is closed. Its memory is limited where the system can do that (Linux).
 """
 
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures import TimeoutError as LateError
@@ -17,11 +18,15 @@ from types import TracebackType
 from typing import ParamSpec, Self, TypeVar
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.arrays import LARGEST, largest_bytes
 
 __all__ = ["Isolated"]
 
 P = ParamSpec("P")
 T = TypeVar("T")
+
+_ROOM = 8  # times what a file may unpack to: for the decoder itself, its threads and copies
+_FIX = f"Give an undamaged file; for a large one raise the environment variable {LARGEST}, in bytes."
 
 
 class Isolated:
@@ -67,22 +72,30 @@ class Isolated:
             kwargs: Likewise.
 
         Raises:
-            InvalidInputError: The child died of it, or took too long.
+            InvalidInputError: The child died of it, took too long, or took too much memory.
         """
         if self._pool is None:
-            self._pool = ProcessPoolExecutor(1, get_context("spawn"), _quiet)
+            self._pool = ProcessPoolExecutor(1, get_context("spawn"), _begin, (_ROOM * largest_bytes(),))
         future: Future[T] = self._pool.submit(work, *args, **kwargs)
         try:
             return future.result(self._seconds)
         except BrokenProcessPool as error:
             self.close()
-            raise InvalidInputError(source, "damaged: it kills its decoder", "Give an undamaged file.") from error
+            raise InvalidInputError(source, "damaged: it kills its decoder", _FIX) from error
+        except MemoryError as error:
+            raise InvalidInputError(source, "more than fits into memory", _FIX) from error
         except LateError as error:
             self.close()
             value = f"nothing after {self._seconds:g} seconds of decoding"
             raise InvalidInputError(source, value, "Give an undamaged file.") from error
 
 
-def _quiet() -> None:
-    """Close the child's error stream: decoders print pages when they die, and what they did is told by the parent."""
+def _begin(memory: int) -> None:
+    """Limit the child's memory, and close its error stream: decoders print pages when they die; the parent tells."""
+    if sys.platform == "linux":
+        import resource
+
+        _, most = resource.getrlimit(resource.RLIMIT_DATA)
+        limit = memory if most == resource.RLIM_INFINITY else min(memory, most)
+        resource.setrlimit(resource.RLIMIT_DATA, (limit, most))
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)

@@ -54,8 +54,9 @@ def read_tracking(path: Path, fix: str = _FIX, *, results: bool = True) -> dict[
             frame, track, rest = line.split(maxsplit=2)
             scored = results and len(rest.split()) > LABEL_COLUMNS
             kind, numbers = parse_object(rest, scored=scored)
-            rows[int(frame)].append((int(track), kind, numbers if scored else [*numbers, np.nan]))
-        except ValueError as error:
+            known = int(np.int64(int(frame))), int(np.int64(int(track)))
+            rows[known[0]].append((known[1], kind, numbers if scored else [*numbers, np.nan]))
+        except (ValueError, OverflowError) as error:
             raise InvalidInputError(f"{path}:{number}", str(error), _FIX) from error
     return {
         frame: TrackedObjects(

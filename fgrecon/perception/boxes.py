@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ def boxes_of(
     file: Path | None,
     search: NDArray[Any] | None = None,
     size: tuple[int, int] | None = None,
+    least_score: float | None = None,
 ) -> list[NamedBox]:
     """The boxes given one by one, those of a file, or those that a detector finds.
 
@@ -35,6 +37,7 @@ def boxes_of(
         file: File of boxes, or None.
         search: (H, W, 3) the image's pixels, to be searched for cars; or None.
         size: Width and height of the image, which some files' boxes are parts of; or None.
+        least_score: Boxes of a lower score are left out; None for what suits their source.
 
     Raises:
         InvalidInputError: Several or none of these are given, or there is no car in this image.
@@ -44,26 +47,29 @@ def boxes_of(
         flags = " and ".join(way for way, used in ways.items() if used) or "nothing"
         raise InvalidInputError("box", flags, "Give either --box, --boxes with a file, or --detect.")
     if search is not None:
-        found = detected_boxes(search)
+        found = detected_boxes(search, least_score)
         if not found:
             raise InvalidInputError("detect", str(image), "No car was found in it; give its box with --box.")
         return found
     if file is None:
         corners = [as_finite(f"box[{number}]", box, (4,)) for number, box in enumerate(given)]
         return [NamedBox(str(number), box, BoxModel.SURFACE) for number, box in enumerate(corners)]
-    found = read_boxes(file, image.stem, size)
+    found = read_boxes(file, image.stem, size, least_score)
     if not found:
         raise InvalidInputError("boxes", str(file), f"Give a file with a car in image {image.stem}.")
     return found
 
 
-def detected_boxes(image: NDArray[Any]) -> list[NamedBox]:
+def detected_boxes(image: NDArray[Any], least_score: float | None = None) -> list[NamedBox]:
     """The cars that the detector of the package finds in an image (H, W, 3), by falling score: see `find_boxes`.
+
+    Boxes below `least_score` are left out; None for what suits the detector.
 
     Raises:
         InvalidInputError: The image is none, or this installation has no detector.
     """
-    return [NamedBox(str(number), box, BoxModel.SURFACE) for number, box in enumerate(find_boxes(image))]
+    detector = None if least_score is None else partial(NanodetVehicleDetector(), least_score=least_score)
+    return [NamedBox(str(number), box, BoxModel.SURFACE) for number, box in enumerate(find_boxes(image, detector))]
 
 
 def find_boxes(image: NDArray[np.uint8], detector: VehicleDetector | None = None) -> NDArray[np.float64]:

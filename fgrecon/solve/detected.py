@@ -49,10 +49,12 @@ class KnownBox:
     Attributes:
         box: The box.
         errors: How far it is off.
+        plain: The prior prepared without a size, for that of the box.
     """
 
     box: Box3D
     errors: BoxErrors
+    plain: VehicleModel
 
     def problem(
         self, seen: Observation, camera: Camera, model: VehicleModel, plane: Ground | None, options: Options
@@ -62,7 +64,7 @@ class KnownBox:
         Args:
             seen: What is observed.
             camera: The camera.
-            model: Prepared for the fleet; where the box has a size, without one.
+            model: Prepared for the fleet, which is for a box without a size.
             plane: The ground, or None.
             options: Settings.
 
@@ -73,7 +75,7 @@ class KnownBox:
         if covariance is None:
             covariance = np.array(keypoint_covariances(seen, options.keypoints))
         size = self.box.size
-        own = model if size is None else sized(model, SizePrior("its box", size, self.errors.size * size))
+        own = model if size is None else sized(self.plain, SizePrior("its box", size, self.errors.size * size))
         return Problem.of(replace(seen, covariance=_TOGETHER * covariance), camera, own, plane, options)
 
     def factors(self, camera: Camera, vehicle: int = 0) -> list[gtsam.NonlinearFactor]:

@@ -161,6 +161,7 @@ def observe(
             None if covariance is None else as_shape("covariance", covariance, (category.size, 2, 2)),
             options.confidence_midpoint,
         )
+    seen = seen.of_at_least(options.keypoints.least_confidence)
     if camera.distortion is None:
         return seen
     ideal_box = None if seen.box is None else camera.undistort(seen.box.reshape(2, 2)).ravel()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -23,8 +24,9 @@ from fgrecon.solve.graph.structure import graph_factors
 from fgrecon.solve.proposals.adjust import PoseEstimate
 from fgrecon.solve.proposals.problem import keypoint_covariances
 from fgrecon.solve.vehicle.visibility import clearance, occluder, probability
+from fgrecon.solve.weakness import weaknesses
 
-__all__ = ["history_of", "results"]
+__all__ = ["history_of", "results", "weakened"]
 
 _SURE_FACING = 0.8
 """Less is ambiguous: 80 % of the cars that are turned round on KITTI's video, and 6 % of the others."""
@@ -109,10 +111,14 @@ def _result(
     box_size = prior.box_size(coefficients, offsets)
     facing = _facing(part, camera_T_object) if told is None else told
     status, message = _status(camera_T_object, box_size, facing, alternatives, uncertainty, problem.options, optimum)
+    reasons: tuple[str, ...] = ()
+    if status in (Status.CONVERGED, Status.AMBIGUOUS):
+        seen = problem.observation, weights.keypoints, problem.camera, camera_T_object
+        reasons = weaknesses(*seen, coefficients, box_size, problem.ground)
     sigma = np.sqrt(np.sqrt(np.linalg.det(keypoint_covariances(problem.observation, problem.options.keypoints))))
     with np.errstate(divide="ignore"):
         sigmas = sigma / np.sqrt(weights.keypoints)
-    return Reconstruction(
+    found = Reconstruction(
         status=status,
         message=message,
         category=prior.category.name,
@@ -145,6 +151,18 @@ def _result(
         facing_probability=facing,
         size_covariance=None if uncertainty is None else uncertainty.size,
     )
+    return weakened(found, reasons)
+
+
+def weakened(result: Reconstruction, reasons: Sequence[str]) -> Reconstruction:
+    """The result with further reasons to be weak, which it is where it had converged."""
+    if not reasons:
+        return result
+    told = (*result.reasons, *reasons)
+    if result.status not in (Status.CONVERGED, Status.WEAK):
+        return replace(result, reasons=told)
+    text = "; ".join(told)
+    return replace(result, status=Status.WEAK, message=f"{text[0].upper()}{text[1:]}.", reasons=told)
 
 
 def _facing(part: ObservationPart, camera_T_object: NDArray[np.float64]) -> float:

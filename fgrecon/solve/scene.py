@@ -28,38 +28,36 @@ from numpy.typing import ArrayLike, NDArray
 from factors.contact import GroundFrame, contact_factor
 from factors.keys import F, G, X
 from factors.losses import Loss, RobustLoss
+from factors.marginals import Marginal, marginal, marginal_factor
 from factors.noise import diagonal_noise
 from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera, Ground
-from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
-from fgrecon.core.reconstruction import Alternative, Reconstruction, rotation_y
+from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.scene_reconstruction import SceneReconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as named_size_prior
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.detected import DetectedVehicle, KnownBox
+from fgrecon.solve.alone import Alone, Tried, each_alone, known_boxes
 from fgrecon.solve.focal import candidates, focal_prior, log_ratio, starts
-from fgrecon.solve.graph.adjust import Adjusted, SolvedStage, adjust
+from fgrecon.solve.graph.adjust import Adjusted, SolvedStage
 from fgrecon.solve.graph.covariance import factorise
 from fgrecon.solve.graph.graph import Graph, Seen, State
 from fgrecon.solve.graph.optimise import Optimum, optimise
-from fgrecon.solve.pipeline import ground_plane, observe
-from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
-from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.result import history_of, results
+from fgrecon.solve.pipeline import ground_plane
+from fgrecon.solve.result import history_of, results, weakened
 from fgrecon.solve.threads import single_threaded
-from fgrecon.solve.time.heading import Belief
-from fgrecon.solve.time.turned import turned_alternative
-from fgrecon.solve.vehicle.model import prepare
+from fgrecon.solve.vehicle.model import VehicleModel, prepare
+from fgrecon.solve.weakness import off_ground
 
-__all__ = ["reconstruct_scene"]
+__all__ = ["OWN_HEIGHT", "OWN_SLOPE", "OWN_TILT", "ground_evidence", "reconstruct_scene"]
 
 Array = NDArray[np.float64]
 
-_OWN_HEIGHT, _OWN_SLOPE, _OWN_TILT = 0.35, 0.15, 0.5
+OWN_HEIGHT, OWN_SLOPE, OWN_TILT = 0.35, 0.15, 0.5
 """Shares of a told ground's deviations that are each vehicle's own; chosen on KITTI's video (docs/method.md)."""
 _WIDE = (0.5, 0.3, 0.1)  # metres, radians, radians: prior of height, pitch and roll where no ground is told
 _OUTLYING = 3.0  # standard deviations from which on a contact counts less
@@ -107,10 +105,13 @@ def reconstruct_scene(
         raise InvalidInputError("options.shape.joint", value=False, fix="Let pose and shape move: joint=True.")
     shape_prior, known, plane = load_prior(prior), Camera.of(camera), ground_plane(ground)
     fleet = None if size_prior is None else named_size_prior(size_prior)
-    given = _known_boxes(boxes, box_errors, len(observations), known)
-    vehicles = list(zip(observations, given, strict=True))
+    model = prepare(shape_prior, fleet, options.shape.basis_vectors)
+    boxed = None
+    if boxes is not None:
+        plain = prepare(shape_prior, None, options.shape.basis_vectors)
+        boxed = known_boxes(boxes, box_errors, len(observations), known, plain)
     started = perf_counter()
-    tried = [_each_alone(vehicles, one, shape_prior, fleet, plane, options) for one in candidates(known)]
+    tried = [each_alone(observations, one, model, plane, options, boxed) for one in candidates(known)]
     energies = _energies(tried, known)
     found = perf_counter()
     joint = [scene for i in starts(energies) if (scene := _together(tried[i], known, plane, options)) is not None]
@@ -137,54 +138,10 @@ def reconstruct_scene(
 
 
 @dataclass(frozen=True)
-class _Alone:
-    """A vehicle that was solved alone."""
-
-    problem: Problem
-    start: PoseEstimate
-    adjusted: Adjusted
-    known: KnownBox | None = None
-    belief: Belief | None = None
-
-    @property
-    def pose(self) -> Array:
-        pose: Array = self.adjusted.optimum.state.poses[0].matrix()
-        return pose
-
-    def own(self, vehicle: int = 0) -> list[gtsam.NonlinearFactor]:
-        """The factors of its box."""
-        return [] if self.known is None else self.known.factors(self.problem.camera, vehicle)
-
-    def facing(self, camera_T_object: Array) -> float | None:
-        """How probable a pose's facing is by its box and all else; None where only the directions tell."""
-        return None if self.belief is None else self.belief.facing(rotation_y(camera_T_object))
-
-    def alternatives(self, camera_T_object: Array) -> tuple[Alternative, ...]:
-        """Its other poses, where the scene brought it to a pose."""
-        facing = self.facing(camera_T_object)
-        if facing is None:
-            return self.adjusted.alternatives[0]
-        return turned_alternative(camera_T_object, self.adjusted.optimum.state.shapes[0][0], facing)
-
-
-@dataclass(frozen=True)
-class _Tried:
-    """All vehicles solved one by one with one camera."""
-
-    camera: Camera
-    vehicles: dict[int, _Alone]
-    refused: dict[int, FgreconError]
-
-    @property
-    def solved(self) -> dict[int, _Alone]:
-        return {number: one for number, one in self.vehicles.items() if one.adjusted.optimum.failure is None}
-
-
-@dataclass(frozen=True)
 class _Joint:
     """Vehicles that were solved together, from where they were alone."""
 
-    alone: _Tried
+    alone: Tried
     seen: list[Seen]
     graph: Graph
     optimum: Optimum
@@ -204,57 +161,10 @@ class _Told:
     camera: Camera
     focal_lengths: tuple[tuple[float, float], ...]
     message: str
-    alone: _Tried
+    alone: Tried
 
 
-def _known_boxes(
-    boxes: Sequence[Box3D | None] | None, errors: BoxErrors | None, count: int, camera: Camera
-) -> list[KnownBox | None]:
-    """What is known of each of so many vehicles.
-
-    Raises:
-        InvalidInputError: Another number of boxes is given, or they are of an unknown camera.
-    """
-    if boxes is None:
-        return [None] * count
-    if len(boxes) != count:
-        raise InvalidInputError("boxes", f"{len(boxes)} for {count} vehicles", "Give a box, or None, for each.")
-    if camera.focal_sigma:
-        fix = "Give the focal length that the boxes were found with."
-        raise InvalidInputError("boxes", "given without a known focal length", fix)
-    off = BoxErrors() if errors is None else errors
-    return [None if box is None else KnownBox(box, off) for box in boxes]
-
-
-def _each_alone(
-    vehicles: Sequence[tuple[Observation, KnownBox | None]],
-    camera: Camera,
-    prior: ShapePrior,
-    fleet: SizePrior | None,
-    plane: Ground | None,
-    options: Options,
-) -> _Tried:
-    alone: dict[int, _Alone] = {}
-    refused: dict[int, FgreconError] = {}
-    for number, (given, known) in enumerate(vehicles):
-        size = fleet if known is None or known.box.size is None else None
-        model = prepare(prior, size, options.shape.basis_vectors)
-        try:
-            observation = observe(given, camera, model.prior, options)
-            if known is not None:
-                found = DetectedVehicle.solve(known.problem(observation, camera, model, plane, options), known)
-                alone[number] = _Alone(found.problem, found.start, found.adjusted, known, found.belief)
-                continue
-            problem = Problem.of(observation, camera, model, plane, options)
-            start = adjust_pose(problem)
-        except FgreconError as error:
-            refused[number] = error
-            continue
-        alone[number] = _Alone(problem, start, adjust([Seen(problem)], [start]))
-    return _Tried(camera, alone, refused)
-
-
-def _energies(tried: Sequence[_Tried], known: Camera) -> list[float]:
+def _energies(tried: Sequence[Tried], known: Camera) -> list[float]:
     """The energy with each of the cameras, of the vehicles that were solved with all of them."""
     if len(tried) == 1:
         return [0.0]
@@ -268,12 +178,48 @@ def _energies(tried: Sequence[_Tried], known: Camera) -> list[float]:
     ]
 
 
-def _result(one: _Alone) -> Reconstruction:
+def _result(one: Alone) -> Reconstruction:
     adjusted = replace(one.adjusted, alternatives=(one.alternatives(one.pose),))
     return results([Seen(one.problem)], [one.start], adjusted, {}, one.own(), facing=[one.facing(one.pose)])[0]
 
 
-def _together(alone: _Tried, known: Camera, plane: Ground | None, options: Options) -> _Joint | None:
+def ground_evidence(
+    observations: Sequence[Observation],
+    camera: Camera,
+    model: VehicleModel,
+    plane: Ground,
+    options: Options,
+    known: Marginal,
+) -> Marginal | None:
+    """What the vehicles of an image say of the ground, their poses and shapes eliminated.
+
+    Args:
+        observations: The keypoints of each vehicle.
+        camera: The camera, whose focal length is taken as it is.
+        model: The prepared prior.
+        plane: About where the ground is.
+        options: Settings.
+        known: What is known of its change G(0) from there; of the evidence it is no part.
+
+    Returns:
+        The evidence about G(0); None where there are fewer than two vehicles, or they could not be solved.
+    """
+    sure = replace(camera, focal_sigma=0.0)
+    best = _together(each_alone(observations, sure, model, plane, options), sure, plane, options, known)
+    if best is None or best.frame is None:
+        return None
+    told, values = gtsam.NonlinearFactorGraph(), best.optimum.values
+    built = best.graph.build(best.optimum.state.weights)
+    for factor in map(built.at, range(built.size())):
+        if list(factor.keys()) != [G(0)]:
+            told.add(factor)
+    found = marginal(told, values, [key for key in values.keys() if key != G(0)])  # noqa: SIM118 - no mapping
+    return found if np.isfinite(found.matrix).all() and np.isfinite(found.right).all() else None
+
+
+def _together(
+    alone: Tried, known: Camera, plane: Ground | None, options: Options, before: Marginal | None = None
+) -> _Joint | None:
     """The joint solve; None where there is nothing to solve together, or it gave up."""
     solved = alone.solved
     on_ground = len(solved) > 1 and "ground" not in options.disabled_terms
@@ -288,8 +234,12 @@ def _together(alone: _Tried, known: Camera, plane: Ground | None, options: Optio
         nominal = plane if plane is not None else _seen_ground([one.pose for one in solved.values()])
         frame = GroundFrame.of(nominal.normal, nominal.distance)
         spread = _WIDE if plane is None else (nominal.height_sigma, nominal.slope_sigma, nominal.slope_sigma)
-        others.insert(G(0), np.zeros(3))
-        priors.append(gtsam.PriorFactorVector(G(0), np.zeros(3), diagonal_noise("ground", np.array(spread))))
+        if before is None:
+            others.insert(G(0), np.zeros(3))
+            priors.append(gtsam.PriorFactorVector(G(0), np.zeros(3), diagonal_noise("ground", np.array(spread))))
+        else:
+            others.insert(before.values)
+            priors.append(marginal_factor(before))
         for number, one in solved.items():
             noise = _contact_noise(nominal, float(one.pose[2, 3]))
             contacts[number] = contact_factor(X(number, 0), G(0), frame, noise)
@@ -334,6 +284,9 @@ def _told(best: _Joint, joint: Sequence[_Joint], known: Camera) -> _Told:
     for number, contact in best.contacts.items():
         energies = {**each[number].energies, "ground": float(contact.error(values))}
         each[number] = replace(each[number], energies=energies)
+        if best.frame is not None and best.nominal is not None:
+            told = solved[number].problem.ground
+            each[number] = weakened(each[number], _off_ground(each[number], told, best, values.atVector(G(0))))
     marginals = factorise(best.graph.build(optimum.state.weights), values)
     ground, camera, shared = best.nominal, best.alone.camera, []
     lengths: tuple[tuple[float, float], ...] = ()
@@ -353,6 +306,17 @@ def _told(best: _Joint, joint: Sequence[_Joint], known: Camera) -> _Told:
     message = f"{len(each)} were solved together with {' and '.join(shared)}."
     covariance = None if best.frame is None else _marginal(marginals, G(0))
     return _Told(each, ground, covariance, camera, _distinct(lengths), message, best.alone)
+
+
+def _off_ground(result: Reconstruction, told: Ground | None, joint: _Joint, change: Array) -> list[str]:
+    """The clause of a vehicle that does not stand on the ground that was told, or else on that of the others."""
+    assert joint.frame is not None
+    assert joint.nominal is not None
+    depth = float(result.location[2])
+    if told is not None:
+        return off_ground(float(told.normal @ result.location - told.distance), told.height_sigma_at_depth(depth))
+    normal, distance = joint.frame.plane(change)
+    return off_ground(float(normal @ result.location - distance), _own_height(joint.nominal, depth))
 
 
 def _camera(joint: _Joint) -> Camera:
@@ -379,9 +343,13 @@ def _seen_ground(poses: Sequence[Array]) -> Ground:
 
 def _contact_noise(ground: Ground, depth: float) -> gtsam.noiseModel.Robust:
     """What is a vehicle's own of its deviation from the plane."""
-    height = float(np.hypot(_OWN_HEIGHT * ground.height_sigma, _OWN_SLOPE * ground.slope_sigma * depth))
-    tilt = _OWN_TILT * ground.tilt_sigma
+    height, tilt = _own_height(ground, depth), OWN_TILT * ground.tilt_sigma
     return RobustLoss.of(Loss.CAUCHY, _OUTLYING).wrap(diagonal_noise("contact", np.array([height, tilt, tilt, tilt])))
+
+
+def _own_height(ground: Ground, depth: float) -> float:
+    """How far a vehicle's origin may lie off the ground of the others, metres (1 sigma)."""
+    return float(np.hypot(OWN_HEIGHT * ground.height_sigma, OWN_SLOPE * ground.slope_sigma * depth))
 
 
 def _marginal(marginals: gtsam.Marginals | None, key: int) -> Array | None:

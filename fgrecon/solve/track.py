@@ -141,4 +141,6 @@ def _status(results: list[Reconstruction], refused: Mapping[int, str]) -> tuple[
         if members:
             where = f"{len(members)} of {len(results)} are {status.value}"
             return status, f"{count}{left_out}; {where}: {members[0].message}"
+    if all(result.status is Status.WEAK for result in results):
+        return Status.WEAK, f"{count}{left_out}; all are weak: {results[0].message}"
     return Status.CONVERGED, f"{count}{left_out}; the joint optimisation found a minimum."

@@ -17,6 +17,7 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from factors.marginals import Marginal
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import FgreconError, InvalidInputError
@@ -32,19 +33,27 @@ from fgrecon.solve.graph.adjust import Adjusted
 from fgrecon.solve.pipeline import ground_plane, observe
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import results
-from fgrecon.solve.scene import reconstruct_scene
+from fgrecon.solve.road import KnownGround, Road
+from fgrecon.solve.scene import ground_evidence
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.time.smooth import smooth
 from fgrecon.solve.time.turned import turned_alternative
 from fgrecon.solve.time.vehicle import Followed
-from fgrecon.solve.time.window import Frame, FrameStep, OwnFactors, WindowSolve
+from fgrecon.solve.time.window import Frame, FrameStep, OwnFactors, WindowSolve, velocity_covariance
 from fgrecon.solve.vehicle.model import prepare
 
 __all__ = ["Tracker"]
 
 Array = NDArray[np.float64]
 
-_OWN = 0.5  # share of a ground's deviations that stays each vehicle's own
+
+@dataclass(frozen=True)
+class _Past:
+    """A frame of a vehicle: what was seen, from where, and the ground that it was solved on."""
+
+    frame: Frame
+    world_T_camera: gtsam.Pose3 | None
+    known: KnownGround | None
 
 
 @dataclass
@@ -54,7 +63,7 @@ class _Track:
     followed: Followed
     time: float = -np.inf
     world_T_camera: gtsam.Pose3 | None = None
-    past: list[tuple[Frame, gtsam.Pose3 | None]] = field(default_factory=list)
+    past: list[_Past] = field(default_factory=list)
 
 
 class Tracker:
@@ -84,8 +93,9 @@ class Tracker:
             size_prior: Fleet (`kitti`, `apollo79`), or a size prior; None takes sizes from the shape prior.
             options: Settings; `joint` must be set.
             window: Frames that are solved together when a new one comes; at least 2.
-            shared_ground: Whether the vehicles of a frame share one ground that is a variable: it is found first
-                (`fgrecon.reconstruct_scene`), which takes as long as the vehicles themselves.
+            shared_ground: Whether the vehicles share one ground that is a variable and changes slowly from frame to
+                frame: it is found first, by solving the vehicles of the frame together as `fgrecon.reconstruct_scene`
+                does, which takes as long as following them.
             past: Frames of each vehicle to keep for `smooth`; None keeps all.
             motion_factors: Makes factors of your own for each step of a vehicle: called with the numbers of its two
                 frames, the seconds between them, and a factor to multiply standard deviations by (frames count by a
@@ -106,7 +116,7 @@ class Tracker:
         fleet = None if size_prior is None else named_size_prior(size_prior)
         self._model = prepare(self._prior, fleet, options.shape.basis_vectors)
         self._window, self._past = window, past
-        self._shared, self._fleet, self._own = shared_ground, fleet, motion_factors
+        self._shared, self._own, self._road = shared_ground, motion_factors, Road()
         self._tracks: dict[int, _Track] = {}
         self._time = -np.inf
         self.refused = {}
@@ -146,9 +156,10 @@ class Tracker:
         seen_by, plane = Camera.of(camera), ground_plane(ground)
         place = None if world_T_camera is None else _pose("world_T_camera", world_T_camera)
         sigma = (0.0, 0.0) if motion_sigma is None else _sigma(motion_sigma)
-        self._time = time
-        if self._shared and plane is not None and len(observations) > 1:
-            plane = self._ground(observations, seen_by, plane)
+        self._time, known = time, None
+        if self._shared and plane is not None:
+            known = self._ground(time, observations, seen_by, plane, place, sigma)
+            plane = known.ground
         found: dict[int, VehicleEstimate] = {}
         refused: dict[int, FgreconError] = {}
         for name, given in observations.items():
@@ -164,7 +175,7 @@ class Tracker:
                 continue
             self._tracks[name] = track
             track.time, track.world_T_camera = time, place
-            track.past.append((frame, place))
+            track.past.append(_Past(frame, place, known))
             if self._past is not None:
                 del track.past[: -self._past]
             found[name] = self._estimate(name, track)
@@ -180,53 +191,58 @@ class Tracker:
         """Let go of a vehicle, and of its past; one that is not there is none to let go of."""
         self._tracks.pop(vehicle, None)
 
-    def _ground(self, observations: Mapping[int, Observation], camera: Camera, plane: Ground) -> Ground:
-        """The ground under the vehicles of a frame; what is left of its uncertainty is each vehicle's own."""
-        scene = reconstruct_scene(
-            list(observations.values()),
-            camera,
-            prior=self._prior,
-            ground=plane,
-            size_prior=self._fleet,
-            options=self._options,
-        )
-        if scene.ground is None or scene.ground_covariance is None:
-            return plane
-        height, slope = _OWN * plane.height_sigma, _OWN * plane.slope_sigma
-        return replace(scene.ground, height_sigma=height, slope_sigma=slope)
+    def _ground(
+        self,
+        time: float,
+        observations: Mapping[int, Observation],
+        camera: Camera,
+        told: Ground,
+        place: gtsam.Pose3 | None,
+        sigma: tuple[float, float],
+    ) -> KnownGround:
+        """By the vehicles of this frame and those before."""
+
+        def says(known: Marginal) -> Marginal | None:
+            given = list(observations.values())
+            return ground_evidence(given, camera, self._model, told, self._options, known)
+
+        return self._road.later(time, told, place, says, motion_sigma=sigma)
 
     def _estimate(self, name: int, track: _Track) -> VehicleEstimate:
         """Of the last frame."""
-        followed, (frame, place) = track.followed, track.past[-1]
-        return _estimate(name, frame, place, followed.solved, len(followed.solved.seen) - 1, followed.count)
+        followed = track.followed
+        return _estimate(name, track.past[-1], followed.solved, len(followed.solved.seen) - 1, followed.count)
 
     def _smoothed(self, name: int, track: _Track) -> list[VehicleEstimate]:
-        places = {frame.number: place for frame, place in track.past}
-        frames = [frame for frame, _ in track.past]
+        pasts = {past.frame.number: past for past in track.past}
+        frames = [past.frame for past in track.past]
         frames[0] = replace(frames[0], step=None)
         found = []
         for solved, some, given in smooth(frames, track.followed.shape, track.followed.motion, self._own):
             for index in given:
-                frame = some[index]
-                found.append(_estimate(name, frame, places[frame.number], solved, index, len(frames)))
+                past = replace(pasts[some[index].number], frame=some[index])
+                found.append(_estimate(name, past, solved, index, len(frames)))
         return found
 
 
-def _estimate(
-    name: int, frame: Frame, place: gtsam.Pose3 | None, solved: WindowSolve, index: int, count: int
-) -> VehicleEstimate:
+def _estimate(name: int, past: _Past, solved: WindowSolve, index: int, count: int) -> VehicleEstimate:
+    frame, place = past.frame, past.world_T_camera
     pose = frame.pose.matrix()
     facing = frame.belief.facing(rotation_y(pose))
     alone = len(solved.seen) == 1
     adjusted = solved.adjusted if alone else _with_alternative(solved.adjusted, index, pose, facing)
     (result,) = results(solved.seen, solved.starts, adjusted, {}, solved.extra, only=[index])
+    if past.known is not None and result.pose_covariance is not None:
+        result = replace(result, pose_covariance=past.known.considered(pose, result.pose_covariance))
     velocity: Array | None = None
+    spread: Array | None = None
     turn_rate: float | None = None
     if not alone:
+        axes = pose[:3, :3] if place is None else place.rotation().matrix() @ pose[:3, :3]
         forward, left, turn_rate = frame.velocity.tolist()
-        velocity = pose[:3, :3] @ np.array([forward, 0.0, left])
-        if place is not None:
-            velocity = place.rotation().matrix() @ velocity
+        velocity = axes @ np.array([forward, 0.0, left])
+        own = velocity_covariance(solved, frame)
+        spread = None if own is None else axes @ own @ axes.T
     return VehicleEstimate(
         id=name,
         time=frame.time,
@@ -236,6 +252,7 @@ def _estimate(
         facing_probability=facing,
         world_T_object=None if place is None else place.matrix() @ result.camera_T_object,
         frames=count,
+        velocity_covariance=spread,
     )
 
 

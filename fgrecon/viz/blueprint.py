@@ -172,13 +172,18 @@ def page(above: Sequence[Any], below: Sequence[Any], *, name: str, timeline: str
     )
 
 
-def image_view(crop: Box | None) -> Any:
+def image_view(
+    crop: Box | None,
+    name: str = "Image: keypoints by weight, projected wireframe, residuals",
+    contents: Sequence[str] = ("$origin/**",),
+) -> Any:
     """The image, zoomed to a crop where one is given."""
     import rerun.blueprint as rrb
 
     return rrb.Spatial2DView(
-        name="Image: keypoints by weight, projected wireframe, residuals",
+        name=name,
         origin=f"/{entities.CAMERA}",
+        contents=list(contents),
         background=style.SCREEN_BACKGROUND,
         visual_bounds=None if crop is None else _bounds(crop),
     )
@@ -208,6 +213,7 @@ def scene_view(controls: Any) -> Any:
         name="Scene: camera frame, metres",
         origin=f"/{entities.SCENE}",
         contents=["$origin/**", *(f"- /{entity}/**" for entity in only_in_image)],
+        background=style.SCREEN_BACKGROUND,
         eye_controls=controls,
         line_grid=False,
     )
@@ -235,7 +241,9 @@ def error_views(entity: str, measures: Sequence[tuple[str, str]]) -> Any:
     return rrb.Vertical(*(plot_view(name, f"{entity}/{m}") for name, m in measures), name="Errors")
 
 
-def graph_view(layout: Layout | None, name: str = "Factor graph: keypoints by weight") -> Any:
+def graph_view(
+    layout: Layout | None, name: str = "Factor graph: keypoints by weight", entity: str = entities.GRAPH
+) -> Any:
     """The factor graph, with every node where it was put and, where a layout is given, all of them in the view."""
     import rerun.blueprint as rrb
     import rerun.blueprint.archetypes as forces
@@ -243,7 +251,7 @@ def graph_view(layout: Layout | None, name: str = "Factor graph: keypoints by we
     return rrb.GraphView(
         name=name,
         visual_bounds=None if layout is None else _bounds(_reach(layout)),
-        origin=f"/{entities.GRAPH}",
+        origin=f"/{entity}",
         force_link=forces.ForceLink(enabled=False),
         force_many_body=forces.ForceManyBody(enabled=False),
         force_center=forces.ForceCenter(enabled=False),
@@ -290,8 +298,10 @@ def eye(reconstruction: Reconstruction) -> Any:
     return look(position, target)
 
 
-def look(position: NDArray[np.float64], target: NDArray[np.float64]) -> Any:
-    """An eye at a position that looks at a target; camera frame, metres."""
+def look(
+    position: NDArray[np.float64], target: NDArray[np.float64], up: tuple[float, float, float] = (0.0, -1.0, 0.0)
+) -> Any:
+    """An eye at a position that looks at a target, with what is to be up in its view; camera frame, metres."""
     import rerun.blueprint as rrb
 
-    return rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=(0.0, -1.0, 0.0))
+    return rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=position, look_target=target, eye_up=up)

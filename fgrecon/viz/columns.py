@@ -5,8 +5,8 @@ rerun's own constructors take many times as long as the numbers that they wrap; 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from math import prod
 from typing import Any
@@ -53,16 +53,26 @@ class Outbox:
     Attributes:
         name: Name of the recording.
         chunks: What was sent so far.
+        place: Where an entity goes: what is sent for one of several vehicles has a branch of its own.
     """
 
     name: str
     chunks: list[Any] = field(default_factory=list)
+    place: Callable[[str], str] = str
+
+    def branch(self, place: Callable[[str], str]) -> Outbox:
+        """The same outbox for senders whose entities are to go elsewhere."""
+        return replace(self, place=place)
 
     def send_columns(self, entity: str, times: Iterable[Any], columns: Iterable[Any]) -> None:
         """Add time and component columns; without times what holds always."""
         from rerun.chunk import Chunk
 
-        self.chunks.append(Chunk.from_columns(entity, times, columns))
+        self.chunks.append(Chunk.from_columns(self.place(entity), times, columns))
+
+    def send_fixed(self, entity: str, archetype: Any, **fields: Any) -> None:
+        """Add what `fixed` makes."""
+        self.chunks.append(fixed(self.place(entity), archetype, **fields))
 
     def send_chunks(self, chunk: Any) -> None:
         """Add a chunk."""

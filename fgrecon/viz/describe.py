@@ -17,6 +17,7 @@ __all__ = [
     "describe_stop",
     "describe_update",
     "median_residual",
+    "scene_table",
     "summary_table",
     "total_energy",
     "track_table",
@@ -104,6 +105,22 @@ def summary_table(reconstruction: Reconstruction, observation: Observation, trut
         rows.append(("Error against the truth", describe_errors(truth, result.camera_T_object, result.wireframe)))
     lines = "\n".join(f"| {name} | {value.replace('|', '/')} |" for name, value in rows)
     return f"| | |\n|---|---|\n{lines}\n"
+
+
+def scene_table(vehicles: Sequence[tuple[str, Reconstruction]]) -> str:
+    """The results of a scene, by title, as a Markdown table."""
+    rows = []
+    for title, result in vehicles:
+        cells = [title, result.status.value]
+        if np.isfinite(result.camera_T_object).all():
+            cells += [
+                ", ".join(f"{metres:.2f}" for metres in result.location),
+                f"{np.degrees(result.rotation_y):.1f}",
+                ", ".join(f"{metres:.2f}" for metres in result.box_size),
+            ]
+        rows.append("| " + " | ".join(cell.replace("|", "/") for cell in cells) + " |")
+    heading = "| | status | x, y, z [m] | yaw [°] | l, w, h [m] |\n|---|---|---|---|---|\n"
+    return heading + "\n".join(rows) + "\n"
 
 
 def track_table(track: TrackReconstruction, errors: Sequence[Mapping[str, float]]) -> str:

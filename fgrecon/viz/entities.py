@@ -37,6 +37,18 @@ The recording of a track (`fgrecon.viz.track_recording`) has the same for every 
 | `frames/error/<measure>` | distance from the truth | each frame |
 | `track` | every field of every `JointStep`, in full precision | each joint step |
 
+The recording of a scene (`fgrecon.viz.scene_recording`) has the photograph, the camera and the ground once, and all
+else for each vehicle: `scene/camera/...` at `scene/camera/vehicles/<id>/...`, other `scene/...` at
+`scene/vehicles/<id>/...`, and what is not in the scene at `vehicles/<id>/...` (`of_vehicle`). Every vehicle begins at
+step 0. In addition it has
+
+| entity | what | when |
+|---|---|---|
+| `scene/camera/boxes` | the 2D boxes with the vehicles' ids | once |
+| `scene/vehicles/<id>/vehicle/heading` | an arrow from the middle beyond the front, with the id | once |
+| `scene/vehicles/<id>/position` | ellipsoid that holds the position with a probability of 95 % | at the result |
+| `states/<id>` | stage, then status, and whether the camera sees front or rear | where it changes |
+
 Timelines: `step` counts the steps across all stages (and, of a track, all frames), `stage` the stages, `irls` the
 weight updates across all stages, and `frame` is the number of the image. Drawn geometry is in single precision, as
 viewers want it; plots and `history` are in double, and `fgrecon.viz.replay` reads them back to the last bit. Each row
@@ -46,6 +58,7 @@ of `history` and `track` is one struct, the component `fields` of an archetype o
 from __future__ import annotations
 
 __all__ = [
+    "BOXES_2D",
     "BOX_2D",
     "CAMERA",
     "COEFFICIENTS",
@@ -55,9 +68,11 @@ __all__ = [
     "FRAMES",
     "GRAPH",
     "GROUND",
+    "HEADING",
     "HISTORY",
     "HISTORY_ARCHETYPE",
     "IMAGE",
+    "IN_VEHICLES",
     "IRLS",
     "JOINT_ARCHETYPE",
     "KEYPOINTS_2D",
@@ -66,6 +81,7 @@ __all__ = [
     "MEDIAL",
     "PATH",
     "PLANES",
+    "POSITION",
     "PREVIOUS_2D",
     "PREVIOUS_3D",
     "RESIDUALS",
@@ -86,6 +102,7 @@ __all__ = [
     "WEIGHTS",
     "WIREFRAME_2D",
     "WIREFRAME_3D",
+    "of_vehicle",
 ]
 
 STEP = "step"
@@ -127,9 +144,27 @@ SUMMARY = "summary"
 HISTORY = "history"
 HISTORY_ARCHETYPE = "fgrecon.Iteration"
 
+BOXES_2D = "scene/camera/boxes"
+HEADING = "scene/vehicle/heading"
+POSITION = "scene/position"
+IN_VEHICLES = "vehicles"
+
 PATH = "scene/path"
 TRUE_PATH = "scene/path/truth"
 TRACK_3D = "scene/track"
 FRAMES = "frames"
 TRACK = "track"
 JOINT_ARCHETYPE = "fgrecon.JointStep"
+
+
+def of_vehicle(entity: str, name: str) -> str:
+    """Where a scene's recording has an entity of one of its vehicles.
+
+    Args:
+        entity: The entity in the recording of a single vehicle.
+        name: The vehicle's name in paths: letters, digits, dots, dashes and underscores.
+    """
+    for above in (CAMERA, SCENE):
+        if entity.startswith(f"{above}/"):
+            return f"{above}/{IN_VEHICLES}/{name}/{entity.removeprefix(f'{above}/')}"
+    return f"{IN_VEHICLES}/{name}/{entity}"

@@ -63,7 +63,7 @@ def log_graph(play: Playback) -> None:
     colours = np.broadcast_to(np.array(layout.colours, dtype=np.uint8), (len(play.steps), len(layout.nodes), 3)).copy()
     if drawn:
         nodes, keypoints = np.array(drawn).T
-        colours[:, nodes] = play.colours[:, keypoints]
+        colours[:, nodes] = style.readable(play.colours[:, keypoints])
     columns = [column(rr.GraphNodes, "colors", colours.reshape(-1, 3), len(layout.nodes))]
     play.every_step(entities.GRAPH, columns)
 
@@ -106,10 +106,15 @@ def lay_out(graph: tuple[GraphFactor, ...]) -> Layout:
         nodes=(*names, *factors),
         labels=(*(_describe(name) for name in names), *(_label(factor) for factor in graph)),
         positions=np.array(places).reshape(-1, 2),
-        colours=(*(style.VARIABLE for _ in names), *(style.energy_colour(f.term, i) for i, f in enumerate(graph))),
+        colours=(*(style.VARIABLE for _ in names), *(_colour(f.term, i) for i, f in enumerate(graph))),
         variables=len(names),
         edges=tuple((node, v) for node, factor in zip(factors, graph, strict=True) for v in factor.variables),
     )
+
+
+def _colour(term: str, index: int) -> Colour:
+    red, green, blue = style.readable(style.energy_colour(term, index)).tolist()
+    return (red, green, blue)
 
 
 def _stack(names: Sequence[str], graph: Sequence[GraphFactor]) -> list[Place]:

@@ -15,9 +15,13 @@ __all__ = [
     "as_image",
     "box_corners",
     "crop_around",
+    "ellipse",
     "ellipsoids",
     "ground_grid",
+    "ground_lines",
     "image_points",
+    "level_axes",
+    "position_covariance",
     "resolution",
     "vertex_normals",
 ]
@@ -158,3 +162,55 @@ def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> N
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     unit: NDArray[np.float64] = normals / np.where(lengths > 0, lengths, 1.0)
     return unit
+
+
+def ground_lines(
+    ground: Ground, sideways: NDArray[np.float64], ahead: NDArray[np.float64], nearest: float = 0.5
+) -> NDArray[np.float64]:
+    """(L, 2, 3) lines of a grid on the ground before the camera, in the camera frame, metres.
+
+    Args:
+        ground: The ground plane.
+        sideways: How far right of the camera there is a line ahead.
+        ahead: How far ahead there is a line across; the last one ends the lines ahead.
+        nearest: How far ahead these begin.
+    """
+    right, down, forward = level_axes(ground)
+    low, high = sideways[[0, -1]]
+    along = np.array([[(x, nearest), (x, ahead[-1])] for x in sideways])
+    across = np.array([[(low, z), (high, z)] for z in ahead])
+    places = np.concatenate([along, across])
+    lines: NDArray[np.float64] = ground.distance * down + places[..., :1] * right + places[..., 1:] * forward
+    return lines
+
+
+def level_axes(ground: Ground | None) -> NDArray[np.float64]:
+    """(3, 3) rotation of the camera frame into one with its y axis down: rows are right, down and ahead.
+
+    Without a ground the camera is taken for level.
+    """
+    if ground is None:
+        return np.eye(3)
+    down = ground.normal
+    forward = np.array([0.0, 0.0, 1.0] if down[2] < 0.99 else [0.0, -1.0, 0.0])  # a camera may look straight down
+    ahead = forward - (forward @ down) * down
+    ahead /= np.linalg.norm(ahead)
+    return np.stack([cross(down, ahead), down, ahead])
+
+
+def ellipse(covariance: NDArray[np.float64], radius: float, points: int = 48) -> NDArray[np.float64]:
+    """(points, 2) outline of the ellipse of a covariance (2, 2), that many standard deviations large, about 0."""
+    values, vectors = np.linalg.eigh(covariance)
+    angles = np.linspace(0.0, 2 * np.pi, points, endpoint=False)
+    circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    outline: NDArray[np.float64] = radius * circle * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+    return outline
+
+
+def position_covariance(
+    camera_T_object: NDArray[np.float64], pose_covariance: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(3, 3) covariance of the origin in the camera frame, of that (6, 6) of the pose in GTSAM's order and frame."""
+    rotation = camera_T_object[:3, :3]
+    covariance: NDArray[np.float64] = rotation @ pose_covariance[3:, 3:] @ rotation.T
+    return covariance

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from fgrecon.viz.geometry import BOX_EDGES, Box, box_corners, image_points, reso
 from fgrecon.viz.style import Side
 from fgrecon.viz.truth import Truth
 
-__all__ = ["draw_badge", "draw_box", "draw_crop", "draw_edges", "draw_keypoints", "draw_true_box", "unit"]
+__all__ = ["draw_badge", "draw_box", "draw_crop", "draw_edges", "draw_keypoints", "draw_paths", "draw_true_box", "unit"]
 
 _LINE = 1.6
 
@@ -102,12 +102,39 @@ def draw_true_box(axes: Any, truth: Truth, camera: Camera) -> None:
 def _draw_lines(
     axes: Any, lines: NDArray[np.float64], colour: style.Colour, width: float, alpha: float, zorder: float
 ) -> None:
-    """Line segments (S, 2, 2) over a wider light line, so that they stay legible on any photograph."""
+    """Line segments (S, 2, 2); those with a point that is not finite are left out."""
+    drawn = list(lines[np.isfinite(lines).all(axis=(1, 2))])
+    draw_paths(axes, drawn, colour, width, "-", alpha=alpha, zorder=zorder)
+
+
+def draw_paths(
+    axes: Any,
+    paths: Sequence[NDArray[np.float64]],
+    colour: style.Colour,
+    width: float,
+    dashes: Any,
+    *,
+    zorder: float,
+    alpha: float = 1.0,
+    casing: bool = True,
+) -> None:
+    """Paths (n, 2), by default over a wider light line, so that they stay legible on any photograph.
+
+    Args:
+        axes: Where they go.
+        paths: The paths.
+        colour: Their colour.
+        width: Their width in points.
+        dashes: Line style of matplotlib.
+        zorder: What they lie upon.
+        alpha: Their opacity.
+        casing: Whether the light line is drawn.
+    """
     from matplotlib.collections import LineCollection
 
-    drawn = list(lines[np.isfinite(lines).all(axis=(1, 2))])
-    for shade, extra, part in ((style.PAPER, 0.8 * width, 0.7 * alpha), (colour, 0.0, alpha)):
-        collection = LineCollection(
-            drawn, colors=[unit(shade)], linewidths=width + extra, alpha=part, capstyle="round", zorder=zorder
-        )
-        axes.add_collection(collection)
+    if casing:
+        look: dict[str, Any] = {"colors": [unit(style.PAPER)], "linewidths": 1.8 * width, "alpha": 0.7 * alpha}
+        axes.add_collection(LineCollection(list(paths), capstyle="round", zorder=zorder, **look))
+    cap = "round" if dashes == "-" else "butt"
+    look = {"colors": [unit(colour)], "linewidths": width, "alpha": alpha, "linestyles": [dashes]}
+    axes.add_collection(LineCollection(list(paths), capstyle=cap, zorder=zorder, **look))

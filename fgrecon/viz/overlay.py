@@ -17,6 +17,7 @@ from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.viz import style
 from fgrecon.viz.geometry import BOX_EDGES, as_image, box_corners, image_points
+from fgrecon.viz.truth import Truth
 
 __all__ = ["Shown", "annotated"]
 
@@ -37,6 +38,8 @@ class Shown:
         result: The reconstruction; None draws the 2D box alone.
         words: What is written beside its id, such as its speed.
         trail: (T, 3) where it was, in this camera's frame, oldest first; none where that is not known.
+        name: What it is called where its id is not its name.
+        truth: What is known to be true.
     """
 
     identity: int
@@ -44,6 +47,14 @@ class Shown:
     result: Reconstruction | None = None
     words: str = ""
     trail: NDArray[np.float64] | None = None
+    name: str = ""
+    truth: Truth | None = None
+
+    @property
+    def pose(self) -> NDArray[np.float64] | None:
+        """(4, 4) `camera_T_object`, or None where it has no pose."""
+        found = self.result is not None and np.isfinite(self.result.camera_T_object).all()
+        return self.result.camera_T_object if self.result is not None and found else None
 
 
 def annotated(
@@ -79,7 +90,7 @@ def _draw_vehicle(canvas: NDArray[np.uint8], vehicle: Shown, camera: Camera, wid
     colour = style.categorical(vehicle.identity)
     x1, y1, x2, y2 = vehicle.box
     _lines(canvas, np.array([[(x1, y1), (x2, y1), (x2, y2), (x1, y2), (x1, y1)]]), colour, 1)
-    if vehicle.result is not None and np.isfinite(vehicle.result.camera_T_object).all():
+    if vehicle.result is not None and vehicle.pose is not None:
         result = vehicle.result
         corners = image_points(camera, result.camera_T_object, box_corners(result.box_size))
         _lines(canvas, corners[BOX_EDGES[:4]], colour, width)
@@ -109,7 +120,7 @@ def _draw_above(canvas: NDArray[np.uint8], vehicles: Sequence[Shown]) -> None:
         middle = at(np.array([[0.0, 0.0]]))[0]
         cv2.circle(panel, (int(middle[0]), int(middle[1])), int(ring * scale), grey, 1, cv2.LINE_AA)
     for vehicle in vehicles:
-        if vehicle.result is None or not np.isfinite(vehicle.result.camera_T_object).all():
+        if vehicle.result is None or vehicle.pose is None:
             continue
         colour = style.categorical(vehicle.identity)
         corners = box_corners(vehicle.result.box_size)[:4]

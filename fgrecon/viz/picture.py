@@ -190,10 +190,10 @@ def as_rgb(figure: Any, dpi: float = _DPI) -> NDArray[np.uint8]:
     return np.array(figure.canvas.buffer_rgba())[..., :3]
 
 
-def save_picture(path: str | Path, figure: Any, dpi: float = _DPI) -> Path:
+def save_picture(path: str | Path, figure: Any, dpi: float | None = None) -> Path:
     """Write a figure to a file, whole or not at all; the ending of the name chooses the type (see `FORMATS`).
 
-    The same figure gives the same bytes.
+    The same figure gives the same bytes. Without `dpi` it is the figure's own.
 
     Returns:
         The path written to.
@@ -208,7 +208,7 @@ def save_picture(path: str | Path, figure: Any, dpi: float = _DPI) -> Path:
     quality: dict[str, Any] = {"pil_kwargs": {"quality": 92}} if kind in ("jpg", "jpeg") else {}
     buffer = io.BytesIO()
     with mpl.rc_context({"svg.hashsalt": "fgrecon"}):  # else the names inside an SVG are random
-        figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata.get(kind), **quality)
+        figure.savefig(buffer, format=kind, dpi=dpi or figure.dpi, metadata=metadata.get(kind), **quality)
     return write_bytes(path, buffer.getvalue())
 
 

@@ -14,7 +14,7 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Iteration, Reconstruction
 from fgrecon.viz import entities, style
-from fgrecon.viz.columns import Outbox, fixed, strip_column
+from fgrecon.viz.columns import Outbox, strip_column
 from fgrecon.viz.describe import weight_updates
 from fgrecon.viz.geometry import image_points
 from fgrecon.viz.style import Side
@@ -256,4 +256,4 @@ class Rows:
 def _once(stream: Outbox, logged: set[str], entity: str, archetype: Any, fields: Mapping[str, Any]) -> None:
     if entity not in logged:
         logged.add(entity)
-        stream.send_chunks(fixed(entity, archetype, **fields))
+        stream.send_fixed(entity, archetype, **fields)

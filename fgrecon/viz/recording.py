@@ -26,7 +26,7 @@ from fgrecon.viz.scene import log_camera, log_frame, log_ground, log_result, log
 from fgrecon.viz.sinks import Recording
 from fgrecon.viz.truth import Truth
 
-__all__ = ["record", "recording_of"]
+__all__ = ["log_vehicle", "record", "recording_of"]
 
 
 def record(
@@ -94,17 +94,23 @@ def _outbox(
     play = Playback(out, reconstruction, observation, camera, truth)
     log_camera(play, photograph)
     log_frame(play, photograph)
-    if truth is not None:
-        log_truth(play, truth)
+    log_vehicle(play)
+    if np.isfinite(reconstruction.camera_T_object).all():
+        log_ground(play, ground)
+    return out
+
+
+def log_vehicle(play: Playback) -> None:
+    """All about a vehicle that does not depend on where it is seen: truth, every step, result, plots, graph, words."""
+    if play.truth is not None:
+        log_truth(play, play.truth)
     if play.steps:
         rows = Rows.of([play])
         log_steps(rows)
         log_plots(play)
         log_graph(play)
-        if reconstruction.history:
+        if play.reconstruction.history:
             log_history(rows)
-    if np.isfinite(reconstruction.camera_T_object).all():
-        log_ground(play, ground)
+    if np.isfinite(play.reconstruction.camera_T_object).all():
         log_result(play)
     log_words(play)
-    return out

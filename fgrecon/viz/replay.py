@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -64,11 +64,11 @@ class LogLine:
 
 @dataclass(frozen=True)
 class StageSummary:
-    """One stage, of a track over all frames.
+    """One stage, of a track over all frames, of a scene over all vehicles.
 
     Attributes:
         stage: Its name.
-        weight_updates: How many weight updates it took, of a track in all frames together.
+        weight_updates: How many weight updates it took, in all of them together.
         steps: How many steps, likewise.
         first_energy: Total energy at its first step, nats.
         last_energy: Total energy at its last step.
@@ -93,28 +93,37 @@ class Replay:
         joint: Of a track every step of its joint optimisation, to the last bit too; else empty.
         scalars: Plotted series by entity, such as `energy`, `weights`, `error/translation_m`.
         log: The text log in order; its last line says how it ended and why.
+        vehicles: Of a scene the same of each vehicle, by its name in paths; the scene's own frames, scalars and log are
+            then empty.
     """
 
     frames: Mapping[int, tuple[Iteration, ...]]
     joint: tuple[JointStep, ...]
     scalars: Mapping[str, Series]
     log: tuple[LogLine, ...]
+    vehicles: Mapping[str, Replay] = field(default_factory=dict)
 
     @property
     def history(self) -> tuple[Iteration, ...]:
-        """Every step, frame after frame."""
-        return tuple(step for steps in self.frames.values() for step in steps)
+        """Every step, frame after frame or vehicle after vehicle."""
+        return tuple(step for steps in self._histories() for step in steps)
 
     def summary(self) -> tuple[StageSummary, ...]:
-        """The stages in order of their first step. A track's joint stage is told once, with the terms of the shape."""
-        stages = dict.fromkeys(step.stage for step in self.history)
-        summaries = [_of_frames(stage, self.frames) for stage in stages if not (self.joint and stage == "joint")]
+        """The stages in order of their first step, over all frames or vehicles.
+
+        A track's joint stage is told once, with the terms of the shape.
+        """
+        stages, histories = dict.fromkeys(step.stage for step in self.history), self._histories()
+        summaries = [_of_all(stage, histories) for stage in stages if not (self.joint and stage == "joint")]
         return (*summaries, _of_joint(self.joint)) if self.joint else tuple(summaries)
 
+    def _histories(self) -> list[tuple[Iteration, ...]]:
+        return [steps for part in (self, *self.vehicles.values()) for steps in part.frames.values()]
 
-def _of_frames(stage: str, frames: Mapping[int, tuple[Iteration, ...]]) -> StageSummary:
-    """A stage over all frames: counts and energies are added up."""
-    members = [steps for steps in (_members(stage, steps) for steps in frames.values()) if steps]
+
+def _of_all(stage: str, histories: Sequence[tuple[Iteration, ...]]) -> StageSummary:
+    """A stage over all frames or vehicles: counts and energies are added up."""
+    members = [steps for steps in (_members(stage, steps) for steps in histories) if steps]
     terms: dict[str, float] = {}
     for steps in members:
         for name, energy in steps[-1].energies.items():
@@ -143,7 +152,7 @@ def _total(energies: Mapping[str, float]) -> float:
 
 
 def read(path: str | Path) -> Replay:
-    """Read a recording that `fgrecon.viz.record` or `fgrecon.viz.record_track` wrote.
+    """Read a recording that `fgrecon.viz.record`, `record_scene` or `record_track` wrote.
 
     Raises:
         InvalidInputError: There is no such file, or it is no recording of fgrecon.
@@ -155,15 +164,24 @@ def read(path: str | Path) -> Replay:
 
 
 def _read(path: Path) -> Replay:
-    found = _Found()
+    found: dict[str, _Found] = {}
     try:
         for entity, columns in _chunks(path):
-            found.add(entity, columns)
+            vehicle, within = _whose(entity)
+            found.setdefault(vehicle, _Found()).add(within, columns)
     except (RuntimeError, ValueError, KeyError, OSError) as error:
         raise InvalidInputError("recording", f"{path}: {error}", _FIX) from error
-    if not found.log:
+    if not any(part.log for part in found.values()):
         raise InvalidInputError("recording", f"{path} holds no log of fgrecon", _FIX)
-    return found.replay()
+    own = found.pop("", _Found()).replay()
+    return replace(own, vehicles={name: part.replay() for name, part in sorted(found.items())})
+
+
+def _whose(entity: str) -> tuple[str, str]:
+    """The vehicle of a scene that an entity belongs to, and its name in the recording of that vehicle alone."""
+    head, _, rest = entity.partition("/")
+    vehicle, _, within = rest.partition("/")
+    return (vehicle, within) if head == entities.IN_VEHICLES and within else ("", entity)
 
 
 def _chunks(path: str | Path) -> Iterator[tuple[str, dict[str, list[Any]]]]:
@@ -174,7 +192,7 @@ def _chunks(path: str | Path) -> Iterator[tuple[str, dict[str, list[Any]]]]:
         entity = str(chunk.entity_path).strip("/")
         batch = chunk.to_record_batch()
         # What is drawn stays out: photographs alone would take minutes as lists of numbers.
-        if entity in _WORDS_AND_STEPS or {_SCALARS, _NAMES} & set(batch.schema.names):
+        if _whose(entity)[1] in _WORDS_AND_STEPS or {_SCALARS, _NAMES} & set(batch.schema.names):
             yield entity, batch.to_pydict()
 
 

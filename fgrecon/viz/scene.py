@@ -24,7 +24,7 @@ from fgrecon.viz.planes import face_outlines, fan, medial_outlines
 from fgrecon.viz.playback import Playback, Rows
 from fgrecon.viz.truth import Truth
 
-__all__ = ["line_style", "log_camera", "log_frame", "log_ground", "log_result", "log_steps", "log_truth"]
+__all__ = ["line_style", "log_camera", "log_frame", "log_ground", "log_image", "log_result", "log_steps", "log_truth"]
 
 _AXES = (3, 2, 5)  # right, down, forward in rerun's numbers
 _SURFACE_ALPHA = 150  # of 255: the wireframe shows through
@@ -60,13 +60,20 @@ def log_camera(play: Playback, photograph: Photograph | None) -> None:
     play.always(entities.CAMERA, [*look, *(column(rr.Pinhole, name, value) for name, value in values.items())])
 
 
-def log_frame(play: Playback, photograph: Photograph | None) -> None:
-    """The photograph and the 2D box of the observation."""
+def log_image(play: Playback, photograph: Photograph | None) -> None:
+    """The photograph."""
     import rerun as rr
 
     if photograph is not None:
         play.once(entities.IMAGE, rr.EncodedImage, media_type="image/jpeg", draw_order=-10.0)
         play.at_start(entities.IMAGE, photograph.columns)
+
+
+def log_frame(play: Playback, photograph: Photograph | None) -> None:
+    """The photograph and the 2D box of the observation."""
+    import rerun as rr
+
+    log_image(play, photograph)
     box = play.observation.box
     if box is not None:
         play.once(entities.BOX_2D, rr.Boxes2D, colors=style.SCREEN_INK, radii=-0.5)

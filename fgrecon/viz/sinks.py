@@ -21,6 +21,7 @@ __all__ = [
     "LOOPBACK",
     "Recording",
     "check_viewer",
+    "connected",
     "free_port",
     "start_viewer",
     "viewer_command",
@@ -88,11 +89,7 @@ class Recording:
         Raises:
             InvalidInputError: Nobody listens there.
         """
-        import rerun as rr
-
-        host, port = check_viewer(address)
-        stream = rr.RecordingStream(f"{self.application}: {name}")
-        stream.connect_grpc(f"rerun+http://{host}:{port}/proxy", default_blueprint=self.layout())
+        stream = connected(f"{self.application}: {name}", address, self.layout())
         self.make()(stream)
         stream.flush()
         stream.disconnect()
@@ -104,11 +101,36 @@ def _encoded(application: str, send: Callable[[Any], None], layout: Any) -> byte
 
     stream = rr.RecordingStream(application)
     kept = stream.memory_recording()
-    stream.send_blueprint(layout, make_active=False, make_default=True)
+    _lay_out(stream, layout)
     send(stream)
     content: bytes = kept.drain_as_bytes()
     stream.disconnect()
     return content
+
+
+def connected(application: str, address: str, layout: Any) -> Any:
+    """A `rerun.RecordingStream` into a viewer that listens.
+
+    Args:
+        application: That the recording names.
+        address: `host:port`, or rerun's own `rerun+http://host:port/proxy`.
+        layout: The `rerun.blueprint.Blueprint` that the viewer is to show it in.
+
+    Raises:
+        InvalidInputError: Nobody listens there.
+    """
+    import rerun as rr
+
+    host, port = check_viewer(address)
+    stream = rr.RecordingStream(application)
+    stream.connect_grpc(f"rerun+http://{host}:{port}/proxy")
+    _lay_out(stream, layout)
+    return stream
+
+
+def _lay_out(stream: Any, layout: Any) -> None:
+    """Let the viewer show a layout: where it is the default alone, browsers make one of their own instead."""
+    stream.send_blueprint(layout, make_active=True, make_default=True)
 
 
 def check_viewer(address: str) -> tuple[str, int]:

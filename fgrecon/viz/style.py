@@ -37,6 +37,7 @@ __all__ = [
     "energy_colour",
     "keypoint_sides",
     "plane_colour",
+    "readable",
     "series_colours",
     "weight_colours",
     "weight_radii",
@@ -48,14 +49,15 @@ UNCERTAINTY: Colour = (230, 60, 160)
 """Ellipsoids of the keypoints' covariance."""
 PREVIOUS: Colour = (255, 255, 255)
 """The estimate before, drawn faintly in a recording."""
-VARIABLE: Colour = (255, 255, 255)
-"""Variables of a factor graph in a recording."""
-GROUND: Colour = (96, 96, 96)
+VARIABLE: Colour = (128, 128, 128)
+"""Variables of a factor graph in a recording, whose labels viewers draw on black or on white."""
+GROUND: Colour = (150, 150, 150)
 """The ground grid of a recording."""
 BACKGROUND: Colour = (244, 244, 242)
 """The canvas of a picture where no photograph is given."""
 SCREEN_BACKGROUND: Colour = (72, 72, 76)
-"""The same in a recording: dark enough for a black viewer, light enough for keypoints of no weight."""
+"""Images and scenes of a recording have it in light viewers and in dark ones: dark enough for light lines, light enough
+for keypoints of no weight."""
 INK: Colour = (34, 34, 34)
 """Text, boxes and residuals of a picture."""
 FADED: Colour = (96, 96, 96)
@@ -65,10 +67,10 @@ HAIRLINE: Colour = (205, 205, 205)
 PAPER: Colour = (255, 255, 255)
 """Paper, and the casing that keeps lines legible on a photograph."""
 SCREEN_INK: Colour = (226, 226, 226)
-"""The same in a recording, which viewers draw on black."""
+"""Boxes and residuals of a recording, on `SCREEN_BACKGROUND`."""
 
 ENERGY_COLOURS: dict[str, Colour] = {
-    "total": SCREEN_INK,
+    "total": (105, 112, 125),
     "reprojection": (86, 180, 233),
     "box": (230, 159, 0),
     "dimensions": (0, 158, 115),
@@ -83,6 +85,9 @@ ENERGY_COLOURS: dict[str, Colour] = {
     "direction": (127, 127, 127),
 }
 """Colour of each named energy term; a term without one takes its turn in `energy_colour`."""
+
+_LEGIBLE = (0.12, 0.18)
+"""Luminance of text that is legible on black and on white, where 1 is white."""
 
 _CATEGORICAL: tuple[Colour, ...] = (
     (0, 114, 178),
@@ -127,6 +132,23 @@ def weight_radii(weights: ArrayLike, smallest: float = 2.5, largest: float = 6.0
     """(...) radii of weights (...): the disc's area grows linearly with the weight; NaN counts as 0."""
     values = np.clip(np.nan_to_num(np.asarray(weights, dtype=np.float64)), 0.0, 1.0)
     return np.sqrt(smallest**2 + (largest**2 - smallest**2) * values)
+
+
+def readable(colours: ArrayLike) -> NDArray[np.uint8]:
+    """(..., 3) RGB of 8-bit colours (..., 3), lighter or darker so that text of them is legible on black and on white.
+
+    The hue stays; the contrast with either is at least 3 (WCAG).
+    """
+    unit = np.asarray(colours, dtype=np.float64) / 255.0
+    linear = np.where(unit <= 0.04045, unit / 12.92, ((unit + 0.055) / 1.055) ** 2.4)
+    luminance = linear @ np.array([0.2126, 0.7152, 0.0722])
+    darkest, lightest = _LEGIBLE
+    lighter = np.maximum(darkest - luminance, 0.0) / (1.0 - np.minimum(luminance, darkest))  # how much white is added
+    linear = linear + lighter[..., None] * (1.0 - linear)
+    linear = linear * (lightest / np.maximum(luminance, lightest))[..., None]
+    unit = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    found: NDArray[np.uint8] = np.rint(255.0 * unit).astype(np.uint8)
+    return found
 
 
 def categorical(index: int) -> Colour:

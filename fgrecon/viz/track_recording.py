@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.viz import entities, style
-from fgrecon.viz.columns import Outbox, exact_column, fixed, strip_column
+from fgrecon.viz.columns import Outbox, exact_column, strip_column
 from fgrecon.viz.describe import track_table
 from fgrecon.viz.factor_graph import lay_out, log_layout
 from fgrecon.viz.photograph import Photograph
@@ -199,7 +199,7 @@ def _log_path(
 ) -> None:
     import rerun as rr
 
-    whole.stream.send_chunks(fixed(entity, **line_style(3, colour, 1.5)))
+    whole.stream.send_fixed(entity, **line_style(3, colour, 1.5))
     columns = rr.LineStrips3D.columns(strips=[points[: end + 1] for end in range(len(points))])
     whole.stream.send_columns(entity, whole.frame_times(rows), columns)
 
@@ -234,7 +234,7 @@ def _plot(
 ) -> None:
     """The series (n, M) of one entity over frames."""
     if values.shape[1]:
-        whole.stream.send_chunks(fixed(entity, **series_style(names, colours)))
+        whole.stream.send_fixed(entity, **series_style(names, colours))
         whole.stream.send_columns(entity, whole.frame_times(rows), series_columns(values))
 
 
@@ -246,18 +246,18 @@ def _log_joint(whole: _Track) -> None:
     edges = whole.track.frames[0].edges
     shapes = np.stack([play.keypoints_in_camera[-len(history) :] for play in whole.plays], axis=1)  # (n, T, K, 3)
     strips = shapes[:, :, edges].reshape(len(history), -1, 2, 3)  # strips of all frames at each step
-    whole.stream.send_chunks(fixed(entities.TRACK_3D, **line_style(3, (*style.SCREEN_INK, _FAINT), 0.6)))
+    whole.stream.send_fixed(entities.TRACK_3D, **line_style(3, (*style.SCREEN_INK, _FAINT), 0.6))
     whole.stream.send_columns(entities.TRACK_3D, times, [strip_column(rr.LineStrips3D, strips)])
     names, energies = energy_series([step.energies for step in history])
     colours = tuple(style.energy_colour(name, i) for i, name in enumerate(names))
-    whole.stream.send_chunks(fixed(entities.ENERGY, **series_style(names, colours)))
+    whole.stream.send_fixed(entities.ENERGY, **series_style(names, colours))
     whole.stream.send_columns(entities.ENERGY, times, series_columns(energies))
     coefficients = np.stack([step.coefficients for step in history])
     if coefficients.shape[1]:
         numbers = range(coefficients.shape[1])
         lambdas = tuple(f"lambda {j + 1}" for j in numbers)
         colours = tuple(style.categorical(j) for j in numbers)
-        whole.stream.send_chunks(fixed(entities.COEFFICIENTS, **series_style(lambdas, colours)))
+        whole.stream.send_fixed(entities.COEFFICIENTS, **series_style(lambdas, colours))
         whole.stream.send_columns(entities.COEFFICIENTS, times, series_columns(coefficients))
     fields: dict[str, Any] = {
         "irls": [step.irls for step in history],

@@ -17,12 +17,13 @@ from fgrecon.core.geometry import transform
 from fgrecon.viz import style
 from fgrecon.viz.geometry import BOX_EDGES, box_corners
 from fgrecon.viz.overlay import Shown
-from fgrecon.viz.sinks import APPLICATION, Recording, check_viewer
+from fgrecon.viz.overview import STATES, named_boxes, state_view
+from fgrecon.viz.sinks import APPLICATION, Recording, connected
 
 __all__ = ["LiveRecording", "ShownFrame", "log_shown_frame", "video_recording_of"]
 
 _JPEG = 85  # quality
-_IMAGE, _WORLD, _PLOTS, _STATES, _LOG = "image", "world", "plots", "states", "log"
+_IMAGE, _WORLD, _PLOTS, _LOG = "image", "world", "plots", "log"
 _CAMERA = f"{_WORLD}/camera"
 
 
@@ -65,11 +66,7 @@ class LiveRecording:
         Raises:
             InvalidInputError: Nobody listens there.
         """
-        import rerun as rr
-
-        host, port = check_viewer(address)
-        self._stream = rr.RecordingStream(f"{APPLICATION}: {name}")
-        self._stream.connect_grpc(f"rerun+http://{host}:{port}/proxy", default_blueprint=_layout())
+        self._stream = connected(f"{APPLICATION}: {name}", address, _layout())
         self._camera = camera
 
     def add(self, frame: ShownFrame) -> None:
@@ -111,11 +108,7 @@ def log_shown_frame(stream: Any, frame: ShownFrame, camera: Camera) -> None:
     if frame.image is not None:
         stream.log(_IMAGE, rr.EncodedImage(contents=_jpeg(frame.image), media_type="image/jpeg"))
     seen = [vehicle for vehicle in frame.vehicles if vehicle.result is not None]
-    colours = [style.categorical(vehicle.identity) for vehicle in frame.vehicles]
-    names = [f"{vehicle.identity} {vehicle.words}".strip() for vehicle in frame.vehicles]
-    boxes = np.array([vehicle.box for vehicle in frame.vehicles]).reshape(-1, 4)
-    found = rr.Boxes2D(array=boxes, array_format=rr.Box2DFormat.XYXY, colors=colours, labels=names, show_labels=True)
-    stream.log(f"{_IMAGE}/boxes", found)
+    stream.log(f"{_IMAGE}/boxes", named_boxes(frame.vehicles))
     world_T_camera = np.eye(4) if frame.world_T_camera is None else frame.world_T_camera
     stream.log(_CAMERA, rr.Transform3D(translation=world_T_camera[:3, 3], mat3x3=world_T_camera[:3, :3]))
     size = camera.image_size
@@ -146,7 +139,7 @@ def log_shown_frame(stream: Any, frame: ShownFrame, camera: Camera) -> None:
         for name, numbers in values.items():
             stream.log(f"{_PLOTS}/{name}/{identity}", rr.Scalars(numbers))
     for identity, state in frame.states.items():
-        stream.log(f"{_STATES}/{identity}", rr.StateChange(state=[state]))
+        stream.log(f"{STATES}/{identity}", rr.StateChange(state=[state]))
 
 
 def _layout() -> Any:
@@ -165,7 +158,7 @@ def _layout() -> Any:
                     for name in ("yaw", "length", "distance", "speed", "facing_probability")
                 ),
                 rrb.Vertical(
-                    rrb.StateTimelineView(origin=_STATES, name="Status and side"),
+                    state_view(),
                     rrb.TextLogView(origin=_LOG, name="Gaps"),
                 ),
             ),

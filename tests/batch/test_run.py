@@ -8,14 +8,17 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
 from fgrecon.batch import Reconstructor, result_schema, run, sources_of
+from fgrecon.batch.parts import Parts
 from fgrecon.batch.schema import task_schema
 from fgrecon.cli import main
 from fgrecon.core.errors import DamagedFileWarning, InvalidInputError, MissingPackageError
@@ -196,3 +199,24 @@ def test_ray_is_asked_for_where_it_is_missing(tmp_path, monkeypatch):
     done = batch(file, "--out", tmp_path / "out", "--ray", "auto")
     assert isinstance(done.exception, MissingPackageError)
     assert "pip install fgrecon[ray]" in str(done.exception)
+
+
+def test_no_changed_byte_of_a_part_goes_unnoticed(tmp_path):
+    """Parquet's own checksums: a changed number would be read as it is without them."""
+    rng = np.random.default_rng(0)
+    parts = Parts(tmp_path, pa.schema([("row_id", pa.string()), ("x", pa.float64())]))
+    parts.add(pa.table({"row_id": [str(i) for i in range(200)], "x": rng.random(200)}))
+    parts.flush()
+    path = tmp_path / "part-000000.parquet"
+    content, rows = path.read_bytes(), list(parts.rows())
+    noticed = 0
+    for at in rng.integers(4, len(content) - 8, 100):
+        changed = bytearray(content)
+        changed[at] ^= 1 << int(rng.integers(8))
+        path.write_bytes(changed)
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            done = parts.done()
+        noticed += bool(told)
+        assert told or (len(done) == 200 and list(parts.rows()) == rows)
+    assert noticed > 50

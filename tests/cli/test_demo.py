@@ -49,6 +49,10 @@ def test_the_table_shows_truth_and_every_stage(demo):
 def test_picture_and_recording(demo):
     folder, _ = demo
     assert read_image(folder / "picture.png").std() > 10
+    scene = read_image(folder / "scene.jpg")
+    assert scene.std() > 10
+    assert scene.shape[1] > 2 * scene.shape[0]  # the scene from above beside the photographs
+    assert (folder / "scene.jpg").stat().st_size < 300_000
     recorded = replay(folder / "recording.rrd")
     document = json.loads((folder / "result.json").read_text())
     assert len(recorded.history) == len(document["result"]["history"])

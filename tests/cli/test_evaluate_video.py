@@ -43,7 +43,7 @@ def test_tables_files_and_which_network_scored_what(drives, weights, tmp_path):
     done = run(
         *(*drives, "--weights", weights, "--fold", f"two={copy}", "--rival", "epnp", "--verbose"),
         *("--json", out, "--table", table, "--picture", sheet, "--box-model", "off", "--camera-height", 1.5),
-        *("--results", tmp_path / "boxes"),
+        *("--results", tmp_path / "boxes", "--track", "--markdown", tmp_path / "r.md"),
     )
     assert done.exit_code == 0, done.output
     assert "2 drives, 2 images, 4 boxes; level camera 1.5 m" in done.stdout
@@ -52,17 +52,24 @@ def test_tables_files_and_which_network_scored_what(drives, weights, tmp_path):
     assert (file.name, len(file.read_text().splitlines())) == ("000007.txt", 2)
     assert "expected calibration error" in done.stdout
     assert "one/000007/1 epnp: " in done.stdout
+    lines = (tmp_path / "r.md").read_text().splitlines()
+    assert lines[0].startswith("| boxes | method | turned % ")
+    assert {line.count("|") for line in lines} == {lines[0].count("|")}
+    assert [line.split(" | ")[0] for line in lines[2:]] == ["| cars, 2"] * 5 + ["| all, 4"] * 5
+    names = [line.split(" | ")[1] for line in lines[2:7]]
+    assert names == ["reconstruct_image", "epnp", "alone", "online", "batch"]
+    assert "squared errors by covariance" in done.stdout
     made = json.loads(out.read_text())
     assert made["networks"] == [
         {"file": str(weights), "drives": ["one"], "provenance": {"data": "none"}},
         {"file": str(copy), "drives": ["two"], "provenance": {"data": "none"}},
     ]
     assert made["given"]["box_model"] == "off"
-    assert list(made["methods"]) == ["reconstruct_image", "epnp"]
+    assert list(made["methods"]) == names
     counts = {name: group["boxes"] for name, group in made["methods"]["epnp"]["regime"].items()}
     assert counts == {"cars_easy": 2, "cars_moderate": 2, "cars": 2, "vans": 2, "all": 4}
     rows = list(csv.DictReader(table.read_text().splitlines()))
-    assert len(rows) == len(made["boxes"]) == 8
+    assert len(rows) == len(made["boxes"]) == 20
     assert [float(row["degrees"]) for row in rows] == [row["degrees"] for row in made["boxes"]]
     assert sheet.stat().st_size > 1000
 
@@ -119,3 +126,30 @@ def test_the_shipped_network_on_real_images(data, tmp_path):
     assert whole["aop"]["5"]["value"] == 100.0
     assert whole["median_metres"] < 0.5
     assert all(row["facing"] > 0.9 and row["view"] == "rear" for row in made["boxes"])
+
+
+def test_what_results_say_of_themselves(drives, weights, tmp_path):
+    out, picture = tmp_path / "c.json", tmp_path / "c.png"
+    arguments = [
+        "evaluate",
+        "calibration",
+        *drives,
+        "--weights",
+        weights,
+        "--track",
+        "--json",
+        out,
+        "--picture",
+        picture,
+    ]
+    done = CliRunner().invoke(main.app, [str(argument) for argument in arguments])
+    assert done.exit_code == 0, done.output
+    assert "2 drives, 2 images, 4 boxes" in done.stdout
+    documents = json.loads(out.read_text())
+    assert [told["method"] for told in documents] == ["reconstruct_image", "online", "batch"]
+    assert sum(row["count"] for row in documents[0]["statuses"]) == 4
+    assert documents[0]["drives"] == ["one", "two"]
+    assert picture.stat().st_size > 5000
+    refused = CliRunner().invoke(main.app, ["evaluate", "calibration", str(drives[0]), "--fold", "three=x"])
+    assert isinstance(refused.exception, InvalidInputError)
+    assert refused.exception.field == "fold"

@@ -88,11 +88,30 @@ def test_pictures_and_recordings(write, tmp_path):
     sheet, one, record = tmp_path / "sheet.png", tmp_path / "one.svg", tmp_path / "run.rrd"
     assert run(cars, INTRINSICS, "--image", image, "--picture", sheet, "--save", record).exit_code == 0
     assert read_image(sheet).std() > 10
-    for name in ("run-a-b.rrd", "run-c.rrd"):
-        assert [stage.stage for stage in replay(tmp_path / name).summary()][-1] == "joint"
+    assert sorted(path.name for path in tmp_path.glob("*.rrd")) == ["run.rrd"]  # one for all
+    recorded = replay(record)
+    assert list(recorded.vehicles) == ["a-b", "c"]
+    assert [stage.stage for stage in recorded.summary()][-1] == "joint"
     assert run(write(car(), "car.json"), INTRINSICS, "--picture", one, "--no-joint", "--save", record).exit_code == 0
     assert one.read_text().startswith("<?xml")
     assert [stage.stage for stage in replay(record).summary()][-1] == "shape"
+
+
+def test_a_picture_is_the_scene_unless_a_sheet_is_asked_for(write, tmp_path):
+    cars = [car() | {"id": "a"}, car(1.0, [2.0, 1.65, 14.0]) | {"id": "a name that is long"}]
+    file, told = write(cars), [INTRINSICS, "--camera-height", 1.65]
+    sizes = {}
+    for name, more in {"scene": [], "sheet": ["--sheet"], "together": ["--together"]}.items():
+        picture = tmp_path / f"{name}.png"
+        assert run(file, *told, *more, "--picture", picture).exit_code == 0
+        sizes[name] = read_image(picture).shape
+    assert sizes["scene"][1] == sizes["together"][1] > 1200  # 8 cm, fine enough for the photograph
+    assert sizes["sheet"] != sizes["scene"]
+    several = [one | {"image": f"{number}.png"} for number, one in enumerate(cars)]
+    picture = tmp_path / "several.png"
+    assert run(write(several, "several.json"), *told, "--picture", picture).exit_code == 0
+    assert read_image(picture).shape == sizes["sheet"]  # they have no image in common
+    assert "--picture" in str(run(file, INTRINSICS, "--sheet").exception)
 
 
 def test_the_size_of_the_image_is_used(write, tmp_path):

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from fgrecon.cli import main
 from fgrecon.cli import replay as command
-from fgrecon.viz import record, replay
+from fgrecon.viz import Sight, record, record_scene, replay
 from fgrecon.viz.sinks import LOOPBACK, check_viewer, free_port, viewer_command
 from tests.cli.conftest import INTRINSICS
 from tests.viz.made_up import STAGES, make_example
@@ -162,4 +162,17 @@ def test_spawn_starts_a_viewer_and_sends_there(write, instance, monkeypatch):
     monkeypatch.setattr("fgrecon.viz.sinks.Recording.send", lambda _, name, address: sent.append((name, address)))
     cars = {"instances": [{"id": "one", **instance}, {"id": "two", **instance}]}
     assert run("reconstruct", write(cars), INTRINSICS, "--spawn").exit_code == 0
-    assert sent == [("one", "127.0.0.1:1234"), ("two", "127.0.0.1:1234")]
+    assert sent == [("scene", "127.0.0.1:1234")]
+
+
+def test_a_scene_is_told_vehicle_by_vehicle(tmp_path):
+    car = make_example()
+    sights = [Sight(car.reconstruction, car.observation, car.camera, title=title) for title in ("left", "right")]
+    scene, told = record_scene(tmp_path / "scene.rrd", sights), tmp_path / "told.json"
+    done = run("replay", scene, "--summary", "--json", told)
+    assert done.exit_code == 0
+    assert [line for line in done.stdout.splitlines() if line.endswith(":")] == ["left:", "right:", "All 2 vehicles:"]
+    document = json.loads(told.read_text())
+    assert list(document["vehicles"]) == ["left", "right"]
+    alone, together = document["vehicles"]["left"]["stages"], document["stages"]
+    assert [stage["steps"] for stage in together] == [2 * stage["steps"] for stage in alone]

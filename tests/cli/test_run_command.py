@@ -95,6 +95,25 @@ def test_again_it_looks_at_nothing_and_other_options_are_solved(drive, whole, tm
     assert np.abs(np.subtract(before, after)).max() > 1e-3
 
 
+def test_the_ground_is_shared_where_one_is_told(drive, tmp_path):
+    """Without one there is nothing to share; with one the two cars are solved on it, or each alone."""
+    images, file = drive
+    told = {}
+    for name, options in {
+        "neither": (),
+        "neither, apart": ("--apart",),
+        "together": ("--camera-height", 1.65),
+        "apart": ("--camera-height", 1.65, "--apart"),
+    }.items():
+        done = run(images, "--tracks", file, "--fps", 10, "--online", "--out", tmp_path / name, *options)
+        assert done.exit_code == 0, done.output
+        told[name] = contents(tmp_path / name)["tracks.txt"]
+    assert told["neither"] == told["neither, apart"]
+    assert told["together"] != told["apart"]
+    places = [read_tracking(tmp_path / name / "tracks.txt")[11].objects.location for name in ("together", "apart")]
+    assert np.abs(places[0] - places[1]).max() < 2.0
+
+
 def slowly(drive, out):
     images, file = drive
     arguments = ["run", str(images), "--tracks", str(file), "--fps", "10", "--out", str(out)]

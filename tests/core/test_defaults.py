@@ -23,7 +23,7 @@ DEFAULTS = {
         "missed": 0.2,
         "false_alarm": 0.05,
     },
-    "keypoints": {"sigma_relative": 0.035, "sigma_pixels": 1.0},
+    "keypoints": {"sigma_relative": 0.035, "sigma_pixels": 1.0, "least_confidence": 0.0},
     "box": {"model": BoxModel.SURFACE, "sigma_relative": 0.02, "sigma_pixels": 1.5},
     "search": {"azimuths": 24, "basis_vectors": 0},
     "shape": {

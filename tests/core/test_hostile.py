@@ -14,6 +14,7 @@ from fgrecon.cli.main import app
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.text import printable
 from fgrecon.io.arrays import LARGEST
+from fgrecon.io.cameras import read_camera
 from fgrecon.io.catalogue import load_category, load_prior
 from fgrecon.io.export.results import read_results
 from fgrecon.io.files import write_text
@@ -139,3 +140,15 @@ def test_lines_for_the_terminal_end(capsys):
     assert printable("x" * 100_000).count("x") < 4000
     assert printable("a\x07\n") == "a\\x07\n"
     assert printable("Straße 車") == "Straße 車"
+
+
+@pytest.mark.parametrize("last", ["image_width: *h", "camera_matrix: {data: *h}", "camera_matrix: [[*h]]"])
+def test_aliases_of_aliases_are_not_followed(last, tmp_path):
+    """Ten lines of YAML that stand for a hundred million texts."""
+    lines = ["a: &a [x, x, x, x, x, x, x, x, x, x]"]
+    for name, before in zip("bcdefgh", "abcdefg", strict=True):
+        lines.append(f"{name}: &{name} [{', '.join([f'*{before}'] * 10)}]")
+    path = tmp_path / "camera.yaml"
+    path.write_text("\n".join([*lines, last, ""]))
+    with pytest.raises(InvalidInputError, match="more than 100000 values"):
+        read_camera(path)

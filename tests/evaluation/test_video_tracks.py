@@ -9,7 +9,7 @@ import pytest
 
 from fgrecon.evaluation.video_images import SYSTEM, score_drives
 from fgrecon.evaluation.video_summary import document, summarise_boxes
-from fgrecon.evaluation.video_tracks import BATCH, ONLINE, follow_boxes
+from fgrecon.evaluation.video_tracks import ALONE, BATCH, ONLINE, follow_boxes, labelled_velocities
 from fgrecon.io.kitti_drives import read_drive
 from tests.evaluation.test_video_images import folder, setup  # noqa: F401  # fixtures
 
@@ -51,5 +51,39 @@ def test_several_images_and_how_much_errors_change(folder, setup, scene):  # noq
     assert online.jitter_degrees == pytest.approx(np.abs(np.diff(offs, axis=0)[:, 0]).mean())
     assert alone.mean_absolute_size_error == pytest.approx(np.abs(first[0].outcomes[SYSTEM].size).mean())
     made = document(boxes, {}, [])
-    assert list(made["methods"]) == [SYSTEM, ONLINE, BATCH]
+    assert list(made["methods"]) == [SYSTEM, ALONE, ONLINE, BATCH]
+    alone = [box.outcomes[ALONE] for box in first]
+    assert alone[0].metres == alone[1].metres > 0.0  # the images are one
+    told = made["methods"][ONLINE]["regime"]["all"]["consistency"]
+    assert told["position"]["low"] < 1.0 < told["position"]["high"]
+    assert set(told) >= {"position", "yaw"}
+    row = next(row for row in made["boxes"] if row["method"] == ONLINE)
+    assert row["position_nees"] > 0.0
     json.dumps(made, allow_nan=False)
+
+
+def test_labels_make_velocities(folder, setup, scene):  # noqa: F811
+    """The car goes 0.5 m to the right from frame to frame, and the network sees it stand: the error is 5 m/s."""
+    _, first, *_ = (folder / "label_02.txt").read_text().splitlines()
+    columns = first.split()
+    lines = []
+    for number in range(6):
+        if number:
+            shutil.copy(folder / "image_02" / "000000.png", folder / "image_02" / f"{number:06d}.png")
+        moved = [*columns]
+        moved[0], moved[13] = str(number), str(float(columns[13]) + 0.5 * number)
+        lines.append(" ".join(moved))
+    (folder / "label_02.txt").write_text("\n".join(lines) + "\n")
+    (folder / "clean_tracks.json").unlink(missing_ok=True)
+    drive = read_drive(folder)
+    track = int(columns[1])
+    velocities = labelled_velocities(drive)
+    assert sorted(velocities) == [(n, track) for n in (1, 2, 3, 4)]  # ahead of the first and behind the last are none
+    for velocity in velocities.values():
+        np.testing.assert_allclose(velocity, [5.0, 0.0, 0.0], atol=1e-9)
+    boxes = follow_boxes(score_drives([drive], {"drive": setup}, scene), [drive], {"drive": setup})
+    errors = [box.outcomes[BATCH].velocity for box in boxes]
+    assert [error is None for error in errors] == [True, False, False, False, False, True]
+    assert errors[2] == pytest.approx(5.0, abs=0.3)
+    assert boxes[2].outcomes[BATCH].squared["velocity"] > 0.0
+    assert summarise_boxes(boxes, BATCH).median_velocity == pytest.approx(5.0, abs=0.3)

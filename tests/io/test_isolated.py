@@ -3,6 +3,7 @@
 import io
 import os
 import signal
+import sys
 import time
 import zipfile
 
@@ -32,6 +33,10 @@ def refuse(name):
     raise InvalidInputError(name, 1, "Do not.")
 
 
+def fill(count):
+    return len(bytearray(count))
+
+
 def sleep(seconds):
     time.sleep(seconds)
 
@@ -50,6 +55,16 @@ def test_a_child_that_hangs_is_ended():
     with Isolated(seconds=3.0) as child:
         with pytest.raises(InvalidInputError, match="nothing after 3 seconds"):
             child("slow", sleep, 60)
+        assert child("b", double, 3) == 6
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux limits it")
+def test_a_child_that_takes_too_much_memory_is_refused(monkeypatch):
+    monkeypatch.setenv(LARGEST, str(1 << 26))
+    with Isolated() as child:
+        assert child("a", fill, 1 << 20) == 1 << 20
+        with pytest.raises(InvalidInputError, match=f"more than fits into memory.*{LARGEST}"):
+            child("large", fill, 1 << 30)
         assert child("b", double, 3) == 6
 
 
@@ -114,6 +129,16 @@ def test_a_small_file_of_many_zeros_is_not_unpacked(tmp_path, monkeypatch):
         read_npz(bomb, load_category("car14"), {})
     monkeypatch.delenv(LARGEST)
     assert isinstance(read_npz(bomb, load_category("car14"), {}).category, Category)
+
+
+def test_narrow_numbers_count_as_what_they_become(monkeypatch):
+    """A reader makes floats of them: bytes take eight times their room."""
+    monkeypatch.setenv(LARGEST, str(1 << 20))
+    content = npz(a=header((1 << 17,), "|u1", bytes(1 << 17)), b=header((1,), content=bytes(8)))
+    with pytest.raises(InvalidInputError, match="1048584 bytes when unpacked"):
+        read_arrays(content, "x", "")
+    monkeypatch.setenv(LARGEST, str((1 << 20) + 8))
+    assert read_arrays(content, "x", "")["a"].sum() == 0
 
 
 @pytest.mark.parametrize("folder", ["weights", "priors"])

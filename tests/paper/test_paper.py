@@ -1,6 +1,7 @@
 """The paper's tables, claims and page from made-up scores whose results are known."""
 
 import json
+import re
 from dataclasses import replace
 from html.parser import HTMLParser
 
@@ -252,6 +253,13 @@ def test_the_page_stands_alone(page):
     assert "3.0 a second" in text
     assert "missing frame: 000003" in text
     assert "Defect: 5 more" in text
+
+
+def test_the_contents_lead_to_every_part(page):
+    text = html(page)
+    led_to = re.findall(r'<li><a href="#([^"]+)">', text)
+    assert led_to == re.findall(r'<h2 id="([^"]+)">', text)
+    assert len(led_to) == len(set(led_to)) == len(page.tables) + 3
 
 
 def test_the_same_numbers_give_the_same_plots(page, scores):

@@ -35,6 +35,27 @@ def test_detected_cars_are_outlines_and_large_enough_for_keypoints(monkeypatch):
     np.testing.assert_array_equal([box.corners for box in found], boxes[[0, 2]])
 
 
+def test_boxes_of_low_score_are_left_out_where_asked(tmp_path, monkeypatch):
+    """A file's scores end at 1 and count from 0.5, but for KITTI's results, which are of any scale."""
+    kitti, coco, yolo, detections = (tmp_path / name for name in ("a.txt", "a.json", "y.txt", "d.txt"))
+    kitti.write_text(f"Car {LABEL}\nCar {LABEL} 0.2\nCar {LABEL} 7.5\n")
+    entry = {"image_id": "a", "category_id": 3, "bbox": [10, 20, 30, 40]}
+    coco.write_text(json.dumps([entry, *({**entry, "score": score} for score in (0.2, 0.6, 0.9))]))
+    yolo.write_text("".join(f"2 0.5 0.5 0.2 0.2 {score}\n" for score in (0.2, 0.6, 0.9)))
+    detections.write_text("".join(f"a.png 2 {score} 1 2 3 4\n" for score in (0.2, 0.6, 0.9)))
+    for file, counts in ((kitti, (3, 3, 2)), (coco, (3, 4, 2)), (yolo, (2, 3, 1)), (detections, (2, 3, 1))):
+        for least, count in zip((None, 0.1, 0.7), counts, strict=True):
+            assert len(boxes_of(tmp_path / "a.png", [], file, size=(100, 100), least_score=least)) == count
+    asked = []
+    found = Vehicles(np.array([[10.0, 10, 90, 60]]), np.ones(1))
+    monkeypatch.setattr(
+        module, "NanodetVehicleDetector", lambda: lambda image, least_score=None: asked.append(least_score) or found
+    )
+    for least in (None, 0.3):
+        boxes_of(tmp_path / "a.png", [], None, np.zeros((100, 100, 3), np.uint8), least_score=least)
+    assert asked == [None, 0.3]
+
+
 def test_labels_keep_their_line_as_name(tmp_path):
     file = tmp_path / "000010.txt"
     file.write_text(f"Van {LABEL}\nCar {LABEL}\n\nDontCare {LABEL}\nCar {LABEL} 0.9\n")

@@ -160,7 +160,7 @@ def test_the_factor_graph_has_every_factor_and_its_variables(example: Example, r
     assert len({tuple(place) for place in columns["GraphNodes:positions"][0]}) == len(nodes)
     colours = np.array(moving.to_record_batch().to_pydict()["GraphNodes:colors"])
     weights = np.array([step.weights[0] for step in example.reconstruction.history])
-    assert len(set(colours[:, 3])) == len(np.unique(style.weight_colours(weights), axis=0))
+    assert len(set(colours[:, 3])) == len(np.unique(style.readable(style.weight_colours(weights)), axis=0))
     assert len(set(colours[:, 0])) == 1
 
 

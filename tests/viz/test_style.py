@@ -86,3 +86,21 @@ def test_named_energies_keep_their_colours() -> None:
     assert style.energy_colour("reprojection", 3) == style.ENERGY_COLOURS["reprojection"]
     assert style.energy_colour("something_new", 3) == style.categorical(3)
     assert len(set(style.ENERGY_COLOURS.values())) == len(style.ENERGY_COLOURS)
+
+
+def test_labels_are_legible_on_black_and_on_white() -> None:
+    """Their contrast with either is at least 3, as WCAG asks of large text; hues stay."""
+    labels = [*style.ENERGY_COLOURS.values(), *(style.categorical(i) for i in range(10)), style.VARIABLE]
+    labels += [(0, 0, 0), (255, 255, 255), *map(tuple, style.weight_colours(np.linspace(0, 1, 9)))]
+    found = style.readable(np.array(labels))
+    assert found.shape == (len(labels), 3)
+    for colour in found:
+        unit = colour / 255
+        linear = np.where(unit <= 0.04045, unit / 12.92, ((unit + 0.055) / 1.055) ** 2.4)
+        luminance = linear @ (0.2126, 0.7152, 0.0722)
+        assert (luminance + 0.05) / 0.05 >= 3
+        assert 1.05 / (luminance + 0.05) >= 3
+    red, green, blue = style.readable((240, 228, 66)).tolist()
+    assert red > green > blue
+    grey = style.readable(style.VARIABLE)
+    assert np.ptp(grey) <= 1

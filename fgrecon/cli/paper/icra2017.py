@@ -139,8 +139,7 @@ def _draw(results: list[Icra2017Result], out: Path) -> list[Path]:
         seen = _sight(result, result.name, photograph=True)
         drawn = picture(seen.reconstruction, seen.observation, seen.camera, image=seen.image, truth=seen.truth)
         paths.append(save_picture(out / f"{result.name}.png", drawn))
-    titles = [f"{r.name}: {r.orientation_error:.1f}°, {r.centre_error:.2f} m" for r in results]
-    bare = [_sight(result, title, photograph=False) for result, title in zip(results, titles, strict=True)]
+    bare = [_sight(result, result.name, photograph=False) for result in results]
     paths.append(save_picture(out / "without_photographs.svg", contact_sheet(bare, columns=2)))
     paths.append(save_picture(out / "without_photographs.png", contact_sheet(bare, columns=2)))
     return paths

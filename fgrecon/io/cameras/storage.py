@@ -26,6 +26,7 @@ _FISHEYE = "fisheye_model", "is_fisheye", "fisheye"
 _UNDISTORT = (
     "Only the pinhole models of OpenCV are solved. Undistort points and image (cv2.fisheye) and give that camera."
 )
+_MOST = 100_000
 _BAD_YAML = yaml.YAMLError, ValueError, TypeError, AttributeError, KeyError, IndexError, RecursionError
 
 
@@ -63,7 +64,7 @@ def read_storage(path: Path) -> Any:
     # OpenCV's first line is no YAML, and its matrices have a type of their own.
     text = text.partition("\n")[2] if text.startswith("%YAML:") else text
     try:
-        return yaml.load(text, Loader=_Loader)  # noqa: S506  # a SafeLoader
+        return _bounded(yaml.load(text, Loader=_Loader), _MOST)  # noqa: S506  # a SafeLoader
     except _BAD_YAML as error:
         raise InvalidInputError(str(path), str(error), "Give a YAML file of ROS or OpenCV.") from error
 
@@ -91,6 +92,22 @@ def storage_camera(data: Mapping[str, Any], where: str, name: str | None = None)
         return Camera(matrix, distortion, _size(fields))
     except InvalidInputError as error:
         raise InvalidInputError(f"{where}{error.field}", error.value, error.fix) from error
+
+
+def _bounded(content: Any, most: int) -> Any:
+    """The content, if it holds at most so many values: a few lines of aliases of aliases stand for billions.
+
+    Raises:
+        ValueError: It holds more.
+    """
+    left, waiting = most, [content]
+    while waiting:
+        left -= 1
+        if left < 0:
+            raise ValueError(f"more than {most} values")
+        value = waiting.pop()
+        waiting.extend(value.values() if isinstance(value, dict) else value if isinstance(value, list) else ())
+    return content
 
 
 def _of_xml(element: ET.Element) -> Any:

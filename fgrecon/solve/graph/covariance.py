@@ -12,7 +12,7 @@ from factors.mixture import Form
 from fgrecon.core.errors import FactorCallbackError
 from fgrecon.solve.graph.observation import ObservationPart, Weights
 
-__all__ = ["Covariances", "factorise", "projected_covariances", "read_covariances"]
+__all__ = ["Covariances", "factorise", "joint_covariance", "projected_covariances", "read_covariances"]
 
 Array = NDArray[np.float64]
 
@@ -70,10 +70,10 @@ def read_covariances(
     shapes = {} if shapes is None else shapes
     try:
         if number not in shapes:
-            shapes[number] = _joint(marginals, list(shape.keys))
+            shapes[number] = joint_covariance(marginals, list(shape.keys))
         variables = shapes[number]
         if part.share < 1.0:
-            pose = _given_shape(part, weights, values, _joint(marginals, [part.pose_key, *shape.keys]))
+            pose = _given_shape(part, weights, values, joint_covariance(marginals, [part.pose_key, *shape.keys]))
         else:
             pose = marginals.marginalCovariance(part.pose_key)
     except FactorCallbackError:
@@ -103,7 +103,7 @@ def projected_covariances(part: ObservationPart, values: gtsam.Values, marginals
         The covariances; None where they are not finite or cannot be had.
     """
     try:
-        joint = _joint(marginals, list(part.kernel.keys))
+        joint = joint_covariance(marginals, list(part.kernel.keys))
     except FactorCallbackError:
         raise
     except RuntimeError:  # GTSAM's only sign of an indeterminate system
@@ -136,7 +136,8 @@ def _given_shape(part: ObservationPart, weights: Weights, values: gtsam.Values, 
     return covariance
 
 
-def _joint(marginals: gtsam.Marginals, keys: list[int]) -> Array:
+def joint_covariance(marginals: gtsam.Marginals, keys: list[int]) -> Array:
+    """Of several variables, in the order of their keys."""
     if not keys:
         return np.zeros((0, 0))
     if len(keys) == 1:

@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.io.arrays import read_arrays
 from fgrecon.io.files import write_bytes
 from fgrecon.io.images import read_image
+from fgrecon.io.stored import MADE_AGAIN
 from fgrecon.training.keypoints.augment import LabelledView
 from fgrecon.training.keypoints.distant import random_distant_view
 from fgrecon.training.keypoints.labels import SEEN, Labels, ShapeFit, project_labels, surface_of
@@ -26,8 +28,10 @@ from fgrecon.training.keypoints.progress import Progress, no_progress
 from fgrecon.training.keypoints.views import Views
 
 __all__ = [
+    "LAST",
     "SIDE",
     "Photographs",
+    "check_prepared",
     "draw_mask",
     "fill_faces",
     "prepare_photographs",
@@ -40,8 +44,30 @@ SIDE = 192
 _SEED = 11_000_000  # of the distances from which photographs are seen again
 _FILES = ("images.npy", "masks.npy", "sizes.npy", "scales.npy")
 _DISTANT = "distant.npz"
+LAST = _FILES[-1]
+"""Name of the file that is written last: where it is, all are."""
 
 Array = NDArray[np.float64]
+
+
+def check_prepared(folder: Path) -> bool:
+    """See that what `prepare_photographs` wrote can be read; True. What an older version wrote is left to the loader.
+
+    Raises:
+        InvalidInputError: A file is missing or damaged; names it.
+    """
+    if not (folder / _DISTANT).exists():
+        return True
+    lengths = set()
+    for name in _FILES:
+        try:
+            lengths.add(len(np.load(folder / name, mmap_mode="r")) // (1 if name == LAST else 2))
+        except Exception as error:  # numpy promises no kind of error for damaged content
+            raise InvalidInputError(str(folder), f"{name}: {error}", MADE_AGAIN) from error
+    if len(lengths) > 1:
+        raise InvalidInputError(str(folder), "arrays of different lengths", MADE_AGAIN)
+    read_arrays(folder / _DISTANT, str(folder / _DISTANT), MADE_AGAIN)
+    return True
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +14,11 @@ from numpy.typing import NDArray
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.io.arrays import read_arrays
 from fgrecon.io.files import write_bytes
+from fgrecon.io.stored import MADE_AGAIN, stored
 from fgrecon.perception.keypoints.detect import KeypointCascade
-from fgrecon.training.keypoints.dataset import Photographs, prepare_photographs
+from fgrecon.training.keypoints.dataset import LAST, Photographs, check_prepared, prepare_photographs
 from fgrecon.training.keypoints.labels import Labels, ShapeFit, fit_shape, project_labels, unit_prior, unmodelled
 from fgrecon.training.keypoints.marks import read_given_marks
 from fgrecon.training.keypoints.posed_cars import PosedCar, groups, read_posed_cars, read_validation_ids
@@ -101,24 +104,44 @@ class Labelling:
         """The reverse of `save`, for the same photographs.
 
         Raises:
+            InvalidInputError: The file is damaged, or holds labels of others.
+        """
+        return cls.of(_arrays(path), path, cars)
+
+    @classmethod
+    def open(cls, path: Path, cars: Sequence[PosedCar]) -> Labelling | None:
+        """What `load` gives, or None where the file is not there, or is damaged and put aside.
+
+        Warns:
+            DamagedFileWarning: It is damaged; names it.
+
+        Raises:
             InvalidInputError: The file holds labels of others.
         """
-        with np.load(path, allow_pickle=False) as file:
-            stored = {name: file[name] for name in file.files}
-        if len(stored["trusted"]) != len(cars):
-            raise InvalidInputError(str(path), f"{len(stored['trusted'])} photographs", "Train in an empty folder.")
-        if "matrix" not in stored:
+        arrays = stored(path, _arrays)
+        return None if arrays is None else cls.of(arrays, path, cars)
+
+    @classmethod
+    def of(cls, arrays: Mapping[str, NDArray[Any]], path: Path, cars: Sequence[PosedCar]) -> Labelling:
+        """From the arrays of a file.
+
+        Raises:
+            InvalidInputError: They are labels of other photographs.
+        """
+        if len(arrays["trusted"]) != len(cars):
+            raise InvalidInputError(str(path), f"{len(arrays['trusted'])} photographs", "Train in an empty folder.")
+        if "matrix" not in arrays:
             raise InvalidInputError(str(path), "labels of an older version", "Train in an empty folder.")
         posed = [
             replace(car, matrix=k, rotation=r, translation=t)
-            for car, k, r, t in zip(cars, stored["matrix"], stored["rotation"], stored["translation"], strict=True)
+            for car, k, r, t in zip(cars, arrays["matrix"], arrays["rotation"], arrays["translation"], strict=True)
         ]
         fits = {
             str(name): ShapeFit(c, o, np.zeros((0, 4)))
-            for name, c, o in zip(stored["names"], stored["coefficients"], stored["offsets"], strict=True)
+            for name, c, o in zip(arrays["names"], arrays["coefficients"], arrays["offsets"], strict=True)
         }
-        labels = Labels(stored["keypoints"], stored["visible"])
-        return cls(labels, fits, posed, stored["trusted"], stored["outlined"])
+        labels = Labels(arrays["keypoints"], arrays["visible"])
+        return cls(labels, fits, posed, arrays["trusted"], arrays["outlined"])
 
 
 def read_source(data: Path, marks: Path | None = None) -> Source:
@@ -232,8 +255,12 @@ def open_photographs(
     silhouettes: Path | None = None,
     progress: Progress = no_progress,
 ) -> Photographs:
-    """The prepared photographs with these labels; prepares them where that has not been done."""
-    if not (folder / "scales.npy").exists():  # the last file that is written
+    """The prepared photographs with these labels; prepares them where that has not been done.
+
+    Warns:
+        DamagedFileWarning: They are damaged, and are prepared again.
+    """
+    if stored(folder / LAST, lambda _: check_prepared(folder)) is None:
         fits = [labelling.fits[car.shape] for car in source.cars]
         drawn = None
         if silhouettes is not None:
@@ -241,6 +268,10 @@ def open_photographs(
             drawn = [car.silhouette(silhouettes) if used else None for car, used in outlined]
         prepare_photographs(labelling.cars, fits, source.prior, folder, drawn, progress)
     return Photographs.load(folder, labelling.labels, np.array([car.azimuth for car in labelling.cars]))
+
+
+def _arrays(path: Path) -> dict[str, NDArray[Any]]:
+    return read_arrays(path, str(path), MADE_AGAIN)
 
 
 def _known(keypoints: Array, visible: Array, unknown: NDArray[np.bool_]) -> Labels:

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.settings import check_settings, count, number
+from fgrecon.io.stored import stored as taken_over
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.keypoints.weights import Stored, load_weights, mean_state, save_weights
@@ -16,7 +17,14 @@ from fgrecon.training.keypoints.began import begin_alike, file_hash, source_hash
 from fgrecon.training.keypoints.calibrate import calibrate
 from fgrecon.training.keypoints.labelling import Labelling, Source, read_source
 from fgrecon.training.keypoints.rounds import train_in_rounds
-from fgrecon.training.keypoints.street_cars import StreetCars, StreetShare, check_drives, learning, prepare_street_cars
+from fgrecon.training.keypoints.street_cars import (
+    LAST,
+    StreetCars,
+    StreetShare,
+    check_drives,
+    learning,
+    prepare_street_cars,
+)
 from fgrecon.training.keypoints.train import Training
 from fgrecon.training.keypoints.train_refine import RefineTraining, train_refinement
 from fgrecon.training.keypoints.trainer import TrainingProgress
@@ -180,10 +188,12 @@ def _street(beginning: Beginning, folder: Path, display: Display) -> StreetShare
         return None
     folder.mkdir(parents=True, exist_ok=True)
     begin_alike(folder / "began.json", {"labels": file_hash(beginning.street)})
-    if not (folder / "cars.npz").exists():  # the last file that is written
+    cars = taken_over(folder / LAST, lambda _: StreetCars.load(folder))
+    if cars is None:
         display.log("Street cars")
         prepare_street_cars(beginning.street, folder, display.progress)
-    return StreetShare(StreetCars.load(folder), beginning.street_share, beginning.without)
+        cars = StreetCars.load(folder)
+    return StreetShare(cars, beginning.street_share, beginning.without)
 
 
 def _refined(

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.stored import stored
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.keypoints.weights import Stored, load_weights, save_weights
@@ -78,17 +79,17 @@ def train_in_rounds(
     begin_alike(folder / "began.json", _named(source, how, stops, imagenet, start, silhouettes, street))
     first = _first(source, folder / "labels-first.npz", silhouettes, log, progress)
     begun = None if start is None else load_weights(start)
+    stored(checkpoint, load_checkpoint)  # puts a damaged one aside: all steps are made again
     network: Any = None
     labelling: Labelling | None = None
     photographs: Photographs | None = None
     for number, last in enumerate(stops):
         path = folder / f"labels-{number}.npz"
-        if path.exists():
-            labelling = Labelling.load(path, source.cars)
-        elif number == 0 and start is None:
+        labelling = Labelling.open(path, source.cars)
+        if labelling is None and number == 0 and start is None:
             labelling = first
             labelling.save(path)
-        else:
+        elif labelling is None:
             log(f"Labels corrected by the network, round {number}")
             if number == 0:
                 detector = KeypointCascade(start, device=device)
@@ -150,8 +151,9 @@ def _first(
     source: Source, path: Path, silhouettes: Path | None, log: Callable[[str], None], progress: Progress
 ) -> Labelling:
     """The first labels: those in the file, or made anew."""
-    if path.exists():
-        return Labelling.load(path, source.cars)
+    labelling = Labelling.open(path, source.cars)
+    if labelling is not None:
+        return labelling
     log("Labels from the boxes" if silhouettes is None else "Labels from boxes and silhouettes")
     labelling = first_labelling(source, silhouettes, progress)
     labelling.save(path)

@@ -11,20 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.arrays import read_arrays
 from fgrecon.io.export.coco_keypoints import read_coco_keypoints
 from fgrecon.io.files import write_bytes
 from fgrecon.io.images import read_image
+from fgrecon.io.stored import MADE_AGAIN
 from fgrecon.perception.keypoints.crops import Crop, extract
 from fgrecon.training.keypoints.augment import LabelledView
 from fgrecon.training.keypoints.dataset import SIDE, Photographs
 from fgrecon.training.keypoints.progress import Progress, no_progress
 from fgrecon.training.keypoints.views import Together, TrainingSet, Views, azimuth_weights
 
-__all__ = ["StreetCars", "StreetShare", "check_drives", "learning", "prepare_street_cars"]
+__all__ = ["LAST", "StreetCars", "StreetShare", "check_drives", "learning", "prepare_street_cars"]
 
 _AROUND = 1.5  # side of what is kept relative to the box's longer side
 _FILES = "images.npy", "masks.npy"
-_TABLE = "cars.npz"
+LAST = "cars.npz"
+"""Name of the file that is written last: where it is, all are."""
 _EVEN = 0.7, 6.0  # how far directions are evened out, as for `azimuth_weights`
 _VAN = 1.5  # vans are rare, and look less alike than cars
 
@@ -62,13 +65,16 @@ class StreetCars(Views):
         """What `prepare_street_cars` wrote.
 
         Raises:
-            InvalidInputError: There is nothing.
+            InvalidInputError: There is nothing, or it is damaged.
         """
-        if not (folder / _TABLE).exists():
+        if not (folder / LAST).exists():
             raise InvalidInputError("street", str(folder), "Give a folder that a training prepared.")
-        images, masks = (np.load(folder / name, mmap_mode="r") for name in _FILES)
-        with np.load(folder / _TABLE, allow_pickle=False) as table:
-            return cls(images, masks, **{name: table[name] for name in table.files})
+        table = read_arrays(folder / LAST, str(folder / LAST), MADE_AGAIN)
+        try:
+            images, masks = (np.load(folder / name, mmap_mode="r") for name in _FILES)
+            return cls(images, masks, **table)
+        except Exception as error:  # numpy promises no kind of error for damaged content
+            raise InvalidInputError(str(folder), f"damaged: {error}", MADE_AGAIN) from error
 
     def view(self, index: int) -> LabelledView:
         """One car with its labels."""
@@ -198,7 +204,7 @@ def prepare_street_cars(file: Path, folder: Path, progress: Progress = no_progre
         tracks=np.array([car.track for car in cars]),
         kinds=np.array([car.kind for car in cars]),
     )
-    write_bytes(folder / _TABLE, table.getvalue())
+    write_bytes(folder / LAST, table.getvalue())
 
 
 def _filled(polygons: Sequence[Array]) -> NDArray[np.uint8]:

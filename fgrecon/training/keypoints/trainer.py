@@ -10,7 +10,8 @@ from typing import Any, Generic, TypeVar
 
 import torch
 
-from fgrecon.training.keypoints.checkpoint import follow, restore_checkpoint, save_checkpoint
+from fgrecon.io.stored import stored
+from fgrecon.training.keypoints.checkpoint import follow, load_checkpoint, restore_checkpoint, save_checkpoint
 
 __all__ = ["Schedule", "Trainer", "TrainingProgress"]
 
@@ -68,6 +69,8 @@ class TrainingProgress:
 class Trainer(Generic[Network]):
     """A network in training, its running average and its optimizer; a checkpoint that exists is taken over.
 
+    A damaged one is named and put aside.
+
     Args:
         network: On its device already.
         groups: Parameters for the optimizer, with the `share` of the learning rate that each group has.
@@ -93,8 +96,9 @@ class Trainer(Generic[Network]):
         self.optimizer = torch.optim.AdamW(groups, lr=how.rate)
         self.how, self.checkpoint, self.settings, self.report, self.score = how, checkpoint, settings, report, score
         self.done = 0
-        if checkpoint.exists():
-            self.done = restore_checkpoint(checkpoint, network, self.average, self.optimizer, settings)
+        found = stored(checkpoint, load_checkpoint)
+        if found is not None:
+            self.done = restore_checkpoint(found, network, self.average, self.optimizer, settings)
         network.train()
 
     def run(

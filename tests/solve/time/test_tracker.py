@@ -36,6 +36,7 @@ def test_a_track_of_one_frame_is_a_single_image():
         np.testing.assert_array_equal(result.pose_covariance, alone.pose_covariance)
         assert (result.status, result.message) == (alone.status, alone.message)
         assert estimate.velocity is None
+        assert estimate.velocity_covariance is None
         assert estimate.facing_probability > 0.8
 
 
@@ -97,9 +98,23 @@ def test_velocity_is_over_the_world_where_it_is_known():
     _, smoothed = follow(frames)
     np.testing.assert_allclose(smoothed[12].velocity, [0.0, 0.0, 12.0], atol=0.6)
     assert abs(smoothed[12].turn_rate) < 0.1
+    off = smoothed[12].velocity - np.array([0.0, 0.0, 12.0])
+    assert off @ np.linalg.solve(smoothed[12].velocity_covariance, off) < 16.0  # chi-square of 3: 0.1 % are above
+    assert smoothed[12].velocity_covariance[2, 2] < 1.0
     _, relative = follow([(time, observation, None) for time, observation, _ in frames])
     np.testing.assert_allclose(relative[12].velocity, [0.0, 0.0, 2.0], atol=0.8)
     assert relative[12].world_T_object is None
+
+
+def test_a_velocity_whose_spread_cannot_be_had_has_none(monkeypatch):
+    def indeterminate(marginals, keys):
+        raise RuntimeError("Indeterminant linear system")
+
+    monkeypatch.setattr("fgrecon.solve.time.window.joint_covariance", indeterminate)
+    rng = np.random.default_rng(9)
+    online, _ = follow([(0.1 * t, seen(pose, rng), None) for t, pose in enumerate(approaching(3))])
+    assert online[-1].velocity is not None
+    assert online[-1].velocity_covariance is None
 
 
 def test_it_is_better_than_single_images():

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.errors import DamagedFileWarning, InvalidInputError
 from fgrecon.io.images import write_png
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import KeypointCascade
@@ -284,3 +284,31 @@ def test_directions_are_compared_on_the_full_circle(source, detector):
     np.testing.assert_allclose(score.errors, [0, 170, 180], atol=1e-6)
     assert score.within(15) == pytest.approx(1 / 3)
     assert score.median == pytest.approx(170.0)
+
+
+def flipped(path, at):
+    """A byte of a file changed."""
+    content = bytearray(path.read_bytes())
+    content[int(at * len(content))] ^= 0xFF
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize(
+    "name", ["knet.pt", "labels-first.npz", "labels-1.npz", "photographs/scales.npy", "photographs/images.npy"]
+)
+def test_a_damaged_part_of_a_training_is_named_and_made_again(name, source, tmp_path):
+    network, labelling, _ = train_in_rounds(source, tmp_path, HOW, [1])
+    path = tmp_path / name
+    if name.endswith(".npy"):
+        path.write_bytes(path.read_bytes()[:100])
+    else:
+        flipped(path, 0.5)
+    with pytest.warns(DamagedFileWarning, match="is damaged"):
+        again, labels, _ = train_in_rounds(source, tmp_path, HOW, [1])
+    assert np.isfinite(labels.labels.keypoints[labels.trusted]).any()
+    if name != "labels-1.npz":  # made by the network of its time, not by that of now
+        np.testing.assert_array_equal(labels.labels.keypoints, labelling.labels.keypoints)
+        for key, value in network.state_dict().items():
+            torch.testing.assert_close(again.state_dict()[key], value, msg=key)
+    again, _, _ = train_in_rounds(source, tmp_path, HOW, [1])  # and is whole now
+    assert load_checkpoint(tmp_path / "knet.pt")["step"] == 2

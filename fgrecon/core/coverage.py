@@ -1,0 +1,114 @@
+"""Whether regions hold: how often the truth lies within what estimates claim, and how wide they need be.
+
+An estimate claims a Gaussian; its region of a probability p holds the errors whose squares by its covariance are at
+most the chi-square quantile of p. Two baselines make regions that hold by construction where data are exchangeable
+(split conformal prediction, Vovk et al. 2005): `scaled` takes the quantile of the squares on other groups instead,
+which keeps the covariance's shape; `constant` that of the plain errors, which asks no covariance at all. Each group is
+left out of its own quantile, so that vehicles of one drive do not vouch for each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["LEVELS", "SIGMAS", "Coverage", "Region", "coverage"]
+
+Array = NDArray[np.float64]
+
+LEVELS = np.round(np.arange(0.05, 1.0, 0.05), 2)
+"""Probabilities at which coverage is looked at."""
+SIGMAS = (0.68, 0.95)
+"""Those at which widths are compared."""
+
+
+@dataclass(frozen=True)
+class Region:
+    """What one estimate claims, and how far off it is.
+
+    Attributes:
+        group: What it is left out with, such as a drive.
+        quantity: What is estimated.
+        squared: Squared error by its covariance.
+        dimension: Of the error.
+        spread: Geometric mean of the one-sigma region's semi-axes, in the quantity's unit.
+        error: Length of the error in that unit.
+    """
+
+    group: str
+    quantity: str
+    squared: float
+    dimension: int
+    spread: float
+    error: float
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Regions of one quantity.
+
+    Attributes:
+        quantity: What was estimated.
+        count: Number of estimates.
+        claimed: (L,) share within their region of each of `LEVELS`.
+        inside: Share within their own, the scaled and the constant region at each of `SIGMAS`; the baselines' are NaN
+            with a single group.
+        width: Mean radius of these regions, in the quantity's unit.
+    """
+
+    quantity: str
+    count: int
+    claimed: Array
+    inside: dict[float, dict[str, float]]
+    width: dict[float, dict[str, float]]
+
+
+def coverage(regions: Sequence[Region]) -> list[Coverage]:
+    """The coverage of each quantity, in the order in which they come."""
+    names = dict.fromkeys(region.quantity for region in regions)
+    return [_coverage(name, [region for region in regions if region.quantity == name]) for name in names]
+
+
+def _coverage(name: str, regions: Sequence[Region]) -> Coverage:
+    from scipy.stats import chi2  # on use: it takes long to import
+
+    squared = np.array([region.squared for region in regions])
+    spread = np.array([region.spread for region in regions])
+    error = np.array([region.error for region in regions])
+    dimension = regions[0].dimension
+    groups = np.array([region.group for region in regions])
+    inside: dict[float, dict[str, float]] = {}
+    width: dict[float, dict[str, float]] = {}
+    for level in SIGMAS:
+        quantile = float(chi2.ppf(level, dimension))
+        scaled, constant = _quantiles(squared, groups, level), _quantiles(error, groups, level)
+        inside[level] = {
+            "claimed": float(np.mean(squared <= quantile)),
+            "scaled": _share(squared <= scaled, scaled),
+            "constant": _share(error <= constant, constant),
+        }
+        width[level] = {
+            "claimed": float(np.mean(spread) * np.sqrt(quantile)),
+            "scaled": float(np.mean(spread * np.sqrt(scaled))),
+            "constant": float(np.mean(constant)),
+        }
+    claimed = np.array([np.mean(squared <= quantile) for quantile in chi2.ppf(LEVELS, dimension)])
+    return Coverage(name, len(regions), claimed, inside, width)
+
+
+def _quantiles(values: Array, groups: NDArray[np.str_], level: float) -> Array:
+    """For each value (M,) the quantile of those of other groups; NaN where there are none."""
+    found = np.full(len(values), np.nan)
+    for group in np.unique(groups):
+        others = np.sort(values[groups != group])
+        if len(others):
+            place = int(np.ceil((len(others) + 1) * level)) - 1  # of one more, unseen value
+            found[groups == group] = others[min(place, len(others) - 1)]
+    return found
+
+
+def _share(inside: NDArray[np.bool_], known: Array) -> float:
+    return float(np.mean(inside)) if np.isfinite(known).all() else float("nan")

@@ -1,0 +1,57 @@
+"""The methods of `fgrecon evaluate video` side by side, as a Markdown table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from fgrecon.evaluation.video_images import DIMENSIONS, VideoBox
+from fgrecon.evaluation.video_summary import BoxSummary, group_boxes, methods_of, summarise_boxes
+
+__all__ = ["markdown"]
+
+_HEADINGS = (
+    *("boxes", "method", "turned %", "yaw °", "median m", "mean m", "size cm", "jitter °", "jitter m"),
+    *(f"{name} NEES" for name in DIMENSIONS),
+    "velocity m/s",
+)
+_GROUPS = ("cars", "all")
+
+
+def markdown(boxes: Sequence[VideoBox]) -> str:
+    """A table with a row for each method on the cars, and on all boxes.
+
+    NEES are squared errors by their covariances: the mean by dimension and the median over that of the chi-square
+    distribution, both 1 where covariances are right, and the percent within the 95 % region.
+    """
+    lines = [_line(_HEADINGS), _line(["---"] * 2 + ["---:"] * (len(_HEADINGS) - 2))]
+    regimes = group_boxes(boxes)["regime"]
+    for group in _GROUPS:
+        some = regimes.get(group, [])
+        lines += [
+            _line([f"{group}, {len(some)}", name, *_cells(summarise_boxes(some, name))]) for name in methods_of(some)
+        ]
+    return "".join(lines)
+
+
+def _cells(score: BoxSummary) -> list[str]:
+    found = [
+        f"{score.turned_round.value:.2f}",
+        f"{score.mean_degrees.value:.2f}",
+        f"{score.median_metres:.3f}",
+        f"{score.mean_metres:.3f}",
+        _number(score.mean_absolute_size_error, 100.0, ".1f"),
+        _number(score.jitter_degrees, 1.0, ".2f"),
+        _number(score.jitter_metres, 1.0, ".3f"),
+    ]
+    for name in DIMENSIONS:
+        one = score.consistency.get(name)
+        found.append("-" if one is None else f"{one.mean:.1f} / {one.median:.2f} / {one.inside:.0f} %")
+    return [*found, _number(score.median_velocity, 1.0, ".2f")]
+
+
+def _number(value: float | None, factor: float, digits: str) -> str:
+    return "-" if value is None else format(factor * value, digits)
+
+
+def _line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |\n"

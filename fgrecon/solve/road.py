@@ -1,0 +1,198 @@
+"""The ground over time: what the vehicles of frame after frame say of the road under the camera.
+
+    told ---- G(0) ---- road ---- G(1) ---- road ---- G(2)
+                |                   |                   |
+             vehicles            vehicles            vehicles
+
+A camera nods, and the road bends; both change slowly, and in the long run the ground is as near to what is told as that
+says (`Ground`). Each frame is one step: what its vehicles say, with poses and shapes eliminated
+(`fgrecon.solve.scene`), one factor from the ground before, and what is left of that. Vehicles that are seen again err
+alike: they count by the time that has passed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from factors.contact import GroundFrame
+from factors.keys import G
+from factors.marginals import Marginal, marginal, marginal_factor
+from factors.noise import diagonal_noise
+from factors.road import road_factor
+from fgrecon.core.camera import Ground
+from fgrecon.solve.scene import OWN_HEIGHT, OWN_SLOPE
+
+__all__ = ["KnownGround", "Road"]
+
+Array = NDArray[np.float64]
+
+_ALIKE = 0.3  # seconds after which what vehicles say of the ground counts whole again
+_LASTS = 12.0  # seconds after which a deviation from what is told has fallen to a third, and another one has come
+_NEAR, _FAR = 10.0, 40.0  # metres: depths at which the uncertainty is that of the ground's
+_LEAST_KEPT = 1e-6
+_ROUNDS = 3  # of a solve that is nearly linear
+_LEAST_HEIGHT = 0.2  # metres; a camera is above the road
+
+Says = Callable[[Marginal], Marginal | None]
+"""What a frame's vehicles say of G(0), beside what is known of it."""
+
+
+@dataclass(frozen=True)
+class _Past:
+    """The ground of the last frame."""
+
+    time: float
+    frame: GroundFrame
+    world_T_camera: gtsam.Pose3 | None
+    left: Marginal  # on G(0)
+
+
+@dataclass(frozen=True)
+class KnownGround:
+    """The ground of a frame.
+
+    Attributes:
+        ground: The plane, and how far each vehicle is taken to lie off it for itself.
+        told: About where it was told to be.
+        covariance: (3, 3) of its height, pitch and roll.
+    """
+
+    ground: Ground
+    told: Ground
+    covariance: Array
+
+    def considered(self, camera_T_object: Array, covariance: Array) -> Array:
+        """The covariance (6, 6) of a pose that was solved on it, with what was left out of the ground's own.
+
+        For the solve most of what is unsure about the ground is the same for all vehicles and frames, and no freedom of
+        each. The pose is as unsure nevertheless, as far as the ground decides it (Schmidt's consider covariance).
+        """
+        rotation, place = camera_T_object[:3, :3], camera_T_object[:3, 3]
+        across = np.array([-1.0, *(GroundFrame.of(self.ground.normal, self.ground.distance).across @ place)])
+        depth = float(place[2])
+        whole = _own_variance(self.told, depth) + float(across @ self.covariance @ across)
+        used = self.ground.height_sigma_at_depth(depth) ** 2
+        by_height = covariance[:, 3:] @ rotation.T @ self.ground.normal / used  # of the pose, by the ground's height
+        considered: Array = covariance + max(whole - used, 0.0) * np.outer(by_height, by_height)
+        return considered
+
+
+class Road:
+    """The ground of one video, frame by frame."""
+
+    def __init__(self) -> None:
+        """Begin without a frame."""
+        self._past: _Past | None = None
+
+    def later(
+        self,
+        time: float,
+        told: Ground,
+        world_T_camera: gtsam.Pose3 | None,
+        says: Says,
+        *,
+        motion_sigma: tuple[float, float] = (0.0, 0.0),
+    ) -> KnownGround:
+        """Take a frame.
+
+        Args:
+            time: Of the frame, seconds.
+            told: About where the ground is.
+            world_T_camera: Pose of the camera, or None.
+            says: What its vehicles say; may say nothing.
+            motion_sigma: Standard deviations of the camera's motion since the frame before, radians and metres.
+        """
+        frame = GroundFrame.of(told.normal, told.distance)
+        past, weight = self._past, 1.0
+        spread = np.array([told.height_sigma, told.slope_sigma, told.slope_sigma])
+        if past is None:
+            values = gtsam.Values()
+            values.insert(G(0), np.zeros(3))
+            known = Marginal((G(0),), (3,), values, np.diag(1.0 / spread), np.zeros(3))
+        else:
+            seconds = time - past.time
+            known = _moved(past, seconds, frame, world_T_camera, spread, motion_sigma)
+            weight = min(seconds / _ALIKE, 1.0)
+        said = says(known)
+        if said is not None:
+            known = _both(known, said.scaled(weight))
+        self._past = _Past(time, frame, world_T_camera, known)
+        return _ground(told, frame, known)
+
+
+def _moved(
+    past: _Past,
+    seconds: float,
+    frame: GroundFrame,
+    world_T_camera: gtsam.Pose3 | None,
+    spread: Array,
+    motion_sigma: tuple[float, float],
+) -> Marginal:
+    """What is known of a frame's ground by those before."""
+    motion = None
+    if past.world_T_camera is not None and world_T_camera is not None:
+        motion = past.world_T_camera.between(world_T_camera)
+    turn, way = (0.0, 0.0) if motion is None else motion_sigma
+    kept = max(float(np.exp(-seconds / _LASTS)), _LEAST_KEPT)
+    sigma = np.hypot(np.sqrt(1.0 - kept**2) * spread, np.array([way, turn, turn]))
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values(past.left.values)
+    graph.add(marginal_factor(past.left))
+    graph.add(road_factor(G(0), G(1), (past.frame, frame), diagonal_noise("road", sigma), motion, kept))
+    values.insert(G(1), np.zeros(3))
+    return _on_first(marginal(graph, _solved(graph, values), [G(0)]))
+
+
+def _both(known: Marginal, said: Marginal) -> Marginal:
+    """What is known of a ground by both."""
+    graph = gtsam.NonlinearFactorGraph()
+    graph.add(marginal_factor(known))
+    graph.add(marginal_factor(said))
+    values = _solved(graph, known.values)
+    return marginal(graph, values, [])
+
+
+def _solved(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
+    for _ in range(_ROUNDS):
+        values = values.retract(graph.linearize(values).optimize())
+    return values
+
+
+def _on_first(left: Marginal) -> Marginal:
+    """The same about G(0)."""
+    values = gtsam.Values()
+    values.insert(G(0), left.values.atVector(left.keys[0]))
+    return Marginal((G(0),), left.dims, values, left.matrix, left.right)
+
+
+def _ground(told: Ground, frame: GroundFrame, known: Marginal) -> KnownGround:
+    """The plane, and how far a vehicle's origin may lie off it: as far as is told where nothing is known."""
+    normal, distance = frame.plane(known.values.atVector(G(0)))
+    covariance: Array = np.linalg.inv(known.matrix.T @ known.matrix).astype(np.float64)
+
+    def variance(depth: float) -> float:
+        across = np.array([-1.0, depth, 0.0])
+        own, whole = _own_variance(told, depth), told.height_sigma_at_depth(depth) ** 2
+        left = min(float(across @ covariance @ across) / whole, 1.0)
+        return own + (whole - own) * left**2  # what is left of it counts less: it is mostly the same for all vehicles
+
+    near, far = variance(_NEAR), variance(_FAR)
+    slope = max((far - near) / (_FAR**2 - _NEAR**2), (OWN_SLOPE * told.slope_sigma) ** 2)
+    height = max(near - slope * _NEAR**2, (OWN_HEIGHT * told.height_sigma) ** 2)
+    ground = replace(
+        told,
+        normal=normal,
+        distance=max(distance, _LEAST_HEIGHT),
+        height_sigma=float(np.sqrt(height)),
+        slope_sigma=float(np.sqrt(slope)),
+    )
+    return KnownGround(ground, told, covariance)
+
+
+def _own_variance(told: Ground, depth: float) -> float:
+    """Of a vehicle's origin off the ground, what is its own, square metres."""
+    return (OWN_HEIGHT * told.height_sigma) ** 2 + (OWN_SLOPE * told.slope_sigma * depth) ** 2

@@ -1,0 +1,83 @@
+"""Why a result that converged is weak: little carries it, or it lies at the edge of what was said beforehand.
+
+Chosen on five drives of KITTI's video and tested on two others (`docs/result.md`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.box3d import box_corners
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.observation import Observation
+
+__all__ = ["off_ground", "weaknesses"]
+
+Array = NDArray[np.float64]
+
+_CARRYING = 5.5  # keypoints' weight: with two equations each, fewer than pose and shape have unknowns
+_PROBABLE = 0.25  # of the measured keypoints; where no confidences are given it is a half
+_OFF_GROUND = 2.0  # standard deviations
+_OUTSIDE = 0.5  # of the vehicle's 2D box
+_EDGE = 3.0  # standard deviations of a shape coefficient
+
+
+def weaknesses(
+    observation: Observation,
+    weights: Array,
+    camera: Camera,
+    camera_T_object: Array,
+    coefficients: Array,
+    box_size: Array,
+    ground: Ground | None,
+) -> tuple[str, ...]:
+    """Clauses that say why a result is weak; none where it is not.
+
+    Args:
+        observation: What it was solved from.
+        weights: (K,) final weights of the keypoints.
+        camera: The camera.
+        camera_T_object: (4, 4) pose.
+        coefficients: (N,) shape coefficients.
+        box_size: (3,) length, width and height, metres.
+        ground: The plane that was told, or None.
+    """
+    found = []
+    if weights.sum() < _CARRYING:
+        found.append(f"keypoints of weight {weights.sum():.1f} of {len(weights)} carry it")
+    probable = float(observation.right[observation.measured].mean())
+    if probable < _PROBABLE:
+        found.append(f"the detector holds {100 * probable:.0f} % of its keypoints right")
+    if camera.image_size is not None:
+        outside = _outside(camera, camera_T_object, box_size)
+        if outside > _OUTSIDE:
+            found.append(f"{100 * outside:.0f} % of its box lie outside of the image")
+    if len(coefficients) and (largest := float(np.abs(coefficients).max())) > _EDGE:
+        found.append(f"its shape is {largest:.1f} standard deviations from the mean")
+    if ground is not None:
+        sigma = ground.height_sigma_at_depth(float(camera_T_object[2, 3]))
+        found += off_ground(float(ground.normal @ camera_T_object[:3, 3] - ground.distance), sigma)
+    return tuple(found)
+
+
+def off_ground(below: float, sigma: float) -> list[str]:
+    """The clause of a vehicle whose origin lies so many metres below the ground, known to `sigma` metres there."""
+    if abs(below) <= _OFF_GROUND * sigma:
+        return []
+    side = "below" if below > 0.0 else "above"
+    return [f"it lies {abs(below):.2f} m {side} the ground, {abs(below) / sigma:.1f} standard deviations"]
+
+
+def _outside(camera: Camera, camera_T_object: Array, box_size: Array) -> float:
+    """Share of the 2D box around the vehicle that is not in the image; 1 where it reaches behind the camera."""
+    assert camera.image_size is not None
+    corners = box_corners(box_size) @ camera_T_object[:3, :3].T + camera_T_object[:3, 3]
+    if corners[:, 2].min() <= 0.0:
+        return 1.0
+    pixels = camera.project(corners)
+    low, high = pixels.min(axis=0), pixels.max(axis=0)
+    inside = np.clip(high, -0.5, np.array(camera.image_size) - 0.5) - np.clip(
+        low, -0.5, np.array(camera.image_size) - 0.5
+    )
+    return float(1.0 - np.prod(inside) / np.prod(high - low))

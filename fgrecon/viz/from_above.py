@@ -1,0 +1,233 @@
+"""The scene as seen from above: vehicles with heading, uncertainty of their position and path, and the camera's view.
+
+Drawn with matplotlib, for print: a vehicle is told by its plate and its status by its line, not by colours alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.geometry import transform
+from fgrecon.core.reconstruction import Reconstruction, Status
+from fgrecon.viz import style
+from fgrecon.viz.geometry import box_corners, ellipse, level_axes, position_covariance
+from fgrecon.viz.marks import unit
+from fgrecon.viz.overlay import Shown
+from fgrecon.viz.tags import Plates
+
+__all__ = ["CONFIDENCE", "DASHES", "draw_scene_from_above", "ellipse_scale", "extent_from_above", "name_of"]
+
+CONFIDENCE = 0.95
+"""Of the ellipses around positions."""
+_RADIUS = 2.4477  # standard deviations of that, in two dimensions
+_SIDES = ((1, 0), (-1, 0), (0.8, 0.8), (-0.8, 0.8), (0.8, -0.8), (-0.8, -0.8), (0, 1), (0, -1))
+_VISIBLE = 0.9  # millimetres that the middle one of the ellipses is to be long, from its centre
+_SCALES = (1.0, 2.0, 5.0, 10.0, 20.0)
+_NOSE, _LEAST_NOSE = 1.6, 1.5  # metres of an arrow before the vehicle; millimetres
+_MARGIN = 1.5
+_REACH = np.array([(-150.0, -50.0), (150.0, 250.0)])  # lowest and highest coordinates that are shown at all
+_CLOUDS = 1.2  # how much farther than to the vehicles it is shown for their ellipses
+_BORDER = 0.3  # metres behind the camera
+
+DASHES: Mapping[Status, Any] = {
+    Status.CONVERGED: "-",
+    Status.WEAK: (0, (6.0, 1.2)),
+    Status.AMBIGUOUS: (0, (3.2, 1.2)),
+    Status.DEGENERATE: (0, (1.0, 1.0)),
+    Status.FAILED: (0, (1.0, 2.4)),
+}
+"""Line of each status."""
+
+
+def name_of(vehicle: Shown) -> str:
+    """What a plate calls a vehicle."""
+    return vehicle.name or str(vehicle.identity)
+
+
+def extent_from_above(
+    vehicles: Sequence[Shown], ground: Ground | None, before: Mapping[int, NDArray[np.float64]]
+) -> NDArray[np.float64]:
+    """(2, 2) lowest and highest coordinates, right and ahead, of all that is drawn; metres.
+
+    Args:
+        vehicles: What is drawn.
+        ground: The ground plane; without one the camera is taken for level.
+        before: (4, 4) poses at the start, by id.
+    """
+    level = level_axes(ground)
+    axes = level[[0, 2]]
+    points, clouds = [np.array([(-1.5, -_BORDER), (1.5, 6.0)])], []
+    for vehicle in vehicles:
+        if vehicle.result is not None and vehicle.pose is not None:
+            footprint, nose = _outline(vehicle.pose, vehicle.result)
+            points += [footprint @ axes.T, nose @ axes.T]
+            if (start := before.get(vehicle.identity)) is not None:
+                points.append(_outline(start, vehicle.result)[0] @ axes.T)
+            if (covariance := _covariance(vehicle, level)) is not None:
+                clouds.append(vehicle.pose[:3, 3] @ axes.T + ellipse(covariance, _RADIUS))
+    reach = np.clip(np.concatenate(points), *_REACH)  # a pose that is none must not make all others dots
+    low, high = reach.min(axis=0), reach.max(axis=0) + np.array([0.0, _MARGIN])
+    if clouds:  # but a position that is not known at all does not make all others small
+        high[1] = np.clip(np.concatenate(clouds)[:, 1].max() + 0.5, high[1], _CLOUDS * high[1])
+    aside = np.array([_MARGIN, 0.0])
+    return np.stack([low - aside, high + aside])
+
+
+def ellipse_scale(vehicles: Sequence[Shown], metres_per_millimetre: float) -> float:
+    """How many times larger the ellipses are drawn, so that one sees them."""
+    longest = [
+        _RADIUS * np.sqrt(np.linalg.eigvalsh(covariance).max())
+        for vehicle in vehicles
+        if (covariance := _covariance(vehicle, np.eye(3))) is not None
+    ]
+    if not longest:
+        return 1.0
+    wanted = _VISIBLE * metres_per_millimetre / max(float(np.median(longest)), 1e-9)
+    return next((scale for scale in _SCALES if scale >= wanted), _SCALES[-1])
+
+
+def draw_scene_from_above(
+    axes: Any,
+    vehicles: Sequence[Shown],
+    camera: Camera,
+    size: tuple[float, float],
+    *,
+    ground: Ground | None,
+    extent: NDArray[np.float64],
+    scale: float,
+    font: float,
+    before: Mapping[int, NDArray[np.float64]],
+) -> None:
+    """Draw it: right is right of the camera, up is ahead, in the ground plane.
+
+    Args:
+        axes: Panel with the aspect of the extent.
+        vehicles: What is drawn.
+        camera: Gives what it sees.
+        size: Width and height of its image, pixels.
+        ground: The ground plane; without one the camera is taken for level.
+        extent: (2, 2) lowest and highest coordinates, metres.
+        scale: How many times larger ellipses are drawn.
+        font: Font size in points.
+        before: (4, 4) poses at the start, by id, drawn faintly.
+    """
+    (left, near), (right, far) = extent
+    millimetre = (right - left) / (axes.get_position().width * axes.figure.get_size_inches()[0] * 25.4)
+    axes.set_xlim(left, right)
+    axes.set_ylim(near, far)
+    level = level_axes(ground)
+    flat = level[[0, 2]]
+    _draw_view(axes, camera, size, flat, far)
+    _draw_scale(axes, font, far)
+    plates = Plates(axes, font)
+    for vehicle in vehicles:
+        if vehicle.truth is not None and vehicle.truth.box_size is not None:
+            corners = transform(vehicle.truth.camera_T_object, box_corners(vehicle.truth.box_size))[:4] @ flat.T
+            _path(axes, corners, style.TRUTH, 1.0, (0, (5.0, 1.0, 1.0, 1.0)), closed=True, zorder=4)
+        if vehicle.trail is not None and len(vehicle.trail) > 1:
+            _path(axes, vehicle.trail @ flat.T, style.categorical(vehicle.identity), 0.6, "-", zorder=3)
+            axes.plot(*(vehicle.trail @ flat.T).T, ".", color=unit(style.categorical(vehicle.identity)), markersize=1.5)
+        if vehicle.result is not None and (start := before.get(vehicle.identity)) is not None:
+            corners = _outline(start, vehicle.result)[0] @ flat.T
+            _path(axes, corners, style.FADED, 0.7, (0, (1.0, 1.2)), closed=True, zorder=3)
+    placed = [v for v in vehicles if v.result is not None and v.pose is not None]
+    for vehicle in placed:
+        assert vehicle.result is not None
+        assert vehicle.pose is not None
+        footprint, nose = (
+            part @ flat.T for part in _outline(vehicle.pose, vehicle.result, max(_NOSE, _LEAST_NOSE * millimetre))
+        )
+        _draw_vehicle(axes, vehicle, footprint, nose)
+        covariance = _covariance(vehicle, level)
+        if covariance is not None:
+            _draw_ellipse(axes, vehicle.pose[:3, 3] @ flat.T, covariance, scale)
+        plates.keep_free(np.concatenate([footprint, nose]))
+    for vehicle in placed:
+        assert vehicle.result is not None
+        assert vehicle.pose is not None
+        corners = _outline(vehicle.pose, vehicle.result)[0] @ flat.T
+        sides = (corners + np.roll(corners, 1, axis=0)) / 2
+        plates.put(name_of(vehicle), np.concatenate([corners, sides]), _SIDES, style.categorical(vehicle.identity))
+    for spine in axes.spines.values():
+        spine.set_color(unit(style.HAIRLINE))
+        spine.set_linewidth(0.6)
+
+
+def _outline(
+    pose: NDArray[np.float64], result: Reconstruction, arrow: float = _NOSE
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(4, 3) footprint, and (2, 3) the middle and the tip of the heading's arrow; camera frame."""
+    length = float(result.box_size[0])
+    nose = np.array([(0.0, 0.0, 0.0), (length / 2 + arrow, 0.0, 0.0)])
+    return transform(pose, box_corners(result.box_size))[:4], transform(pose, nose)
+
+
+def _covariance(vehicle: Shown, level: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """(2, 2) of the position in the ground plane; None where it is not known."""
+    if vehicle.result is None or vehicle.pose is None or vehicle.result.pose_covariance is None:
+        return None
+    flat = level[[0, 2]]
+    covariance: NDArray[np.float64] = flat @ position_covariance(vehicle.pose, vehicle.result.pose_covariance) @ flat.T
+    return covariance if np.isfinite(covariance).all() else None
+
+
+def _draw_vehicle(axes: Any, vehicle: Shown, footprint: NDArray[np.float64], nose: NDArray[np.float64]) -> None:
+    """Its footprint, filled faintly, and an arrow from its middle beyond its front."""
+    assert vehicle.result is not None
+    colour = style.categorical(vehicle.identity)
+    axes.fill(*footprint.T, color=unit(colour), alpha=0.22, linewidth=0, zorder=4)
+    _path(axes, footprint, colour, 1.1, DASHES[vehicle.result.status], closed=True, zorder=5)
+    look = {"arrowstyle": "-|>,head_length=0.28,head_width=0.13", "shrinkA": 0, "shrinkB": 0, "linewidth": 0.8}
+    axes.annotate("", nose[1], nose[0], arrowprops={**look, "color": unit(colour)}, zorder=6, annotation_clip=True)
+
+
+def _draw_ellipse(axes: Any, at: NDArray[np.float64], covariance: NDArray[np.float64], scale: float) -> None:
+    outline = at + scale * ellipse(covariance, _RADIUS)
+    axes.fill(*outline.T, color=unit(style.INK), alpha=0.25, linewidth=0, zorder=6)
+    _path(axes, outline, style.INK, 0.7, "-", closed=True, zorder=7)
+
+
+def _draw_view(axes: Any, camera: Camera, size: tuple[float, float], flat: NDArray[np.float64], far: float) -> None:
+    """The camera, and the part of the ground that its image is of."""
+    sides = camera.undistort(
+        np.array([(-0.5, float(camera.matrix[1, 2])), (size[0] - 0.5, float(camera.matrix[1, 2]))])
+    )
+    rays = camera.rays(sides) @ flat.T
+    ends = rays / np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-9) * 4.0 * far
+    axes.fill(*np.stack([ends[0], (0.0, 0.0), ends[1]]).T, color=unit(style.BACKGROUND), linewidth=0, zorder=0)
+    for end in ends:
+        _path(axes, np.stack([(0.0, 0.0), end]), style.FADED, 0.6, (0, (4.0, 1.6)), zorder=2)
+    axes.plot(0.0, 0.0, "^", color=unit(style.INK), markersize=4, zorder=8, clip_on=False)
+
+
+def _draw_scale(axes: Any, font: float, far: float) -> None:
+    """Lines every so many metres, with their numbers."""
+    spacing = next((step for step in (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0) if far / step <= 7.0), 500.0)
+    from matplotlib.ticker import MultipleLocator
+
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MultipleLocator(spacing))
+    axes.grid(visible=True, color=unit(style.HAIRLINE), linewidth=0.5)
+    axes.set_axisbelow(True)
+    axes.tick_params(labelsize=font, length=1.5, width=0.5, pad=1.2)
+    axes.set_xlabel("right of the camera [m]", fontsize=font, labelpad=1)
+    axes.set_ylabel("ahead [m]", fontsize=font, labelpad=1)
+
+
+def _path(
+    axes: Any,
+    points: NDArray[np.float64],
+    colour: style.Colour,
+    width: float,
+    dashes: Any,
+    *,
+    closed: bool = False,
+    zorder: float,
+) -> None:
+    drawn = np.concatenate([points, points[:1]]) if closed else points
+    axes.plot(*drawn.T, color=unit(colour), linewidth=width, linestyle=dashes, zorder=zorder)

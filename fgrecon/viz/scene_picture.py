@@ -1,0 +1,225 @@
+"""A picture of a whole image: photograph with wireframes, boxes and ground, the scene from above, and the numbers.
+
+Made to be printed 8 cm wide, as a column of a paper is, or enlarged on a slide: type is 6 points there. What tells
+vehicles apart are their plates, and what tells statuses apart are the lines: grey print and any colour vision will do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import transform
+from fgrecon.core.reconstruction import Status
+from fgrecon.viz import style
+from fgrecon.viz.from_above import DASHES, draw_scene_from_above, ellipse_scale, extent_from_above, name_of
+from fgrecon.viz.geometry import BOX_EDGES, as_image, box_corners, ground_lines, level_axes, resolution
+from fgrecon.viz.marks import draw_crop, draw_paths
+from fgrecon.viz.occlusion import DepthImage, depth_image, pieces_of, runs_of
+from fgrecon.viz.overlay import Shown
+from fgrecon.viz.picture import new_figure, place_axes
+from fgrecon.viz.scene_table import draw_key, draw_table, scene_page
+from fgrecon.viz.tags import Plates
+
+__all__ = ["scene_picture"]
+
+_CM = 1 / 2.54  # inches
+_WIDTH, _EDGE, _GAP, _HEADING = 8.0 * _CM, 0.04 * _CM, 0.15 * _CM, 0.32 * _CM
+_TALLEST, _ABOVE, _AXIS_LEFT, _AXIS_BELOW = 7.0 * _CM, 4.3 * _CM, 0.62 * _CM, 0.66 * _CM
+_LOW, _HIGH, _MOST = 3.2 * _CM, 4.4 * _CM, 6.0 * _CM  # of the view from above; with a long table
+_FONT = 6.0
+_LINE, _KEY = 0.3 * _CM, 5  # a line of the table; lines of the key below it
+_DPI, _MOST_DPI = 400, 600
+_SPACING, _BEYOND, _ASIDE = 5.0, 10.0, 15.0  # metres: of the ground's grid, beyond the farthest vehicle, to each side
+_AHEAD = np.array([5.0, 10.0, 20.0, 40.0, 80.0, 160.0])  # of its lines across: evenly spaced they would make a band
+_SMALL = 6.0  # points: less wide vehicles have no wireframe, which would be a blot
+_TAGS = ((0.0, 1.0), (0.8, 1.0), (-0.8, 1.0), (1.0, 0.0), (-1.0, 0.0), (0.0, -1.0))
+_HIDDEN = 0.38
+
+
+def scene_picture(
+    image: NDArray[np.uint8] | None,
+    vehicles: Sequence[Shown],
+    camera: Camera,
+    *,
+    ground: Ground | None = None,
+    before: bool = False,
+    beside: bool = False,
+) -> Any:
+    """Draw the vehicles of an image, of a still one or of a frame of a video.
+
+    Args:
+        image: (H, W, 3) RGB photograph; without one there is a plain canvas.
+        vehicles: What it shows. One without a result, or whose solving failed, has its 2D box.
+        camera: The camera that saw them.
+        ground: The ground plane: its grid and horizon are drawn, and the view from above is along its normal.
+        before: Draw the first estimates of the histories too, in a photograph of their own and from above.
+        beside: Put the view from above beside the photograph and not below it, as for a slide.
+
+    Returns:
+        A `matplotlib.figure.Figure` with an Agg canvas, 8 cm wide, or twice as much; see `fgrecon.viz.save_picture`.
+
+    Raises:
+        InvalidInputError: There is no vehicle, two have the same id, or the image is not (H, W, 3) of bytes.
+    """
+    if not vehicles:
+        raise InvalidInputError("vehicles", "none", "Give at least one.")
+    if len({vehicle.identity for vehicle in vehicles}) < len(vehicles):
+        raise InvalidInputError("vehicles", [v.identity for v in vehicles], "Give each vehicle an id of its own.")
+    photograph = None if image is None else as_image(image)
+    size = resolution(camera, photograph)
+    starts = _starts(vehicles) if before else {}
+    high = min((_WIDTH - 2 * _EDGE) * size[1] / size[0], _TALLEST)
+    wide = high * size[0] / size[1]
+
+    panels, heading = (2, _HEADING) if starts else (1, 0.0)
+    photographs = panels * (high + heading)
+
+    extent = extent_from_above(vehicles, ground, starts)
+    page = scene_page(vehicles, starts)
+    across, ahead = extent[1] - extent[0]
+    width = _ABOVE - _AXIS_LEFT
+    least = (photographs if beside else (page.lines + _KEY) * _LINE) - _AXIS_BELOW  # else there were empty space
+    tall = float(np.clip(width * ahead / across, max(_LOW, min(least, _MOST)), max(_HIGH, min(least, _MOST))))
+    extent = _filled(extent, width / tall)
+    scale = ellipse_scale(vehicles, (extent[1, 0] - extent[0, 0]) / (width / _CM * 10))
+
+    height = tall + _AXIS_BELOW
+    total = 2 * _EDGE + (max(photographs, height) if beside else photographs + _GAP + height)
+    figure = new_figure(2 * _WIDTH + _GAP if beside else _WIDTH, total)
+    figure.set_dpi(np.clip(np.ceil(size[0] / wide), _DPI, _MOST_DPI))
+    top = total - _EDGE
+    for panel in range(panels):
+        top -= heading + high
+        axes = place_axes(figure, (_WIDTH - wide) / 2, top, wide, high)
+        start = starts if panels == 2 and panel == 0 else None
+        _draw_photograph(axes, photograph, vehicles, camera, size, ground if start is None else None, start)
+        if starts:
+            axes.set_title("Start" if start is not None else "Result", fontsize=_FONT + 1, loc="left", pad=2)
+    left, bottom = (_WIDTH + _GAP, total - _EDGE - height) if beside else (0.0, 0.0)
+    above = place_axes(figure, left + _AXIS_LEFT, bottom + _AXIS_BELOW, width, tall)
+    draw_scene_from_above(
+        *(above, vehicles, camera, size), ground=ground, extent=extent, scale=scale, font=_FONT, before=starts
+    )
+    aside = place_axes(figure, left + _ABOVE + _GAP, bottom, _WIDTH - _ABOVE - _GAP - _EDGE, height)
+    used = draw_table(aside, page, int(height / _LINE) - _KEY, height / _LINE, _FONT)
+    draw_key(aside, vehicles, height / _LINE - used, height / _LINE, _FONT, scale=scale, before=bool(starts))
+    return figure
+
+
+def _starts(vehicles: Sequence[Shown]) -> dict[int, NDArray[np.float64]]:
+    """The first poses, by id, of those that have a history."""
+    return {v.identity: v.result.history[0].camera_T_object for v in vehicles if v.result and v.result.history}
+
+
+def _filled(extent: NDArray[np.float64], aspect: float) -> NDArray[np.float64]:
+    """The extent widened, or made longer ahead, until it has an aspect."""
+    (left, near), (right, far) = extent
+    missing = (far - near) * aspect - (right - left)
+    if missing >= 0:
+        return np.array([(left - missing / 2, near), (right + missing / 2, far)])
+    return np.array([(left, near), (right, near + (right - left) / aspect)])
+
+
+def _draw_photograph(
+    axes: Any,
+    image: NDArray[np.uint8] | None,
+    vehicles: Sequence[Shown],
+    camera: Camera,
+    size: tuple[float, float],
+    ground: Ground | None,
+    start: Mapping[int, NDArray[np.float64]] | None,
+) -> None:
+    """The photograph with what was found; with `start` the first estimates by id instead."""
+    draw_crop(axes, image, camera, (-0.5, -0.5, size[0] - 0.5, size[1] - 0.5))
+    axes.set_aspect("auto")  # the panel has the image's
+    for spine in axes.spines.values():
+        spine.set_linewidth(0.4)
+    solved = [v for v in vehicles if v.result is not None and v.pose is not None]
+    depth = depth_image([v.result for v in solved if v.result is not None], camera, size)
+    if ground is not None:
+        poses = [v.pose for v in solved if v.pose is not None]
+        _draw_ground(axes, ground, camera, depth, poses, style.HAIRLINE if image is None else style.PAPER)
+    points = axes.get_position().width * axes.figure.get_size_inches()[0] * 72 / size[0]  # in a pixel
+    for vehicle in sorted(solved, key=lambda v: -float(v.pose[2, 3]) if v.pose is not None else 0.0):
+        if start is None:
+            behind = style.FADED if image is None else style.PAPER
+            _draw_vehicle(axes, vehicle, camera, depth, behind, wireframe=points * _width(vehicle) > _SMALL)
+        elif vehicle.identity in start:
+            _draw_start(axes, vehicle, camera)
+    plates = Plates(axes, _FONT)
+    for vehicle in vehicles:
+        x1, y1, x2, y2 = vehicle.box
+        if vehicle.pose is None:
+            corners = np.array([(x1, y1), (x2, y1), (x2, y2), (x1, y2), (x1, y1)])
+            draw_paths(axes, [corners], style.categorical(vehicle.identity), 0.8, DASHES[Status.FAILED], zorder=5)
+    for vehicle in sorted(vehicles, key=lambda v: v.box[3]):
+        x1, y1, x2, y2 = vehicle.box
+        plates.keep_free(np.array([(x1 + 0.25 * (x2 - x1), y1 + 0.25 * (y2 - y1)), (x2 - 0.25 * (x2 - x1), y2)]))
+    for vehicle in sorted(vehicles, key=lambda v: -v.box[3]):
+        x1, y1, x2, _ = vehicle.box
+        top = np.array([(0.75 * x1 + 0.25 * x2, y1), ((x1 + x2) / 2, y1), (0.25 * x1 + 0.75 * x2, y1)])
+        plates.put(name_of(vehicle), top, _TAGS, style.categorical(vehicle.identity))
+
+
+def _width(vehicle: Shown) -> float:
+    return float(vehicle.box[2] - vehicle.box[0])
+
+
+def _draw_ground(
+    axes: Any,
+    ground: Ground,
+    camera: Camera,
+    depth: DepthImage,
+    poses: Sequence[NDArray[np.float64]],
+    colour: style.Colour,
+) -> None:
+    """The horizon, and a grid on the ground as far as the vehicles are."""
+    right, _, ahead = level_axes(ground)
+    places = [pose[:3, 3] @ np.stack([right, ahead]).T for pose in poses]
+    farthest = max((float(place[1]) for place in places), default=_BEYOND) + _BEYOND
+    widest = max([_ASIDE, *(abs(float(place[0])) for place in places)])
+    sideways = _SPACING * np.arange(-np.ceil(widest / _SPACING), np.ceil(widest / _SPACING) + 1)
+    lines = ground_lines(ground, sideways, _AHEAD[max(farthest, _AHEAD[0]) >= _AHEAD])
+    seen, _ = runs_of(pieces_of(lines, 120), camera, depth)
+    draw_paths(axes, seen, colour, 0.35, "-", zorder=1, casing=False, alpha=0.65)
+    turns = np.linspace(-1.2, 1.2, 40)
+    horizon = (np.multiply.outer(np.sin(turns), right) + np.multiply.outer(np.cos(turns), ahead)) * 1e4
+    seen, _ = runs_of(horizon[None], camera, depth)
+    draw_paths(axes, seen, style.INK, 0.5, (0, (6.0, 2.5, 1.0, 2.5)), zorder=1)
+
+
+def _draw_vehicle(
+    axes: Any, vehicle: Shown, camera: Camera, depth: DepthImage, behind: style.Colour, *, wireframe: bool
+) -> None:
+    """Box and wireframe; what the vehicle itself or another hides of them is faint, in a colour of its own."""
+    assert vehicle.result is not None
+    assert vehicle.pose is not None
+    result, colour = vehicle.result, style.categorical(vehicle.identity)
+    if vehicle.truth is not None and vehicle.truth.box_size is not None:
+        true = transform(vehicle.truth.camera_T_object, box_corners(vehicle.truth.box_size))[BOX_EDGES]
+        seen, hidden = runs_of(pieces_of(true), camera, depth)
+        draw_paths(axes, [*seen, *hidden], style.TRUTH, 0.6, (0, (5.0, 1.0, 1.0, 1.0)), zorder=2)
+    box = transform(vehicle.pose, box_corners(result.box_size))[BOX_EDGES]
+    seen, hidden = runs_of(pieces_of(box), camera, depth)
+    draw_paths(axes, hidden, colour, 0.4, (0, (1.0, 1.5)), zorder=2, casing=False, alpha=_HIDDEN)
+    draw_paths(axes, seen, colour, 0.55, DASHES[result.status], zorder=4)
+    if wireframe:
+        lines = transform(vehicle.pose, result.wireframe)[result.edges]
+        seen, hidden = runs_of(pieces_of(lines), camera, depth)
+        draw_paths(axes, hidden, behind, 0.35, "-", zorder=2, casing=False, alpha=_HIDDEN)
+        draw_paths(axes, seen, colour, 0.9, "-", zorder=4)
+
+
+def _draw_start(axes: Any, vehicle: Shown, camera: Camera) -> None:
+    """The wireframe that the optimisation began with."""
+    assert vehicle.result is not None
+    first, nothing = vehicle.result.history[0], DepthImage(np.full((1, 1), np.inf, dtype=np.float32), 1e-9)
+    lines = transform(first.camera_T_object, first.keypoints)[vehicle.result.edges]
+    seen, _ = runs_of(pieces_of(lines), camera, nothing)
+    draw_paths(axes, seen, style.categorical(vehicle.identity), 0.8, "-", zorder=4)

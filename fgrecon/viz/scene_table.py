@@ -1,0 +1,202 @@
+"""Beside a scene from above: the vehicles' numbers, and what the lines mean."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.reconstruction import Reconstruction, Status
+from fgrecon.viz import style
+from fgrecon.viz.from_above import CONFIDENCE, DASHES, name_of
+from fgrecon.viz.geometry import position_covariance
+from fgrecon.viz.marks import unit
+from fgrecon.viz.overlay import Shown
+from fgrecon.viz.truth import ORIENTATION_ERROR, TRANSLATION_ERROR
+
+__all__ = ["Row", "ScenePage", "draw_key", "draw_table", "scene_page"]
+
+_SIGMAS = 1.96  # of the same confidence in one dimension
+_MINUS = str.maketrans("-", "−")
+_FEW = 6
+"""Of so many vehicles there is room for a second line."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """What is written of a vehicle.
+
+    Attributes:
+        name: On its plate.
+        cells: Its numbers, in columns.
+        detail: A line below, where there is room.
+    """
+
+    name: str
+    cells: tuple[str, ...]
+    detail: str = ""
+
+
+@dataclass(frozen=True)
+class ScenePage:
+    """The table of a scene.
+
+    Attributes:
+        columns: Heading of each after the name, and its right edge relative to the panel.
+        rows: A row for each vehicle, the nearest first.
+    """
+
+    columns: tuple[tuple[str, float], ...]
+    rows: tuple[Row, ...]
+
+    @property
+    def lines(self) -> int:
+        """Lines that it takes."""
+        return 1 + sum(1 + bool(row.detail) for row in self.rows)
+
+
+def scene_page(vehicles: Sequence[Shown], starts: Mapping[int, NDArray[np.float64]]) -> ScenePage:
+    """The table of vehicles.
+
+    Where the truth is known it has the errors, of the start as well where that is given; else the estimate's values
+    with what they are known to with a confidence of 95 %.
+
+    Args:
+        vehicles: What is shown.
+        starts: (4, 4) first poses, by id.
+    """
+    ordered = sorted(vehicles, key=lambda v: np.inf if v.pose is None else float(np.linalg.norm(v.pose[:3, 3])))
+    few = len(ordered) <= _FEW
+    words = any(vehicle.words for vehicle in vehicles)
+    columns: tuple[tuple[str, float], ...] = (("distance [m]", 0.58), ("yaw [°]", 1.0))
+    cells = [_values(v) for v in ordered]
+    if any(vehicle.truth is not None for vehicle in vehicles):
+        columns = (("position error [m]", 0.6), ("yaw [°]", 1.0))
+        cells = [_errors(v, starts.get(v.identity)) for v in ordered]
+    elif not few and not words:
+        columns = (("dist. [m]", 0.48), ("yaw [°]", 0.82), ("l [m]", 1.0))
+        cells = [(*pair, _length(v)) for pair, v in zip(cells, ordered, strict=True)]
+    details = [_detail(v) if few else v.words for v in ordered]
+    rows = (Row(name_of(v), c, d) for v, c, d in zip(ordered, cells, details, strict=True))
+    return ScenePage(columns, tuple(rows))
+
+
+def _values(vehicle: Shown) -> tuple[str, ...]:
+    """Distance and yaw."""
+    result = vehicle.result
+    if result is None or vehicle.pose is None:
+        return ("refused" if result is None else result.status.value, "")
+    distance, yaw, covariance = float(np.linalg.norm(result.location)), np.degrees(result.rotation_y), None
+    told = f"{distance:.1f}", f"{yaw:.0f}"
+    covariance = result.pose_covariance
+    if covariance is not None and np.isfinite(covariance).all():
+        towards = result.location / max(distance, 1e-9)
+        along = float(np.sqrt(towards @ position_covariance(vehicle.pose, covariance) @ towards))
+        turn = float(np.degrees(np.sqrt(covariance[1, 1])))  # about the own y axis
+        told = f"{told[0]} ± {_SIGMAS * along:.1f}", f"{told[1]} ± {_SIGMAS * turn:.0f}"
+    return (told[0], told[1].translate(_MINUS))
+
+
+def _length(vehicle: Shown) -> str:
+    return "" if vehicle.result is None or vehicle.pose is None else f"{vehicle.result.box_size[0]:.1f}"
+
+
+def _detail(vehicle: Shown) -> str:
+    """The words of a vehicle, its size and status."""
+    if vehicle.result is None or vehicle.pose is None:
+        return vehicle.words
+    size = " × ".join(f"{metres:.1f}" for metres in vehicle.result.box_size)
+    return ", ".join(part for part in (f"{size} m", vehicle.words or vehicle.result.status.value) if part)
+
+
+def _errors(vehicle: Shown, start: NDArray[np.float64] | None) -> tuple[str, ...]:
+    """Errors of position and yaw, from the start to the result where that is given."""
+    result = vehicle.result
+    if result is None or vehicle.pose is None or vehicle.truth is None:
+        return ("", "")
+    after = vehicle.truth.errors(vehicle.pose, result.wireframe)
+    told = f"{after[TRANSLATION_ERROR]:.2f}", f"{after[ORIENTATION_ERROR]:.1f}"
+    if start is None:
+        return told
+    first = vehicle.truth.errors(start, result.history[0].keypoints)
+    return f"{first[TRANSLATION_ERROR]:.2f} → {told[0]}", f"{first[ORIENTATION_ERROR]:.1f} → {told[1]}"
+
+
+def draw_table(axes: Any, page: ScenePage, room: int, lines: float, font: float) -> float:
+    """Write the table at the top of a panel.
+
+    Args:
+        axes: The panel.
+        page: What is written.
+        room: How many lines it may have.
+        lines: How many lines high the panel is.
+        font: Font size in points.
+
+    Returns:
+        How many lines it took.
+    """
+    axes.set_axis_off()
+    axes.set_xlim(0.0, 1.0)
+    axes.set_ylim(lines, 0.0)
+    look: dict[str, Any] = {"fontsize": font, "va": "center", "parse_math": False}
+    for text, right in page.columns:
+        axes.text(right, 0.5, text, ha="right", color=unit(style.FADED), **look)
+    axes.plot([0.0, 1.0], [1.0, 1.0], color=unit(style.HAIRLINE), linewidth=0.5)
+    y, left = 1.1, len(page.rows)
+    for row in page.rows:
+        if y + 1 + bool(row.detail) + (left > 1) > room:
+            break
+        axes.text(0.02, y + 0.5, row.name, fontweight="bold", color=unit(style.INK), **look)
+        for text, (_, right) in zip(row.cells, page.columns, strict=False):
+            axes.text(right, y + 0.5, text, ha="right", color=unit(style.INK), **look)
+        if row.detail:
+            axes.text(1.0, y + 1.42, row.detail, ha="right", color=unit(style.FADED), **look)
+        y, left = y + 1 + bool(row.detail), left - 1
+    if left:
+        axes.text(0.02, y + 0.5, f"and {left} more", color=unit(style.FADED), **look)
+        y += 1
+    return y + 0.4
+
+
+def draw_key(
+    axes: Any, vehicles: Sequence[Shown], room: float, lines: float, font: float, *, scale: float, before: bool
+) -> None:
+    """What the lines mean, as far as they are there, below the table.
+
+    Args:
+        axes: The panel.
+        vehicles: What is shown.
+        room: Lines that are left.
+        lines: How many lines high the panel is.
+        font: Font size in points.
+        scale: How many times larger ellipses are drawn.
+        before: Whether the start is shown.
+    """
+    results = [vehicle.result for vehicle in vehicles]
+    solved = [vehicle.result for vehicle in vehicles if vehicle.pose is not None]
+    ink, faded = style.INK, style.FADED
+    entries = [(DASHES[status], ink, status.value) for status in Status if _has(solved, status)]
+    if len(solved) < len(results):
+        entries.append((DASHES[Status.FAILED], ink, "not solved: 2D box"))
+    if before:
+        entries.append(((0, (1.0, 1.2)), faded, "start"))
+    if any(vehicle.truth is not None for vehicle in vehicles):
+        entries.append(((0, (5.0, 1.0, 1.0, 1.0)), style.TRUTH, "truth"))
+    y = lines - room
+    for dashes, colour, text in entries:
+        axes.plot([0.02, 0.16], [y + 0.5, y + 0.5], color=unit(colour), linewidth=1.1, linestyle=dashes)
+        axes.text(0.21, y + 0.5, text, fontsize=font, va="center", color=unit(ink))
+        y += 1.0
+    if any(result is not None and result.pose_covariance is not None for result in solved):
+        from matplotlib.patches import Ellipse
+
+        axes.add_patch(Ellipse((0.09, y + 0.5), 0.13, 0.6, facecolor=(*unit(ink), 0.25), edgecolor=unit(ink), lw=0.7))
+        larger = "" if scale == 1.0 else f", {scale:.0f} × as large"
+        axes.text(0.21, y + 0.5, f"{100 * CONFIDENCE:.0f} % of position{larger}", fontsize=font, va="center")
+
+
+def _has(results: Sequence[Reconstruction | None], status: Status) -> bool:
+    return any(result is not None and result.status is status for result in results)

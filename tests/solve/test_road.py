@@ -1,0 +1,151 @@
+"""The ground over time: what vehicles said of it stays known, is forgotten slowly, and follows the camera."""
+
+import gtsam
+import numpy as np
+import pytest
+
+import fgrecon
+from factors.contact import GroundFrame
+from factors.keys import G
+from factors.marginals import Marginal
+from fgrecon.core.camera import Ground
+from fgrecon.solve.road import Road
+from tests.solve.time.streets import CAMERA, seen, upright
+
+GROUND = 1.65
+TOLD = Ground.level(GROUND)
+LEVEL = GroundFrame.of(TOLD.normal, GROUND)
+SLOPE = np.array([0.05, 0.02, 0.0])  # the camera is 5 cm higher than told, and the road goes up
+SURE = np.array([0.01, 0.001, 0.001])
+
+
+def saying(change, sigma=SURE):
+    """Vehicles that say where the ground is."""
+
+    def says(known):
+        del known
+        values = gtsam.Values()
+        values.insert(G(0), np.asarray(change, dtype=float))
+        return Marginal((G(0),), (3,), values, np.diag(1.0 / sigma), np.zeros(3))
+
+    return says
+
+
+def silent(known):
+    """No vehicles."""
+    del known
+
+
+def slope_of(known):
+    ground = known.ground
+    return ground.normal[2] / ground.normal[1]
+
+
+def test_the_first_frame_is_what_is_told_and_what_vehicles_say():
+    known = Road().later(0.0, TOLD, None, saying(SLOPE))
+    ground = known.ground
+    prior = np.array([TOLD.height_sigma, TOLD.slope_sigma, TOLD.slope_sigma])
+    expected = SLOPE * prior**2 / (prior**2 + SURE**2)
+    assert slope_of(known) == pytest.approx(expected[1], rel=1e-6)
+    assert ground.distance == pytest.approx(GROUND + expected[0], rel=1e-6)
+    assert ground.height_sigma < TOLD.height_sigma
+    assert ground.slope_sigma < 0.5 * TOLD.slope_sigma
+
+
+def test_without_vehicles_it_is_what_is_told():
+    ground = Road().later(0.0, TOLD, None, silent).ground
+    np.testing.assert_allclose(ground.normal, TOLD.normal, atol=1e-12)
+    assert ground.distance == pytest.approx(GROUND)
+    assert (ground.height_sigma, ground.slope_sigma) == pytest.approx((TOLD.height_sigma, TOLD.slope_sigma))
+
+
+def test_it_stays_known_and_is_forgotten_slowly():
+    road = Road()
+    first = road.later(0.0, TOLD, None, saying(SLOPE))
+    grounds = [road.later(time, TOLD, None, silent) for time in (0.5, 5.0, 300.0)]
+    slopes = [slope_of(first), *map(slope_of, grounds)]
+    assert slopes == sorted(slopes, reverse=True)
+    assert slopes[1] > 0.9 * slopes[0]
+    assert slopes[3] < 0.01 * slopes[0]
+    sigmas = [known.ground.slope_sigma for known in (first, *grounds)]
+    assert sigmas == sorted(sigmas)
+    assert sigmas[3] == pytest.approx(TOLD.slope_sigma, rel=1e-3)
+    late = road.later(1e7, TOLD, None, silent)
+    assert late.ground.slope_sigma == pytest.approx(TOLD.slope_sigma, rel=1e-3)
+
+
+def test_vehicles_that_are_seen_again_count_by_the_time_that_passed():
+    """Eleven frames within 0.3 s say what two do, and less than ten that are as far apart as those two."""
+
+    def slope_after(times):
+        road = Road()
+        for time in times:
+            ground = road.later(time, TOLD, None, saying(SLOPE, sigma=10.0 * SURE))
+        return slope_of(ground)
+
+    dense, two = slope_after(0.03 * np.arange(11)), slope_after([0.0, 0.3])
+    assert dense == pytest.approx(two, rel=0.05)
+    assert slope_after(0.3 * np.arange(10)) > 1.2 * dense
+
+
+def test_it_turns_with_the_camera():
+    """A camera that has nodded by the slope of the road sees it level."""
+    nod = gtsam.Pose3(gtsam.Rot3.Rx(SLOPE[1]), np.zeros(3))  # its axis goes up with the road
+    seen_by, slopes = [None, gtsam.Pose3()], []
+    for first in seen_by:
+        road = Road()
+        before = road.later(0.0, TOLD, first, saying(SLOPE))
+        slopes.append(slope_of(road.later(0.1, TOLD, None if first is None else nod, silent)))
+    assert slopes[0] == pytest.approx(slope_of(before), rel=0.01)
+    assert abs(slopes[1]) < 0.1 * slopes[0]
+
+
+def test_a_motion_that_is_not_exact_leaves_the_ground_less_sure():
+    sigmas = []
+    for turn in (0.0, 0.01):
+        road = Road()
+        road.later(0.0, TOLD, gtsam.Pose3(), saying(SLOPE))
+        sigmas.append(road.later(0.1, TOLD, gtsam.Pose3(), silent, motion_sigma=(turn, 0.0)).ground.slope_sigma)
+    assert sigmas[1] > 1.2 * sigmas[0]
+
+
+def test_a_pose_is_as_unsure_as_the_ground_that_decides_it():
+    """A pose that only the ground's height decides has the ground's variance and its own; one that is known, none."""
+    known = Road().later(0.0, TOLD, None, saying(SLOPE, sigma=3.0 * SURE))
+    pose = upright(0.7, [2.0, GROUND, 20.0])
+    down = pose[:3, :3].T @ known.ground.normal
+    used = known.ground.height_sigma_at_depth(20.0) ** 2
+    decided = np.zeros((6, 6))
+    decided[3:, 3:] = used * np.outer(down, down)
+    found = known.considered(pose, decided)
+    across = np.array([-1.0, 20.0, 2.0])
+    own = (0.35 * TOLD.height_sigma) ** 2 + (0.15 * TOLD.slope_sigma * 20.0) ** 2
+    assert down @ found[3:, 3:] @ down == pytest.approx(own + across @ known.covariance @ across, rel=0.05)
+    assert down @ found[3:, 3:] @ down > 1.2 * used
+    np.testing.assert_allclose(known.considered(pose, 1e-9 * np.eye(6)), 1e-9 * np.eye(6), atol=1e-12)
+
+
+@pytest.mark.parametrize("slope", [0.03, -0.03])
+def test_vehicles_tell_the_road(slope):
+    """Three cars on a slope; 20 m ahead their road is 0.6 m off the one that is told."""
+    rng = np.random.default_rng(0)
+    places = [(-4.0, 10.0), (2.0, 20.0), (-3.0, 28.0)]
+    poses = [upright(1.3, [x, GROUND + slope * z, z]) for x, z in places]
+    tracker = fgrecon.Tracker(size_prior="kitti", shared_ground=True)
+    for t in range(5):
+        given = {i: seen(pose, rng) for i, pose in enumerate(poses)}
+        tracker.update(0.1 * t, given, camera=CAMERA, ground=GROUND)
+    ground = tracker._tracks[1].past[-1].frame.problem.ground
+    assert (ground.distance - 20.0 * ground.normal[2]) / ground.normal[1] == pytest.approx(
+        GROUND + 20.0 * slope, abs=0.15
+    )
+    assert ground.slope_sigma < 0.6 * TOLD.slope_sigma
+
+
+def test_a_vehicle_alone_is_a_single_image():
+    pose = upright(1.3, [2.0, GROUND, 20.0])
+    observation = seen(pose, np.random.default_rng(1))
+    tracker = fgrecon.Tracker(size_prior="kitti", shared_ground=True)
+    found = tracker.update(0.0, {1: observation}, camera=CAMERA, ground=GROUND)[1].reconstruction
+    alone = fgrecon.reconstruct(observation, CAMERA, ground=GROUND, size_prior="kitti")
+    np.testing.assert_allclose(found.camera_T_object, alone.camera_T_object, atol=1e-5)

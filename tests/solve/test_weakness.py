@@ -1,0 +1,157 @@
+"""What makes a result weak, on either side of each limit, and that every way of solving says it."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fgrecon
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.observation import Observation
+from fgrecon.core.options import KeypointOptions, Options
+from fgrecon.core.reconstruction import Reconstruction, Status
+from fgrecon.io.catalogue import load_prior
+from fgrecon.solve.pipeline import reconstruct
+from fgrecon.solve.result import weakened
+from fgrecon.solve.weakness import off_ground, weaknesses
+from tests.cars import CAMERA, observe, yaw_pose
+
+POSE = yaw_pose(0.6)
+SIZE = np.array([4.0, 1.7, 1.5])
+
+
+def told(**changed):
+    """The reasons of a car that has none, but for what is changed."""
+    given = {
+        "observation": Observation(np.full((14, 2), 300.0), np.full(14, 0.9), confidence_midpoint=0.5),
+        "weights": np.full(14, 0.6),
+        "camera": replace(Camera.of(CAMERA), image_size=(1242, 375)),
+        "camera_T_object": POSE,
+        "coefficients": np.zeros(5),
+        "box_size": SIZE,
+        "ground": Ground.level(float(POSE[1, 3])),
+    }
+    return weaknesses(**(given | changed))
+
+
+def test_a_clear_car_has_no_reasons():
+    assert told() == ()
+
+
+def test_few_keypoints():
+    assert told(weights=np.full(14, 5.51 / 14)) == ()
+    (reason,) = told(weights=np.full(14, 5.49 / 14))
+    assert reason == "keypoints of weight 5.5 of 14 carry it"
+
+
+def test_an_unsure_detector_and_points_without_confidences():
+    points = np.full((14, 2), 300.0)
+    half = Observation.of(points)  # nothing is said: each is as likely right as wrong
+    assert told(observation=half) == ()
+    unsure = np.full(14, 0.28)  # 0.28^2 / (0.28^2 + 0.5^2) = 0.239
+    (reason,) = told(observation=Observation(points, unsure, confidence_midpoint=0.5))
+    assert "holds 24 % of its keypoints right" in reason
+    seen = points.copy()
+    seen[8:] = np.nan  # what was not measured is not unsure
+    assert told(observation=Observation(seen, np.full(14, 0.9), confidence_midpoint=0.5)) == ()
+
+
+def test_a_car_mostly_outside_of_the_image():
+    camera = Camera.of(CAMERA)
+    corner = camera.project(POSE[:3, 3])  # in the middle of the box, about
+    for width, expected in ((corner[0] + 60.0, 0), (corner[0] - 60.0, 1)):
+        assert len(told(camera=replace(camera, image_size=(round(width), 375)))) == expected
+    near = POSE.copy()
+    near[2, 3] = 1.0  # a corner behind the camera
+    assert "100 % of its box lie outside" in told(camera_T_object=near, ground=None)[0]
+    assert told(camera=camera) == ()  # of unknown size
+
+
+def test_an_improbable_shape():
+    assert told(coefficients=np.array([0.0, -2.9])) == ()
+    assert told(coefficients=np.array([0.0, -3.1])) == ("its shape is 3.1 standard deviations from the mean",)
+    assert told(coefficients=np.zeros(0)) == ()
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_off_the_ground(side):
+    sigma = Ground.level(1.65).height_sigma_at_depth(float(POSE[2, 3]))
+    for times, expected in ((1.9, 0), (2.1, 1)):
+        plane = Ground.level(float(POSE[1, 3]) - side * times * sigma)
+        assert len(told(ground=plane)) == expected
+    (reason,) = off_ground(side * 0.5, 0.2)
+    assert reason == f"it lies 0.50 m {'below' if side > 0 else 'above'} the ground, 2.5 standard deviations"
+    assert told(ground=None) == ()
+
+
+def test_only_what_converged_becomes_weak():
+    result = reconstruct(observe(load_prior("car14"), POSE), CAMERA)
+    assert (result.status, result.reasons) == (Status.CONVERGED, ())
+    weak = weakened(weakened(result, ["little carries it"]), ["it flies"])
+    assert (weak.status, weak.message) == (Status.WEAK, "Little carries it; it flies.")
+    assert weak.reasons == ("little carries it", "it flies")
+    ambiguous = weakened(replace(result, status=Status.AMBIGUOUS, message="Two."), ["it flies"])
+    assert (ambiguous.status, ambiguous.message, ambiguous.reasons) == (Status.AMBIGUOUS, "Two.", ("it flies",))
+    assert weakened(result, []) is result
+    for compact in (False, True):
+        again = Reconstruction.from_dict(weak.to_dict(compact=compact))
+        assert (again.status, again.reasons) == (Status.WEAK, weak.reasons)
+    earlier = {name: value for name, value in result.to_dict().items() if name != "reasons"}
+    assert Reconstruction.from_dict(earlier).reasons == ()
+
+
+def few(observation: Observation) -> Observation:
+    """With the five most confident keypoints alone."""
+    pixels = observation.keypoints.copy()
+    pixels[np.argsort(-observation.confidence, kind="stable")[5:]] = np.nan
+    return replace(observation, keypoints=pixels)
+
+
+def test_cars_scenes_and_tracks_say_it():
+    prior = load_prior("car14")
+    whole = observe(prior, POSE)
+    poor = few(whole)
+    alone = reconstruct(poor, CAMERA, ground=1.65)
+    assert any("carry it" in reason for reason in alone.reasons)
+    assert alone.status in (Status.WEAK, Status.AMBIGUOUS)
+    scene = fgrecon.reconstruct_scene([whole, poor], CAMERA, ground=1.65)
+    assert [bool(car.reasons) for car in scene.vehicles] == [False, True]
+    track = fgrecon.reconstruct_track([poor, poor], CAMERA)
+    assert all(frame.reasons for frame in track.frames)
+    assert track.status is not Status.CONVERGED
+    mixed = fgrecon.reconstruct_track([whole, whole, poor], CAMERA)
+    assert mixed.frames[0].status is Status.CONVERGED
+    assert mixed.status in (Status.CONVERGED, mixed.frames[2].status)
+
+
+def test_a_car_on_another_ground_is_weak_in_its_scene():
+    prior = load_prior("car14")
+    poses = [yaw_pose(0.4, np.array([x, 1.65, z])) for x, z in ((-4.0, 14.0), (2.0, 16.0), (5.0, 20.0))]
+    high = yaw_pose(0.4, np.array([-1.0, -0.2, 18.0]))
+    scene = fgrecon.reconstruct_scene([observe(prior, pose) for pose in [*poses, high]], CAMERA, size_prior="kitti")
+    assert [any("above the ground" in reason for reason in car.reasons) for car in scene.vehicles] == [False] * 3 + [
+        True
+    ]
+
+
+def test_keypoints_below_the_least_confidence_are_not_measured():
+    observation = observe(load_prior("car14"), POSE)
+    confidence = np.linspace(0.1, 0.9, 14)
+    given = replace(observation, confidence=np.where(observation.measured, confidence, 0.0))
+    asked = Options(keypoints=KeypointOptions(least_confidence=0.5))
+    dropped = given.of_at_least(0.5)
+    assert (dropped.measured == (given.measured & (confidence >= 0.5))).all()
+    assert given.of_at_least(0.0) is given
+    found, expected = reconstruct(given, CAMERA, options=asked), reconstruct(dropped, CAMERA)
+    np.testing.assert_array_equal(found.camera_T_object, expected.camera_T_object)
+    with pytest.raises(InvalidInputError, match="least_confidence"):
+        KeypointOptions(least_confidence=1.5)
+
+
+def test_the_documentation_has_every_status():
+    page = (Path(__file__).parents[2] / "docs" / "result.md").read_text(encoding="utf-8")
+    section = page[page.index("## Status") : page.index("## Errors")]
+    assert set(re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE)) == {status.value for status in Status}

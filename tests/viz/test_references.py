@@ -1,0 +1,108 @@
+"""Pictures look as they did: each is compared with one that was looked at, so that no layout is lost unseen.
+
+Both are made four times smaller first: other versions of matplotlib and its fonts move edges by less than a pixel. With
+FGRECON_REFERENCES=1 in the environment the references are written anew; look at them before they are committed.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from fgrecon.viz import Sight, as_rgb, contact_sheet, picture, scene_picture
+from tests.viz.made_up import Example
+from tests.viz.scenes import GROUND, result_of, shown_of, street
+
+FOLDER = Path(__file__).parent / "references"
+SMALLER, COLOURS = 4, 64
+MEAN, WORST = 4.0, 18.0
+"""Grey levels of 255: mean over the picture, and over the worst of a hundred parts."""
+
+
+def scene(example: Example):
+    """Three cars of a street, one of them ambiguous."""
+    seen = street()
+    return scene_picture(seen.image, shown_of(example, seen), seen.camera, ground=GROUND)
+
+
+def gain(example: Example):
+    """The same with start and truth."""
+    seen = street()
+    return scene_picture(seen.image, shown_of(example, seen, truth=True), seen.camera, ground=GROUND, before=True)
+
+
+def plain(example: Example):
+    """The same without a photograph and a ground."""
+    seen = street()
+    return scene_picture(None, shown_of(example, seen), seen.camera)
+
+
+def stages(example: Example):
+    """The stages of one car."""
+    return picture(example.reconstruction, example.observation, example.camera, truth=example.truth)
+
+
+def sheet(example: Example):
+    """A cell for each car."""
+    seen = street()
+    sights = [
+        Sight(result_of(example, car), car.observation, seen.camera, seen.image, title="car") for car in seen.cars
+    ]
+    return contact_sheet(sights, columns=2)
+
+
+DRAWN = {
+    function.__name__: (function, dpi)
+    for function, dpi in ((scene, 150), (gain, 150), (plain, 150), (stages, 75), (sheet, 75))
+}
+
+
+def pixels(figure, dpi) -> np.ndarray:
+    return np.asarray(Image.fromarray(as_rgb(figure, dpi)).quantize(COLOURS).convert("RGB"))
+
+
+def smaller(image: np.ndarray) -> np.ndarray:
+    height, width = (side // SMALLER * SMALLER for side in image.shape[:2])
+    blocks = image[:height, :width].astype(np.float64)
+    return blocks.reshape(height // SMALLER, SMALLER, width // SMALLER, SMALLER, 3).mean(axis=(1, 3))
+
+
+def differences(image: np.ndarray, reference: np.ndarray) -> tuple[float, float]:
+    """Mean difference, and that of the worst of a hundred parts."""
+    apart = np.abs(smaller(image) - smaller(reference)).mean(axis=2)
+    parts = [block.mean() for row in np.array_split(apart, 10) for block in np.array_split(row, 10, axis=1)]
+    return float(apart.mean()), float(max(parts))
+
+
+@pytest.fixture(scope="module", params=DRAWN)
+def drawn(request, example):
+    """Name and pixels of a picture."""
+    function, dpi = DRAWN[request.param]
+    return request.param, pixels(function(example), dpi)
+
+
+def test_it_looks_as_it_did(drawn):
+    name, image = drawn
+    path = FOLDER / f"{name}.png"
+    if os.environ.get("FGRECON_REFERENCES"):
+        Image.fromarray(image).quantize(COLOURS).save(path, optimize=True)
+    reference = np.asarray(Image.open(path).convert("RGB"))
+    assert image.shape == reference.shape
+    mean, worst = differences(image, reference)
+    assert mean < MEAN
+    assert worst < WORST
+
+
+def test_a_lost_panel_is_seen(drawn, example):
+    """What these limits are for: without any one of its panels a picture is beyond them."""
+    name, image = drawn
+    function, dpi = DRAWN[name]
+    for index in range(len(function(example).axes)):
+        figure = function(example)
+        figure.axes[index].remove()
+        mean, worst = differences(pixels(figure, dpi), image)
+        assert mean > MEAN or worst > WORST, f"{name}, panel {index}: {mean:.2f}, {worst:.2f}"
