@@ -37,6 +37,7 @@ if TYPE_CHECKING:  # imported when used
     from factors.box import box_factor
     from factors.cheirality import check_in_front, cheirality_factor
     from factors.contact import GroundFrame, contact_factor
+    from factors.detected_box import detected_origin_factor, detected_yaw_factor
     from factors.dimensions import dimensions_factor
     from factors.errors import DegenerateProblemError, FactorCallbackError, FgreconError, InvalidInputError
     from factors.ground import ground_height_factor, upright_factor
@@ -97,6 +98,8 @@ __all__ = [
     "coefficients_prior",
     "contact_factor",
     "decode_key",
+    "detected_origin_factor",
+    "detected_yaw_factor",
     "diagonal_noise",
     "dimensions_factor",
     "drive_factor",

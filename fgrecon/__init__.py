@@ -23,7 +23,7 @@ from fgrecon._moved import MovedFinder
 
 if TYPE_CHECKING:  # imported when used
     from fgrecon._version import __version__
-    from fgrecon.core.box3d import Box3D
+    from fgrecon.core.box3d import Box3D, BoxErrors
     from fgrecon.core.camera import Camera, Ground
     from fgrecon.core.category import Category
     from fgrecon.core.choices import BoxModel, StrategyName
@@ -32,6 +32,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.core.observation import Observation
     from fgrecon.core.options import BoxOptions, KeypointOptions, Options, SearchOptions, ShapeOptions
     from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status, rotation_y
+    from fgrecon.core.refined_box import RefinedBox
     from fgrecon.core.robust import RobustStrategy, strategy
     from fgrecon.core.scene_reconstruction import SceneReconstruction
     from fgrecon.core.shape_prior import ShapePrior, Surface
@@ -43,6 +44,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.io.keypoints.reader import keypoints_from
     from fgrecon.perception.from_image import FromImage, reconstruct_image
     from fgrecon.perception.protocols import KeypointDetector, VehicleDetector
+    from fgrecon.perception.refine import refine_boxes
     from fgrecon.perception.vehicles.detect import Vehicles
     from fgrecon.solve.pipeline import reconstruct
     from fgrecon.solve.scene import reconstruct_scene
@@ -53,6 +55,7 @@ __all__ = [
     "SIZE_PRIORS",
     "Alternative",
     "Box3D",
+    "BoxErrors",
     "BoxModel",
     "BoxOptions",
     "Camera",
@@ -69,6 +72,7 @@ __all__ = [
     "Observation",
     "Options",
     "Reconstruction",
+    "RefinedBox",
     "RobustStrategy",
     "SceneReconstruction",
     "SearchOptions",
@@ -92,6 +96,7 @@ __all__ = [
     "reconstruct_image",
     "reconstruct_scene",
     "reconstruct_track",
+    "refine_boxes",
     "rotation_y",
     "save_prior",
     "strategy",

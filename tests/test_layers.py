@@ -57,7 +57,7 @@ ROOMS = {
     },
     "evaluation": {
         *("core", "io", "io/export", "solve", "solve/vehicle", "solve/proposals", "perception", "perception/keypoints"),
-        "annotation",
+        *("annotation", "simulation"),
     },
     "training/priors": {"core", "io", "io/annotations", "io/keypoints", "solve/vehicle"},
     "training": {"factors", "training/priors"},

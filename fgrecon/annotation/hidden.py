@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.box3d import Box3D
+from fgrecon.core.box3d import Box3D, box_corners
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import yaw_rotation
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
-from fgrecon.solve.vehicle.model import box_corners, prepare
+from fgrecon.solve.vehicle.model import prepare
 from fgrecon.solve.vehicle.visibility import clearance, occluder
 
 __all__ = ["Solid", "hidden_behind", "solid_of"]

@@ -8,13 +8,13 @@ import numpy as np
 
 from fgrecon.annotation.annotation import Annotation
 from fgrecon.annotation.silhouette import silhouette
+from fgrecon.core.box3d import box_corners
 from fgrecon.core.camera import MIN_DEPTH
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.io.export.coco_keypoints import LabelledImage, VehicleLabel, VehicleLabels
-from fgrecon.solve.vehicle.model import box_corners
 
 __all__ = ["vehicle_labels"]
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from numpy.typing import NDArray
 
-    from fgrecon.core.camera import Ground
+    from fgrecon.core.camera import Camera, Ground
     from fgrecon.io.boxes import NamedBox
 
-__all__ = ["check_output", "check_outputs", "chosen_boxes", "ground_plane", "parse_numbers"]
+__all__ = ["about_camera", "check_output", "check_outputs", "chosen_boxes", "ground_plane", "parse_numbers"]
 
 
 def ground_plane(plane: str | None, height: float | None) -> tuple[Ground, str] | None:
@@ -113,3 +113,17 @@ def check_outputs(json_out: str | None, *paths: Path | None) -> None:
     """
     for path in (*paths, None if json_out in (None, "-") else Path(str(json_out))):
         check_output(path)
+
+
+def about_camera(camera: Camera, own: Camera | None) -> str:
+    """How far to trust distances where no camera is given.
+
+    Args:
+        camera: The one that was found.
+        own: The one that the photograph's file tells, or None.
+    """
+    source = "what its cars look like" if own is None else "the EXIF data and its cars"
+    return (
+        f"No camera is given: the focal length is {camera.matrix[0, 0]:.0f} px, known to "
+        f"{100 * camera.focal_sigma:.0f} %, from {source}. Distances are as rough. Give --camera or --intrinsics."
+    )

@@ -13,6 +13,7 @@ from fgrecon.cli.deliver import Delivery
 from fgrecon.cli.evaluate_boxes import boxes_command
 from fgrecon.cli.evaluate_calibration import calibration_command
 from fgrecon.cli.evaluate_kitti import kitti_command
+from fgrecon.cli.evaluate_refine import refine_evaluation_command
 from fgrecon.cli.evaluate_video import video_command
 from fgrecon.cli.options import JsonOption, LabelledScene, MarkdownOption, fitting_names
 from fgrecon.cli.progress import counting
@@ -129,4 +130,5 @@ add_command(app, "tracks", tracks_command)
 add_command(app, "kitti", kitti_command)
 add_command(app, "video", video_command)
 add_command(app, "boxes", boxes_command)
+add_command(app, "refine", refine_evaluation_command)
 add_command(app, "calibration", calibration_command)

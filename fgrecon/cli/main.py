@@ -18,6 +18,7 @@ from fgrecon.cli.demo import demo_command
 from fgrecon.cli.export import export_command
 from fgrecon.cli.many import batch_command
 from fgrecon.cli.reconstruct import reconstruct_command
+from fgrecon.cli.refine import refine_command
 from fgrecon.cli.replay import replay_command
 from fgrecon.cli.run import run_command
 from fgrecon.cli.sample import sample_command
@@ -42,6 +43,7 @@ add_command(app, "demo", demo_command, once_flags={"--json": "-"})
 add_command(app, "sample", sample_command)
 add_command(app, "reconstruct", reconstruct_command)
 add_command(app, "batch", batch_command)
+add_command(app, "refine", refine_command)
 add_command(app, "run", run_command)
 add_command(app, "track", track_command)
 add_command(app, "replay", replay_command, once_flags={"--json": "-"})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -47,12 +48,18 @@ def find_keypoints(
     """
     for item in named:
         check_box(item.corners, image, f"box {item.name}")
-    detector = KeypointCascade(weights)
+    detector = _networks(weights)
     check_category(detector, category)
     found: list[CascadeDetection] = []
     for start in screen.watch(range(0, len(named), _BATCH), f"Keypoints, {_BATCH} cars at a time"):
         found += detector(image, [item.corners for item in named[start : start + _BATCH]], batch=_BATCH)
     return found
+
+
+@lru_cache(maxsize=1)
+def _networks(weights: Path | None) -> KeypointCascade:
+    """Loaded once for all images of a run."""
+    return KeypointCascade(weights)
 
 
 def read_image_tasks(

@@ -1,4 +1,4 @@
-"""`fgrecon reconstruct`: pose and shape of every vehicle in a keypoint file, or in boxes of an image."""
+"""`fgrecon reconstruct`: pose and shape of every vehicle in a keypoint file, or in boxes of images."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli.common import check_outputs
+from fgrecon.cli.common import about_camera, check_outputs
 from fgrecon.cli.deliver import Delivery
 from fgrecon.cli.options import (
     BOX_MODEL_HELP,
@@ -32,7 +32,7 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
     from fgrecon.cli.batch import Outcome
     from fgrecon.cli.terminal import Screen
     from fgrecon.cli.together import Scene
-    from fgrecon.core.camera import Camera, Ground
+    from fgrecon.core.camera import Ground
 
 __all__ = ["reconstruct_command"]
 
@@ -119,8 +119,11 @@ class Drawings:
 
 
 def reconstruct_command(
-    file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="Keypoints (of any known format), a track, or an image.")
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE...", help="Keypoints (of any known format), a track, or images and folders of them."
+        ),
     ],
     camera: CameraOptions,
     scene: SceneOptions,
@@ -141,17 +144,25 @@ def reconstruct_command(
         ),
     ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Processes; for thousands of vehicles see `fgrecon batch`.")] = 1,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="For images: a results file NAME.json for each of them.")
+    ] = None,
+    pictures: Annotated[bool, typer.Option("--pictures", help="With --out: a picture NAME.png for each as well.")] = (
+        False
+    ),
 ) -> None:
-    """Reconstruct the pose and shape of the vehicles in a keypoint file or an image (--box, --boxes or --detect).
+    """Reconstruct the pose and shape of the vehicles in a keypoint file or in images (--box, --boxes or --detect).
 
     A vehicle that is refused is reported, and the others go on. --verbose tells all messages, energies and times.
+    Several images, or a folder of them, need --out: each has a file of its own there, and one that cannot be used does
+    not stop the others.
 
-    Exit code 0: at least one was reconstructed; 1: none, since solving failed; 2: none, since the input is bad, or no
-    car was found in the image.
+    Exit code 0: at least one was reconstructed, of several images in each; 1: none, since solving failed, or images
+    without any; 2: none, since the input is bad, or no car was found in the image.
 
     Without a camera the focal length is the one in the photograph's EXIF data, or one that its cars tell together.
     """
-    from fgrecon.cli import batch, picture_tasks, show
+    from fgrecon.cli import batch, photographs, picture_tasks, show
     from fgrecon.cli.together import solve_together, wants_together
     from fgrecon.core.options import Options, ShapeOptions
     from fgrecon.io.images import read_photograph
@@ -164,9 +175,17 @@ def reconstruct_command(
         strategy=scene.strategy,
         box=solving.box_model or BoxModel.SURFACE,
         shape=ShapeOptions(joint=solving.joint, free_offsets=solving.free_offsets),
-        keep_history=history or drawings.wanted or delivery.wanted,
+        keep_history=history or drawings.wanted or delivery.wanted or pictures,
     )
     settings = scene.settings(options)
+    several = photographs.wanted(files, out, pictures=pictures)
+    if several is not None:
+        photographs.refuse(json_out, drawings.wanted or drawings.image is not None, delivery.wanted, boxes.box)
+        how = photographs.How(camera, boxes, settings, solving.box_model, together, history=history, pictures=pictures)
+        if not photographs.reconstruct_each(several, how, screen):
+            raise typer.Exit(1)
+        return
+    (file,) = files
     pictured = picture_tasks.is_image(file)
     if not pictured:
         boxes.refuse()
@@ -199,7 +218,7 @@ def reconstruct_command(
     for found in scenes:
         screen.print(*found.lines())
         if found.result.camera.focal_sigma:
-            screen.warn(_about_camera(found, own))
+            screen.warn(about_camera(found.result.camera, own))
     if ignored:
         screen.print(f"Fields of the file without a meaning here: {', '.join(ignored)}.")
     screen.write_json(show.document(file, outcomes, settings, [scene.plain() for scene in scenes], history=history))
@@ -211,13 +230,3 @@ def reconstruct_command(
     if not batch.check_any(file, outcomes):
         screen.fail("No vehicle could be reconstructed.")
         raise typer.Exit(1)
-
-
-def _about_camera(scene: Scene, own: Camera | None) -> str:
-    """How far to trust distances where no camera is given."""
-    camera = scene.result.camera
-    source = "what its cars look like" if own is None else "the EXIF data and its cars"
-    return (
-        f"No camera is given: the focal length is {camera.matrix[0, 0]:.0f} px, known to "
-        f"{100 * camera.focal_sigma:.0f} %, from {source}. Distances are as rough. Give --camera or --intrinsics."
-    )

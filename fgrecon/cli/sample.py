@@ -14,6 +14,7 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
     from numpy.typing import NDArray
 
     from fgrecon.core.category import Category
+    from fgrecon.core.shape_prior import ShapePrior
     from fgrecon.simulation.sample import SampleStreet, SeenCar
 
 __all__ = ["sample_command"]
@@ -29,8 +30,8 @@ def sample_command(
     """Make small inputs to try the other commands with: a rendered street of three cars, and a track of one.
 
     Writes street.png, its calibration calib.txt (KITTI's format), the cars' keypoints as a network would report them in
-    cars.json and their boxes in boxes.txt; and TRACK.json, one car in eight images with its true poses, and these
-    images in the folder drive.
+    cars.json, their boxes in boxes.txt and a detector's 3D boxes in detections.txt; and TRACK.json, one car in eight
+    images with its true poses, and these images in the folder drive.
     """
     from fgrecon.io.catalogue import load_prior
     from fgrecon.io.images import write_png
@@ -44,6 +45,7 @@ def sample_command(
     screen.write_text(out / "calib.txt", _calibration(_projection(street)))
     screen.write_text(out / "cars.json", _json(_keypoint_file(street, prior.category)))
     screen.write_text(out / "boxes.txt", _boxes(street, "street.png"))
+    screen.write_text(out / "detections.txt", _detections(street, prior, seed))
     screen.write_text(out / "TRACK.json", _json(_track_file(street, track, prior.category)))
     (out / "drive").mkdir(exist_ok=True)
     for number, frame in enumerate(sample_drive(prior, seed=seed)):
@@ -93,6 +95,36 @@ def _boxes(street: SampleStreet, image: str) -> str:
     """The cars' boxes as detections."""
     boxes = [car.observation.box for car in street.cars]
     return "".join(f"{image} 2 0.990 {' '.join(f'{x:.2f}' for x in box)}\n" for box in boxes if box is not None)
+
+
+def _detections(street: SampleStreet, prior: ShapePrior, seed: int) -> str:
+    """The cars as a monocular detector would find them: lines of KITTI's results, in the frame of its labels."""
+    import numpy as np
+
+    from fgrecon.core.box3d import Box3D, BoxErrors
+    from fgrecon.core.reconstruction import rotation_y
+    from fgrecon.io.kitti_files import Objects, format_results
+    from fgrecon.simulation.detected_boxes import disturbed_boxes
+    from fgrecon.simulation.sample import LABEL_OFFSET
+
+    operator = prior.category.dimension_operator
+    true = [
+        Box3D(
+            car.truth.camera_T_object[:3, 3],
+            rotation_y(car.truth.camera_T_object),
+            np.tensordot(operator, car.truth.vehicle.keypoints, axes=2),
+        )
+        for car in street.cars
+    ]
+    found = disturbed_boxes(true, street.camera, BoxErrors(), np.random.default_rng([seed, 2]))
+    rows = []
+    for box, car in zip(found, street.cars, strict=True):
+        assert box.size is not None
+        corners = np.full(4, -1.0) if car.observation.box is None else car.observation.box
+        place = box.location - LABEL_OFFSET
+        alpha = box.rotation_y - np.arctan2(place[0], place[2])
+        rows.append([-1, -1, alpha, *corners, *box.size[::-1], *place, box.rotation_y, 0.9])
+    return format_results(Objects.of_rows(["Car"] * len(rows), np.array(rows)))
 
 
 def _track_file(street: SampleStreet, track: list[SeenCar], category: Category) -> dict[str, Any]:

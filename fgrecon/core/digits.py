@@ -26,6 +26,7 @@ SIGNIFICANT: Mapping[str, int] = {
     "pose_covariance": 6,
     "coefficients_covariance": 6,
     "keypoint_covariance": 4,
+    "size_covariance": 6,
     "energies": 9,
     "excess": 9,
     "graph_gain": 9,

@@ -154,6 +154,7 @@ class Reconstruction:
         facing_probability: How probably the vehicle faces where the pose says, within a quarter turn, by the detector's
             directions, calibrated on real cars; NaN without directions.
         reasons: Clauses that say what makes the result weak, whatever its status.
+        size_covariance: (3, 3) covariance of `box_size`, or None where it is not determined.
     """
 
     status: Status
@@ -187,6 +188,7 @@ class Reconstruction:
     graph_gain: float = float("nan")
     facing_probability: float = float("nan")
     reasons: tuple[str, ...] = ()
+    size_covariance: NDArray[np.float64] | None = None
 
     @property
     def pose(self) -> gtsam.Pose3:
@@ -295,7 +297,8 @@ class Reconstruction:
         if data.get("format") not in (FORMAT, COMPACT):
             raise InvalidInputError("format", data.get("format"), f"Give a result written as {COMPACT} or {FORMAT}.")
         absent = _LARGE if data["format"] == COMPACT else {}
-        later = ("graph_iterations", "graph_gain", "facing_probability", "reasons")  # earlier files have them not
+        # Earlier files have them not.
+        later = ("graph_iterations", "graph_gain", "facing_probability", "reasons", "size_covariance")
         names = [f.name for f in fields(cls) if f.name in data or f.name not in (*later, *absent)]
         missing = [name for name in names if name not in data]
         if missing:

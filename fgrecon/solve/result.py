@@ -40,6 +40,7 @@ def results(
     milliseconds: dict[str, float],
     extra: Sequence[gtsam.NonlinearFactor] = (),
     only: Collection[int] | None = None,
+    facing: Sequence[float | None] | None = None,
 ) -> list[Reconstruction]:
     """The result of each observation.
 
@@ -50,14 +51,15 @@ def results(
         milliseconds: Wall time by stage.
         extra: Factors of the caller's own.
         only: Indices of the observations whose results are wanted; None for all.
+        facing: How probable the facing of each is where more than its directions tells; None where only they do.
     """
     graph, optimum = adjusted.graph, adjusted.optimum
     if not seen[0].problem.options.shape.joint:  # covariances count pose and shape together, whichever came last
         graph = Graph(seen, optimum.state, pose_free=True, extra=extra)
     weights = optimum.state.weights
     values = graph.values(optimum.state)
-    told = [_common(part, weight) for part, weight in zip(graph.observations, weights, strict=True)]
-    marginals = factorise(graph.build(told), values) if optimum.failure is None else None
+    counted = [_common(part, weight) for part, weight in zip(graph.observations, weights, strict=True)]
+    marginals = factorise(graph.build(counted), values) if optimum.failure is None else None
     alone = len(seen) == 1
     keep = seen[0].problem.options.keep_history
     structure: Sequence[GraphFactor] = ()
@@ -75,10 +77,9 @@ def results(
         else:
             energies = part.energies(values, weights[i])
         history = history_of(start, adjusted, i, alone=alone) if keep else ()
-        uncertainty = read_covariances(part, told[i], values, marginals, shapes)
-        found.append(
-            _result(part, optimum, i, adjusted.alternatives[i], uncertainty, energies, history, structure, milliseconds)
-        )
+        uncertainty = read_covariances(part, counted[i], values, marginals, shapes)
+        others, told = adjusted.alternatives[i], None if facing is None else facing[i]
+        found.append(_result(part, optimum, i, others, told, uncertainty, energies, history, structure, milliseconds))
     return found
 
 
@@ -100,6 +101,7 @@ def _result(
     optimum: Optimum,
     index: int,
     alternatives: tuple[Alternative, ...],
+    told: float | None,
     uncertainty: Covariances | None,
     energies: dict[str, float],
     history: Sequence[Iteration],
@@ -116,12 +118,12 @@ def _result(
     vertices = surface.vertices(coefficients)
     centre = -camera_T_object[:3, :3].T @ camera_T_object[:3, 3]
     box_size = prior.box_size(coefficients, offsets)
-    facing = _facing(part, camera_T_object)
+    facing = _facing(part, camera_T_object) if told is None else told
     status, message = _status(camera_T_object, box_size, facing, alternatives, uncertainty, problem.options, optimum)
     reasons: tuple[str, ...] = ()
     if status in (Status.CONVERGED, Status.AMBIGUOUS):
-        told = problem.observation, weights.keypoints, problem.camera, camera_T_object
-        reasons = weaknesses(*told, coefficients, box_size, problem.ground)
+        seen = problem.observation, weights.keypoints, problem.camera, camera_T_object
+        reasons = weaknesses(*seen, coefficients, box_size, problem.ground)
     sigma = np.sqrt(np.sqrt(np.linalg.det(keypoint_covariances(problem.observation, problem.options.keypoints))))
     with np.errstate(divide="ignore"):
         sigmas = sigma / np.sqrt(weights.keypoints)
@@ -156,6 +158,7 @@ def _result(
         graph_iterations=optimum.iterations,
         graph_gain=optimum.gain,
         facing_probability=facing,
+        size_covariance=None if uncertainty is None else uncertainty.size,
     )
     return weakened(found, reasons)
 

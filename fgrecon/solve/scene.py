@@ -9,7 +9,8 @@ plane's fault, pitch above all, and the same for all of them; so that part of th
 G, and what is left is each vehicle's own. A vehicle on another road or a kerb is an outlier of its contact alone.
 Without a ground the vehicles' own poses say about where it is, and the prior is wide.
 
-Where the focal length is not known it is the variable F(0) of all keypoints and boxes (`fgrecon.solve.focal`).
+Where the focal length is not known it is the variable F(0) of all keypoints and boxes (`fgrecon.solve.focal`). Vehicles
+of which another detector has a 3D box have its factors as well (`fgrecon.solve.detected`).
 """
 
 from __future__ import annotations
@@ -29,8 +30,9 @@ from factors.keys import F, G, X
 from factors.losses import Loss, RobustLoss
 from factors.marginals import Marginal, marginal, marginal_factor
 from factors.noise import diagonal_noise
+from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera, Ground
-from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction
@@ -39,14 +41,13 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as named_size_prior
 from fgrecon.io.catalogue import load_prior
+from fgrecon.solve.alone import Alone, Tried, each_alone, known_boxes
 from fgrecon.solve.focal import candidates, focal_prior, log_ratio, starts
-from fgrecon.solve.graph.adjust import Adjusted, SolvedStage, adjust
+from fgrecon.solve.graph.adjust import Adjusted, SolvedStage
 from fgrecon.solve.graph.covariance import factorise
 from fgrecon.solve.graph.graph import Graph, Seen, State
 from fgrecon.solve.graph.optimise import Optimum, optimise
-from fgrecon.solve.pipeline import ground_plane, observe
-from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
-from fgrecon.solve.proposals.problem import Problem
+from fgrecon.solve.pipeline import ground_plane
 from fgrecon.solve.result import history_of, results, weakened
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.vehicle.model import VehicleModel, prepare
@@ -73,6 +74,8 @@ def reconstruct_scene(
     ground: Ground | float | None = None,
     size_prior: SizePrior | str | None = None,
     options: Options | None = None,
+    boxes: Sequence[Box3D | None] | None = None,
+    box_errors: BoxErrors | None = None,
 ) -> SceneReconstruction:
     """Recover pose and shape of all vehicles of an image, and the ground that they stand on.
 
@@ -85,6 +88,9 @@ def reconstruct_scene(
             vehicles say where it is.
         size_prior: Fleet (`kitti`, `apollo79`), or a size prior; None takes sizes from the shape prior.
         options: Settings; `joint` must be set.
+        boxes: What another detector says of each vehicle, None where it does not: factors on its pose, and a size in
+            the place of `size_prior`.
+        box_errors: How far these boxes are off; None for a monocular detector's.
 
     Returns:
         The scene. Vehicles that determine no pose are in `refused`. Where fewer than two were solved there is nothing
@@ -98,11 +104,14 @@ def reconstruct_scene(
     if not options.shape.joint:
         raise InvalidInputError("options.shape.joint", value=False, fix="Let pose and shape move: joint=True.")
     shape_prior, known, plane = load_prior(prior), Camera.of(camera), ground_plane(ground)
-    model = prepare(
-        shape_prior, None if size_prior is None else named_size_prior(size_prior), options.shape.basis_vectors
-    )
+    fleet = None if size_prior is None else named_size_prior(size_prior)
+    model = prepare(shape_prior, fleet, options.shape.basis_vectors)
+    boxed = None
+    if boxes is not None:
+        plain = prepare(shape_prior, None, options.shape.basis_vectors)
+        boxed = known_boxes(boxes, box_errors, len(observations), known, plain)
     started = perf_counter()
-    tried = [_each_alone(observations, one, model, plane, options) for one in candidates(known)]
+    tried = [each_alone(observations, one, model, plane, options, boxed) for one in candidates(known)]
     energies = _energies(tried, known)
     found = perf_counter()
     joint = [scene for i in starts(energies) if (scene := _together(tried[i], known, plane, options)) is not None]
@@ -129,37 +138,10 @@ def reconstruct_scene(
 
 
 @dataclass(frozen=True)
-class _Alone:
-    """A vehicle that was solved alone."""
-
-    problem: Problem
-    start: PoseEstimate
-    adjusted: Adjusted
-
-    @property
-    def pose(self) -> Array:
-        pose: Array = self.adjusted.optimum.state.poses[0].matrix()
-        return pose
-
-
-@dataclass(frozen=True)
-class _Tried:
-    """All vehicles solved one by one with one camera."""
-
-    camera: Camera
-    vehicles: dict[int, _Alone]
-    refused: dict[int, FgreconError]
-
-    @property
-    def solved(self) -> dict[int, _Alone]:
-        return {number: one for number, one in self.vehicles.items() if one.adjusted.optimum.failure is None}
-
-
-@dataclass(frozen=True)
 class _Joint:
     """Vehicles that were solved together, from where they were alone."""
 
-    alone: _Tried
+    alone: Tried
     seen: list[Seen]
     graph: Graph
     optimum: Optimum
@@ -179,27 +161,10 @@ class _Told:
     camera: Camera
     focal_lengths: tuple[tuple[float, float], ...]
     message: str
-    alone: _Tried
+    alone: Tried
 
 
-def _each_alone(
-    observations: Sequence[Observation], camera: Camera, model: VehicleModel, plane: Ground | None, options: Options
-) -> _Tried:
-    alone: dict[int, _Alone] = {}
-    refused: dict[int, FgreconError] = {}
-    for number, given in enumerate(observations):
-        try:
-            observation = observe(given, camera, model.prior, options)
-            problem = Problem.of(observation, camera, model, plane, options)
-            start = adjust_pose(problem)
-        except FgreconError as error:
-            refused[number] = error
-            continue
-        alone[number] = _Alone(problem, start, adjust([Seen(problem)], [start]))
-    return _Tried(camera, alone, refused)
-
-
-def _energies(tried: Sequence[_Tried], known: Camera) -> list[float]:
+def _energies(tried: Sequence[Tried], known: Camera) -> list[float]:
     """The energy with each of the cameras, of the vehicles that were solved with all of them."""
     if len(tried) == 1:
         return [0.0]
@@ -213,8 +178,9 @@ def _energies(tried: Sequence[_Tried], known: Camera) -> list[float]:
     ]
 
 
-def _result(one: _Alone) -> Reconstruction:
-    return results([Seen(one.problem)], [one.start], one.adjusted, {})[0]
+def _result(one: Alone) -> Reconstruction:
+    adjusted = replace(one.adjusted, alternatives=(one.alternatives(one.pose),))
+    return results([Seen(one.problem)], [one.start], adjusted, {}, one.own(), facing=[one.facing(one.pose)])[0]
 
 
 def ground_evidence(
@@ -239,7 +205,7 @@ def ground_evidence(
         The evidence about G(0); None where there are fewer than two vehicles, or they could not be solved.
     """
     sure = replace(camera, focal_sigma=0.0)
-    best = _together(_each_alone(observations, sure, model, plane, options), sure, plane, options, known)
+    best = _together(each_alone(observations, sure, model, plane, options), sure, plane, options, known)
     if best is None or best.frame is None:
         return None
     told, values = gtsam.NonlinearFactorGraph(), best.optimum.values
@@ -252,7 +218,7 @@ def ground_evidence(
 
 
 def _together(
-    alone: _Tried, known: Camera, plane: Ground | None, options: Options, before: Marginal | None = None
+    alone: Tried, known: Camera, plane: Ground | None, options: Options, before: Marginal | None = None
 ) -> _Joint | None:
     """The joint solve; None where there is nothing to solve together, or it gave up."""
     solved = alone.solved
@@ -281,6 +247,7 @@ def _together(
         others.insert(F(0), np.zeros(1))
         priors.append(focal_prior(known, alone.camera))
     for number, one in solved.items():
+        priors += one.own(number)
         free = replace(one.problem, ground=None, energy=replace(one.problem.energy, ground=None))
         seen.append(Seen(free if on_ground else one.problem, vehicle=number))
     states = [one.adjusted.optimum.state for one in solved.values()]
@@ -301,17 +268,19 @@ def _together(
 def _told(best: _Joint, joint: Sequence[_Joint], known: Camera) -> _Told:
     """Results of the vehicles, the ground and the camera, with what is left open of both."""
     solved, optimum, values = best.alone.solved, best.optimum, best.optimum.values
+    poses = [pose.matrix() for pose in optimum.state.poses]
     adjusted = Adjusted(
         optimum,
         (SolvedStage("scene", best.graph, optimum.steps),),
-        tuple(one.adjusted.alternatives[0] for one in solved.values()),
+        tuple(one.alternatives(pose) for one, pose in zip(solved.values(), poses, strict=True)),
     )
     starts_ = [one.start for one in solved.values()]
     if best.graph.options.keep_history:  # what led to each vehicle's pose alone; the scene's steps follow
         starts_ = [
             replace(one.start, history=history_of(one.start, one.adjusted, 0, alone=True)) for one in solved.values()
         ]
-    each = dict(zip(solved, results(best.seen, starts_, adjusted, {}, best.extra), strict=True))
+    facing = [one.facing(pose) for one, pose in zip(solved.values(), poses, strict=True)]
+    each = dict(zip(solved, results(best.seen, starts_, adjusted, {}, best.extra, facing=facing), strict=True))
     for number, contact in best.contacts.items():
         energies = {**each[number].energies, "ground": float(contact.error(values))}
         each[number] = replace(each[number], energies=energies)

@@ -23,7 +23,7 @@ from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
-from fgrecon.core.reconstruction import Alternative, rotation_y
+from fgrecon.core.reconstruction import rotation_y
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as named_size_prior
@@ -37,7 +37,7 @@ from fgrecon.solve.road import KnownGround, Road
 from fgrecon.solve.scene import ground_evidence
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.time.smooth import smooth
-from fgrecon.solve.time.turned import HALF_TURN
+from fgrecon.solve.time.turned import turned_alternative
 from fgrecon.solve.time.vehicle import Followed
 from fgrecon.solve.time.window import Frame, FrameStep, OwnFactors, WindowSolve, velocity_covariance
 from fgrecon.solve.vehicle.model import prepare
@@ -45,9 +45,6 @@ from fgrecon.solve.vehicle.model import prepare
 __all__ = ["Tracker"]
 
 Array = NDArray[np.float64]
-
-_TOLD = 12.0  # nats: a vehicle turned round that is less probable by more is no alternative
-_LEAST = 1e-12  # probability
 
 
 @dataclass(frozen=True)
@@ -261,12 +258,11 @@ def _estimate(name: int, past: _Past, solved: WindowSolve, index: int, count: in
 
 def _with_alternative(adjusted: Adjusted, index: int, pose: Array, facing: float) -> Adjusted:
     """With the vehicle turned round as an alternative of a frame, as improbable as it is by the track."""
-    behind = float(np.log(max(facing, _LEAST)) - np.log(max(1.0 - facing, _LEAST)))
-    if behind > _TOLD:
+    turned = turned_alternative(pose, adjusted.optimum.state.shapes[0][0], facing)
+    if not turned:
         return adjusted
-    shape = adjusted.optimum.state.shapes[0][0]
     told = list(adjusted.alternatives)
-    told[index] = (Alternative(pose @ HALF_TURN, shape, behind),)
+    told[index] = turned
     return replace(adjusted, alternatives=tuple(told))
 
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.box3d import box_corners
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.observation import Observation
-from fgrecon.solve.vehicle.model import box_corners
 
 __all__ = ["off_ground", "weaknesses"]
 

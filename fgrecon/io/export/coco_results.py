@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from fgrecon.core.box3d import box_corners
 from fgrecon.core.camera import MIN_DEPTH
 from fgrecon.core.geometry import transform
 from fgrecon.io.export.frames import ImageInfo, by_image, info_of, score
 from fgrecon.io.export.results import NamedResult
-from fgrecon.solve.vehicle.model import box_corners
 
 __all__ = ["coco_results_text"]
 

@@ -25,11 +25,13 @@ class Covariances:
         pose: (6, 6), GTSAM's local coordinates: rotation in radians, translation in metres, in the object's own frame.
         coefficients: (N, N).
         keypoints: (K, 3, 3) of each 3D keypoint in the object frame, square metres.
+        size: (3, 3) of the box's length, width and height, square metres.
     """
 
     pose: Array
     coefficients: Array
     keypoints: Array
+    size: Array
 
 
 def factorise(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Marginals | None:
@@ -81,8 +83,9 @@ def read_covariances(
     keypoints = shape.derivative @ variables @ shape.derivative.transpose(0, 2, 1)
     if not (np.isfinite(pose).all() and np.isfinite(keypoints).all()):
         return None
+    by_variables = np.tensordot(part.vehicle.model.prior.category.dimension_operator, shape.derivative, axes=2)
     count = shape.dims[0] if shape.coefficients_key is not None else 0
-    return Covariances(pose, variables[:count, :count], keypoints)
+    return Covariances(pose, variables[:count, :count], keypoints, by_variables @ variables @ by_variables.T)
 
 
 def projected_covariances(part: ObservationPart, values: gtsam.Values, marginals: gtsam.Marginals) -> Array | None:

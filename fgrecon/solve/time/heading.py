@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from fgrecon.core.geometry import view_azimuth, yaw_rotation
 from fgrecon.core.metrics import wrap_angle
 
-__all__ = ["HEADINGS", "Belief", "backward", "combined", "directions_say", "motion_says", "poses_say"]
+__all__ = ["HEADINGS", "Belief", "backward", "box_says", "combined", "directions_say", "motion_says", "poses_say"]
 
 Array = NDArray[np.float64]
 
@@ -141,6 +141,16 @@ def motion_says(moved: Array, sigma: float) -> Array:
     bump = ((1.0 - _REVERSE) * ahead + _REVERSE * behind) / (np.sqrt(2.0 * np.pi) * spread)
     density = (1.0 - _ANYTHING) * bump + _ANYTHING / (2.0 * np.pi)
     said: Array = sure * np.log(density)
+    return said
+
+
+def box_says(heading: float, sigma: float, turned: float) -> Array:
+    """(B,) logarithms of what another detector's box of a heading says, 1 sigma, some of which are turned round."""
+    spread = float(np.hypot(_SPREAD, sigma))
+    off = np.abs(wrap_angle(HEADINGS - heading))
+    here, there = (np.exp(-0.5 * np.square(one / spread)) for one in (off, np.pi - off))
+    bump = ((1.0 - turned) * here + turned * there) / (np.sqrt(2.0 * np.pi) * spread)
+    said: Array = np.log((1.0 - _ANYTHING) * bump + _ANYTHING / (2.0 * np.pi))
     return said
 
 

@@ -15,14 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.observation import Observation
+from fgrecon.core.reconstruction import Alternative
 from fgrecon.core.shape_prior import ShapePrior
 
-__all__ = ["HALF_TURN", "partners", "turned_round"]
+__all__ = ["HALF_TURN", "partners", "turned_alternative", "turned_round"]
 
 HALF_TURN = np.diag([-1.0, 1.0, -1.0, 1.0])
 """(4, 4) half a turn about the object's own y axis."""
 HALF_TURN.setflags(write=False)
 
+_TOLD = 12.0  # nats: a vehicle turned round that is less probable by more is no alternative
+_LEAST = 1e-12  # probability
 _NEAR = 0.2  # of the shape's length: a point further from every other one has no partner
 
 
@@ -56,6 +59,20 @@ def turned_round(observation: Observation, prior: ShapePrior) -> Observation:
         covariance=None if covariance is None else covariance[index],
         azimuth=None if azimuth is None else _half_a_turn(azimuth),
     )
+
+
+def turned_alternative(
+    camera_T_object: NDArray[np.float64], coefficients: NDArray[np.float64], facing: float
+) -> tuple[Alternative, ...]:
+    """A vehicle turned round, as improbable as it is; none where it is out of the question.
+
+    Args:
+        camera_T_object: (4, 4) its pose.
+        coefficients: (N,) its shape.
+        facing: Probability that it faces where the pose says.
+    """
+    behind = float(np.log(max(facing, _LEAST)) - np.log(max(1.0 - facing, _LEAST)))
+    return () if behind > _TOLD else (Alternative(camera_T_object @ HALF_TURN, coefficients, behind),)
 
 
 def _half_a_turn(azimuth: NDArray[np.float64]) -> NDArray[np.float64]:

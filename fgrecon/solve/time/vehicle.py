@@ -32,7 +32,7 @@ from fgrecon.solve.time.heading import Belief, backward, combined, directions_sa
 from fgrecon.solve.time.turned import HALF_TURN, turned_round
 from fgrecon.solve.time.window import Frame, FrameStep, OwnFactors, WindowSolve, solve_alone, solve_window
 
-__all__ = ["Followed", "face"]
+__all__ = ["Followed", "face", "image_says"]
 
 Array = NDArray[np.float64]
 
@@ -109,12 +109,7 @@ class Followed:
         if step is None:
             self.solved, self.shape = solved, state.shapes[0]
         poses = (Alternative(state.poses[0].matrix(), state.shapes[0][0], 0.0), *alone.alternatives[0])
-        azimuth = problem.observation.azimuth
-        energies = [p.excess - direction_penalty(azimuth, p.camera_T_object) for p in poses]
-        if not np.isfinite(energies).all():  # a strategy without an energy of its own
-            energies = [0.0 if i == 0 else _ALIKE for i in range(len(poses))]
-        evidence = poses_say([rotation_y(p.camera_T_object) for p in poses], energies, alone=azimuth is None)
-        evidence = evidence + directions_say(azimuth, poses[0].camera_T_object[:3, 3])
+        evidence = image_says(problem.observation, poses)
         evidence = evidence * weight_of(None if step is None else step.seconds, _height(problem.observation))
         if way is not None:
             evidence = evidence + way
@@ -168,6 +163,21 @@ class Followed:
         self.solved = solve_alone(last.problem, last.start, last.number)
         state = self.solved.adjusted.optimum.state
         self.shape, last.pose, last.weights = state.shapes[0], state.poses[0], state.weights[0]
+
+
+def image_says(observation: Observation, poses: Sequence[Alternative]) -> Array:
+    """(B,) logarithms of what an image says of the heading.
+
+    Args:
+        observation: What is seen there.
+        poses: The poses that its keypoints allow, the result first, with the energies of the whole.
+    """
+    azimuth = observation.azimuth
+    energies = [p.excess - direction_penalty(azimuth, p.camera_T_object) for p in poses]
+    if not np.isfinite(energies).all():  # a strategy without an energy of its own
+        energies = [0.0 if i == 0 else _ALIKE for i in range(len(poses))]
+    evidence = poses_say([rotation_y(p.camera_T_object) for p in poses], energies, alone=azimuth is None)
+    return evidence + directions_say(azimuth, poses[0].camera_T_object[:3, 3])
 
 
 def face(frames: Sequence[Frame], shape: Held) -> list[Frame]:

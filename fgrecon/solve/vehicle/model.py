@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.box3d import box_corners
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import BoxModel
 from fgrecon.core.shape_prior import ShapePrior
@@ -15,7 +16,7 @@ from fgrecon.core.size_prior import SizePrior
 from fgrecon.solve.vehicle.conditioning import given_size, is_one_vehicle
 from fgrecon.solve.vehicle.visibility import VisibilityTable
 
-__all__ = ["LinearPoints", "VehicleModel", "box_corners", "prepare"]
+__all__ = ["LinearPoints", "VehicleModel", "prepare", "sized"]
 
 Array = NDArray[np.float64]
 
@@ -89,27 +90,39 @@ def prepare(prior: ShapePrior, size: SizePrior | None = None, basis_vectors: int
             fix = f"Prior {prior.name} has {prior.dimension} basis vectors: give at most so many."
             raise InvalidInputError("options.shape.basis_vectors", basis_vectors, fix)
         prior = prior.truncated(basis_vectors)
-    if size is not None and is_one_vehicle(prior, size):
-        prior, size = given_size(prior, size), None
-    elif size is not None:
-        prior = prior.for_fleet(size)
+    prior, left = _brought_to(prior, size)
+    return _model(prior, left, VisibilityTable.build(prior))
+
+
+def sized(model: VehicleModel, size: SizePrior) -> VehicleModel:
+    """The model of a vehicle of another size: as `prepare` makes it, but for the visibility, which is the model's own.
+
+    What hides what is nearly the same in cars of all sizes, and the table is what takes long.
+
+    Args:
+        model: Prepared without a size.
+        size: The vehicle's.
+    """
+    prior, left = _brought_to(model.prior, size)
+    return _model(prior, left, model.visibility)
+
+
+def _brought_to(prior: ShapePrior, size: SizePrior | None) -> tuple[ShapePrior, SizePrior | None]:
+    """The prior of vehicles of a size, and what of the size it does not hold."""
+    if size is None:
+        return prior, None
+    if is_one_vehicle(prior, size):
+        return given_size(prior, size), None
+    return prior.for_fleet(size), size
+
+
+def _model(prior: ShapePrior, size: SizePrior | None, visibility: VisibilityTable) -> VehicleModel:
     operator = prior.category.dimension_operator
     mean = np.tensordot(operator, prior.mean, axes=2)
     basis = np.tensordot(operator, prior.basis, axes=((1, 2), (1, 2)))
     corners = LinearPoints(box_corners(mean), np.array([box_corners(column) for column in basis.T]).reshape(-1, 8, 3))
     outline = corners if prior.surface is None else _outline(prior)
-    return VehicleModel(prior, size, VisibilityTable.build(prior), outline, corners, mean, basis)
-
-
-def box_corners(size: Array) -> Array:
-    """(8, 3) corners of a box of length, width and height standing on the origin; linear in the size.
-
-    Rear before front, bottom before top, right before left, the last changing fastest.
-    """
-    length, width, height = size
-    return np.array(
-        [[x * length / 2, -y * height, z * width / 2] for x in (-1, 1) for y in (0, 1) for z in (-1, 1)], dtype=float
-    )
+    return VehicleModel(prior, size, visibility, outline, corners, mean, basis)
 
 
 def _outline(prior: ShapePrior) -> LinearPoints:

@@ -1,0 +1,177 @@
+"""Several photographs, or a folder of them: `fgrecon reconstruct ... --out FOLDER`, a results file for each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from fgrecon.cli import batch, show
+from fgrecon.cli.batch import Outcome, Settings
+from fgrecon.cli.common import about_camera
+from fgrecon.cli.options import CameraOptions, VehicleBoxes
+from fgrecon.cli.picture_tasks import is_image, read_image_tasks
+from fgrecon.cli.terminal import Screen
+from fgrecon.cli.together import Scene, solve_together, wants_together
+from fgrecon.core.choices import BoxModel
+from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.io.files import write_text
+from fgrecon.io.images import IMAGES, read_photograph
+
+__all__ = ["How", "Photograph", "reconstruct_each", "refuse", "wanted"]
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """A photograph, and where its results go.
+
+    Attributes:
+        image: Its file.
+        target: The file of its results without ending, in the output's folder.
+    """
+
+    image: Path
+    target: Path
+
+
+@dataclass(frozen=True)
+class How:
+    """What holds for all of them.
+
+    Attributes:
+        camera: The command line's camera.
+        boxes: Where the cars are, and the network.
+        settings: Prior, ground, size prior and options.
+        box_model: What boxes enclose, or None for what their source says.
+        together: Whether the vehicles of an image are solved together; None for the default.
+        history: Whether results keep their history.
+        pictures: Whether each is drawn.
+    """
+
+    camera: CameraOptions
+    boxes: VehicleBoxes
+    settings: Settings
+    box_model: BoxModel | None
+    together: bool | None
+    history: bool
+    pictures: bool
+
+
+def wanted(files: Sequence[Path], out: Path | None, *, pictures: bool) -> list[Photograph] | None:
+    """The photographs that are meant; None where a single file is, whose results do not go to a folder.
+
+    Args:
+        files: What the command line names.
+        out: Folder of the results, or None.
+        pictures: Whether each is to be drawn.
+
+    Raises:
+        InvalidInputError: One is no image, a folder has none, or nothing says where the results go.
+    """
+    if out is None:
+        if len(files) == 1 and not files[0].is_dir() and not pictures:
+            return None
+        value = f"{len(files)} files" if len(files) > 1 else str(files[0])
+        raise InvalidInputError("out", f"nothing, for {value}", "Give --out FOLDER, for a results file of each image.")
+    images: dict[Path, None] = {}
+    for file in files:
+        if file.is_dir():
+            found = [path for path in sorted(file.iterdir()) if is_image(path) and path.is_file()]
+            if not found:
+                raise InvalidInputError("file", str(file), f"Give a folder with images ({', '.join(IMAGES)}).")
+            images |= dict.fromkeys(found)
+        elif not is_image(file):
+            raise InvalidInputError(
+                "file", str(file), "Give images and folders of them, or one file alone without --out."
+            )
+        else:
+            images[file] = None
+    if out.exists() and not out.is_dir():
+        raise InvalidInputError("out", str(out), "Give a folder.")
+    out.mkdir(parents=True, exist_ok=True)
+    taken: set[str] = set()
+    return [Photograph(image, out / _name(image.stem, taken)) for image in images]
+
+
+def refuse(json_out: str | None, drawn: bool, recorded: bool, box: Sequence[str] | None) -> None:
+    """Refuse what is said of one photograph where there may be several.
+
+    Raises:
+        InvalidInputError: Something is.
+    """
+    given = {"json": json_out is not None, "picture": drawn, "save": recorded, "box": bool(box)}
+    fixes = {"picture": "Give --pictures, for one of each image.", "box": "Give --boxes or --detect."}
+    for field, used in given.items():
+        if used:
+            fix = fixes.get(field, "Leave it out: --out has a results file of each image.")
+            raise InvalidInputError(field, "given with --out", fix)
+
+
+def reconstruct_each(photographs: Sequence[Photograph], how: How, screen: Screen) -> bool:
+    """Reconstruct the vehicles of each photograph; say at the end what could not be used, and why.
+
+    Returns:
+        Whether every one gave a vehicle.
+    """
+    nothing: list[str] = []
+    count = 0
+    for one in screen.watch(photographs, "Images"):
+        try:
+            outcomes = _reconstruct(one, how, screen)
+        except FgreconError as error:
+            nothing.append(f"{one.image}: {error}")
+            continue
+        count += sum(outcome.result is not None for outcome in outcomes)
+    done = len(photographs) - len(nothing)
+    screen.print(f"{count} vehicles in {done} of {len(photographs)} images.")
+    for line in nothing:
+        screen.fail(line)
+    return not nothing
+
+
+def _reconstruct(one: Photograph, how: How, screen: Screen) -> list[Outcome]:
+    """The vehicles of a photograph, written to its file.
+
+    Raises:
+        FgreconError: The image or its boxes cannot be used, or no vehicle in it.
+    """
+    pixels, own = read_photograph(one.image)
+    source, settings = how.camera.source(pixels, own), how.settings
+    category = settings.prior.category
+    tasks = read_image_tasks(one.image, pixels, source, category, how.boxes, how.box_model, screen)
+    scenes: list[Scene] = []
+    joint = settings.options.shape.joint if how.together is None else how.together
+    if joint or wants_together(tasks):
+        outcomes, scenes = solve_together(tasks, settings, screen)
+    else:
+        outcomes = [batch.run(task, settings) for task in tasks]
+    screen.print(f"{one.image}:")
+    show.print_table(screen, outcomes)
+    for scene in scenes:
+        if scene.result.camera.focal_sigma:
+            screen.warn(about_camera(scene.result.camera, own))
+    plain = [scene.plain() for scene in scenes]
+    screen.wrote(
+        write_text(_ending(one, ".json"), show.document(one.image, outcomes, settings, plain, history=how.history))
+    )
+    if how.pictures:
+        grounds = {task.instance.image: settings.ground for task in tasks} | {s.image: s.result.ground for s in scenes}
+        screen.wrote(*show.draw(_ending(one, ".png"), outcomes, pixels, grounds, sheet=False))
+    if not batch.check_any(one.image, outcomes):
+        first = next(outcome for outcome in outcomes)
+        raise first.error or InvalidInputError("image", str(one.image), "Solving failed on every vehicle.")
+    return outcomes
+
+
+def _ending(one: Photograph, ending: str) -> Path:
+    return one.target.with_name(one.target.name + ending)
+
+
+def _name(stem: str, taken: set[str]) -> str:
+    """A name of its own, since images of several folders may have one."""
+    name, number = stem, 1
+    while name in taken:
+        number += 1
+        name = f"{stem}-{number}"
+    taken.add(name)
+    return name

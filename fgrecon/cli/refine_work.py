@@ -1,0 +1,235 @@
+"""The work of `fgrecon refine`: each image's lines, refined and written back; the table and the JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.markup import escape
+from rich.table import Table
+
+from fgrecon.cli.batch import Settings
+from fgrecon.cli.options import CameraOptions
+from fgrecon.cli.show import plain_camera, plain_settings
+from fgrecon.cli.terminal import Screen
+from fgrecon.core.box3d import BoxErrors
+from fgrecon.core.camera import Camera
+from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.refined_box import RefinedBox
+from fgrecon.core.text import printable
+from fgrecon.io.box_lines import BoxedImage, BoxLine
+from fgrecon.io.files import write_text
+from fgrecon.io.images import read_image
+from fgrecon.io.kitti_calibration import calibration_beside, read_calibration
+from fgrecon.perception.keypoints.detect import KeypointCascade
+from fgrecon.perception.refine import refine_boxes
+
+__all__ = ["FORMAT", "KINDS", "Done", "How", "Refiner", "document", "merged", "show", "write"]
+
+FORMAT = "fgrecon.refined-boxes/1"
+KINDS = "Car", "Van"
+"""Types of objects that are refined."""
+
+_SHOWN = 40  # boxes in the table of several images, without --verbose
+
+
+@dataclass(frozen=True)
+class How:
+    """What holds for all images.
+
+    Attributes:
+        errors: How far the boxes are off.
+        settings: Prior, ground, size prior and options.
+        min_score: Boxes of a lower score stay as they are.
+        camera: The command line's camera.
+        weights: Keypoint network, or None for the shipped one.
+    """
+
+    errors: BoxErrors
+    settings: Settings
+    min_score: float
+    camera: CameraOptions
+    weights: Path | None
+
+
+@dataclass(frozen=True)
+class Done:
+    """An image whose boxes were refined.
+
+    Attributes:
+        image: It, and its lines.
+        camera: The camera; None where the image could not be used.
+        offset: (3,) where the labels' frame lies from the camera's.
+        boxes: The lines of vehicles with what became of their boxes.
+        error: Why nothing could be done, or None.
+    """
+
+    image: BoxedImage
+    camera: Camera | None
+    offset: NDArray[np.float64]
+    boxes: tuple[tuple[BoxLine, RefinedBox], ...]
+    error: FgreconError | None = None
+
+    @property
+    def lines(self) -> dict[int, str]:
+        """The text of each line by its number."""
+        new = {line.number: line.with_box(one.box, self.offset) for line, one in self.boxes if one.changed}
+        return {line.number: new.get(line.number, line.text) for line in self.image.lines}
+
+    @property
+    def text(self) -> str:
+        """All lines."""
+        return _joined(self.lines)
+
+
+class Refiner:
+    """Refines image after image; the network is loaded once."""
+
+    def __init__(self, how: How) -> None:
+        self.how = how
+
+    def __call__(self, one: BoxedImage) -> Done:
+        """Refine an image's boxes; one that cannot be used keeps them, and says why."""
+        nowhere = np.zeros(3)
+        if one.image is None:
+            return Done(one, None, nowhere, (), InvalidInputError("images", f"none of {one.name}", "Give its image."))
+        try:
+            camera, offset = self._camera(one.image)
+            boxed = [
+                (line, box)
+                for line in one.lines
+                if line.kind in KINDS and line.score >= self.how.min_score and (box := line.box(offset)) is not None
+            ]
+            pixels = read_image(one.image)
+            sized = replace(camera, image_size=(pixels.shape[1], pixels.shape[0]))
+            settings = self.how.settings
+            found = refine_boxes(
+                pixels,
+                [box for _, box in boxed],
+                sized,
+                corners=np.array([line.corners for line, _ in boxed]).reshape(-1, 4),
+                box_errors=self.how.errors,
+                keypoint_detector=self._network,
+                prior=settings.prior,
+                ground=settings.ground,
+                size_prior=settings.size_prior,
+                options=settings.options,
+            )
+        except FgreconError as error:
+            return Done(one, None, nowhere, (), error)
+        lines = [line for line, _ in boxed]
+        return Done(one, sized, offset, tuple(zip(lines, found, strict=True)))
+
+    @cached_property
+    def _network(self) -> KeypointCascade:
+        return KeypointCascade(self.how.weights)
+
+    def _camera(self, image: Path) -> tuple[Camera, NDArray[np.float64]]:
+        """The camera of an image, and where the labels' frame lies from its own."""
+        given = self.how.camera
+        if given.calib is not None and given.calib.is_dir():
+            own = read_calibration(given.calib / f"{image.stem}.txt")
+            return own.camera, own.label_offset
+        source = given.source()
+        camera, offset = source.camera(image.name)
+        if camera is None:
+            beside = calibration_beside(image)
+            if beside is None:
+                fix = "Give --calib, --camera or --intrinsics."
+                raise InvalidInputError("camera", f"none for {image}", fix)
+            camera, offset = beside.camera, beside.label_offset
+        return source.complete(camera, declared=False), np.zeros(3) if offset is None else offset
+
+
+def write(path: Path, text: str) -> None:
+    """Write a file of lines, whole or not at all.
+
+    Raises:
+        InvalidInputError: It cannot be written.
+    """
+    write_text(path, text)
+
+
+def merged(done: Sequence[Done]) -> str:
+    """The lines of images whose boxes were in one file, in its order."""
+    return _joined({number: text for one in done for number, text in one.lines.items()})
+
+
+def _joined(lines: dict[int, str]) -> str:
+    return "".join(f"{lines[number]}\n" for number in sorted(lines))
+
+
+def show(screen: Screen, done: Sequence[Done]) -> None:
+    """A row for each box, the first ones of several images; what could not be used; and how many were refined."""
+    rows = [(one, line, box) for one in done for line, box in one.boxes]
+    shown = rows if screen.verbose or len(done) == 1 else rows[:_SHOWN]
+    table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True)
+    for heading in ("image", "line", "type", "at m", "moved m", "± m", "turned °", "± °", "l, w, h by cm", "facing %"):
+        table.add_column(heading, justify="left" if heading in ("image", "type") else "right", no_wrap=True)
+    table.add_column("")
+    for one, line, box in shown:
+        table.add_row(
+            *(escape(printable(cell)) for cell in (one.image.name, str(line.number), line.kind, *_cells(box)))
+        )
+    if shown:
+        screen.print(table)
+    if len(shown) < len(rows):
+        screen.print(f"{len(rows) - len(shown)} more: --verbose lists them, --json writes them.")
+    for one in done:
+        if one.error is not None:
+            screen.warn(f"{one.image.name}: the boxes stay as they are: {one.error}")
+    changed = [box for _, _, box in rows if box.changed]
+    round_ = sum(box.turned_round for box in changed)
+    screen.print(
+        f"{len(changed)} of {len(rows)} boxes in {len(done)} images were refined, {round_} of them turned round; "
+        f"{len(rows) - len(changed)} stay as they are."
+    )
+
+
+def _cells(box: RefinedBox) -> tuple[str, ...]:
+    at = f"{np.linalg.norm(box.given.location):.1f}"
+    covariance, yaw = box.location_covariance, box.yaw_sigma
+    if not box.changed or covariance is None or yaw is None:
+        return at, "", "", "", "", "", "", box.message
+    size = ""
+    if box.box.size is not None and box.given.size is not None:
+        size = ", ".join(f"{100.0 * change:+.0f}" for change in box.box.size - box.given.size)
+    return (
+        at,
+        f"{np.linalg.norm(box.moved):.2f}",
+        f"{np.sqrt(np.linalg.eigvalsh(covariance)[-1]):.2f}",
+        f"{np.degrees(box.turn):.1f}",
+        f"{np.degrees(yaw):.1f}",
+        size,
+        "" if np.isnan(box.facing_probability) else f"{100.0 * box.facing_probability:.0f}",
+        "" if box.result is None or box.result.status.value == "converged" else box.result.status.value,
+    )
+
+
+def document(how: How, done: Sequence[Done]) -> str:
+    """The JSON text: settings, and every box before and after. Locations are in the camera's frame."""
+    content = {
+        "format": FORMAT,
+        "fgrecon": metadata.version("fgrecon"),
+        "settings": plain_settings(how.settings) | {"box_errors": asdict(how.errors), "min_score": how.min_score},
+        "images": [
+            {
+                "image": one.image.name,
+                "file": None if one.image.image is None else str(one.image.image),
+                "boxes_file": str(one.image.source),
+                "camera": None if one.camera is None else plain_camera(one.camera),
+                "label_offset": one.offset.tolist(),
+                "error": None if one.error is None else str(one.error),
+                "boxes": [{"line": line.number, "type": line.kind, **box.to_dict()} for line, box in one.boxes],
+            }
+            for one in done
+        ],
+    }
+    return json.dumps(content, ensure_ascii=False, allow_nan=False, indent=1) + "\n"

@@ -1,0 +1,179 @@
+"""KITTI's lines of objects as 3D boxes that can be replaced: everything else of a line stays as it was written.
+
+A line is `type truncated occluded alpha x1 y1 x2 y2 h w l x y z rotation_y [score]` (object set), or the same after
+`frame track` (tracking set).
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.box3d import Box3D
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.metrics import wrap_angle
+from fgrecon.io.images import IMAGES
+from fgrecon.io.kitti_files import LABEL_COLUMNS, parse_object
+
+__all__ = ["BoxLine", "BoxedImage", "boxed_images", "read_box_lines"]
+
+Array = NDArray[np.float64]
+
+_TRACKED = 2  # columns in front of a tracking line's object
+_FIX = "Give lines of KITTI's objects: type, 14 numbers and a score or none; of its tracking set after frame and track."
+
+
+@dataclass(frozen=True)
+class BoxLine:
+    """A line of a file.
+
+    Attributes:
+        text: As it is written; an empty line is none of an object.
+        number: Of the line in its file, from 1.
+        frame: Its frame, where it is a line of the tracking set.
+        kind: Type of the object; empty where it is none.
+        corners: (4,) 2D box in pixels; NaN where it is marked as missing.
+        score: Of a result; 1 of a label.
+        location: (3,) centre of the box's bottom face in the labels' frame, metres.
+        rotation_y: Radians.
+        size: (3,) length, width and height, metres.
+    """
+
+    text: str
+    number: int
+    frame: int | None
+    kind: str
+    corners: Array
+    score: float
+    location: Array
+    rotation_y: float
+    size: Array
+
+    def box(self, offset: Array) -> Box3D | None:
+        """The 3D box in the camera's frame; None where the line has none, or none in front of the camera.
+
+        Args:
+            offset: (3,) where the labels' frame lies from the camera's: a labelled point is at X + offset.
+        """
+        try:
+            return Box3D(self.location + offset, self.rotation_y, self.size)
+        except InvalidInputError:
+            return None
+
+    def with_box(self, box: Box3D, offset: Array) -> str:
+        """The line with another 3D box, which is in the camera's frame; the observation angle alpha follows it."""
+        words = self.text.split()
+        start = 0 if self.frame is None else _TRACKED
+        size = self.size if box.size is None else box.size
+        place = box.location - offset
+        alpha = float(wrap_angle(box.rotation_y - np.arctan2(place[0], place[2])))
+        words[start + 3] = f"{alpha:.4f}"
+        numbers = *size[::-1], *place, float(wrap_angle(box.rotation_y))  # KITTI writes height, width, length
+        words[start + 8 : start + 15] = [f"{number:.4f}" for number in numbers]
+        return " ".join(words)
+
+
+@dataclass(frozen=True)
+class BoxedImage:
+    """An image and the lines of its objects.
+
+    Attributes:
+        name: Of the image, without ending.
+        image: Its file; None where there is none.
+        source: The file of the lines.
+        lines: They.
+    """
+
+    name: str
+    image: Path | None
+    source: Path
+    lines: tuple[BoxLine, ...]
+
+
+def boxed_images(boxes: Path, images: Path) -> list[BoxedImage]:
+    """The images that a source of boxes speaks of, in order.
+
+    Args:
+        boxes: A file of object lines for one image, a folder with such a file for each image, of its name; or a file of
+            tracking lines.
+        images: The image, or the folder of images; those of tracking lines are named by their frames' numbers.
+
+    Raises:
+        InvalidInputError: Nothing is there, the two do not go together, or a line is malformed; names file and line.
+    """
+    if boxes.is_dir():
+        files = sorted(path for path in boxes.glob("*.txt") if path.is_file())
+        if not files:
+            raise InvalidInputError("boxes", str(boxes), "Give a folder with a text file for each image.")
+        by_name = _images(images)
+        return [BoxedImage(f.stem, by_name.get(f.stem), f, tuple(read_box_lines(f))) for f in files]
+    lines = read_box_lines(boxes)
+    frames = {line.frame for line in lines if line.kind}
+    if not frames:
+        raise InvalidInputError("boxes", str(boxes), "Give a file with a line for each object.")
+    if frames == {None}:
+        if not images.is_file():
+            raise InvalidInputError("images", str(images), f"Give the image that the boxes of {boxes} are of.")
+        return [BoxedImage(images.stem, images, boxes, tuple(lines))]
+    if None in frames:
+        raise InvalidInputError(
+            "boxes", str(boxes), "Give lines of the object set, or of the tracking set, not of both."
+        )
+    numbered = {int(name): path for name, path in _images(images).items() if name.isdecimal()}
+    each: dict[int, list[BoxLine]] = defaultdict(list)
+    for line in lines:
+        if line.frame is not None:
+            each[line.frame].append(line)
+    return [BoxedImage(f"{n:06d}", numbered.get(n), boxes, tuple(own)) for n, own in sorted(each.items())]
+
+
+def _images(folder: Path) -> dict[str, Path]:
+    """The images of a folder by their names; or one alone."""
+    if folder.is_file():
+        return {folder.stem: folder}
+    found = {p.stem: p for p in sorted(folder.glob("*")) if p.suffix.lower() in IMAGES}
+    if not found:
+        raise InvalidInputError("images", str(folder), "Give an image, or a folder with images.")
+    return found
+
+
+def read_box_lines(path: Path) -> list[BoxLine]:
+    """The lines of a file, whatever they are of.
+
+    Raises:
+        InvalidInputError: The file cannot be read, or a line is malformed; names file and line.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidInputError("boxes", str(path), f"Give a text file that can be read ({error}).") from error
+    return [_line(text, number, path) for number, text in enumerate(lines, start=1)]
+
+
+def _line(text: str, number: int, path: Path) -> BoxLine:
+    nothing = np.full(3, np.nan)
+    words = text.split()
+    if not words:
+        return BoxLine(text, number, None, "", np.full(4, np.nan), np.nan, nothing, np.nan, nothing)
+    tracked = len(words) >= LABEL_COLUMNS + _TRACKED and words[0].isdecimal()
+    rest = words[_TRACKED:] if tracked else words
+    try:
+        kind, numbers = parse_object(" ".join(rest), scored=len(rest) > LABEL_COLUMNS)
+    except ValueError as error:
+        raise InvalidInputError(f"{path}:{number}", text[:80], _FIX) from error
+    corners = np.array(numbers[3:7])
+    return BoxLine(
+        text=text,
+        number=number,
+        frame=int(words[0]) if tracked else None,
+        kind=kind,
+        corners=corners if (corners[2:] - corners[:2] > 0.0).all() else np.full(4, np.nan),
+        score=numbers[14] if len(numbers) >= LABEL_COLUMNS else 1.0,
+        location=np.array(numbers[10:13]),
+        rotation_y=numbers[13],
+        size=np.array([numbers[9], numbers[8], numbers[7]]),
+    )

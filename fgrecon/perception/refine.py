@@ -1,0 +1,118 @@
+"""From an image and another detector's 3D boxes to better ones: keypoints in each, and all vehicles in one scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fgrecon.core.box3d import Box3D, BoxErrors
+from fgrecon.core.camera import MIN_DEPTH, Camera, Ground
+from fgrecon.core.checks import as_shape
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.observation import Observation
+from fgrecon.core.options import BoxModel, BoxOptions, Options
+from fgrecon.core.refined_box import RefinedBox
+from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.core.size_prior import SizePrior
+from fgrecon.io.catalogue import load_prior
+from fgrecon.io.images import read_image
+from fgrecon.perception.keypoints.detect import SMALLEST_BOX, as_rgb8, shipped_cascade
+from fgrecon.perception.protocols import KeypointDetector, find_keypoints
+from fgrecon.solve.refine import refined
+from fgrecon.solve.scene import reconstruct_scene
+
+__all__ = ["refine_boxes"]
+
+Array = NDArray[np.float64]
+
+
+def refine_boxes(
+    image: NDArray[Any] | str | Path,
+    boxes: Sequence[Box3D],
+    camera: Camera | ArrayLike,
+    *,
+    corners: ArrayLike | None = None,
+    box_errors: BoxErrors | None = None,
+    keypoint_detector: KeypointDetector | None = None,
+    prior: ShapePrior | str | Path = "car14",
+    ground: Ground | float | None = None,
+    size_prior: SizePrior | str | None = None,
+    options: Options | None = None,
+) -> list[RefinedBox]:
+    """Better 3D boxes of the vehicles in an image, by their keypoints.
+
+    Keypoints are found in each 2D box; then all vehicles are solved together on one ground, with their 3D boxes as
+    factors in the graph. A box that its keypoints say too little about, or contradict, stays as it is and says why.
+
+    Args:
+        image: (H, W, 3) RGB, or grey; 8 or 16 bits; or the path of an image file.
+        boxes: The 3D boxes of a detector, in the camera's frame.
+        camera: The camera that took it, or its matrix (3, 3), or (fx, fy, cx, cy).
+        corners: (N, 4) the detector's 2D boxes x1, y1, x2, y2 in pixels; NaN where it gives none, and None for all.
+            Then the projection of the 3D box says where to look, and no more.
+        box_errors: How far the 3D boxes are off; None for a monocular detector's.
+        keypoint_detector: Finds the keypoints; None for the networks of the package. All boxes go to it in one call.
+        prior: Shape prior, or its name, or the path of its file; of the category of the keypoint detector.
+        ground: Ground plane; a number is the height in metres of a level camera; None: the boxes say about where it is.
+        size_prior: Fleet or size prior for boxes without a size.
+        options: Settings; None takes 2D boxes to enclose the projected 3D box, as KITTI's and nuScenes' do.
+
+    Returns:
+        What became of each box, in order.
+
+    Raises:
+        InvalidInputError: An argument cannot be used; names it, its value and the fix.
+    """
+    errors = BoxErrors() if box_errors is None else box_errors
+    settings = Options(box=BoxOptions(model=BoxModel.CUBOID), keep_history=False) if options is None else options
+    pixels = read_image(image) if isinstance(image, str | Path) else as_rgb8(image)
+    seen_by = Camera.of(camera)
+    if seen_by.image_size is None:
+        seen_by = replace(seen_by, image_size=(pixels.shape[1], pixels.shape[0]))
+    given = np.full((len(boxes), 4), np.nan) if corners is None else np.asarray(corners, dtype=np.float64)
+    given = as_shape("corners", given.reshape(-1, 4) if not given.size else given, (len(boxes), 4))
+    own: NDArray[np.bool_] = np.all(np.isfinite(given), axis=1)
+    limits = np.array([pixels.shape[1], pixels.shape[0]] * 2) - 1.0
+    where = np.array([g if o else _projected(b, seen_by) for b, g, o in zip(boxes, given, own, strict=True)])
+    where = np.clip(where.reshape(-1, 4), 0.0, limits)
+    looked = np.flatnonzero((where[:, 2:] - where[:, :2]).min(axis=1, initial=np.inf) >= SMALLEST_BOX).tolist()
+    shape_prior = load_prior(prior)
+    networks = shipped_cascade() if keypoint_detector is None else keypoint_detector
+    found = find_keypoints(networks, pixels, where[looked], shape_prior.category) if len(looked) else []
+    scene = reconstruct_scene(
+        [_observed(one.evidence, own=bool(own[i])) for i, one in zip(looked, found, strict=True)],
+        seen_by,
+        prior=shape_prior,
+        ground=ground,
+        size_prior=size_prior,
+        options=settings,
+        boxes=[boxes[i] for i in looked],
+        box_errors=errors,
+    )
+    solved = {looked[n]: vehicle for n, vehicle in zip(scene.numbers, scene.vehicles, strict=True)}
+    refused = {looked[n]: error for n, error in scene.refused.items()}
+    for i, box in enumerate(where):
+        if i not in solved and i not in refused:
+            fix = f"It takes at least {SMALLEST_BOX} pixels of it."
+            refused[i] = InvalidInputError(f"boxes[{i}]", f"{box.round(1).tolist()} in the image", fix)
+    return [refined(box, errors, solved.get(i), refused.get(i)) for i, box in enumerate(boxes)]
+
+
+def _observed(seen: Observation, *, own: bool) -> Observation:
+    """What counts as evidence: not a 2D box that is the 3D box's projection, which would say the same twice."""
+    return seen if own else replace(seen, box=None)
+
+
+def _projected(box: Box3D, camera: Camera) -> Array:
+    """(4,) the projection of a 3D box, of what of it is in front of the camera."""
+    corners = box.corners
+    ahead = corners[corners[:, 2] > MIN_DEPTH]
+    if not len(ahead):
+        return np.zeros(4)
+    pixels = camera.distort(camera.project(ahead))
+    return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])

@@ -1,0 +1,130 @@
+"""The vehicles of an image one by one: where a scene begins (`fgrecon.solve.scene`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.box3d import Box3D, BoxErrors
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.observation import Observation
+from fgrecon.core.options import Options
+from fgrecon.core.reconstruction import Alternative, rotation_y
+from fgrecon.solve.detected import DetectedVehicle, KnownBox
+from fgrecon.solve.graph.adjust import Adjusted, adjust
+from fgrecon.solve.graph.graph import Seen
+from fgrecon.solve.pipeline import observe
+from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
+from fgrecon.solve.proposals.problem import Problem
+from fgrecon.solve.time.heading import Belief
+from fgrecon.solve.time.turned import turned_alternative
+from fgrecon.solve.vehicle.model import VehicleModel
+
+__all__ = ["Alone", "Tried", "each_alone", "known_boxes"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Alone:
+    """A vehicle that was solved alone."""
+
+    problem: Problem
+    start: PoseEstimate
+    adjusted: Adjusted
+    known: KnownBox | None = None
+    belief: Belief | None = None
+
+    @property
+    def pose(self) -> Array:
+        """(4, 4) camera_T_object."""
+        pose: Array = self.adjusted.optimum.state.poses[0].matrix()
+        return pose
+
+    def own(self, vehicle: int = 0) -> list[gtsam.NonlinearFactor]:
+        """The factors of its box."""
+        return [] if self.known is None else self.known.factors(self.problem.camera, vehicle)
+
+    def facing(self, camera_T_object: Array) -> float | None:
+        """How probable a pose's facing is by its box and all else; None where only the directions tell."""
+        return None if self.belief is None else self.belief.facing(rotation_y(camera_T_object))
+
+    def alternatives(self, camera_T_object: Array) -> tuple[Alternative, ...]:
+        """Its other poses, where the scene brought it to a pose."""
+        facing = self.facing(camera_T_object)
+        if facing is None:
+            return self.adjusted.alternatives[0]
+        return turned_alternative(camera_T_object, self.adjusted.optimum.state.shapes[0][0], facing)
+
+
+@dataclass(frozen=True)
+class Tried:
+    """All vehicles solved one by one with one camera."""
+
+    camera: Camera
+    vehicles: dict[int, Alone]
+    refused: dict[int, FgreconError]
+
+    @property
+    def solved(self) -> dict[int, Alone]:
+        """Those whose graph was solved."""
+        return {number: one for number, one in self.vehicles.items() if one.adjusted.optimum.failure is None}
+
+
+def known_boxes(
+    boxes: Sequence[Box3D | None], errors: BoxErrors | None, count: int, camera: Camera, plain: VehicleModel
+) -> list[KnownBox | None]:
+    """What is known of each of so many vehicles; `plain` is the prior prepared without a size.
+
+    Raises:
+        InvalidInputError: Another number of boxes is given, or they are of an unknown camera.
+    """
+    if len(boxes) != count:
+        raise InvalidInputError("boxes", f"{len(boxes)} for {count} vehicles", "Give a box, or None, for each.")
+    if camera.focal_sigma:
+        fix = "Give the focal length that the boxes were found with."
+        raise InvalidInputError("boxes", "given without a known focal length", fix)
+    off = BoxErrors() if errors is None else errors
+    return [None if box is None else KnownBox(box, off, plain) for box in boxes]
+
+
+def each_alone(
+    observations: Sequence[Observation],
+    camera: Camera,
+    model: VehicleModel,
+    plane: Ground | None,
+    options: Options,
+    known: Sequence[KnownBox | None] | None = None,
+) -> Tried:
+    """Solve vehicles one by one.
+
+    Args:
+        observations: The keypoints of each.
+        camera: The camera.
+        model: The prepared prior of the fleet.
+        plane: The ground, or None.
+        options: Settings.
+        known: What a detector's box says of each, whose size takes the place of the fleet's; or None.
+    """
+    alone: dict[int, Alone] = {}
+    refused: dict[int, FgreconError] = {}
+    for number, given in enumerate(observations):
+        box = None if known is None else known[number]
+        try:
+            observation = observe(given, camera, model.prior, options)
+            if box is not None:
+                found = DetectedVehicle.solve(box.problem(observation, camera, model, plane, options), box)
+                alone[number] = Alone(found.problem, found.start, found.adjusted, box, found.belief)
+                continue
+            problem = Problem.of(observation, camera, model, plane, options)
+            start = adjust_pose(problem)
+        except FgreconError as error:
+            refused[number] = error
+            continue
+        alone[number] = Alone(problem, start, adjust([Seen(problem)], [start]))
+    return Tried(camera, alone, refused)

@@ -1,0 +1,66 @@
+"""From a vehicle solved with a detector's 3D box to a better box, or to the same one where the image says little."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.box3d import Box3D, BoxErrors
+from fgrecon.core.errors import FgreconError
+from fgrecon.core.reconstruction import TRUSTED, Reconstruction, Status
+from fgrecon.core.refined_box import RefinedBox
+
+__all__ = ["refined"]
+
+Array = NDArray[np.float64]
+
+_FEWEST = 3
+"""Keypoints that must be trusted: a pose needs as many."""
+_CONTRADICTS = 4.0
+"""Standard deviations of the box's errors: a result further off is of another vehicle, or wrong."""
+
+
+def refined(given: Box3D, errors: BoxErrors, result: Reconstruction | None, error: FgreconError | None) -> RefinedBox:
+    """What becomes of a box.
+
+    Args:
+        given: The box.
+        errors: How far it is off.
+        result: The vehicle that was solved with it (`fgrecon.reconstruct_scene`), or None where it was refused.
+        error: Why it was refused, or None.
+    """
+    if result is None:
+        return RefinedBox(given, given, f"Unchanged: {error}")
+    weak = _weak(result) or _contradiction(given, errors, result)
+    covariance, size = result.pose_covariance, result.size_covariance
+    if weak is not None or covariance is None or size is None:
+        return RefinedBox(given, given, f"Unchanged: {weak or result.message}", result)
+    rotation = result.camera_T_object[:3, :3]
+    return RefinedBox(
+        given=given,
+        box=Box3D(result.location, result.rotation_y, result.box_size),
+        message=result.message,
+        result=result,
+        location_covariance=rotation @ covariance[3:, 3:] @ rotation.T,
+        yaw_sigma=float(np.sqrt(covariance[1, 1])),
+        size_covariance=size,
+    )
+
+
+def _weak(result: Reconstruction) -> str | None:
+    """Why a result says nothing; None where it says something."""
+    if result.status in (Status.FAILED, Status.DEGENERATE):
+        return result.message
+    trusted = int(np.count_nonzero(result.weights >= TRUSTED))
+    return None if trusted >= _FEWEST else f"{trusted} keypoints are trusted; it takes {_FEWEST}."
+
+
+def _contradiction(given: Box3D, errors: BoxErrors, result: Reconstruction) -> str | None:
+    """What speaks against a result being the box's vehicle; None where nothing does."""
+    farther = float(result.location[2] / given.location[2]) - 1.0
+    if abs(farther) > _CONTRADICTS * errors.depth:
+        return f"The keypoints show it {100.0 * abs(farther):.0f} % {'farther' if farther > 0.0 else 'nearer'}."
+    off = abs(float(np.arctan(np.tan(result.rotation_y - given.rotation_y))))  # modulo half a turn
+    if off > _CONTRADICTS * errors.yaw:
+        return f"The keypoints show it turned by {np.rad2deg(off):.0f} degrees against the box."
+    return None

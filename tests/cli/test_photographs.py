@@ -1,0 +1,69 @@
+"""`fgrecon reconstruct` on several photographs: a results file each, and a bad one that stops no other."""
+
+import json
+import shutil
+
+import pytest
+from typer.testing import CliRunner
+
+from fgrecon.cli import main
+from fgrecon.core.errors import InvalidInputError
+
+pytest.importorskip("torch")
+
+
+def run(*arguments):
+    return CliRunner().invoke(main.app, [str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory):
+    """A folder with the sample's street twice, and its boxes by name."""
+    root = tmp_path_factory.mktemp("photographs")
+    assert run("sample", "--out", root / "sample", "-q").exit_code == 0
+    for name in ("images", "boxes"):
+        (root / name).mkdir()
+    for name in ("a", "b"):
+        shutil.copy(root / "sample" / "street.png", root / "images" / f"{name}.png")
+        lines = (root / "sample" / "detections.txt").read_text()
+        (root / "boxes" / f"{name}.txt").write_text(lines)
+    return root
+
+
+def test_each_has_a_results_file(street, tmp_path):
+    told = ("--boxes", street / "boxes", "--calib", street / "sample" / "calib.txt", "--camera-height", 1.65)
+    done = run("reconstruct", street / "images", *told, "--out", tmp_path, "--pictures")
+    assert done.exit_code == 0, done.output
+    assert "6 vehicles in 2 of 2 images" in done.stdout
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.json", "a.png", "b.json", "b.png"]
+    single = run("reconstruct", street / "images" / "a.png", *told, "--json", "-")
+    first, alone = json.loads((tmp_path / "a.json").read_text()), json.loads(single.stdout)
+    assert [one["location"] for one in first["instances"]] == [one["location"] for one in alone["instances"]]
+
+
+def test_a_bad_one_does_not_stop_the_others(street, tmp_path):
+    bad = tmp_path / "bad.png"
+    bad.write_bytes(b"no image")
+    shutil.copy(street / "images" / "a.png", tmp_path / "a.png")
+    out = tmp_path / "out"
+    told = ("--boxes", street / "boxes", "--calib", street / "sample" / "calib.txt", "--out", out)
+    done = run("reconstruct", bad, street / "images" / "a.png", tmp_path / "a.png", *told, "-q")
+    assert done.exit_code == 1
+    assert str(bad) in done.stderr
+    assert sorted(path.name for path in out.iterdir()) == ["a-2.json", "a.json"]
+
+
+def test_what_means_nothing_for_several_is_refused(street, tmp_path):
+    images, out = street / "images", tmp_path / "out"
+    for arguments, field in (
+        ((images, "--detect"), "out"),
+        ((images / "a.png", "--detect", "--pictures"), "out"),
+        ((images, street / "sample" / "cars.json", "--out", out), "file"),
+        ((street / "boxes", "--out", out), "file"),
+        ((images, "--out", out, "--detect", "--json", "-"), "json"),
+        ((images, "--out", out, "--box", "1,2,30,40"), "box"),
+        ((images, "--out", images / "a.png", "--detect"), "out"),
+    ):
+        done = run("reconstruct", *arguments)
+        assert isinstance(done.exception, InvalidInputError), (arguments, done.output)
+        assert str(done.exception).startswith(field)
