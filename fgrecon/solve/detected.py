@@ -76,7 +76,8 @@ class KnownBox:
             covariance = np.array(keypoint_covariances(seen, options.keypoints))
         size = self.box.size
         own = model if size is None else sized(self.plain, SizePrior("its box", size, self.errors.size * size))
-        return Problem.of(replace(seen, covariance=_TOGETHER * covariance), camera, own, plane, options)
+        counted = replace(options, keypoints=replace(options.keypoints, common_factor=1.0))  # it is in the solve
+        return Problem.of(replace(seen, covariance=_TOGETHER * covariance), camera, own, plane, counted)
 
     def factors(self, camera: Camera, vehicle: int = 0) -> list[gtsam.NonlinearFactor]:
         """The factors of the box on the pose of a vehicle in image 0; its size is in the vehicle's model."""
