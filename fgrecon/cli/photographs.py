@@ -18,11 +18,11 @@ from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.io.files import write_text
 from fgrecon.io.images import IMAGES, read_photograph
 
-__all__ = ["How", "Photograph", "reconstruct_each", "refuse", "wanted"]
+__all__ = ["PhotographFile", "PhotographWork", "reconstruct_each", "refuse", "wanted"]
 
 
 @dataclass(frozen=True)
-class Photograph:
+class PhotographFile:
     """A photograph, and where its results go.
 
     Attributes:
@@ -35,7 +35,7 @@ class Photograph:
 
 
 @dataclass(frozen=True)
-class How:
+class PhotographWork:
     """What holds for all of them.
 
     Attributes:
@@ -57,7 +57,7 @@ class How:
     pictures: bool
 
 
-def wanted(files: Sequence[Path], out: Path | None, *, pictures: bool) -> list[Photograph] | None:
+def wanted(files: Sequence[Path], out: Path | None, *, pictures: bool) -> list[PhotographFile] | None:
     """The photographs that are meant; None where a single file is, whose results do not go to a folder.
 
     Args:
@@ -90,7 +90,7 @@ def wanted(files: Sequence[Path], out: Path | None, *, pictures: bool) -> list[P
         raise InvalidInputError("out", str(out), "Give a folder.")
     out.mkdir(parents=True, exist_ok=True)
     taken: set[str] = set()
-    return [Photograph(image, out / _name(image.stem, taken)) for image in images]
+    return [PhotographFile(image, out / _name(image.stem, taken)) for image in images]
 
 
 def refuse(json_out: str | None, drawn: bool, recorded: bool, box: Sequence[str] | None) -> None:
@@ -107,7 +107,7 @@ def refuse(json_out: str | None, drawn: bool, recorded: bool, box: Sequence[str]
             raise InvalidInputError(field, "given with --out", fix)
 
 
-def reconstruct_each(photographs: Sequence[Photograph], how: How, screen: Screen) -> bool:
+def reconstruct_each(photographs: Sequence[PhotographFile], how: PhotographWork, screen: Screen) -> bool:
     """Reconstruct the vehicles of each photograph; say at the end what could not be used, and why.
 
     Returns:
@@ -129,7 +129,7 @@ def reconstruct_each(photographs: Sequence[Photograph], how: How, screen: Screen
     return not nothing
 
 
-def _reconstruct(one: Photograph, how: How, screen: Screen) -> list[Outcome]:
+def _reconstruct(one: PhotographFile, how: PhotographWork, screen: Screen) -> list[Outcome]:
     """The vehicles of a photograph, written to its file.
 
     Raises:
@@ -163,7 +163,7 @@ def _reconstruct(one: Photograph, how: How, screen: Screen) -> list[Outcome]:
     return outcomes
 
 
-def _ending(one: Photograph, ending: str) -> Path:
+def _ending(one: PhotographFile, ending: str) -> Path:
     return one.target.with_name(one.target.name + ending)
 
 

@@ -181,7 +181,9 @@ def reconstruct_command(
     several = photographs.wanted(files, out, pictures=pictures)
     if several is not None:
         photographs.refuse(json_out, drawings.wanted or drawings.image is not None, delivery.wanted, boxes.box)
-        how = photographs.How(camera, boxes, settings, solving.box_model, together, history=history, pictures=pictures)
+        how = photographs.PhotographWork(
+            camera, boxes, settings, solving.box_model, together, history=history, pictures=pictures
+        )
         if not photographs.reconstruct_each(several, how, screen):
             raise typer.Exit(1)
         return

@@ -58,7 +58,7 @@ def refine_command(
     screen = terminal.screen(json_out)
     found = boxed_images(boxes, images)
     _check_out(out, boxes, found)
-    how = refine_work.How(
+    how = refine_work.RefineWork(
         errors=errors.errors(),
         settings=scene.settings(Options(strategy=scene.strategy, box=BoxOptions(model=box_model), keep_history=False)),
         min_score=min_score,

@@ -31,7 +31,7 @@ from fgrecon.io.kitti_calibration import calibration_beside, read_calibration
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.refine import refine_boxes
 
-__all__ = ["FORMAT", "KINDS", "Done", "How", "Refiner", "document", "merged", "show", "write"]
+__all__ = ["FORMAT", "KINDS", "Done", "RefineWork", "Refiner", "document", "merged", "show", "write"]
 
 FORMAT = "fgrecon.refined-boxes/1"
 KINDS = "Car", "Van"
@@ -41,7 +41,7 @@ _SHOWN = 40  # boxes in the table of several images, without --verbose
 
 
 @dataclass(frozen=True)
-class How:
+class RefineWork:
     """What holds for all images.
 
     Attributes:
@@ -92,7 +92,7 @@ class Done:
 class Refiner:
     """Refines image after image; the network is loaded once."""
 
-    def __init__(self, how: How) -> None:
+    def __init__(self, how: RefineWork) -> None:
         self.how = how
 
     def __call__(self, one: BoxedImage) -> Done:
@@ -213,7 +213,7 @@ def _cells(box: RefinedBox) -> tuple[str, ...]:
     )
 
 
-def document(how: How, done: Sequence[Done]) -> str:
+def document(how: RefineWork, done: Sequence[Done]) -> str:
     """The JSON text: settings, and every box before and after. Locations are in the camera's frame."""
     content = {
         "format": FORMAT,

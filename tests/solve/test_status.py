@@ -19,7 +19,7 @@ from tests.cars import CAMERA, observe, yaw_pose
 from tests.settings import options as make_options
 from tests.solve.graph.support import problem_of, solve
 
-TIGHT = Covariances(np.radians(0.1) ** 2 * np.eye(6), np.eye(5), np.tile(np.eye(3), (14, 1, 1)))
+TIGHT = Covariances(np.radians(0.1) ** 2 * np.eye(6), np.eye(5), np.tile(np.eye(3), (14, 1, 1)), np.eye(3))
 """The pose is known to a tenth of a degree."""
 
 

@@ -77,6 +77,7 @@ def make_example(seed: int = 0) -> Example:
         pose_covariance=np.eye(6) * 1e-3,
         coefficients_covariance=np.eye(prior.dimension) * 0.1,
         keypoint_covariance=covariance,
+        size_covariance=np.diag([0.09, 0.01, 0.0121]),
         energies=last.energies,
         alternatives=(Alternative(start.matrix(), last.coefficients, 99.0),),
         history=tuple(history),
