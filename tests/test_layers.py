@@ -41,6 +41,7 @@ ROOMS = {
         "core",
         "io",
         "io/export",
+        "io/keypoints",
         "solve",
         "perception",
         "perception/keypoints",

@@ -3,7 +3,7 @@
 | file | rows | row_id |
 |---|---|---|
 | `.jsonl`, `.ndjson` | a line each: an instance of a keypoint file | `FILE#LINE` |
-| `.json` | a keypoint file or a track: an instance each | `FILE#NUMBER` |
+| `.json` | a keypoint file of any format, or a track: an instance each | `FILE#NUMBER` |
 | `.parquet` | a row each: its columns are the fields of an instance, or `instance`, `image` | `FILE#NUMBER` |
 | an image | one | `FILE` |
 | a video | a frame each | `FILE#FRAME` |
@@ -26,6 +26,7 @@ from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.io.frames import VIDEOS
 from fgrecon.io.images import IMAGES
 from fgrecon.io.json_fields import read_json
+from fgrecon.io.keypoints.coco import annotation_records, is_annotations
 from fgrecon.io.kitti_calibration import calibration_beside
 
 __all__ = ["IMAGES", "VIDEOS", "InputFile", "sources_of"]
@@ -126,6 +127,8 @@ def _instances(source: InputFile) -> list[Any]:
     data = read_json(source.path)
     if isinstance(data, Mapping) and "frames" in data and "keypoints" not in data:
         return _frames(data, source.path)
+    if is_annotations(data):
+        return [record for record, _ in annotation_records(data, f"{source.path}: ")]
     if not isinstance(data, Mapping) or "instances" not in data:
         return data if isinstance(data, list) else [data]
     if not isinstance(data["instances"], list):

@@ -25,7 +25,8 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as named_size_prior
 from fgrecon.io.catalogue import load_prior
-from fgrecon.io.keypoint_file import Instance, parse_keypoints
+from fgrecon.io.keypoint_file import Instance
+from fgrecon.io.keypoints.reader import parse_any_keypoints
 from fgrecon.perception.keypoints.detect import SMALLEST_BOX, KeypointCascade, check_box, shipped_cascade
 from fgrecon.perception.protocols import find_keypoints
 from fgrecon.perception.vehicles.detect import NanodetVehicleDetector, Vehicles
@@ -138,7 +139,7 @@ class Reconstructor:
             return
         record = _nested(_record(task), self.prior.category.size)
         named = isinstance(record, dict) and record.get("id") is not None
-        for vehicle, instance in enumerate(parse_keypoints(record, self.prior.category).instances):
+        for vehicle, instance in enumerate(parse_any_keypoints(record, self.prior.category).instances):
             name = instance.name if named or vehicle or isinstance(record, list) else str(origin["row_id"])
             yield self._vehicle(origin, vehicle, name, instance, self._camera or instance.camera)
 

@@ -9,9 +9,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from fgrecon.batch import sources_of
+from fgrecon.batch import Reconstructor, sources_of
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.options import Options
+from fgrecon.io.catalogue import load_category
 from fgrecon.io.images import write_png
+from fgrecon.io.keypoints.reader import read_any_keypoints
+from fgrecon.solve.pipeline import reconstruct
 from tests.batch.support import instances, write_lines
 from tests.cli.conftest import K
 
@@ -46,6 +50,35 @@ def test_keypoint_files_share_their_camera(cars, tmp_path):
     (one := tmp_path / "one.json").write_text(json.dumps(cars[0]))
     (several := tmp_path / "several.json").write_text(json.dumps(cars))
     assert [len(rows_of(one)), len(rows_of(several))] == [1, 3]
+
+
+def test_keypoints_of_other_programs_give_what_ours_give(cars, tmp_path):
+    """COCO's annotations, and a list of results by themselves: the same vehicles, the same numbers."""
+    names = load_category("car14").keypoints
+    points = [[[*pixel, 2] for pixel in car["keypoints"]] for car in cars]
+    annotations = {
+        "images": [{"id": 1, "file_name": "a.jpg", "width": 1242, "height": 375}],
+        "categories": [{"id": 1, "name": "car", "keypoints": list(names)}],
+        "annotations": [
+            {"id": 7 + n, "image_id": 1, "category_id": 1, "keypoints": [x for row in rows for x in row]}
+            for n, rows in enumerate(points)
+        ],
+    }
+    (coco := tmp_path / "coco.json").write_text(json.dumps(annotations))
+    flat = [{"image_id": 1, "keypoints": [x for u, v, _ in rows for x in (u, v, 0.9)]} for rows in points]
+    (results := tmp_path / "results.json").write_text(json.dumps(flat))
+    ours = [{"keypoints": car["keypoints"], "confidence": [0.9] * len(names)} for car in cars]
+    (own := tmp_path / "own.json").write_text(json.dumps(ours))
+    solve = Reconstructor(camera=K)
+    found = {file: solve(pa.Table.from_pylist(rows_of(file))).to_pylist() for file in (coco, results, own)}
+    assert [len(rows) for rows in found.values()] == [3, 3, 3]
+    assert [row["id"] for row in found[coco]] == ["7", "8", "9"]
+    for foreign, mine in zip(found[results], found[own], strict=True):
+        assert foreign["camera_T_object"] == mine["camera_T_object"]
+    parsed = read_any_keypoints(coco, load_category("car14")).instances
+    for row, instance in zip(found[coco], parsed, strict=True):
+        expected = reconstruct(instance.observation, K, options=Options(keep_history=False))
+        np.testing.assert_allclose(np.reshape(row["camera_T_object"], (4, 4)), expected.camera_T_object, atol=1e-9)
 
 
 def test_tracks(content, tmp_path):
