@@ -20,11 +20,10 @@ import numpy as np
 import fgrecon
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.observation import Observation
-from fgrecon.core.reconstruction import Reconstruction, Status
+from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.io.catalogue import load_prior
 from fgrecon.simulation.vehicles import yaw_pose
 
-_GOOD = (Status.CONVERGED, Status.WEAK, Status.AMBIGUOUS)
 _SIZES = (0.3, 30.0)  # metres: what a car can measure
 _SLOW = 5.0  # seconds for one car, or for a car of a scene or an image of a track
 _AGAIN = 20  # every so many-th problem is solved twice
@@ -93,7 +92,7 @@ def faults(results: Sequence[Reconstruction]) -> list[str]:
     """What results that are not flagged must not be."""
     found = []
     for result in results:
-        if result.status not in _GOOD:
+        if not result.status.determined:
             continue
         numbers = (result.camera_T_object, result.wireframe, result.box_size, result.coefficients, result.weights)
         if not all(np.isfinite(array).all() for array in numbers):

@@ -57,8 +57,18 @@ class GroundFrame:
 
     def plane(self, change: Array) -> tuple[Array, float]:
         """Normal (3,) and distance of the plane at a change (3,): h, a, b."""
+        return self.turned(change)[0], self.distance + float(change[0])
+
+    def turned(self, change: Array) -> tuple[Array, float]:
+        """Normal (3,) at a change (3,), and the length that it was divided by."""
         turned = self.normal + change[1:] @ self.across
-        return turned / np.linalg.norm(turned), self.distance + float(change[0])
+        length = math.sqrt(turned @ turned)
+        return turned / length, length
+
+    def by_turn(self, normal: Array, length: float) -> Array:
+        """(3, 2) derivative of the normal by a and b, where `turned` gives this normal and length."""
+        derivative: Array = (np.eye(3) - np.outer(normal, normal)) @ self.across.T / length
+        return derivative
 
 
 def contact_factor(pose_key: int, ground_key: int, frame: GroundFrame, noise: Noise) -> gtsam.CustomFactor:
@@ -85,16 +95,15 @@ class _Contact:
 
     def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
         pose, change = values.atPose3(self.pose_key).matrix(), values.atVector(self.ground_key)
-        turned = self.frame.normal + change[1:] @ self.frame.across
-        length = math.sqrt(turned @ turned)
-        normal, distance = turned / length, self.frame.distance + float(change[0])
+        normal, length = self.frame.turned(change)
+        distance = self.frame.distance + float(change[0])
         residual, by_turn = ground_rows(normal, distance, pose[:3, :3], pose[:3, 3])
         if not want_jacobian:
             return residual, None
         jacobian = np.zeros((4, 9))
         jacobian[:, :3] = by_turn
         jacobian[0, 3:6] = normal @ pose[:3, :3]
-        by_ab = (np.eye(3) - np.outer(normal, normal)) @ self.frame.across.T / length  # (3, 2) of the normal
+        by_ab = self.frame.by_turn(normal, length)
         jacobian[0, 6] = -1.0
         jacobian[0, 7:] = pose[:3, 3] @ by_ab
         jacobian[1:, 7:] = -by_ab

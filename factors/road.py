@@ -76,10 +76,8 @@ class _Road:
     def _carried(self, change: Array, rotation: Array, way: Array) -> tuple[Array, Array]:
         """The plane's change seen from the next camera, and its derivative."""
         now, then = self.frames
-        turned = now.normal + change[1:] @ now.across
-        length = float(np.linalg.norm(turned))
-        normal, distance = now.plane(change)
-        by_ab = (np.eye(3) - np.outer(normal, normal)) @ now.across.T / length  # (3, 2) of the normal
+        normal, length = now.turned(change)
+        distance, by_ab = now.distance + float(change[0]), now.by_turn(normal, length)
         seen, seen_by_ab = rotation.T @ normal, rotation.T @ by_ab
         ahead = float(then.normal @ seen)
         sideways = then.across @ seen / ahead

@@ -20,7 +20,7 @@ from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.geometry import pixel_jacobian, transform
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
-from fgrecon.core.reconstruction import Reconstruction, Status
+from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.solve.track import reconstruct_track
@@ -76,7 +76,7 @@ def fit_unboxed(views: Sequence[tuple[Observation, Camera]], prior: ShapePrior, 
     turned = _turned([result.camera_T_object for result in track.frames])
     found: list[Fit | Reason] = [Reason.FEW_POINTS] * len(views)
     for number, result, wrong in zip(track.numbers, track.frames, turned, strict=True):
-        if result.status not in (Status.CONVERGED, Status.WEAK) or result.pose_covariance is None:
+        if not result.status.settled or result.pose_covariance is None:
             found[number] = Reason.UNSURE
         elif wrong:
             found[number] = Reason.TURNED

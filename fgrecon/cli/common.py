@@ -8,11 +8,20 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from numpy.typing import NDArray
+    from rich.table import Table
 
     from fgrecon.core.camera import Camera, Ground
     from fgrecon.io.boxes import NamedBox
 
-__all__ = ["about_camera", "check_output", "check_outputs", "chosen_boxes", "ground_plane", "parse_numbers"]
+__all__ = [
+    "about_camera",
+    "check_output",
+    "check_outputs",
+    "chosen_boxes",
+    "ground_plane",
+    "headed_table",
+    "parse_numbers",
+]
 
 
 def ground_plane(plane: str | None, height: float | None) -> tuple[Ground, str] | None:
@@ -113,6 +122,24 @@ def check_outputs(json_out: str | None, *paths: Path | None) -> None:
     """
     for path in (*paths, None if json_out in (None, "-") else Path(str(json_out))):
         check_output(path)
+
+
+def headed_table(*headings: str, left: int = 1, wrap: bool = False) -> Table:
+    """A table without rows, of texts in its first columns and of numbers in the others.
+
+    Args:
+        headings: Of the columns.
+        left: How many hold texts, which are on the left and never wrapped.
+        wrap: Whether the others may be wrapped.
+    """
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    for number, heading in enumerate(headings):
+        is_text = number < left
+        table.add_column(heading, justify="left" if is_text else "right", no_wrap=is_text or not wrap)
+    return table
 
 
 def about_camera(camera: Camera, own: Camera | None) -> str:

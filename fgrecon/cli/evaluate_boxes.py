@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli.common import check_outputs
+from fgrecon.cli.common import check_outputs, headed_table
 from fgrecon.cli.options import JsonOption
 from fgrecon.cli.terminal import Terminal
 
@@ -85,23 +85,13 @@ def boxes_command(
         raise typer.Exit(1)
 
 
-def _table(*headings: str) -> Table:
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for number, heading in enumerate(headings):
-        table.add_column(heading, justify="left" if number < 2 else "right", no_wrap=number < 2)
-    return table
-
-
 def _groups(scored: Mapping[str, Sequence[LabelledBox]]) -> Table:
     from fgrecon.core.metrics import THRESHOLDS
     from fgrecon.evaluation.boxes3d import LEAST_OVERLAPS, summarise
 
     shares = [f"IoU ≥ {least:g} %" for least in LEAST_OVERLAPS] + [f"within {most}° %" for most in THRESHOLDS]
     numbers = ("mean m", "median m", "depth %", "turned %", "l, w, h m")
-    table = _table("", "source", "labels", "found", *shares, *numbers)
+    table = headed_table("", "source", "labels", "found", *shares, *numbers, left=2, wrap=True)
     summaries = {name: summarise(vehicles) for name, vehicles in scored.items()}
     for group in dict.fromkeys(group for groups in summaries.values() for group in groups):
         for name, groups in summaries.items():
@@ -125,7 +115,7 @@ def _curves(curves: Mapping[str, Sequence[Precision]]) -> Table:
     from fgrecon.evaluation.boxes3d import LEAST_OVERLAPS
 
     places = [f"{space} {least:g}" for space in ("BEV", "3D") for least in LEAST_OVERLAPS]
-    table = _table("AP at 40 points", "source", "labels", "2D 0.7", "AOS", *places)
+    table = headed_table("AP at 40 points", "source", "labels", "2D 0.7", "AOS", *places, left=2, wrap=True)
     for i in range(3):
         for name, regimes in curves.items():
             one = regimes[i]

@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli.common import check_outputs
-from fgrecon.cli.evaluate_video import drive_setups, read_folds
-from fgrecon.cli.options import JsonOption, LabelledScene, TogetherOption, WeightsOption
-from fgrecon.cli.progress import counting
+from fgrecon.cli.common import check_outputs, headed_table
+from fgrecon.cli.labelled_drives import DriveOptions, DrivesArgument
+from fgrecon.cli.options import JsonOption, LabelledScene
 from fgrecon.cli.terminal import Terminal
-from fgrecon.core.choices import BoxModel
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from rich.table import Table
@@ -24,28 +22,13 @@ __all__ = ["calibration_command"]
 
 
 def calibration_command(
-    folders: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="DRIVE", help="Folders with image_02, calib.txt and label_02.txt of KITTI's tracking set."
-        ),
-    ],
+    folders: DrivesArgument,
     labelled: LabelledScene,
     terminal: Terminal,
-    weights: WeightsOption = None,
-    fold: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="DRIVE[,DRIVE...]=FILE",
-            help="Keypoint network for these drives, such as one that was trained without them; repeat for more.",
-        ),
-    ] = None,
-    box_model: Annotated[BoxModel, typer.Option(help="What the 2D boxes enclose.")] = BoxModel.CUBOID,
-    together: TogetherOption = True,
+    how: DriveOptions,
     track: Annotated[
         bool, typer.Option("--track", help="Also what is said over time: online, and in batch (`fgrecon.Tracker`).")
     ] = False,
-    jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Coverage and reliability diagrams (png, svg, pdf, jpg).")
     ] = None,
@@ -59,39 +42,25 @@ def calibration_command(
 
     Exit code 1: no box could be reconstructed.
     """
-    from fgrecon.core.errors import InvalidInputError
-    from fgrecon.core.options import Options
     from fgrecon.evaluation.calibration import calibrate_boxes, calibration_document
-    from fgrecon.evaluation.video_images import SYSTEM, score_drives, wanted
-    from fgrecon.evaluation.video_tracks import BATCH, ONLINE, follow_boxes
-    from fgrecon.io.kitti_drives import read_drive
+    from fgrecon.evaluation.video_images import SYSTEM
+    from fgrecon.evaluation.video_tracks import BATCH, ONLINE
 
     check_outputs(json_out, picture)
     screen = terminal.screen(json_out)
-    drives = [read_drive(folder.absolute()) for folder in folders]
-    files = read_folds(fold or (), [drive.name for drive in drives], weights)
-    frames = sum(len(wanted(frame)) > 0 for drive in drives for frame in drive.frames)
-    if not frames:
-        fix = "Give drives with labelled cars or vans of at least 25 pixels."
-        raise InvalidInputError("drives", ", ".join(drive.name for drive in drives), fix)
-    scene, (_, origin) = labelled.scene(), labelled.plane()
-    setups = drive_setups(files, scene, Options(box=box_model), together=together)
-    with screen.bar() as advance:
-        watched = counting(advance, "Images", frames)
-        boxes = score_drives(drives, setups, scene, rivals=(), jobs=jobs, advance=watched)
-        if track:
-            boxes = follow_boxes(boxes, drives, setups)
+    scored = how.score(folders, labelled, screen, rivals=(), track=track)
     methods = (SYSTEM, ONLINE, BATCH) if track else (SYSTEM,)
-    found = {method: calibrate_boxes(boxes, method) for method in methods}
-    screen.print(f"{len(drives)} drives, {frames} images, {len(boxes)} boxes; {origin}.")
+    found = {method: calibrate_boxes(scored.boxes, method) for method in methods}
+    screen.print(scored.in_words())
     for method, one in found.items():
         screen.print(_regions_table(method, one), _status_table(method, one), _in_words(one))
-    for box in boxes:
+    for box in scored.boxes:
         for method in methods:
             outcome = box.outcomes[method]
             told = outcome.failure or f"{outcome.status}, {outcome.degrees:.1f} degrees, {outcome.metres:.2f} m"
             screen.detail(f"{box.drive}/{box.frame:06d}/{box.index} {method}: {told}")
-    given = {"drives": [drive.name for drive in drives], "ground": origin, "size_prior": labelled.size_prior}
+    names = [drive.name for drive in scored.drives]
+    given = {"drives": names, "ground": scored.ground, "size_prior": labelled.size_prior}
     documents = [calibration_document(one, {"method": method, **given}) for method, one in found.items()]
     screen.write_json(json.dumps(documents, indent=1, allow_nan=False) + "\n")
     if picture is not None:
@@ -104,22 +73,12 @@ def calibration_command(
         raise typer.Exit(1)
 
 
-def _table(*headings: str) -> Table:
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for number, heading in enumerate(headings):
-        table.add_column(heading, justify="right" if number else "left", no_wrap=True)
-    return table
-
-
 def _regions_table(method: str, found: Calibration) -> Table:
     from fgrecon.core.coverage import SIGMAS
 
     kinds = ("claimed", "scaled", "constant")
     headings = [f"{kind} {100 * level:.0f} %" for level in SIGMAS for kind in kinds]
-    table = _table(f"{method}: inside, radius", "results", *headings)
+    table = headed_table(f"{method}: inside, radius", "results", *headings)
     units = {"yaw": "°"}
     for one in found.regions:
         unit = units.get(one.quantity, " m")
@@ -133,7 +92,7 @@ def _regions_table(method: str, found: Calibration) -> Table:
 
 
 def _status_table(method: str, found: Calibration) -> Table:
-    table = _table(f"{method}: status", "results", "turned round", "wrong", "wrong %")
+    table = headed_table(f"{method}: status", "results", "turned round", "wrong", "wrong %")
     for one in found.statuses:
         table.add_row(one.status, str(one.count), str(one.turned), str(one.wrong), f"{100 * one.wrong / one.count:.1f}")
     return table

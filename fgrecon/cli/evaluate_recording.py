@@ -71,7 +71,7 @@ def _solve(track: Track, method: Method, scene: SceneKnowledge) -> TrackReconstr
     frames = tuple(solved.values())
     terms = dict.fromkeys(term for frame in frames for term in frame.energies)
     stages = dict.fromkeys(stage for frame in frames for stage in frame.milliseconds)
-    settled = all(frame.status in (Status.CONVERGED, Status.WEAK) for frame in frames)
+    settled = all(frame.status.settled for frame in frames)
     return TrackReconstruction(
         status=Status.CONVERGED if settled else Status.AMBIGUOUS,
         message=f"{len(frames)} of {len(track.frames)} frames, each on its own, by {method.name}",

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fgrecon.cli.box_errors import BoxErrorOptions
-from fgrecon.cli.common import check_outputs
-from fgrecon.cli.evaluate_video import read_folds
+from fgrecon.cli.common import check_outputs, headed_table
+from fgrecon.cli.labelled_drives import FoldOption, read_folds
 from fgrecon.cli.options import JsonOption, SceneOptions, WeightsOption
 from fgrecon.cli.progress import counting
 from fgrecon.cli.terminal import Terminal
@@ -45,10 +45,7 @@ def refine_evaluation_command(
     seed: Annotated[int, typer.Option(help="Of the errors that labels are disturbed by.")] = 0,
     every: Annotated[int, typer.Option(min=1, help="Take every so many of the images that count.")] = 1,
     weights: WeightsOption = None,
-    fold: Annotated[
-        list[str] | None,
-        typer.Option(metavar="DRIVE[,DRIVE...]=FILE", help="Keypoint network for these drives; repeat for more."),
-    ] = None,
+    fold: FoldOption = None,
     json_out: JsonOption = None,
 ) -> None:
     """Score 3D boxes before and after they are refined: position, yaw, turned round, size, and how many got worse.
@@ -122,15 +119,10 @@ def refine_evaluation_command(
 
 
 def _table(vehicles: Sequence[RefinedVehicle]) -> Table:
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
     from fgrecon.evaluation.refined import compare
 
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
     headings = ("mean m", "median m", "mean °", "median °", "turned", "l, w, h cm", "> 5 % worse", "worst", "doubled")
-    for heading in ("before -> after", "boxes", "refined", *headings, "spread"):
-        table.add_column(heading, justify="left" if heading == "before -> after" else "right", no_wrap=True)
+    table = headed_table("before -> after", "boxes", "refined", *headings, "spread")
     for name, one in compare(vehicles).items():
         sizes = [", ".join(f"{100.0 * value:.0f}" for value in size) for size in one.size]
         table.add_row(

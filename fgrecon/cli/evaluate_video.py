@@ -5,28 +5,25 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli.common import check_outputs
-from fgrecon.cli.options import JsonOption, LabelledScene, MarkdownOption, TogetherOption, WeightsOption, fitting_names
-from fgrecon.cli.progress import counting
+from fgrecon.cli.common import check_outputs, headed_table
+from fgrecon.cli.labelled_drives import DriveOptions, DrivesArgument
+from fgrecon.cli.options import JsonOption, LabelledScene, MarkdownOption, fitting_names
 from fgrecon.cli.terminal import Terminal
-from fgrecon.core.choices import BoxModel
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from rich.table import Table
 
+    from fgrecon.cli.labelled_drives import ScoredDrives
     from fgrecon.core.reliability import Reliability
     from fgrecon.evaluation.bootstrap import Interval
-    from fgrecon.evaluation.kitti_images import Setup
-    from fgrecon.evaluation.methods import SceneKnowledge
     from fgrecon.evaluation.video_images import VideoBox
-    from fgrecon.io.kitti_drives import Drive
     from fgrecon.viz import Sight
 
-__all__ = ["drive_setups", "read_folds", "video_command"]
+__all__ = ["video_command"]
 
 _WORST = 20
 _RIVAL = "sqpnp_confident"
@@ -40,22 +37,10 @@ def _rivals() -> list[str]:
 
 
 def video_command(
-    folders: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="DRIVE", help="Folders with image_02, calib.txt and label_02.txt of KITTI's tracking set."
-        ),
-    ],
+    folders: DrivesArgument,
     labelled: LabelledScene,
     terminal: Terminal,
-    weights: WeightsOption = None,
-    fold: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="DRIVE[,DRIVE...]=FILE",
-            help="Keypoint network for these drives, such as one that was trained without them; repeat for more.",
-        ),
-    ] = None,
+    how: DriveOptions,
     rival: Annotated[
         list[str] | None,
         typer.Option(
@@ -65,8 +50,6 @@ def video_command(
             autocompletion=fitting_names(_rivals),
         ),
     ] = None,
-    box_model: Annotated[BoxModel, typer.Option(help="What the 2D boxes enclose.")] = BoxModel.CUBOID,
-    together: TogetherOption = True,
     track: Annotated[
         bool,
         typer.Option(
@@ -75,7 +58,6 @@ def video_command(
             "score velocities, and covariances against errors.",
         ),
     ] = False,
-    jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE", help=f"Contact sheet of the {_WORST} worst tracks' worst boxes.")
     ] = None,
@@ -100,41 +82,19 @@ def video_command(
 
     Exit code 1: no box could be reconstructed.
     """
-    from fgrecon.core.errors import InvalidInputError
-    from fgrecon.core.options import Options
-    from fgrecon.evaluation.video_images import score_drives, wanted
     from fgrecon.evaluation.video_markdown import markdown as side_by_side
     from fgrecon.evaluation.video_summary import document, facing_reliability, methods_of
-    from fgrecon.evaluation.video_tracks import follow_boxes
     from fgrecon.io.export.files import TABLE_FORMATS, export_rows
     from fgrecon.io.files import check_ending
-    from fgrecon.io.kitti_drives import read_drive
 
     check_outputs(json_out, picture, table, markdown)
     if table is not None:
         check_ending(table, TABLE_FORMATS)
     screen = terminal.screen(json_out)
-    drives = [read_drive(folder.absolute()) for folder in folders]
-    files = read_folds(fold or (), [drive.name for drive in drives], weights)
-    frames = sum(len(wanted(frame)) > 0 for drive in drives for frame in drive.frames)
-    if not frames:
-        fix = "Give drives with labelled cars or vans of at least 25 pixels."
-        raise InvalidInputError("drives", ", ".join(drive.name for drive in drives), fix)
-    scene, (_, origin) = labelled.scene(), labelled.plane()
-    setups = drive_setups(files, scene, Options(box=box_model), together=together)
-    with screen.bar() as advance:
-        boxes = score_drives(
-            drives,
-            setups,
-            scene,
-            rivals=rival or [_RIVAL],
-            jobs=jobs,
-            advance=counting(advance, "Images", frames),
-        )
-        if track:
-            boxes = follow_boxes(boxes, drives, setups)
+    scored = how.score(folders, labelled, screen, rivals=rival or [_RIVAL], track=track)
+    boxes = scored.boxes
 
-    screen.print(f"{len(drives)} drives, {frames} images, {len(boxes)} boxes; {origin}.")
+    screen.print(scored.in_words())
     for method in methods_of(boxes):
         screen.print(_table(boxes, method))
     if track:
@@ -145,23 +105,22 @@ def video_command(
             error = found.failure or f"{found.degrees:.1f} degrees, {found.metres:.2f} m"
             screen.detail(f"{box.drive}/{box.frame:06d}/{box.index} {method}: {error}")
     given = {
-        "drives": [drive.name for drive in drives],
-        "images": frames,
-        "prior": scene.prior.describe(),
-        "ground": origin,
+        "drives": [drive.name for drive in scored.drives],
+        "images": scored.images,
+        "prior": scored.scene.prior.describe(),
+        "ground": scored.ground,
         "size_prior": labelled.size_prior,
-        "box_model": box_model.value,
-        "together": together,
+        "box_model": how.box_model.value,
+        "together": how.together,
         "track": track,
     }
-    networks = _networks(files, setups)
-    screen.write_json(json.dumps(document(boxes, given, networks), indent=1, allow_nan=False) + "\n")
+    screen.write_json(json.dumps(document(boxes, given, scored.networks()), indent=1, allow_nan=False) + "\n")
     if results is not None:
         screen.wrote(*_write_results(results, boxes))
     if table is not None:
         screen.wrote(export_rows(table, [row for box in boxes for row in box.rows()]))
     screen.write_text(markdown, side_by_side(boxes))
-    if picture is not None and (sights := _sights(boxes, drives, setups)):
+    if picture is not None and (sights := _sights(scored)):
         from fgrecon.viz import contact_sheet, save_picture
 
         screen.wrote(save_picture(picture, contact_sheet(sights, columns=_COLUMNS)))
@@ -184,88 +143,17 @@ def _write_results(folder: Path, boxes: Sequence[VideoBox]) -> list[Path]:
     return sorted({path.parent for path in lines})
 
 
-def read_folds(folds: Sequence[str], drives: Sequence[str], weights: Path | None) -> dict[str, Path | None]:
-    """Which file has the network that scores each drive, by the drive's name; None for the shipped one.
-
-    Args:
-        folds: `DRIVE[,DRIVE...]=FILE` each.
-        drives: Names of all drives.
-        weights: File for the drives that no fold names, or None.
-
-    Raises:
-        InvalidInputError: Two drives have one name, or a fold names none, one that is not there, or one of another.
-    """
-    from fgrecon.core.errors import InvalidInputError
-
-    twice = [name for number, name in enumerate(drives) if name in drives[:number]]
-    if twice:
-        raise InvalidInputError("drives", twice[0], "Give each drive once; their folders need different names.")
-    found: dict[str, Path | None] = {}
-    for text in folds:
-        names, _, file = text.partition("=")
-        if not names or not file:
-            raise InvalidInputError("fold", text, "Give DRIVE[,DRIVE...]=FILE.")
-        for name in names.split(","):
-            if name not in drives:
-                raise InvalidInputError("fold", name, f"Name one of the drives: {', '.join(drives)}.")
-            if name in found:
-                raise InvalidInputError("fold", name, "Name each drive in one fold.")
-            found[name] = Path(file)
-    return {name: found.get(name, weights) for name in drives}
-
-
-def drive_setups(
-    files: dict[str, Path | None], scene: SceneKnowledge, options: Any, *, together: bool
-) -> dict[str, Setup]:
-    """What each drive is reconstructed with, by its name; each network is loaded once."""
-    from fgrecon.evaluation.kitti_images import Setup
-    from fgrecon.perception.keypoints.detect import KeypointCascade
-
-    made = {
-        file: Setup(
-            detector=KeypointCascade(file),
-            prior=scene.prior,
-            ground=scene.ground,
-            size_prior=scene.size,
-            options=options,
-            together=together,
-        )
-        for file in dict.fromkeys(files.values())
-    }
-    return {name: made[file] for name, file in files.items()}
-
-
-def _networks(files: dict[str, Path | None], setups: dict[str, Setup]) -> list[dict[str, Any]]:
-    """Of each network its file, the drives that it scored, and what it has learnt from."""
-    drives: dict[Path | None, list[str]] = {}
-    for name, file in files.items():
-        drives.setdefault(file, []).append(name)
-    return [
-        {
-            "file": "shipped" if file is None else str(file),
-            "drives": names,
-            "provenance": setups[names[0]].detector.provenance,
-        }
-        for file, names in drives.items()
-    ]
-
-
 def _table(boxes: list[VideoBox], method: str) -> Table:
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
     from fgrecon.core.metrics import THRESHOLDS
     from fgrecon.evaluation.video_images import SYSTEM
     from fgrecon.evaluation.video_summary import group_boxes, summarise_boxes
 
     whole = method == SYSTEM
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
     shares = [f"AOP {threshold}° %" for threshold in THRESHOLDS]
     silent = ["silent %", "network %"] if whole else []
     jitter = ["size cm", "jitter °", "jitter m"]
     numbers = ["boxes", "tracks", "mean °", *shares, "turned %", *silent, "median m", "mean m", *jitter, "refused"]
-    for heading in (method, *numbers):
-        table.add_column(heading, justify="left" if heading == method else "right", no_wrap=True)
+    table = headed_table(method, *numbers)
     for by, named in group_boxes(boxes).items():
         if not whole and by not in ("drive", "regime"):
             continue
@@ -294,18 +182,11 @@ def _table(boxes: list[VideoBox], method: str) -> Table:
 
 def _consistency_table(boxes: list[VideoBox]) -> Table:
     """How sure the methods are that have covariances, against how far they are off."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
     from fgrecon.evaluation.video_images import DIMENSIONS
     from fgrecon.evaluation.video_summary import methods_of, summarise_boxes
 
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("squared errors by covariance", no_wrap=True)
-    for name in DIMENSIONS:
-        for heading in (f"{name} mean", "median", "in 95 %"):
-            table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("velocity m/s", justify="right", no_wrap=True)
+    headings = [heading for name in DIMENSIONS for heading in (f"{name} mean", "median", "in 95 %")]
+    table = headed_table("squared errors by covariance", *headings, "velocity m/s")
     for method in methods_of(boxes):
         score = summarise_boxes(boxes, method)
         if not score.consistency:
@@ -343,28 +224,26 @@ def _in_words(facing: Reliability) -> str:
     )
 
 
-def _sights(boxes: list[VideoBox], drives: list[Drive], setups: dict[str, Setup]) -> list[Sight]:
+def _sights(scored: ScoredDrives) -> list[Sight]:
     """The worst boxes with their photographs and labels, worst first; their frames are solved once more."""
-    from dataclasses import replace
-
     from fgrecon.evaluation.video_images import reconstruct_frame, wanted
     from fgrecon.evaluation.video_summary import worst_boxes
     from fgrecon.simulation.vehicles import yaw_pose
     from fgrecon.viz import Sight
     from fgrecon.viz.truth import Truth
 
-    by_name = {drive.name: drive for drive in drives}
+    by_name = {drive.name: drive for drive in scored.drives}
     sights = []
-    for box in worst_boxes(boxes, _WORST):
+    for box in worst_boxes(scored.boxes, _WORST):
         drive = by_name[box.drive]
         frame = next(frame for frame in drive.frames if frame.number == box.frame)
-        image, found = reconstruct_frame(drive.calibration, frame, setups[box.drive])
+        image, found = reconstruct_frame(drive.calibration, frame, scored.setups[box.drive])
         one = found[wanted(frame).tolist().index(box.index)]
         if one.result is None:
             continue
         labels, offset = frame.objects, drive.calibration.label_offset
         pose = yaw_pose(float(labels.rotation_y[box.index]), labels.location[box.index] + offset)
-        camera = replace(drive.calibration.camera, image_size=(image.shape[1], image.shape[0]))
+        camera = drive.calibration.camera.with_size_of(image)
         title = f"{box.drive}/{box.frame:06d}/{box.index}"
         truth = Truth(pose, labels.size[box.index])
         sights.append(Sight(one.result, one.detection.observation, camera, image, truth, title))

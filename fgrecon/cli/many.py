@@ -53,6 +53,7 @@ def batch_command(
     from fgrecon.batch import Reconstructor, run, sources_of
     from fgrecon.cli.show import plain_camera, plain_settings
     from fgrecon.core.options import Options
+    from fgrecon.core.reconstruction import Status
 
     screen = terminal.screen()
     settings = scene.settings(Options(strategy=scene.strategy, box=box_model, keep_history=False))
@@ -96,7 +97,7 @@ def batch_command(
     screen.print(table, f"{tally.done} of {tally.total} rows are done, {tally.before} of them before.")
     screen.detail(*(f"{count} x {error}" for error, count in tally.errors.most_common()))
     screen.wrote(out)
-    solved = {"converged", "weak", "ambiguous", "degenerate"}
+    solved = {status.value for status in Status if status is not Status.FAILED}
     if tally.statuses and not solved & set(tally.statuses):
         screen.fail("No vehicle could be reconstructed.")
         raise typer.Exit(1)

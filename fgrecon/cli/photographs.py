@@ -12,7 +12,7 @@ from fgrecon.cli.common import about_camera
 from fgrecon.cli.options import CameraOptions, VehicleBoxes
 from fgrecon.cli.picture_tasks import is_image, read_image_tasks
 from fgrecon.cli.terminal import Screen
-from fgrecon.cli.together import Scene, solve_together, wants_together
+from fgrecon.cli.together import Scene, grounds_of, solve_together, wants_together
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.io.files import write_text
@@ -155,7 +155,7 @@ def _reconstruct(one: PhotographFile, how: PhotographWork, screen: Screen) -> li
         write_text(_ending(one, ".json"), show.document(one.image, outcomes, settings, plain, history=how.history))
     )
     if how.pictures:
-        grounds = {task.instance.image: settings.ground for task in tasks} | {s.image: s.result.ground for s in scenes}
+        grounds = grounds_of(tasks, settings, scenes)
         screen.wrote(*show.draw(_ending(one, ".png"), outcomes, pixels, grounds, sheet=False))
     if not batch.check_any(one.image, outcomes):
         first = next(outcome for outcome in outcomes)

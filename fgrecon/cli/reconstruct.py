@@ -163,7 +163,7 @@ def reconstruct_command(
     Without a camera the focal length is the one in the photograph's EXIF data, or one that its cars tell together.
     """
     from fgrecon.cli import batch, photographs, picture_tasks, show
-    from fgrecon.cli.together import solve_together, wants_together
+    from fgrecon.cli.together import grounds_of, solve_together, wants_together
     from fgrecon.core.options import Options, ShapeOptions
     from fgrecon.io.images import read_photograph
 
@@ -224,7 +224,7 @@ def reconstruct_command(
     if ignored:
         screen.print(f"Fields of the file without a meaning here: {', '.join(ignored)}.")
     screen.write_json(show.document(file, outcomes, settings, [scene.plain() for scene in scenes], history=history))
-    grounds = {task.instance.image: settings.ground for task in tasks} | {s.image: s.result.ground for s in scenes}
+    grounds = grounds_of(tasks, settings, scenes)
     drawings.draw(outcomes, photograph, grounds, screen)
     if delivery.wanted:
         recordings = show.recordings(outcomes, photograph, grounds)

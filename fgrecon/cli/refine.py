@@ -53,6 +53,7 @@ def refine_command(
     from fgrecon.cli import refine_work
     from fgrecon.core.options import BoxOptions, Options
     from fgrecon.io.box_lines import boxed_images
+    from fgrecon.io.files import write_text
 
     check_outputs(json_out)
     screen = terminal.screen(json_out)
@@ -70,9 +71,9 @@ def refine_command(
     for one in screen.watch(found, "Images"):
         done.append(work(one))
         if boxes.is_dir():
-            refine_work.write(out / one.source.name, done[-1].text)
+            write_text(out / one.source.name, done[-1].text)
     if not boxes.is_dir():
-        refine_work.write(out, refine_work.merged(done))
+        write_text(out, refine_work.merged(done))
     refine_work.show(screen, done)
     screen.wrote(out)
     screen.write_json(refine_work.document(how, done))

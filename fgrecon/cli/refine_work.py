@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from importlib import metadata
 from pathlib import Path
@@ -25,13 +25,12 @@ from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.refined_box import RefinedBox
 from fgrecon.core.text import printable
 from fgrecon.io.box_lines import BoxedImage, BoxLine
-from fgrecon.io.files import write_text
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_calibration import calibration_beside, read_calibration
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.refine import refine_boxes
 
-__all__ = ["FORMAT", "KINDS", "Done", "RefineWork", "Refiner", "document", "merged", "show", "write"]
+__all__ = ["FORMAT", "KINDS", "Done", "RefineWork", "Refiner", "document", "merged", "show"]
 
 FORMAT = "fgrecon.refined-boxes/1"
 KINDS = "Car", "Van"
@@ -108,7 +107,7 @@ class Refiner:
                 if line.kind in KINDS and line.score >= self.how.min_score and (box := line.box(offset)) is not None
             ]
             pixels = read_image(one.image)
-            sized = replace(camera, image_size=(pixels.shape[1], pixels.shape[0]))
+            sized = camera.with_size_of(pixels)
             settings = self.how.settings
             found = refine_boxes(
                 pixels,
@@ -146,15 +145,6 @@ class Refiner:
                 raise InvalidInputError("camera", f"none for {image}", fix)
             camera, offset = beside.camera, beside.label_offset
         return source.complete(camera, declared=False), np.zeros(3) if offset is None else offset
-
-
-def write(path: Path, text: str) -> None:
-    """Write a file of lines, whole or not at all.
-
-    Raises:
-        InvalidInputError: It cannot be written.
-    """
-    write_text(path, text)
 
 
 def merged(done: Sequence[Done]) -> str:

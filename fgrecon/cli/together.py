@@ -8,11 +8,12 @@ from typing import Any
 
 from fgrecon.cli.batch import Outcome, Settings, Task
 from fgrecon.cli.terminal import Screen
+from fgrecon.core.camera import Ground
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.scene_reconstruction import SceneReconstruction
 from fgrecon.solve.scene import reconstruct_scene
 
-__all__ = ["Scene", "solve_together", "wants_together"]
+__all__ = ["Scene", "grounds_of", "solve_together", "wants_together"]
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,11 @@ class Scene:
             "focal_lengths": [{"pixels": pixels, "excess": excess} for pixels, excess in scene.focal_lengths],
             "focal_sigma": scene.camera.focal_sigma if scene.focal_lengths else None,
         }
+
+
+def grounds_of(tasks: Sequence[Task], settings: Settings, scenes: Sequence[Scene]) -> dict[str | None, Ground | None]:
+    """The ground of each image, by its name: the one that its vehicles found, or what was told."""
+    return {task.instance.image: settings.ground for task in tasks} | {s.image: s.result.ground for s in scenes}
 
 
 def wants_together(tasks: Sequence[Task]) -> bool:

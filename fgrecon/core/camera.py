@@ -125,6 +125,10 @@ class Camera:
         """
         return replace(cls.of_field_of_view(width, height), focal_sigma=ANY_FOCAL_SIGMA)
 
+    def with_size_of(self, image: NDArray[Any]) -> Camera:
+        """The camera with the size of an image (H, W, ...) that it took."""
+        return replace(self, image_size=(image.shape[1], image.shape[0]))
+
     def scaled(self, ratio: float) -> Camera:
         """The camera with focal lengths (and skew) that many times as long."""
         matrix = self.matrix.copy()

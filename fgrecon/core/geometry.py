@@ -7,7 +7,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from factors.projection import cross, pixel_jacobian
 
-__all__ = ["MIRROR", "cross", "exponential", "pixel_jacobian", "transform", "view_azimuth", "yaw_rotation"]
+__all__ = [
+    "MIRROR",
+    "cross",
+    "exponential",
+    "pixel_jacobian",
+    "position_covariance",
+    "transform",
+    "view_azimuth",
+    "yaw_rotation",
+]
 
 Array = NDArray[np.float64]
 
@@ -45,6 +54,13 @@ def view_azimuth(rotation: Array, translation: Array) -> Array:
     position = -np.einsum("...ij,...i->...j", rotation, translation)
     azimuth: Array = np.arctan2(position[..., 2], position[..., 0])
     return azimuth
+
+
+def position_covariance(camera_T_object: Array, pose_covariance: Array) -> Array:
+    """(3, 3) covariance of the origin in the camera frame, of that (6, 6) of the pose in GTSAM's order and frame."""
+    rotation = camera_T_object[:3, :3]
+    covariance: Array = rotation @ pose_covariance[3:, 3:] @ rotation.T
+    return covariance
 
 
 def transform(a_T_b: Array, points: Array) -> Array:

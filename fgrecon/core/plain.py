@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.deferred import Deferred
 
-__all__ = ["array", "indices", "numbers", "pairs", "plain", "square"]
+__all__ = ["array", "finite", "indices", "numbers", "pairs", "plain", "square"]
 
 
 def plain(value: Any) -> Any:
@@ -32,6 +32,17 @@ def plain(value: Any) -> Any:
         return [plain(item) for item in value]
     if is_dataclass(value):
         return {f.name: plain(getattr(value, f.name)) for f in fields(value)}
+    return value
+
+
+def finite(value: Any) -> Any:
+    """The value with None for numbers that are not finite, also in mappings and sequences, which become lists."""
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
     return value
 
 

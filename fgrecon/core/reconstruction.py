@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +16,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.plain import array, indices, numbers, pairs, plain, square
 from fgrecon.core.plotting import DEFAULT_BACKEND, as_html, plotting_backend
+from fgrecon.core.status import Status
 from fgrecon.core.table import as_arrow, as_pandas
 
 if TYPE_CHECKING:
@@ -35,20 +35,6 @@ _STEPS = ("history", "graph")
 
 TRUSTED = 0.5
 """Keypoints of at least this weight count as trusted where results are told in words."""
-
-
-class Status(StrEnum):
-    """How a reconstruction ended."""
-
-    CONVERGED = "converged"
-    WEAK = "weak"
-    """It converged, but little carries it, or it is at odds with what was told: see `reasons`."""
-    AMBIGUOUS = "ambiguous"
-    """Another pose explains the keypoints nearly as well: see `alternatives`."""
-    DEGENERATE = "degenerate"
-    """The keypoints leave a direction undetermined, or nearly so: see `message` and the covariances."""
-    FAILED = "failed"
-    """The optimisation gave up, and this is the state before: see `message`."""
 
 
 @dataclass(frozen=True)

@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import FAILURE_DEGREES, THRESHOLDS, orientation_error
+from fgrecon.core.plain import finite
 from fgrecon.evaluation.bootstrap import Interval, mean_interval
 from fgrecon.evaluation.kitti_devkit import REGIMES, evaluate, match_detections
 from fgrecon.evaluation.kitti_overlap import Space, overlap
-from fgrecon.evaluation.video_images import wanted
+from fgrecon.evaluation.video_images import TURNED_ROUND, wanted
 from fgrecon.io.kitti_drives import Drive
 from fgrecon.io.kitti_files import LABEL_COLUMNS, Defect, Objects, parse_objects
 
@@ -43,7 +44,6 @@ Array = NDArray[np.float64]
 LEAST_OVERLAPS = (0.5, 0.7)
 """3D overlaps from which on a box counts as right."""
 
-_TURNED = 90.0  # degrees
 _DISTANCES = (0.0, 15.0, 30.0, np.inf)  # metres
 _NAME = "{:06d}"  # of a frame
 
@@ -231,7 +231,7 @@ def document(scored: Mapping[str, Sequence[LabelledBox]], curves: Mapping[str, S
                 "name": name,
                 "groups": {group: _plain(summary) for group, summary in summarise(vehicles).items()},
                 "average_precision_40": [vars(one) for one in curves[name]],
-                "vehicles": [_finite(vars(one)) for one in vehicles],
+                "vehicles": [finite(vars(one)) for one in vehicles],
             }
             for name, vehicles in scored.items()
         ],
@@ -284,7 +284,7 @@ def _summary(vehicles: Sequence[LabelledBox]) -> BoxesSummary:
         found=int(got.sum()),
         right=tuple(mean_interval(100.0 * (shared >= least), frames) for least in LEAST_OVERLAPS),
         within=tuple(mean_interval(100.0 * (degrees <= most), frames) for most in THRESHOLDS),
-        turned=np.nan if nothing else 100.0 * float((degrees[got] > _TURNED).mean()),
+        turned=np.nan if nothing else 100.0 * float((degrees[got] > TURNED_ROUND).mean()),
         mean_metres=None if nothing else mean_interval(metres, frames[got]),
         median_metres=np.nan if nothing else float(np.median(metres)),
         depth=np.nan if nothing else 100.0 * float(np.median([one.depth for one in vehicles if one.found])),
@@ -293,19 +293,8 @@ def _summary(vehicles: Sequence[LabelledBox]) -> BoxesSummary:
 
 
 def _plain(summary: BoxesSummary) -> dict[str, Any]:
-    told = _finite(vars(summary))
+    told: dict[str, Any] = finite(vars(summary))
     for name in ("right", "within"):
         told[name] = [vars(one) for one in getattr(summary, name)]
     told["mean_metres"] = None if summary.mean_metres is None else vars(summary.mean_metres)
     return told
-
-
-def _finite(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Numbers that are not finite as None, also in tuples."""
-
-    def plain(value: Any) -> Any:
-        if isinstance(value, tuple):
-            return [plain(one) for one in value]
-        return None if isinstance(value, float) and not np.isfinite(value) else value
-
-    return {name: plain(value) for name, value in values.items()}

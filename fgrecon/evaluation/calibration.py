@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from fgrecon.core.coverage import LEVELS, Coverage, Region, coverage
+from fgrecon.core.plain import finite
 from fgrecon.core.reliability import Reliability, reliability
 from fgrecon.evaluation.video_images import DIMENSIONS, TURNED_ROUND, VideoBox
 
@@ -90,8 +89,8 @@ def calibration_document(found: Calibration, given: dict[str, Any]) -> dict[str,
                 "count": one.count,
                 "levels": LEVELS.tolist(),
                 "claimed": one.claimed.tolist(),
-                "inside": {f"{level:g}": _known(some) for level, some in one.inside.items()},
-                "width": {f"{level:g}": _known(some) for level, some in one.width.items()},
+                "inside": {f"{level:g}": finite(some) for level, some in one.inside.items()},
+                "width": {f"{level:g}": finite(some) for level, some in one.width.items()},
             }
             for one in found.regions
         ],
@@ -106,7 +105,3 @@ def calibration_document(found: Calibration, given: dict[str, Any]) -> dict[str,
             for one in found.statuses
         ],
     }
-
-
-def _known(values: dict[str, float]) -> dict[str, float | None]:
-    return {name: value if np.isfinite(value) else None for name, value in values.items()}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from fgrecon.core.metrics import (
     translation_error,
 )
 from fgrecon.core.options import Options
+from fgrecon.core.plain import finite
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.evaluation.kitti_devkit import MINIMUM_OVERLAP, REGIMES, match_detections, regime_members
@@ -195,7 +196,7 @@ def score_frame(frame: ImageFrame, setup: Setup) -> list[Car]:
     if not len(chosen):
         return []
     image = read_image(frame.image)
-    camera = replace(frame.calibration.camera, image_size=(image.shape[1], image.shape[0]))
+    camera = frame.calibration.camera.with_size_of(image)
     boxes: list[Array | None] = [labels.box[i] for i in chosen]
     if frame.detections is not None:
         at = match_detections(labels.take(chosen), frame.detections, setup.overlap)
@@ -272,10 +273,6 @@ def summarise(cars: Sequence[Car]) -> tuple[RegimeScore, ...]:
 
 def document(cars: Sequence[Car], given: dict[str, Any]) -> dict[str, Any]:
     """Everything as plain values for JSON: what was given, the regimes, and each car."""
-
-    def finite(value: float) -> float | None:
-        return value if np.isfinite(value) else None
-
     return {
         "format": "fgrecon.kitti-images/1",
         "given": given,

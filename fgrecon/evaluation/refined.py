@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -20,11 +20,12 @@ from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Ground
 from fgrecon.core.metrics import orientation_error
 from fgrecon.core.options import Options
+from fgrecon.core.plain import finite
 from fgrecon.core.refined_box import RefinedBox
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.evaluation.kitti_devkit import match_detections
-from fgrecon.evaluation.video_images import wanted
+from fgrecon.evaluation.video_images import TURNED_ROUND, wanted
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_drives import Drive, DriveFrame
 from fgrecon.io.kitti_files import Objects
@@ -37,7 +38,6 @@ __all__ = ["BoxError", "Comparison", "RefinedVehicle", "Refinement", "compare", 
 Array = NDArray[np.float64]
 
 _OVERLAP = 0.5  # in the image, above which a box is a labelled vehicle's
-_TURNED = 90.0  # degrees
 _WORSE = 5.0  # percent of the distance
 _DISTANCES = (0.0, 15.0, 30.0, np.inf)  # metres
 
@@ -199,8 +199,8 @@ def document(vehicles: Sequence[RefinedVehicle], given: Mapping[str, Any]) -> di
     return {
         "format": "fgrecon.refinement/1",
         "given": dict(given),
-        "groups": {name: _finite(asdict(one)) for name, one in compare(vehicles).items()},
-        "vehicles": [_finite(asdict(one)) for one in vehicles],
+        "groups": {name: finite(asdict(one)) for name, one in compare(vehicles).items()},
+        "vehicles": [finite(asdict(one)) for one in vehicles],
     }
 
 
@@ -215,7 +215,7 @@ def _refine_frame(
 ) -> list[RefinedVehicle]:
     offset, labels, rows = frame.calibration.label_offset, frame.objects, wanted(frame)
     image = read_image(frame.image)
-    camera = replace(frame.calibration.camera, image_size=(image.shape[1], image.shape[0]))
+    camera = frame.calibration.camera.with_size_of(image)
     found = refine_boxes(
         image,
         boxes,
@@ -278,7 +278,7 @@ def _comparison(vehicles: Sequence[RefinedVehicle]) -> Comparison:
         median_metres=_pair(np.median(metres, axis=1)),
         mean_degrees=_pair(degrees.mean(axis=1)),
         median_degrees=_pair(np.median(degrees, axis=1)),
-        turned=(int((degrees[0] > _TURNED).sum()), int((degrees[1] > _TURNED).sum())),
+        turned=(int((degrees[0] > TURNED_ROUND).sum()), int((degrees[1] > TURNED_ROUND).sum())),
         size=(_three(sizes[0]), _three(sizes[1])),
         worse=int((worse > _WORSE).sum()),
         worst_metres=float((metres[1] - metres[0]).max()),
@@ -296,8 +296,3 @@ def _pair(values: Array) -> tuple[float, float]:
 def _three(values: Array) -> tuple[float, float, float]:
     length, width, height = values.tolist()
     return length, width, height
-
-
-def _finite(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Numbers that are not finite as None."""
-    return {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in values.items()}

@@ -10,7 +10,6 @@ have), `prior`, `summary` and `failures` (frame and reason). Beside it stand `un
 from __future__ import annotations
 
 import json
-import math
 import os
 import platform
 from collections.abc import Mapping, Sequence
@@ -25,6 +24,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from fgrecon.core.metrics import THRESHOLDS, instances_within, orientation_precision
+from fgrecon.core.plain import finite
 from fgrecon.evaluation.methods import SceneKnowledge
 from fgrecon.evaluation.run import MethodScores
 from fgrecon.io.track_file import Track
@@ -64,7 +64,7 @@ def summary(scores: MethodScores) -> dict[str, Any]:
         "median_deg": float(np.median(errors)),
         "aop": {str(t): 100.0 * orientation_precision(errors, t) for t in THRESHOLDS},
         "frames_within": {str(t): instances_within(errors, t) for t in THRESHOLDS},
-        "median_translation_m": _finite(float(np.median(scores.translation_errors))),
+        "median_translation_m": finite(float(np.median(scores.translation_errors))),
         "ms": {stage: scores.milliseconds(stage) for stage in STAGES},
         "prior": scores.prior,
         "summary": scores.summary,
@@ -124,7 +124,7 @@ def frames_document(scores: Sequence[MethodScores]) -> dict[str, Any]:
                 {
                     "frame": frame.frame,
                     "orientation_deg": frame.orientation_error,
-                    "translation_m": _finite(frame.translation_error),
+                    "translation_m": finite(frame.translation_error),
                     "rotation_y": frame.rotation_y,
                     "location": None if frame.location is None else frame.location.tolist(),
                     "ms": frame.milliseconds,
@@ -214,7 +214,3 @@ def _cells(scores: MethodScores) -> list[str]:
 
 def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.2f}"
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

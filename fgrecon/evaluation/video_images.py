@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import StrEnum
 from multiprocessing import get_context
 from typing import Any
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from fgrecon.annotation.wanted import Wanted
 from fgrecon.core.detection import facing_probability
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.geometry import view_azimuth, yaw_rotation
+from fgrecon.core.geometry import position_covariance, view_azimuth, yaw_rotation
 from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error, translation_error, wrap_angle
 from fgrecon.core.observation import Observation
 from fgrecon.core.processes import single_threaded
@@ -217,7 +217,7 @@ def reconstruct_frame(
         InvalidInputError: The image cannot be read, or a box is outside it; names the image.
     """
     image = read_image(frame.image)
-    camera = replace(calibration.camera, image_size=(image.shape[1], image.shape[0]))
+    camera = calibration.camera.with_size_of(image)
     try:
         return image, reconstruct_boxes(image, camera, list(frame.objects.box[wanted(frame)]), setup)
     except InvalidInputError as error:
@@ -297,7 +297,7 @@ def _score_frame(
     drive: str, calibration: KittiCalibration, frame: DriveFrame, setup: Setup, rivals: Mapping[str, Solver]
 ) -> list[VideoBox]:
     image, found = reconstruct_frame(calibration, frame, setup)
-    camera = replace(calibration.camera, image_size=(image.shape[1], image.shape[0]))
+    camera = calibration.camera.with_size_of(image)
     labels, offset = frame.objects, calibration.label_offset
     boxes = []
     for index, one in zip(wanted(frame).tolist(), found, strict=True):
@@ -380,8 +380,7 @@ def _regions(result: Reconstruction) -> dict[str, Array]:
     covariance = result.pose_covariance
     if covariance is None:
         return {}
-    axes = result.camera_T_object[:3, :3]
-    return {"position": axes @ covariance[3:, 3:] @ axes.T, "yaw": covariance[1:2, 1:2]}
+    return {"position": position_covariance(result.camera_T_object, covariance), "yaw": covariance[1:2, 1:2]}
 
 
 def _spread(name: str, covariance: Array) -> float:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from fgrecon.core.metrics import THRESHOLDS, wrap_angle
+from fgrecon.core.plain import finite
 from fgrecon.core.reconstruction import Status
 from fgrecon.core.reliability import Reliability, reliability
 from fgrecon.evaluation.bootstrap import Interval, mean_interval
@@ -282,9 +283,6 @@ def _plain(summary: BoxSummary) -> dict[str, Any]:
             "low": None if alone else found.low,
             "high": None if alone else found.high,
         }
-
-    def finite(value: float) -> float | None:
-        return value if np.isfinite(value) else None
 
     return {
         "boxes": summary.boxes,

@@ -73,7 +73,7 @@ def refine_boxes(
     pixels = read_image(image) if isinstance(image, str | Path) else as_rgb8(image)
     seen_by = Camera.of(camera)
     if seen_by.image_size is None:
-        seen_by = replace(seen_by, image_size=(pixels.shape[1], pixels.shape[0]))
+        seen_by = seen_by.with_size_of(pixels)
     given = np.full((len(boxes), 4), np.nan) if corners is None else np.asarray(corners, dtype=np.float64)
     given = as_shape("corners", given.reshape(-1, 4) if not given.size else given, (len(boxes), 4))
     own: NDArray[np.bool_] = np.all(np.isfinite(given), axis=1)

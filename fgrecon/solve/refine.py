@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.errors import FgreconError
-from fgrecon.core.reconstruction import TRUSTED, Reconstruction, Status
+from fgrecon.core.geometry import position_covariance
+from fgrecon.core.reconstruction import TRUSTED, Reconstruction
 from fgrecon.core.refined_box import RefinedBox
 
 __all__ = ["refined"]
@@ -35,13 +36,12 @@ def refined(given: Box3D, errors: BoxErrors, result: Reconstruction | None, erro
     covariance, size = result.pose_covariance, result.size_covariance
     if weak is not None or covariance is None or size is None:
         return RefinedBox(given, given, f"Unchanged: {weak or result.message}", result)
-    rotation = result.camera_T_object[:3, :3]
     return RefinedBox(
         given=given,
         box=Box3D(result.location, result.rotation_y, result.box_size),
         message=result.message,
         result=result,
-        location_covariance=rotation @ covariance[3:, 3:] @ rotation.T,
+        location_covariance=position_covariance(result.camera_T_object, covariance),
         yaw_sigma=float(np.sqrt(covariance[1, 1])),
         size_covariance=size,
     )
@@ -49,7 +49,7 @@ def refined(given: Box3D, errors: BoxErrors, result: Reconstruction | None, erro
 
 def _weak(result: Reconstruction) -> str | None:
     """Why a result says nothing; None where it says something."""
-    if result.status in (Status.FAILED, Status.DEGENERATE):
+    if not result.status.determined:
         return result.message
     trusted = int(np.count_nonzero(result.weights >= TRUSTED))
     return None if trusted >= _FEWEST else f"{trusted} keypoints are trusted; it takes {_FEWEST}."

@@ -121,7 +121,7 @@ def _result(
     facing = _facing(part, camera_T_object) if told is None else told
     status, message = _status(camera_T_object, box_size, facing, alternatives, uncertainty, problem.options, optimum)
     reasons: tuple[str, ...] = ()
-    if status in (Status.CONVERGED, Status.AMBIGUOUS):
+    if status.determined:
         seen = problem.observation, weights.keypoints, problem.camera, camera_T_object
         reasons = weaknesses(*seen, coefficients, box_size, problem.ground)
     sigma = np.sqrt(np.sqrt(np.linalg.det(keypoint_covariances(problem.observation, problem.options.keypoints))))
@@ -168,7 +168,7 @@ def weakened(result: Reconstruction, reasons: Sequence[str]) -> Reconstruction:
     if not reasons:
         return result
     told = (*result.reasons, *reasons)
-    if result.status not in (Status.CONVERGED, Status.WEAK):
+    if not result.status.settled:
         return replace(result, reasons=told)
     text = "; ".join(told)
     return replace(result, status=Status.WEAK, message=f"{text[0].upper()}{text[1:]}.", reasons=told)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.box3d import box_corners
 from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.geometry import transform
 from fgrecon.core.observation import Observation
 
 __all__ = ["off_ground", "weaknesses"]
@@ -72,12 +73,10 @@ def off_ground(below: float, sigma: float) -> list[str]:
 def _outside(camera: Camera, camera_T_object: Array, box_size: Array) -> float:
     """Share of the 2D box around the vehicle that is not in the image; 1 where it reaches behind the camera."""
     assert camera.image_size is not None
-    corners = box_corners(box_size) @ camera_T_object[:3, :3].T + camera_T_object[:3, 3]
+    corners = transform(camera_T_object, box_corners(box_size))
     if corners[:, 2].min() <= 0.0:
         return 1.0
     pixels = camera.project(corners)
-    low, high = pixels.min(axis=0), pixels.max(axis=0)
-    inside = np.clip(high, -0.5, np.array(camera.image_size) - 0.5) - np.clip(
-        low, -0.5, np.array(camera.image_size) - 0.5
-    )
-    return float(1.0 - np.prod(inside) / np.prod(high - low))
+    box = np.array([pixels.min(axis=0), pixels.max(axis=0)])
+    inside = np.clip(box, -0.5, np.array(camera.image_size) - 0.5)
+    return float(1.0 - np.prod(inside[1] - inside[0]) / np.prod(box[1] - box[0]))

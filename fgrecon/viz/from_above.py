@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera, Ground
-from fgrecon.core.geometry import transform
+from fgrecon.core.geometry import position_covariance, transform
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.viz import style
-from fgrecon.viz.geometry import box_corners, ellipse, level_axes, position_covariance
+from fgrecon.viz.geometry import box_corners, ellipse, level_axes
 from fgrecon.viz.marks import unit
 from fgrecon.viz.overlay import Shown
 from fgrecon.viz.tags import Plates

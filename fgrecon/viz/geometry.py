@@ -21,7 +21,6 @@ __all__ = [
     "ground_lines",
     "image_points",
     "level_axes",
-    "position_covariance",
     "resolution",
     "vertex_normals",
 ]
@@ -205,12 +204,3 @@ def ellipse(covariance: NDArray[np.float64], radius: float, points: int = 48) ->
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     outline: NDArray[np.float64] = radius * circle * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
     return outline
-
-
-def position_covariance(
-    camera_T_object: NDArray[np.float64], pose_covariance: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """(3, 3) covariance of the origin in the camera frame, of that (6, 6) of the pose in GTSAM's order and frame."""
-    rotation = camera_T_object[:3, :3]
-    covariance: NDArray[np.float64] = rotation @ pose_covariance[3:, 3:] @ rotation.T
-    return covariance

@@ -15,10 +15,11 @@ import numpy as np
 
 from fgrecon.core.camera import Ground
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import position_covariance
 from fgrecon.viz import entities, style
 from fgrecon.viz.columns import Outbox, column, fixed_columns, made_columns, strip_column
 from fgrecon.viz.describe import scene_table
-from fgrecon.viz.geometry import ellipsoids, ground_lines, level_axes, position_covariance
+from fgrecon.viz.geometry import ellipsoids, ground_lines, level_axes
 from fgrecon.viz.overlay import Shown
 from fgrecon.viz.overview import STATES, named_boxes, state_in_words
 from fgrecon.viz.photograph import Photograph

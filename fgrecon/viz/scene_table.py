@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.geometry import position_covariance
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.viz import style
 from fgrecon.viz.from_above import CONFIDENCE, DASHES, name_of
-from fgrecon.viz.geometry import position_covariance
 from fgrecon.viz.marks import unit
 from fgrecon.viz.overlay import Shown
 from fgrecon.viz.truth import ORIENTATION_ERROR, TRANSLATION_ERROR

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from fgrecon.cli import main
-from fgrecon.cli.evaluate_video import read_folds
+from fgrecon.cli.labelled_drives import read_folds
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.images import write_png
 

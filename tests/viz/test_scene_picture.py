@@ -9,10 +9,11 @@ import pytest
 
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import position_covariance
 from fgrecon.core.reconstruction import Status
 from fgrecon.viz import Shown, as_rgb, save_picture, scene_picture, style
 from fgrecon.viz.from_above import DASHES, ellipse_scale
-from fgrecon.viz.geometry import ellipse, level_axes, position_covariance
+from fgrecon.viz.geometry import ellipse, level_axes
 from fgrecon.viz.picture import new_figure, place_axes
 from fgrecon.viz.scene_table import scene_page
 from fgrecon.viz.tags import Plates

@@ -1,0 +1,172 @@
+"""Labelled drives as evaluation commands take them: which network sees each, and what it finds in their boxes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fgrecon.cli.options import LabelledScene, TogetherOption, WeightsOption
+from fgrecon.cli.progress import counting
+from fgrecon.core.choices import BoxModel
+
+if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
+    from fgrecon.cli.terminal import Screen
+    from fgrecon.evaluation.kitti_images import Setup
+    from fgrecon.evaluation.methods import SceneKnowledge
+    from fgrecon.evaluation.video_images import VideoBox
+    from fgrecon.io.kitti_drives import Drive
+
+__all__ = ["DriveOptions", "DrivesArgument", "FoldOption", "ScoredDrives", "read_folds"]
+
+DrivesArgument = Annotated[
+    list[Path],
+    typer.Argument(metavar="DRIVE", help="Folders with image_02, calib.txt and label_02.txt of KITTI's tracking set."),
+]
+FoldOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="DRIVE[,DRIVE...]=FILE",
+        help="Keypoint network for these drives, such as one that was trained without them; repeat for more.",
+    ),
+]
+
+
+@dataclass(frozen=True)
+class ScoredDrives:
+    """Drives whose labelled boxes were reconstructed and scored.
+
+    Attributes:
+        drives: The drives.
+        files: Which file has the network of each, by the drive's name; None for the shipped one.
+        setups: What each was reconstructed with, by its name.
+        scene: What was told.
+        ground: In words where the ground comes from.
+        images: How many images have a box that counts.
+        boxes: Those boxes.
+    """
+
+    drives: list[Drive]
+    files: dict[str, Path | None]
+    setups: dict[str, Setup]
+    scene: SceneKnowledge
+    ground: str
+    images: int
+    boxes: list[VideoBox]
+
+    def in_words(self) -> str:
+        """How much it is, and on which ground."""
+        return f"{len(self.drives)} drives, {self.images} images, {len(self.boxes)} boxes; {self.ground}."
+
+    def networks(self) -> list[dict[str, Any]]:
+        """Of each network its file, the drives that it scored, and what it has learnt from."""
+        drives: dict[Path | None, list[str]] = {}
+        for name, file in self.files.items():
+            drives.setdefault(file, []).append(name)
+        return [
+            {
+                "file": "shipped" if file is None else str(file),
+                "drives": names,
+                "provenance": self.setups[names[0]].detector.provenance,
+            }
+            for file, names in drives.items()
+        ]
+
+
+@dataclass(frozen=True)
+class DriveOptions:
+    """How labelled drives are reconstructed."""
+
+    weights: WeightsOption = None
+    fold: FoldOption = None
+    box_model: Annotated[BoxModel, typer.Option(help="What the 2D boxes enclose.")] = BoxModel.CUBOID
+    together: TogetherOption = True
+    jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1
+
+    def score(
+        self, folders: Sequence[Path], labelled: LabelledScene, screen: Screen, *, rivals: Sequence[str], track: bool
+    ) -> ScoredDrives:
+        """Reconstruct the labelled boxes that count, and score them.
+
+        Args:
+            folders: Of the drives.
+            labelled: What is told.
+            screen: Where progress is shown.
+            rivals: Methods that get the same keypoints.
+            track: Whether the vehicles are followed by their labelled ids as well.
+
+        Raises:
+            InvalidInputError: A folder is no drive, no box counts, or a network is given for none of the drives.
+        """
+        from fgrecon.core.errors import InvalidInputError
+        from fgrecon.core.options import Options
+        from fgrecon.evaluation.video_images import score_drives, wanted
+        from fgrecon.evaluation.video_tracks import follow_boxes
+        from fgrecon.io.kitti_drives import read_drive
+
+        drives = [read_drive(folder.absolute()) for folder in folders]
+        files = read_folds(self.fold or (), [drive.name for drive in drives], self.weights)
+        images = sum(len(wanted(frame)) > 0 for drive in drives for frame in drive.frames)
+        if not images:
+            fix = "Give drives with labelled cars or vans of at least 25 pixels."
+            raise InvalidInputError("drives", ", ".join(drive.name for drive in drives), fix)
+        scene, (_, ground) = labelled.scene(), labelled.plane()
+        setups = _setups(files, scene, Options(box=self.box_model), together=self.together)
+        with screen.bar() as advance:
+            watched = counting(advance, "Images", images)
+            boxes = score_drives(drives, setups, scene, rivals=rivals, jobs=self.jobs, advance=watched)
+            if track:
+                boxes = follow_boxes(boxes, drives, setups)
+        return ScoredDrives(drives, files, setups, scene, ground, images, boxes)
+
+
+def read_folds(folds: Sequence[str], drives: Sequence[str], weights: Path | None) -> dict[str, Path | None]:
+    """Which file has the network that scores each drive, by the drive's name; None for the shipped one.
+
+    Args:
+        folds: `DRIVE[,DRIVE...]=FILE` each.
+        drives: Names of all drives.
+        weights: File for the drives that no fold names, or None.
+
+    Raises:
+        InvalidInputError: Two drives have one name, or a fold names none, one that is not there, or one of another.
+    """
+    from fgrecon.core.errors import InvalidInputError
+
+    twice = [name for number, name in enumerate(drives) if name in drives[:number]]
+    if twice:
+        raise InvalidInputError("drives", twice[0], "Give each drive once; their folders need different names.")
+    found: dict[str, Path | None] = {}
+    for text in folds:
+        names, _, file = text.partition("=")
+        if not names or not file:
+            raise InvalidInputError("fold", text, "Give DRIVE[,DRIVE...]=FILE.")
+        for name in names.split(","):
+            if name not in drives:
+                raise InvalidInputError("fold", name, f"Name one of the drives: {', '.join(drives)}.")
+            if name in found:
+                raise InvalidInputError("fold", name, "Name each drive in one fold.")
+            found[name] = Path(file)
+    return {name: found.get(name, weights) for name in drives}
+
+
+def _setups(files: dict[str, Path | None], scene: SceneKnowledge, options: Any, *, together: bool) -> dict[str, Setup]:
+    """What each drive is reconstructed with, by its name; each network is loaded once."""
+    from fgrecon.evaluation.kitti_images import Setup
+    from fgrecon.perception.keypoints.detect import KeypointCascade
+
+    made = {
+        file: Setup(
+            detector=KeypointCascade(file),
+            prior=scene.prior,
+            ground=scene.ground,
+            size_prior=scene.size,
+            options=options,
+            together=together,
+        )
+        for file in dict.fromkeys(files.values())
+    }
+    return {name: made[file] for name, file in files.items()}

@@ -1,0 +1,31 @@
+"""How a reconstruction ends."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+__all__ = ["Status"]
+
+
+class Status(StrEnum):
+    """How a reconstruction ended."""
+
+    CONVERGED = "converged"
+    WEAK = "weak"
+    """It converged, but little carries it, or it is at odds with what was told: see `reasons`."""
+    AMBIGUOUS = "ambiguous"
+    """Another pose explains the keypoints nearly as well: see `alternatives`."""
+    DEGENERATE = "degenerate"
+    """The keypoints leave a direction undetermined, or nearly so: see `message` and the covariances."""
+    FAILED = "failed"
+    """The optimisation gave up, and this is the state before: see `message`."""
+
+    @property
+    def settled(self) -> bool:
+        """Whether one pose was found, and a minimum there."""
+        return self in (Status.CONVERGED, Status.WEAK)
+
+    @property
+    def determined(self) -> bool:
+        """Whether the keypoints determine a pose, be it one of several."""
+        return self.settled or self is Status.AMBIGUOUS
