@@ -130,18 +130,16 @@ def _write(recordings: Sequence[tuple[str, Recording]], save: Path, *, several: 
     """Write recordings to files: while some are encoded and written, the next is made."""
     from concurrent.futures import Future, ThreadPoolExecutor
 
+    from fgrecon.core.text import distinct
+
     written: list[Path] = []
-    taken: set[Path] = set()
+    taken: set[str] = set()
     with ThreadPoolExecutor(max_workers=_AT_ONCE) as background:
         before: list[Future[Path]] = []
         for identity, recording in recordings:
             suffix = re.sub(r"[^\w.-]+", "-", identity)
-            target = save.with_name(f"{save.stem}-{suffix}{save.suffix}") if several else save
-            number = 1
-            while target in taken:  # names need not be unique
-                number += 1
-                target = save.with_name(f"{save.stem}-{suffix}-{number}{save.suffix}")
-            taken.add(target)
+            name = distinct(f"{save.stem}-{suffix}" if several else save.stem, taken)  # names need not be unique
+            target = save.with_name(f"{name}{save.suffix}")
             before.append(background.submit(recording.begin(target)))
             if len(before) > _AT_ONCE:  # no more of them in memory
                 written.append(before.pop(0).result())

@@ -15,6 +15,7 @@ from fgrecon.cli.terminal import Screen
 from fgrecon.cli.together import Scene, grounds_of, solve_together, wants_together
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.text import distinct
 from fgrecon.io.files import write_text
 from fgrecon.io.images import IMAGES, read_photograph
 
@@ -90,7 +91,7 @@ def wanted(files: Sequence[Path], out: Path | None, *, pictures: bool) -> list[P
         raise InvalidInputError("out", str(out), "Give a folder.")
     out.mkdir(parents=True, exist_ok=True)
     taken: set[str] = set()
-    return [PhotographFile(image, out / _name(image.stem, taken)) for image in images]
+    return [PhotographFile(image, out / distinct(image.stem, taken)) for image in images]
 
 
 def refuse(json_out: str | None, drawn: bool, recorded: bool, box: Sequence[str] | None) -> None:
@@ -165,13 +166,3 @@ def _reconstruct(one: PhotographFile, how: PhotographWork, screen: Screen) -> li
 
 def _ending(one: PhotographFile, ending: str) -> Path:
     return one.target.with_name(one.target.name + ending)
-
-
-def _name(stem: str, taken: set[str]) -> str:
-    """A name of its own, since images of several folders may have one."""
-    name, number = stem, 1
-    while name in taken:
-        number += 1
-        name = f"{stem}-{number}"
-    taken.add(name)
-    return name

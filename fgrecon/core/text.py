@@ -1,8 +1,8 @@
-"""Texts of unknown origin, as they may be shown."""
+"""Texts of unknown origin, as they may be shown and used as names."""
 
 from __future__ import annotations
 
-__all__ = ["printable"]
+__all__ = ["distinct", "printable"]
 
 
 def printable(text: str, most: int = 4000) -> str:
@@ -16,3 +16,13 @@ def printable(text: str, most: int = 4000) -> str:
     if shown.isprintable():
         return shown
     return "".join(c if c.isprintable() or c in "\n\t" else c.encode("unicode_escape").decode() for c in shown)
+
+
+def distinct(name: str, taken: set[str]) -> str:
+    """A name, with a number behind it where it is taken; it is taken from then on."""
+    own, number = name, 1
+    while own in taken:
+        number += 1
+        own = f"{name}-{number}"
+    taken.add(own)
+    return own

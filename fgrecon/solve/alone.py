@@ -1,9 +1,15 @@
-"""The vehicles of an image one by one: where a scene begins (`fgrecon.solve.scene`)."""
+"""The vehicles of an image one by one: where a scene begins (`fgrecon.solve.scene`).
+
+Detectors turn some 3D boxes round, and keypoint networks some vehicles; a graph that believes in its keypoints follows
+those whatever the box says. So which way a vehicle with such a box faces is decided as over time
+(`fgrecon.solve.time.heading`): by the poses that its keypoints allow, their energies tempered, the network's
+directions, and the box.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -15,14 +21,17 @@ from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Alternative, rotation_y
-from fgrecon.solve.detected import DetectedVehicle, KnownBox
-from fgrecon.solve.graph.adjust import Adjusted, adjust
-from fgrecon.solve.graph.graph import Seen
+from fgrecon.solve.detected import KnownBox
+from fgrecon.solve.graph.adjust import Adjusted, SolvedStage, adjust
+from fgrecon.solve.graph.graph import Graph, Seen, State
+from fgrecon.solve.graph.optimise import optimise
 from fgrecon.solve.pipeline import observe
 from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
 from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.time.heading import Belief
+from fgrecon.solve.time.heading import Belief, box_says
 from fgrecon.solve.time.turned import turned_alternative
+from fgrecon.solve.time.vehicle import face, image_says
+from fgrecon.solve.time.window import Frame
 from fgrecon.solve.vehicle.model import VehicleModel
 
 __all__ = ["Alone", "Tried", "each_alone", "known_boxes"]
@@ -32,7 +41,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Alone:
-    """A vehicle that was solved alone."""
+    """A vehicle that was solved alone.
+
+    Attributes:
+        problem: What was solved.
+        start: The proposals.
+        adjusted: Where the graph's optimisation ended.
+        known: What a detector's box says of it, or None.
+        belief: Which way it faces by that box and all else; None without a box.
+    """
 
     problem: Problem
     start: PoseEstimate
@@ -118,8 +135,7 @@ def each_alone(
         try:
             observation = observe(given, camera, model.prior, options)
             if box is not None:
-                found = DetectedVehicle.solve(box.problem(observation, camera, model, plane, options), box)
-                alone[number] = Alone(found.problem, found.start, found.adjusted, box, found.belief)
+                alone[number] = _with_box(box.problem(observation, camera, model, plane, options), box)
                 continue
             problem = Problem.of(observation, camera, model, plane, options)
             start = adjust_pose(problem)
@@ -128,3 +144,28 @@ def each_alone(
             continue
         alone[number] = Alone(problem, start, adjust([Seen(problem)], [start]))
     return Tried(camera, alone, refused)
+
+
+def _with_box(problem: Problem, known: KnownBox) -> Alone:
+    """Solve a vehicle with its box; the observation is turned round where that is how it is taken.
+
+    Raises:
+        DegenerateProblemError: No pose is found.
+    """
+    own = known.factors(problem.camera)
+    start = adjust_pose(problem, known.box)
+    adjusted = adjust([Seen(problem)], [start], own)
+    state = adjusted.optimum.state
+    poses = (Alternative(state.poses[0].matrix(), state.shapes[0][0], 0.0), *adjusted.alternatives[0])
+    box, errors = known.box, known.errors
+    evidence = image_says(problem.observation, poses) + box_says(box.rotation_y, errors.yaw, errors.turned)
+    belief = Belief.none().told(evidence)
+    frame = Frame(0, 0.0, problem, start, poses, evidence, None, state.poses[0], state.weights[0], belief=belief)
+    if adjusted.optimum.failure is None and face([frame], state.shapes[0]):
+        turned = State([frame.pose], state.shapes, [frame.weights])
+        graph = Graph([Seen(frame.problem)], turned, pose_free=True, extra=own)
+        optimum = optimise(graph, turned)
+        if optimum.failure is None:
+            stages = (*adjusted.stages, SolvedStage("joint", graph, optimum.steps))
+            problem, adjusted = frame.problem, replace(adjusted, optimum=optimum, stages=stages)
+    return Alone(problem, start, adjusted, known, belief)

@@ -1,11 +1,8 @@
-"""A vehicle of which another detector has a 3D box: the box as evidence in its graph, and which way it faces.
+"""A vehicle of which another detector has a 3D box: the box as evidence in its graph.
 
     detected origin, detected yaw --- X(v,t) --- keypoints, 2D box --- L(v), O(v) --- dimensions (of the box)
 
-The box's size takes the place of a fleet's. Detectors turn some boxes round, and keypoint networks some vehicles; a
-graph that believes in its keypoints follows those whatever the box says. So which way a vehicle faces is decided as
-over time (`fgrecon.solve.time.heading`): by the poses that its keypoints allow, their energies tempered, the network's
-directions, and the box.
+The box's size takes the place of a fleet's. Which way the vehicle faces is decided apart (`fgrecon.solve.alone`).
 """
 
 from __future__ import annotations
@@ -22,19 +19,11 @@ from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
-from fgrecon.core.reconstruction import Alternative
 from fgrecon.core.size_prior import SizePrior
-from fgrecon.solve.graph.adjust import Adjusted, SolvedStage, adjust
-from fgrecon.solve.graph.graph import Graph, Seen, State
-from fgrecon.solve.graph.optimise import optimise
-from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
 from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
-from fgrecon.solve.time.heading import Belief, box_says
-from fgrecon.solve.time.vehicle import face, image_says
-from fgrecon.solve.time.window import Frame
 from fgrecon.solve.vehicle.model import VehicleModel, sized
 
-__all__ = ["DetectedVehicle", "KnownBox"]
+__all__ = ["KnownBox"]
 
 _TOGETHER = 8.0
 """Keypoints of one image err together, and beside another opinion they count with so many times their variance. Of 1,
@@ -87,45 +76,3 @@ class KnownBox:
         noise = diagonal_noise("box_errors", np.array([across, down, errors.depth]))
         key = X(vehicle, 0)
         return [detected_origin_factor(key, box.location, noise), detected_yaw_factor(key, box.rotation_y, errors.yaw)]
-
-
-@dataclass(frozen=True)
-class DetectedVehicle:
-    """A vehicle solved alone with its box.
-
-    Attributes:
-        problem: What was solved; the observation turned round where that is how it is taken.
-        start: The proposals.
-        adjusted: Where the graph's optimisation ended.
-        belief: Which way it faces.
-    """
-
-    problem: Problem
-    start: PoseEstimate
-    adjusted: Adjusted
-    belief: Belief
-
-    @classmethod
-    def solve(cls, problem: Problem, known: KnownBox) -> DetectedVehicle:
-        """Solve a vehicle with its box.
-
-        Raises:
-            DegenerateProblemError: No pose is found.
-        """
-        own = known.factors(problem.camera)
-        start = adjust_pose(problem, known.box)
-        adjusted = adjust([Seen(problem)], [start], own)
-        state = adjusted.optimum.state
-        poses = (Alternative(state.poses[0].matrix(), state.shapes[0][0], 0.0), *adjusted.alternatives[0])
-        box, errors = known.box, known.errors
-        evidence = image_says(problem.observation, poses) + box_says(box.rotation_y, errors.yaw, errors.turned)
-        belief = Belief.none().told(evidence)
-        frame = Frame(0, 0.0, problem, start, poses, evidence, None, state.poses[0], state.weights[0], belief=belief)
-        if adjusted.optimum.failure is None and face([frame], state.shapes[0]):
-            turned = State([frame.pose], state.shapes, [frame.weights])
-            graph = Graph([Seen(frame.problem)], turned, pose_free=True, extra=own)
-            optimum = optimise(graph, turned)
-            if optimum.failure is None:
-                stages = (*adjusted.stages, SolvedStage("joint", graph, optimum.steps))
-                problem, adjusted = frame.problem, replace(adjusted, optimum=optimum, stages=stages)
-        return cls(problem, start, adjusted, belief)

@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from fgrecon.core.text import distinct
 from fgrecon.viz import entities
 from fgrecon.viz.picture import Sight
 
@@ -40,9 +41,5 @@ def members_of(sights: Sequence[Sight]) -> list[Member]:
     for number, sight in enumerate(sights):
         title = sight.title or str(number)
         plain = re.sub(r"[^\w.-]+", "-", title, flags=re.ASCII).strip("-.") or str(number)
-        name = (
-            plain if plain not in taken else next(n for i in range(2, number + 3) if (n := f"{plain}-{i}") not in taken)
-        )
-        taken.add(name)
-        members.append(Member(number, title, name, sight))
+        members.append(Member(number, title, distinct(plain, taken), sight))
     return members
