@@ -59,7 +59,7 @@ def problem(seed: Sequence[int]) -> tuple[str, int, Callable[[], Sequence[Recons
     rng = np.random.default_rng(seed)
     camera = random_camera(rng)
     number = seed[-1]
-    strategy = _STRATEGIES[number // 10 % len(_STRATEGIES)] if number % 10 == 7 else "mixture"
+    strategy = _STRATEGIES[number // 20 % len(_STRATEGIES)] if number % 20 == 7 else "mixture"
     box = ("surface", "cuboid", "off")[number % 3]
     told: dict[str, Any] = {"options": fgrecon.Options(keep_history=False, box=box, strategy=strategy)}
     if rng.random() < 0.5:
