@@ -1,7 +1,7 @@
 """Random problems, most of them nonsense: `python -m benchmarks.soak --problems N [--seed S] [--out FOLDER]`.
 
 Cars, scenes and tracks with missing images: 0 to 14 points, 0 to 100 % outliers, all depths, views, intrinsics,
-robust strategies and kinds of evidence. Counts what they come to and prints what must not be: an error that fgrecon
+kinds of evidence and, of cars, robust strategies. Counts what they come to and prints what must not be: an error that fgrecon
 does not raise on purpose, a number that is not finite, an absurd size or a place behind the camera in a result that is
 not flagged, an energy that rises, other bits for the same input, more than five seconds of CPU time. What takes twenty minutes is
 a hang: its place is printed and the run ends. Exit code 1 says that there was something.
@@ -81,7 +81,9 @@ class Soak:
         if seconds / size > _SLOW:
             self.faults.append(f"{name}: {seconds / size:.2f} s each")
         if watch.rises:
-            self.faults.append(f"{name}: {watch.rises} of {watch.steps} steps rise, by {watch.highest:.1e} of the energy")
+            self.faults.append(
+                f"{name}: {watch.rises} of {watch.steps} steps rise, by {watch.highest:.1e} of the energy"
+            )
         if again is not None and again != [one.camera_T_object.tobytes() for one in results]:
             self.faults.append(f"{name}: other bits")
         self.counts, self.problems = dict(sorted(counts.items())), number + 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -59,9 +60,8 @@ def problem(seed: Sequence[int]) -> tuple[str, int, Callable[[], Sequence[Recons
     rng = np.random.default_rng(seed)
     camera = random_camera(rng)
     number = seed[-1]
-    strategy = _STRATEGIES[number // 20 % len(_STRATEGIES)] if number % 20 == 7 else "mixture"
-    box = ("surface", "cuboid", "off")[number % 3]
-    told: dict[str, Any] = {"options": fgrecon.Options(keep_history=False, box=box, strategy=strategy)}
+    options = fgrecon.Options(keep_history=False, box=("surface", "cuboid", "off")[number % 3])
+    told: dict[str, Any] = {"options": options}
     if rng.random() < 0.5:
         told["ground"] = float(10 ** rng.uniform(-2, 2))
     if rng.random() < 0.5:
@@ -70,6 +70,10 @@ def problem(seed: Sequence[int]) -> tuple[str, int, Callable[[], Sequence[Recons
     count = 1 if kind == "car" else int(rng.integers(1, 7))
     seen = [random_observation(rng, camera) for _ in range(count)]
     if kind == "car":
+        if number % 20 == 7:
+            told["options"] = replace(
+                options, strategy=fgrecon.RobustStrategy(_STRATEGIES[number // 20 % len(_STRATEGIES)])
+            )
         return kind, count, lambda: [fgrecon.reconstruct(seen[0], camera, **told)]
     if kind == "scene":
         if rng.random() < 0.3 and camera.distortion is None:
@@ -93,4 +97,3 @@ def faults(results: Sequence[Reconstruction]) -> list[str]:
         elif result.location[2] <= 0.0:
             found.append(f"behind the camera: {result.location.round(2).tolist()}")
     return found
-
