@@ -1,4 +1,4 @@
-"""Damage files and read them, for as long as wanted: `python -m benchmarks.fuzz --minutes N [--reader NAME] [--guided]`.
+"""Damage files and read them: `python -m benchmarks.fuzz --minutes N [--reader NAME] [--guided]`.
 
 Goes on where the last run with the same --out ended. What a reader raises that fgrecon does not raise on purpose is
 kept there as a file and printed; exit code 1 says that there was something. Slow files are told as well. With --guided

@@ -23,7 +23,7 @@ import numpy as np
 from benchmarks.fuzz.mutate import mutated
 
 if TYPE_CHECKING:
-    from benchmarks.fuzz.run import Ended, Find
+    from benchmarks.fuzz.run import Ended
 
 __all__ = ["guided", "why_not"]
 

@@ -16,7 +16,7 @@ import pytest
 import fgrecon.batch.parts as parts
 from fgrecon.cli.main import main
 from fgrecon.training.keypoints.labelling import Source
-from tests.training.keypoints.support import make_small, made_up_cars, unit_car_prior
+from tests.training.keypoints.support import made_up_cars, make_small, unit_car_prior
 
 __all__ = ["made_up_source"]
 
@@ -32,7 +32,7 @@ def made_up_source(folder: Path) -> Source:
 
 
 def _run(mark: Path, arguments: list[str]) -> None:
-    parts._ROWS = 1
+    parts._ROWS = 1  # noqa: SLF001  # many small parts
     if arguments[0] == "train":
         import torch
 

@@ -65,7 +65,7 @@ def watched() -> Iterator[Watch]:
             watch.look(before, _energy(self.graph, self.values, self.weights))
             return ended
 
-    class Loop(optimise._Loop):
+    class Loop(optimise._Loop):  # noqa: SLF001  # to look into it
         def solve(self, tolerance: float) -> None:
             before = _energy(self.graph, self.values, self.weights)
             super().solve(tolerance)
