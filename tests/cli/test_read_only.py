@@ -78,7 +78,16 @@ def commands(sample, out):
         "prior recording": ["prior", "show", "car14", "--save", out / "p.rrd"],
         "prior compare": ["prior", "compare", "car14", "car14", "--json", out / "c.json"],
         "keypoints detect": ["keypoints", "detect", image, "--box", "10,10,90,90", "--json", out / "k.json"],
-        "keypoints train": ["keypoints", "train", "--data", sample, "--work", out / "w", "--out", out / "w.safetensors"],
+        "keypoints train": [
+            "keypoints",
+            "train",
+            "--data",
+            sample,
+            "--work",
+            out / "w",
+            "--out",
+            out / "w.safetensors",
+        ],
         "vehicles detect": ["vehicles", "detect", image, "--out", out / "v.txt"],
     }
     return {name: [*map(str, arguments)] for name, arguments in made.items()}
