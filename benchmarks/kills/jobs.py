@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import json
 import warnings
+import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -98,7 +100,7 @@ def torn(out: Path) -> list[str]:
             continue
         try:
             _read(path)
-        except (FgreconError, OSError, ValueError, EOFError) as error:
+        except (FgreconError, OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
             found.append(f"{path.relative_to(out)}: {type(error).__name__}: {error}")
     return found
 
@@ -110,7 +112,7 @@ def _read(path: Path) -> None:
     elif kind == ".json":
         json.loads(path.read_text())
     elif kind == ".npz":
-        with np.load(path) as arrays:
+        with np.load(io.BytesIO(path.read_bytes())) as arrays:
             for name in arrays:
                 arrays[name]
     elif kind == ".safetensors":
