@@ -16,7 +16,7 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
     from fgrecon.io.boxes import NamedBox
 
 __all__ = [
-    "Crop",
+    "PartOfImage",
     "about_camera",
     "check_output",
     "check_outputs",
@@ -54,7 +54,7 @@ def ground_plane(plane: str | None, height: float | None) -> tuple[Ground, str] 
 
 
 @dataclass(frozen=True)
-class Crop:
+class PartOfImage:
     """A part of an image.
 
     Attributes:
@@ -68,7 +68,7 @@ class Crop:
     whole: tuple[int, int] | None
 
 
-def parse_crop(text: str) -> Crop:
+def parse_crop(text: str) -> PartOfImage:
     """What `--crop` says.
 
     Raises:
@@ -82,7 +82,7 @@ def parse_crop(text: str) -> Crop:
         raise InvalidInputError("crop", text, f"Give {wanted}.")
     if not all(side >= 1 and side == round(side) for side in size):
         raise InvalidInputError("crop", text, "Give width and height in whole pixels.")
-    return Crop(left, top, (int(size[0]), int(size[1])) if size else None)
+    return PartOfImage(left, top, (int(size[0]), int(size[1])) if size else None)
 
 
 def parse_numbers(field: str, text: str, wanted: str, counts: tuple[int, ...]) -> list[float]:
