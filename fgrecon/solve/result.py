@@ -121,7 +121,7 @@ def _result(
     box_size = prior.box_size(coefficients, offsets)
     facing = _facing(part, camera_T_object) if told is None else told
     status, message = _status(camera_T_object, box_size, facing, alternatives, uncertainty, problem.options, optimum)
-    if np.isnan(facing) and part.share == 1.0 and np.isfinite(camera_T_object).all():
+    if np.isnan(facing) and part.share == 1.0 and np.isfinite([*camera_T_object.ravel(), optimum.gain]).all():
         facing = facing_by_energies(camera_T_object, alternatives)
     others = with_probabilities(camera_T_object, coefficients, alternatives, facing)
     reasons: tuple[str, ...] = ()
