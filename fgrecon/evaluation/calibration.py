@@ -114,7 +114,7 @@ def calibrate_boxes(boxes: Sequence[VideoBox], method: str) -> Calibration:
 def calibrate(results: Sequence[Judged]) -> Calibration:
     """Compare what results say of themselves with the truth; groups are left out of their own baselines."""
     regions = [region for one in results for region in one.regions]
-    faced = [one for one in results if one.facing is not None]
+    faced = [(one.facing, not one.turned) for one in results if one.facing is not None]
     counts: dict[str, list[Judged]] = {}
     for one in results:
         counts.setdefault(one.status, []).append(one)
@@ -122,7 +122,7 @@ def calibrate(results: Sequence[Judged]) -> Calibration:
         StatusCount(status, len(some), sum(one.turned for one in some), sum(one.wrong for one in some))
         for status, some in sorted(counts.items())
     ]
-    facing = reliability([one.facing for one in faced], [not one.turned for one in faced])
+    facing = reliability([sure for sure, _ in faced], [right for _, right in faced])
     return Calibration(tuple(coverage(regions)), facing, tuple(statuses))
 
 

@@ -21,6 +21,7 @@ from fgrecon.io.track_file import GroundTruth
 from fgrecon.simulation.keypoint_noise import HOURGLASS, NoiseModel
 from fgrecon.simulation.vehicles import KITTI_CAMERA, simulate_many
 from fgrecon.solve.pipeline import reconstruct
+from fgrecon.solve.vehicle.model import prepare
 
 __all__ = ["judge_simulated", "keypoint_regions"]
 
@@ -41,15 +42,15 @@ def judge_simulated(
 
     Args:
         count: How many.
-        prior: Shape prior, from which shapes are drawn as well.
+        prior: Shape prior, from which shapes are drawn as well, as the fleet has them.
         ground: The ground that is told, or None.
         size_prior: The fleet that is told, or None.
         options: Settings.
         noise: The keypoint network's mistakes.
         seed: Of everything random.
     """
-    nowhere = np.zeros(3)
-    for number, (seen, truth) in enumerate(simulate_many(prior, count, np.random.default_rng(seed), noise)):
+    nowhere, fleet = np.zeros(3), prepare(prior, size_prior, None).prior
+    for number, (seen, truth) in enumerate(simulate_many(fleet, count, np.random.default_rng(seed), noise)):
         try:
             found = reconstruct(seen, KITTI_CAMERA, prior=prior, ground=ground, size_prior=size_prior, options=options)
         except FgreconError:
@@ -57,7 +58,9 @@ def judge_simulated(
             continue
         pose, group = truth.camera_T_object, str(number % _GROUPS)
         yaw = float(np.arctan2(-pose[2, 0], pose[0, 0]))
-        size = prior.box_size(truth.vehicle.coefficients) if truth.vehicle.coefficients is not None else np.zeros(3)
+        shape = truth.vehicle.coefficients
+        assert shape is not None  # made by the prior
+        size = fleet.box_size(shape)
         off = outcome(found, GroundTruth(pose[:3, 3], yaw), size, nowhere)
         one = judged(off, group, float(np.linalg.norm(pose[:3, 3])), found.status.value)
         extra = () if one.turned else keypoint_regions(found, truth.vehicle.keypoints, group)

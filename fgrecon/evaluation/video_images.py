@@ -83,8 +83,8 @@ class BoxOutcome:
         status: How the reconstruction ended; None without one, and for a rival.
         failure: Why there is no pose, or None.
         off: Estimated minus labelled yaw in degrees, and origin (3) in metres; None where it was not wanted.
-        squared: Normalised squared errors of `position`, `yaw`, `size` and `velocity` (`fgrecon.evaluation.regions`), as
-            far as there are covariances; none of a vehicle that is turned round.
+        squared: Normalised squared errors of `position`, `yaw`, `size` and `velocity`, as far as there are covariances
+            (`fgrecon.evaluation.regions`); none of a vehicle that is turned round.
         spread: Geometric mean of the one-sigma regions' semi-axes that those are by, degrees or metres.
         facing: The result's `facing_probability`; None where it has none.
         velocity: Distance of the estimated from the labelled velocity, metres per second; None where either is unknown.

@@ -141,6 +141,4 @@ def _moving(found: BoxOutcome, estimate: VehicleEstimate, velocity: Array | None
     if squared is None:
         return found
     radius = float(np.linalg.det(over_ground)) ** 0.25
-    return replace(
-        found, squared={**found.squared, "velocity": squared}, spread={**found.spread, "velocity": radius}
-    )
+    return replace(found, squared={**found.squared, "velocity": squared}, spread={**found.spread, "velocity": radius})
