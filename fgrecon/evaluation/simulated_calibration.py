@@ -19,7 +19,7 @@ from fgrecon.evaluation.consistency import normalised_squared_error
 from fgrecon.evaluation.video_images import outcome
 from fgrecon.io.track_file import GroundTruth
 from fgrecon.simulation.keypoint_noise import HOURGLASS, NoiseModel
-from fgrecon.simulation.vehicles import KITTI_CAMERA, simulate_many
+from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate_many
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.vehicle.model import prepare
 
@@ -49,8 +49,10 @@ def judge_simulated(
         noise: The keypoint network's mistakes.
         seed: Of everything random.
     """
-    nowhere, fleet = np.zeros(3), prepare(prior, size_prior, None).prior
-    for number, (seen, truth) in enumerate(simulate_many(fleet, count, np.random.default_rng(seed), noise)):
+    nowhere, model, rng = np.zeros(3), prepare(prior, size_prior, None), np.random.default_rng(seed)
+    for number in range(count):
+        shape = rng.multivariate_normal(np.zeros(prior.dimension), model.fleet_spread, method="cholesky")
+        ((seen, truth),) = simulate_many([Vehicle.of_prior(model.prior, shape)], 1, rng, noise)
         try:
             found = reconstruct(seen, KITTI_CAMERA, prior=prior, ground=ground, size_prior=size_prior, options=options)
         except FgreconError:
@@ -58,9 +60,7 @@ def judge_simulated(
             continue
         pose, group = truth.camera_T_object, str(number % _GROUPS)
         yaw = float(np.arctan2(-pose[2, 0], pose[0, 0]))
-        shape = truth.vehicle.coefficients
-        assert shape is not None  # made by the prior
-        size = fleet.box_size(shape)
+        size = model.prior.box_size(shape)
         off = outcome(found, GroundTruth(pose[:3, 3], yaw), size, nowhere)
         one = judged(off, group, float(np.linalg.norm(pose[:3, 3])), found.status.value)
         extra = () if one.turned else keypoint_regions(found, truth.vehicle.keypoints, group)

@@ -60,7 +60,7 @@ def results(
     weights = optimum.state.weights
     values = graph.values(optimum.state)
     counted = [_common(part, weight) for part, weight in zip(graph.observations, weights, strict=True)]
-    marginals = factorise(graph.build(counted), values) if optimum.failure is None else None
+    marginals = factorise(graph.for_covariances(counted), values) if optimum.failure is None else None
     alone = len(seen) == 1
     keep = seen[0].problem.options.keep_history
     structure: Sequence[GraphFactor] = ()
