@@ -21,6 +21,7 @@ from fgrecon.solve.graph.history import iterations
 from fgrecon.solve.graph.observation import ObservationPart, Weights
 from fgrecon.solve.graph.optimise import Optimum
 from fgrecon.solve.graph.structure import graph_factors
+from fgrecon.solve.probable import facing_by_energies, with_probabilities
 from fgrecon.solve.proposals.adjust import PoseEstimate
 from fgrecon.solve.proposals.problem import keypoint_covariances
 from fgrecon.solve.vehicle.visibility import clearance, occluder, probability
@@ -60,7 +61,7 @@ def results(
     weights = optimum.state.weights
     values = graph.values(optimum.state)
     counted = [_common(part, weight) for part, weight in zip(graph.observations, weights, strict=True)]
-    marginals = factorise(graph.build(counted), values) if optimum.failure is None else None
+    marginals = factorise(graph.for_covariances(counted), values) if optimum.failure is None else None
     alone = len(seen) == 1
     keep = seen[0].problem.options.keep_history
     structure: Sequence[GraphFactor] = ()
@@ -124,6 +125,9 @@ def _result(
     status, message = _status(
         camera_T_object, box_size, relative, facing, alternatives, uncertainty, problem.options, optimum
     )
+    if np.isnan(facing) and part.share == 1.0 and np.isfinite([*camera_T_object.ravel(), optimum.gain]).all():
+        facing = facing_by_energies(camera_T_object, alternatives)
+    others = with_probabilities(camera_T_object, coefficients, alternatives, facing)
     reasons: tuple[str, ...] = ()
     if status.determined:
         seen = problem.observation, weights.keypoints, problem.camera, camera_T_object
@@ -151,7 +155,7 @@ def _result(
         coefficients_covariance=None if uncertainty is None else uncertainty.coefficients,
         keypoint_covariance=None if uncertainty is None else uncertainty.keypoints,
         energies=energies,
-        alternatives=alternatives,
+        alternatives=others,
         history=history,
         milliseconds=milliseconds,
         surface_vertices=None if prior.surface is None else vertices,
@@ -184,7 +188,8 @@ def _facing(part: ObservationPart, camera_T_object: NDArray[np.float64]) -> floa
     if directions is None or part.share < 1.0 or not np.isfinite(camera_T_object).all():
         return float("nan")
     azimuth = float(view_azimuth(camera_T_object[:3, :3], camera_T_object[:3, 3]))
-    return calibrated_facing(facing_probability(directions, azimuth))
+    detector = part.problem.options.keypoints
+    return calibrated_facing(facing_probability(directions, azimuth), detector.facing_bias, detector.facing_slope)
 
 
 def _status(

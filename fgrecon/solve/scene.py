@@ -47,6 +47,7 @@ from fgrecon.solve.graph.adjust import Adjusted, SolvedStage
 from fgrecon.solve.graph.covariance import factorise
 from fgrecon.solve.graph.graph import Graph, Seen, State
 from fgrecon.solve.graph.optimise import Optimum, optimise
+from fgrecon.solve.occlusion import with_occlusion
 from fgrecon.solve.pipeline import ground_plane
 from fgrecon.solve.result import history_of, results, weakened
 from fgrecon.solve.threads import single_threaded
@@ -126,7 +127,7 @@ def reconstruct_scene(
     milliseconds = {"alone": (found - started) * 1e3, "together": (perf_counter() - found) * 1e3}
     return SceneReconstruction(
         numbers,
-        tuple(each[n] for n in numbers),
+        with_occlusion([each[n] for n in numbers]),
         alone.refused,
         told.ground,
         told.ground_covariance,
