@@ -249,7 +249,7 @@ def main() -> None:
     parser.add_argument("--part", action="append", choices=list(TITLES))
     parser.add_argument("--repeats", type=int, default=4, help="choices of images, or seeds")
     arguments = parser.parse_args()
-    parts = arguments.part or list(TITLES)
+    parts = arguments.part or [part for part in TITLES if part != "few"]  # that is on the page itself
     for part in parts:
         print(f"\n### {TITLES[part]}\n", flush=True)
         if part == "small":
