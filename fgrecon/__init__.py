@@ -49,7 +49,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.perception.refine import refine_boxes
     from fgrecon.perception.vehicles.detect import Vehicles
     from fgrecon.solve.pipeline import reconstruct
-    from fgrecon.solve.scene import reconstruct_scene
+    from fgrecon.solve.scene import reconstruct_scene, reconstruct_scenes
     from fgrecon.solve.track import reconstruct_track
     from fgrecon.solve.tracker import Tracker
 
@@ -99,6 +99,7 @@ __all__ = [
     "reconstruct",
     "reconstruct_image",
     "reconstruct_scene",
+    "reconstruct_scenes",
     "reconstruct_track",
     "refine_boxes",
     "rotation_y",

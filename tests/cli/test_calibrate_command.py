@@ -36,7 +36,8 @@ def test_a_drive_calibrates_the_network_and_a_solve_uses_it(data, tmp_path):
     plain, changed = (json.loads(run(*street, *told, *more).stdout) for more in ((), ("--calibration", wide)))
     assert "keypoints" not in plain["settings"]
     assert changed["settings"]["keypoints"]["common_factor"] == 16.0
-    for before, after in zip(plain["instances"], changed["instances"], strict=True):
+    for first, second in zip(plain["instances"], changed["instances"], strict=True):
+        before, after = first["result"], second["result"]
         assert before["camera_T_object"] == after["camera_T_object"]  # it moves no result
         assert np.trace(after["pose_covariance"]) > 1.5 * np.trace(before["pose_covariance"])
 
