@@ -23,7 +23,7 @@ from pathlib import Path
 
 from benchmarks.soak.problems import faults, problem
 from benchmarks.soak.watch import watched
-from fgrecon.core.errors import FgreconError
+from fgrecon.core.errors import FactorCallbackError, FgreconError
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.io.files import write_text
 
@@ -69,6 +69,8 @@ class Soak:
             try:
                 results = solve()
                 counts.update(f"{kind}: {result.status.value}" for result in results)
+            except FactorCallbackError as error:  # of a caller's own factor alone
+                self.faults.append(f"{name}: {error}")
             except FgreconError as error:
                 counts[f"{kind}: {type(error).__name__}"] += 1
             except Exception as error:  # noqa: BLE001  # that is the question
