@@ -142,6 +142,7 @@ class ObservationRows:
             jacobian = jacobian[:, self._columns]
         return nearest, residual, jacobian
 
+    @np.errstate(invalid="ignore")  # infinitely far there is no direction
     def _by_numpy(self, values: gtsam.Values, form: Form, want: bool) -> tuple[float, Array, Array | None]:
         at = self.kernel.evaluate(values, want)
         size, columns = len(self.pixels), sum(self.kernel.dims)
