@@ -9,6 +9,7 @@ from pathlib import Path
 from fgrecon.cli import batch, show
 from fgrecon.cli.batch import Outcome, Settings
 from fgrecon.cli.common import about_camera
+from fgrecon.cli.models import with_closest
 from fgrecon.cli.options import CameraOptions, VehicleBoxes
 from fgrecon.cli.picture_tasks import is_image, read_image_tasks
 from fgrecon.cli.terminal import Screen
@@ -16,6 +17,7 @@ from fgrecon.cli.together import Scene, grounds_of, solve_together, wants_togeth
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.text import distinct
+from fgrecon.core.vehicle_mesh import VehicleMesh
 from fgrecon.io.files import write_text
 from fgrecon.io.images import IMAGES, read_photograph
 
@@ -45,6 +47,7 @@ class PhotographWork:
         settings: Prior, ground, size prior and options.
         box_model: What boxes enclose, or None for what their source says.
         together: Whether the vehicles of an image are solved together; None for the default.
+        models: Car models that vehicles are compared with; may be empty.
         history: Whether results keep their history.
         pictures: Whether each is drawn.
     """
@@ -54,6 +57,7 @@ class PhotographWork:
     settings: Settings
     box_model: BoxModel | None
     together: bool | None
+    models: Sequence[VehicleMesh]
     history: bool
     pictures: bool
 
@@ -146,6 +150,7 @@ def _reconstruct(one: PhotographFile, how: PhotographWork, screen: Screen) -> li
         outcomes, scenes = solve_together(tasks, settings, screen)
     else:
         outcomes = [batch.run(task, settings) for task in tasks]
+    outcomes = with_closest(outcomes, how.models)
     screen.print(f"{one.image}:")
     show.print_table(screen, outcomes)
     for scene in scenes:

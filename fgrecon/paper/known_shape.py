@@ -35,7 +35,14 @@ from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.vehicle.conditioning import given_size
 from fgrecon.training.priors.apollo79 import Apollo79, apollo79_prior, apollo79_size_relation
 
-__all__ = ["BASIS", "KNOWN_SHAPE_OPTIONS", "KNOWN_SHAPE_ROWS", "KnownShapeScores", "score_known_shapes"]
+__all__ = [
+    "BASIS",
+    "KNOWN_SHAPE_OPTIONS",
+    "KNOWN_SHAPE_ROWS",
+    "KnownShapeScores",
+    "score_known_shapes",
+    "told_by_others",
+]
 
 Array = NDArray[np.float64]
 _Result = tuple[Array, list[str]]  # scores (R, 3) of one car, and why rows failed
@@ -126,7 +133,7 @@ def score_known_shapes(
     advance(len(found), len(cars.cars))
     with single_threaded(), ProcessPoolExecutor(workers, get_context("spawn")) as pool:
         waiting = {
-            pool.submit(_score_model, models, cars.camera, group, _others(models, cars, group)): (group, path)
+            pool.submit(_score_model, models, cars.camera, group, told_by_others(models, cars, group)): (group, path)
             for group, path in todo
         }
         for future in as_completed(waiting):
@@ -177,7 +184,7 @@ def _read(path: Path) -> list[_Result]:
         raise InvalidInputError(str(path), str(error), MADE_AGAIN) from error
 
 
-def _others(models: Apollo79, cars: MarkedCars, group: Sequence[MarkedCar]) -> tuple[Array, Array]:
+def told_by_others(models: Apollo79, cars: MarkedCars, group: Sequence[MarkedCar]) -> tuple[Array, Array]:
     """What all other models' cars tell: how their marks lie (14, 3), and how much each model counts (79,)."""
     others = [car for car in cars.cars if car.model != group[0].model]
     found = Counter(car.model for car in others)

@@ -43,16 +43,21 @@ _GRAPH_MARGIN = (75.0, 30.0)  # half a label beyond the outermost nodes
 _NEAR, _CLOSE_UP = 14.0, 8.0  # metres: how far a camera may be to stay in the view, and what is looked at without it
 
 
-def blueprint(reconstruction: Reconstruction, observation: Observation, truth: Truth | None) -> Any:
-    """The layout of a recording for rerun, zoomed to the vehicle in the image and in the scene."""
+def blueprint(
+    reconstruction: Reconstruction, observation: Observation, truth: Truth | None, *, model: bool = False
+) -> Any:
+    """The layout of a recording for rerun, zoomed to the vehicle in the image and in the scene.
+
+    With a car model the surface is not shown, which is where that is.
+    """
     crop = crop_around(observation, reconstruction.wireframe_uv, aspect=_ASPECT)
     measures = () if truth is None else error_measures(shape=truth.keypoints is not None)
     controls = eye(reconstruction)
     layout = lay_out(reconstruction.graph) if reconstruction.graph else None
     if not _takes_chunks():
         structure = None if layout is None else graph_view(layout)
-        return _whole(measures, image_view(crop), scene_view(controls), structure)
-    views = _views(measures, graph=layout is not None)
+        return _whole(measures, image_view(crop), scene_view(controls, model=model), structure)
+    views = _views(measures, graph=layout is not None, model=model)
     zoom = [(views.image, _bounds(crop))]
     if controls is not None:
         zoom.append((views.scene, controls))
@@ -121,11 +126,11 @@ class _Views:
 
 
 @lru_cache(maxsize=8)
-def _views(measures: tuple[tuple[str, str], ...], *, graph: bool) -> _Views:
-    """The views with these errors and with the factor graph or without, not zoomed yet."""
+def _views(measures: tuple[tuple[str, str], ...], *, graph: bool, model: bool) -> _Views:
+    """The views with these errors, with factor graph and car model or without, not zoomed yet."""
     from rerun.chunk import RrdReader
 
-    image, scene, structure = image_view(None), scene_view(None), graph_view(None)
+    image, scene, structure = image_view(None), scene_view(None, model=model), graph_view(None)
     whole = _whole(measures, image, scene, structure if graph else None)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "layout.rbl"
@@ -197,11 +202,12 @@ def _bounds(crop: Box) -> Any:
     return rrb.VisualBounds2D(x_range=(x1, x2), y_range=(y1, y2))
 
 
-def scene_view(controls: Any) -> Any:
-    """The 3D scene without what the image alone shows."""
+def scene_view(controls: Any, *, model: bool = False) -> Any:
+    """The 3D scene without what the image alone shows, and with a car model without the surface."""
     import rerun.blueprint as rrb
 
-    only_in_image = (
+    hidden = (
+        *((entities.SURFACE,) if model else ()),
         entities.BOX_2D,
         entities.KEYPOINTS_2D,
         entities.WIREFRAME_2D,
@@ -212,7 +218,7 @@ def scene_view(controls: Any) -> Any:
     return rrb.Spatial3DView(
         name="Scene: camera frame, metres",
         origin=f"/{entities.SCENE}",
-        contents=["$origin/**", *(f"- /{entity}/**" for entity in only_in_image)],
+        contents=["$origin/**", *(f"- /{entity}/**" for entity in hidden)],
         background=style.SCREEN_BACKGROUND,
         eye_controls=controls,
         line_grid=False,

@@ -14,11 +14,12 @@ from tests.viz.made_up import Example
 
 @dataclass(frozen=True)
 class Layout:
-    """How often each view is there, and what the zoomed ones show."""
+    """How often each view is there, what the zoomed ones show, and what each view is of."""
 
     views: Counter[str]
     bounds: list
     eyes: list
+    contents: list
 
 
 def layout_of(path: Path) -> Layout:
@@ -34,7 +35,8 @@ def layout_of(path: Path) -> Layout:
         return sorted(found, key=str)
 
     names = Counter(name for (name,) in values("ViewBlueprint:display_name"))
-    return Layout(names, values("VisualBounds2D:range"), values("EyeControls3D:position"))
+    queries = [" ".join(query) for query in values("ViewContents:query")]
+    return Layout(names, values("VisualBounds2D:range"), values("EyeControls3D:position"), queries)
 
 
 def test_every_recording_has_all_views_zoomed_to_its_own_vehicle(example: Example, tmp_path: Path) -> None:
