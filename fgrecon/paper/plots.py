@@ -23,6 +23,7 @@ __all__ = [
     "per_part_plot",
     "per_part_table",
     "simulated_parts",
+    "svg_text",
 ]
 
 _INK, _MUTED, _GRID = "#1b2733", "#6b7785", "#e3e8ee"
@@ -50,7 +51,7 @@ def error_curves(scores: Scores, rows: Sequence[str], shown: Sequence[str]) -> s
     axes.annotate(f"detected: {detected:.0f} %", (44.5, detected), ha="right", va="bottom", fontsize=8, color=_MUTED)
     axes.set(xlim=(0, 45), ylim=(0, 102), xlabel="orientation error at most, degrees", ylabel="% of the Hard cars")
     axes.legend(frameon=False, fontsize=8, loc="lower right", ncols=2)
-    return _svg(figure)
+    return svg_text(figure)
 
 
 def aop_plot(table: Table) -> str:
@@ -69,7 +70,7 @@ def aop_plot(table: Table) -> str:
     axes.set_yticks(range(len(lines)), [label for label, _ in reversed(lines)], fontsize=8)
     axes.set(xlim=(0, 100), xlabel="% of the Hard cars within 5 degrees")
     axes.grid(visible=False, axis="y")
-    return _svg(figure)
+    return svg_text(figure)
 
 
 def simulated_parts(scores: Scores, rows: Sequence[str]) -> Mapping[str, np.ndarray]:
@@ -100,7 +101,7 @@ def per_part_plot(shares: Mapping[str, np.ndarray], category: Category) -> str:
     axes.set(xlim=(-0.6, category.size - 0.4), ylim=(0, 104), ylabel="APK, %")
     axes.legend(frameon=False, fontsize=8, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     axes.grid(visible=False, axis="x")
-    return _svg(figure)
+    return svg_text(figure)
 
 
 def known_shape_plot(scores: KnownShapeScores) -> str:
@@ -125,7 +126,7 @@ def known_shape_plot(scores: KnownShapeScores) -> str:
         axes.set(ylim=(0, limit), title=label)
         axes.title.set(fontsize=9, color=_INK)
         axes.grid(visible=False, axis="x")
-    return _svg(figure)
+    return svg_text(figure)
 
 
 def noise_plot(network: Sequence[Residuals], scores: Scores) -> str:
@@ -146,7 +147,7 @@ def noise_plot(network: Sequence[Residuals], scores: Scores) -> str:
         xlim=(0, 0.5), ylim=(0, 102), xlabel="distance from the truth / longer side of the box", ylabel="% of keypoints"
     )
     axes.legend(frameon=False, fontsize=8, loc="lower right")
-    return _svg(figure)
+    return svg_text(figure)
 
 
 def _figure(width: float, height: float) -> tuple[Any, Any]:
@@ -169,7 +170,7 @@ def _shade(position: int) -> str:
     return ("#8d99a6", "#4c78a8", "#72b7b2", "#b279a2", "#9d755d", "#eeca3b", "#54a24b", "#f58518")[position % 8]
 
 
-def _svg(figure: Any) -> str:
+def svg_text(figure: Any) -> str:
     """The figure as an SVG element; the same figure gives the same text."""
     import matplotlib as mpl
     import matplotlib.pyplot as plt
