@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,15 +11,15 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Reconstruction
-from fgrecon.paper.apollocar3d import MarkedCars
-from fgrecon.paper.known_shape import BASIS, KNOWN_SHAPE_OPTIONS, KNOWN_SHAPE_ROWS, KnownShapeScores
+from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.paper.apollocar3d import MarkedCar, MarkedCars
+from fgrecon.paper.known_shape import BASIS, KNOWN_SHAPE_OPTIONS, car_errors
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.training.priors.apollo79 import Apollo79, apollo79_prior
 
 __all__ = ["ExampleCar", "example_cars"]
 
 _EACH = 3
-_ROW = KNOWN_SHAPE_ROWS.index("joint")
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,36 +47,35 @@ class ExampleCar:
     shape: NDArray[np.float64]
 
 
-def example_cars(cars: MarkedCars, models: Apollo79, scores: KnownShapeScores) -> tuple[ExampleCar, ...]:
-    """Three cars each of the smallest, the median and the largest keypoint error of the row `joint`, solved again.
+def example_cars(cars: MarkedCars, models: Apollo79) -> tuple[ExampleCar, ...]:
+    """Three cars each of the smallest, the median and the largest error of their keypoints in the camera frame.
 
     Args:
-        cars: The cars.
+        cars: The cars; all are solved. One that fails is left out.
         models: The 79 models.
-        scores: Their scores. A car that failed counts as worst, and one whose solving fails is left out.
     """
-    order = np.argsort(scores.keypoint[:, _ROW], kind="stable").tolist()
-    each = min(_EACH, len(order) // 3)
-    middle = (len(order) - each) // 2
-    chosen = {"best": order[:each], "median": order[middle : middle + each], "worst": order[len(order) - each :]}
-    by_name = {car.name: car for car in cars.cars}
-    found = []
-    for place, indices in chosen.items():
-        for index in indices:
-            car = by_name[scores.names[index]]
-            marked = np.isfinite(car.keypoints[:, 0]).astype(np.float64)
-            prior = apollo79_prior(models, basis=BASIS, exclude=[car.model])
-            try:
-                result = reconstruct(
-                    *(car.keypoints, cars.camera),
-                    confidence=marked,
-                    box=car.box,
-                    prior=prior,
-                    options=KNOWN_SHAPE_OPTIONS,
-                )
-            except FgreconError:
-                continue
-            seen = Observation(car.keypoints, marked, box=car.box)
-            pose = car.camera_T_object
-            found.append(ExampleCar(place, car.name, seen, cars.camera, result, pose, car.size, car.shape))
-    return tuple(found)
+    found: list[tuple[float, ExampleCar]] = []
+    for model in sorted({car.model for car in cars.cars}):
+        prior = apollo79_prior(models, basis=BASIS, exclude=[model])
+        for car in (car for car in cars.cars if car.model == model):
+            if (example := _solved(car, cars.camera, prior)) is not None:
+                result = example.result
+                found.append((car_errors(car, result.camera_T_object, result.wireframe)[2], example))
+    ordered = [example for _, example in sorted(found, key=lambda pair: pair[0])]
+    each = min(_EACH, len(ordered) // 3)
+    middle = (len(ordered) - each) // 2
+    places = {"best": 0, "median": middle, "worst": len(ordered) - each}
+    return tuple(replace(one, place=place) for place, at in places.items() for one in ordered[at : at + each])
+
+
+def _solved(car: MarkedCar, camera: Camera, prior: ShapePrior) -> ExampleCar | None:
+    marked = np.isfinite(car.keypoints[:, 0]).astype(np.float64)
+    try:
+        result = reconstruct(
+            car.keypoints, camera, confidence=marked, box=car.box, prior=prior, options=KNOWN_SHAPE_OPTIONS
+        )
+    except FgreconError:
+        return None
+    seen = Observation(car.keypoints, marked, box=car.box)
+    found = np.isfinite(result.camera_T_object).all()
+    return ExampleCar("", car.name, seen, camera, result, car.camera_T_object, car.size, car.shape) if found else None

@@ -40,6 +40,7 @@ __all__ = [
     "KNOWN_SHAPE_OPTIONS",
     "KNOWN_SHAPE_ROWS",
     "KnownShapeScores",
+    "car_errors",
     "score_known_shapes",
     "told_by_others",
 ]
@@ -216,7 +217,7 @@ def _score_car(car: MarkedCar, camera: Camera, variants: Sequence[tuple[ShapePri
         for solve, names in ((_sqpnp, ("sqpnp",)), (_stages, _STAGES)):
             try:
                 marked = replace(base, mean=base.mean + offsets)
-                rows += [_errors(car, pose, shape - offsets) for pose, shape in solve(car, camera, marked)]
+                rows += [car_errors(car, pose, shape - offsets) for pose, shape in solve(car, camera, marked)]
             except Exception as error:  # noqa: BLE001 - a crash counts like a refusal: wrong, named, never left out
                 rows += [(FAILURE_DEGREES, np.inf, np.inf)] * len(names)
                 failures.append(f"{car.name} {names[0]}: {type(error).__name__}: {error}")
@@ -247,7 +248,8 @@ def _stages(car: MarkedCar, camera: Camera, prior: ShapePrior) -> list[tuple[Arr
     return [(found[stage].camera_T_object, found[stage].keypoints) for stage in _STAGES]
 
 
-def _errors(car: MarkedCar, camera_T_object: Array, shape: Array) -> tuple[float, float, float]:
+def car_errors(car: MarkedCar, camera_T_object: Array, shape: Array) -> tuple[float, float, float]:
+    """Rotation in degrees, relative distance, and keypoints in metres, as `KnownShapeScores` has them."""
     points = transform(camera_T_object, shape)
     truth = car.in_camera
     turn = rotation_error(camera_T_object[None, :3, :3], car.camera_T_object[None, :3, :3])[0]

@@ -187,7 +187,7 @@ def evaluate_paper(settings: EvaluationSettings, advance: Callable[[str, int, in
         defects=tuple(map(str, inputs.validation.problems)),
         failures=(*(f for o in outcomes.values() for f in o.scores.failures.tolist()), *known.failures),
         throughput={"instances": solved, "seconds": seconds, "per_second": solved / max(seconds, 1e-9)},
-        cars=example_cars(inputs.cars, inputs.models, known),
+        cars=example_cars(inputs.cars, inputs.models),
     )
 
 

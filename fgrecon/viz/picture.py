@@ -217,12 +217,9 @@ def save_picture(path: str | Path, figure: Any, dpi: float | None = None) -> Pat
 
 def new_figure(width: float, height: float) -> Any:
     """A figure of a size in inches, with a canvas of its own."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    from fgrecon.viz.figure import Drawing
 
-    figure = Figure(figsize=(width, height), dpi=_DPI, facecolor=unit(style.PAPER))
-    FigureCanvasAgg(figure)
-    return figure
+    return Drawing(figsize=(width, height), dpi=_DPI, facecolor=unit(style.PAPER))
 
 
 def place_axes(figure: Any, left: float, bottom: float, width: float, height: float) -> Any:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from fgrecon.cli import main
+from fgrecon.cli.paper.paper import _pictures
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.vehicle_mesh import VehicleMesh
 from fgrecon.paper.apollocar3d import read_apollocar3d
 from fgrecon.paper.closest_models import CLOSEST_ROWS, ClosestModelRanks, _ranked, rank_models
+from fgrecon.paper.example_cars import example_cars
+from fgrecon.paper.known_shape import car_errors
 from fgrecon.training.priors.apollo79 import DUPLICATE, load_apollo79
 
 SHAPE = np.arange(42, dtype=np.float64).reshape(14, 3)
@@ -44,11 +49,25 @@ def test_shares_and_chance():
 def test_the_right_model_is_found_more_often_than_by_chance(data):
     models = load_apollo79(data)
     cars = read_apollocar3d(data / "apollocar3d_val" / "annotations.json", models)
-    some = cars.cars[::12]
-    found = rank_models(type(cars)(cars.camera, tuple(some), cars.total, 0, (), cars.noise), models)
+    found = rank_models(replace(cars, cars=cars.cars[::12]), models)
     assert found.count == 78
     assert found.share("Hausdorff+others", 5) > 1.5 * found.share("chance", 5)
     assert found.share("mean shape", 1) == 0.0
+
+
+@pytest.mark.data
+def test_cars_to_look_at_are_the_best_the_middle_and_the_worst(data):
+    models = load_apollo79(data)
+    cars = read_apollocar3d(data / "apollocar3d_val" / "annotations.json", models)
+    by_name = {car.name: car for car in cars.cars}
+    found = example_cars(replace(cars, cars=cars.cars[::40]), models)
+    assert [one.place for one in found] == ["best"] * 3 + ["median"] * 3 + ["worst"] * 3
+    errors = [car_errors(by_name[o.name], o.result.camera_T_object, o.result.wireframe)[2] for o in found]
+    assert errors == sorted(errors)
+    ((caption, svg),) = _pictures(found).items()
+    assert caption.startswith("9 of the cars")
+    assert svg.count("worst") == 3
+    assert _pictures(()) == {}
 
 
 def test_the_command_names_what_is_missing(tmp_path):
