@@ -28,6 +28,15 @@ __all__ = [
 
 _INK, _MUTED, _GRID = "#1b2733", "#6b7785", "#e3e8ee"
 _COLOURS = ("#8d99a6", "#4c78a8", "#e45756", "#54a24b", "#b279a2")
+_DASHES: tuple[Any, ...] = (
+    "-",
+    (0, (4.0, 1.2)),
+    (0, (1.2, 1.0)),
+    (0, (5.0, 1.2, 1.2, 1.2)),
+    (0, (8.0, 1.5)),
+    (0, (3.0, 1.0, 1.0, 1.0, 1.0, 1.0)),
+)
+"""Lines of the methods: in grey print and to some eyes their colours are alike."""
 _OURS, _PRINTED = "#e45756", "#c9d1d9"
 
 
@@ -43,7 +52,7 @@ def error_curves(scores: Scores, rows: Sequence[str], shown: Sequence[str]) -> s
         style: Mapping[str, Any] = (
             {"color": _OURS, "lw": 2.4, "ls": "--" if row == "fgrecon+size" else "-"}
             if ours
-            else {"color": _shade(position), "lw": 1.5}
+            else {"color": _shade(position), "lw": 1.5, "ls": _DASHES[position % len(_DASHES)]}
         )
         axes.plot(limits, share, label=row_label(row), **style)
     detected = 100.0 * (scores.detection[used] >= 0).mean()

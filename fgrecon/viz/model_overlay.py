@@ -19,7 +19,7 @@ PosedModel = tuple[VehicleMesh, NDArray[np.float64], Colour]
 """A model, the pose (4, 4) it is seen at, and its colour."""
 
 _LARGEST = 2000.0  # pixels of the rendering's longer side
-_OPACITY, _DARKEST = 0.8, 0.35
+_OPACITY, _DARKEST = 0.8, 0.5
 _LIGHT = np.array([-0.3, -0.85, -0.45])  # in the camera frame: from above, and from the camera's left
 
 
