@@ -13,7 +13,7 @@ __all__ = ["Drawing"]
 _WIDEST = 1200.0  # pixels in a notebook
 
 
-class Drawing(Figure):  # type: ignore[misc]  # matplotlib is untyped here
+class Drawing(Figure):
     """A figure with an Agg canvas of its own.
 
     Notebooks show matplotlib's figures where pyplot was imported; this one they show without it.
