@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.category import Category
-from fgrecon.core.checks import as_finite
+from fgrecon.core.checks import as_finite, as_shape
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.vehicle_mesh import VehicleMesh
 from fgrecon.io.arrays import read_arrays
@@ -94,7 +94,8 @@ def _mesh(file: Path, category: Category, turn: NDArray[np.float64]) -> VehicleM
     try:
         with file.open("rb") as content:
             loaded: Any = trimesh.load_mesh(content, file_type=file.suffix.lower()[1:], skip_materials=True)
-        vertices, faces = np.asarray(loaded.vertices, dtype=np.float64), np.asarray(loaded.faces, dtype=np.int64)
+        vertices = as_shape("vertices", loaded.vertices, (None, 3))
+        faces = as_shape("faces", loaded.faces, (None, 3)).astype(np.int64)
     except OSError as error:
         raise InvalidInputError("models", str(file), f"Give a file that can be read ({error.strerror}).") from error
     except Exception as error:  # trimesh promises no kind of error for damaged content
