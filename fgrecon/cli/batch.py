@@ -109,6 +109,11 @@ class CameraSource:
     own: Camera | None = None
     crop: str | None = None
 
+    @property
+    def given(self) -> bool:
+        """Whether the command line says which camera it is."""
+        return any(part is not None for part in (self.calib, self.intrinsics, self.file))
+
     def camera(self, image: str | None = None) -> tuple[Camera | None, NDArray[np.float64] | None]:
         """The camera, and where KITTI's label frame lies from it; None where the command line does not say.
 

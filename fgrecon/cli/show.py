@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from fgrecon.cli.terminal import Screen
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.digits import shortened
 from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.options import KeypointOptions
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.text import printable
@@ -169,7 +171,16 @@ def plain_settings(settings: Settings) -> dict[str, Any]:
         "size_prior": _plain_size(settings.size_prior),
         "strategy": settings.options.strategy.name.value,
         "box_model": settings.options.box.model.value,
+        **_plain_keypoints(settings.options.keypoints),
     }
+
+
+def _plain_keypoints(given: KeypointOptions) -> dict[str, Any]:
+    """What is assumed of the keypoint detector, where that is not the default."""
+    default = KeypointOptions()
+    told = {entry.name: getattr(given, entry.name) for entry in fields(given)}
+    changed = {name: value for name, value in told.items() if value != getattr(default, name)}
+    return {"keypoints": changed} if changed else {}
 
 
 def _plain_ground(ground: Ground | None) -> dict[str, Any] | None:
