@@ -22,6 +22,7 @@ from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as parse_size
+from fgrecon.core.vehicle_mesh import ClosestModel
 from fgrecon.io.cameras import MountedCamera, read_camera
 from fgrecon.io.catalogue import load_prior, shipped_priors
 from fgrecon.io.json_fields import read_json
@@ -229,6 +230,8 @@ class Outcome:
     task: Task
     result: Reconstruction | None
     error: FgreconError | None
+    closest: ClosestModel | None = None
+    """The car model that the result comes nearest to, where models were given."""
 
     @property
     def name(self) -> str:
