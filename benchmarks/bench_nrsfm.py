@@ -2,7 +2,7 @@
 
     OMP_NUM_THREADS=1 python benchmarks/bench_nrsfm.py [--data ../shared/data] [--part PART] [--repeats N]
 
-Parts: small, all, heldout, points36, variance.
+Parts: small, all, heldout, points36, variance, few. All but the last leave the proportions as the images tell them.
 
 Mean-shape errors are RMS distances over the keypoints after a similarity alignment, in percent of the length of the
 reference's box; times are CPU seconds of one process.
@@ -20,15 +20,16 @@ from numpy.typing import NDArray
 
 from fgrecon.core.category import Category
 from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.annotations import Annotations, load_annotations, spread
 from fgrecon.io.catalogue import load_category, load_prior
 from fgrecon.paper.icra2017_release import import_icra2017
 from fgrecon.training.priors.compare import align, compare_priors, expression_error, mean_error
-from fgrecon.training.priors.learn import LearntPrior, learn_prior
+from fgrecon.training.priors.learn import PROPORTIONS, LearntPrior, learn_prior, to_prior
 from fgrecon.training.priors.nrsfm import NrsfmOptions
 
 Array = NDArray[np.float64]
-DEFAULT = NrsfmOptions()
+DEFAULT = NrsfmOptions(bootstrap=0)
 VARIANTS = {
     "default": DEFAULT,
     "perspective removed": replace(DEFAULT, perspective=True),
@@ -46,6 +47,7 @@ TITLES = {
     "all": "All images",
     "heldout": "Held-out keypoints, 300 images, % of the visible points' extent",
     "points36": "36 points, 300 images",
+    "few": "37 random vehicles, 300 images of them",
     "variance": "Share of the variance of ten vectors, 300 images",
 }
 CAD12 = [0, 1, 2, 3, 4, 5, 6, 7, 10, 11, 12, 13]
@@ -72,7 +74,8 @@ def learn(annotations: Annotations, variant: str, seed: int = 0) -> tuple[Learnt
         keypoints = with_mirrored_copies(annotations.category, keypoints)
         views = None if views is None else np.tile(views, 2)
     begun = time.process_time()
-    learnt = learn_prior(annotations.category, keypoints, options=replace(VARIANTS[variant], seed=seed), views=views)
+    how = {"options": replace(VARIANTS[variant], seed=seed), "proportions": 0.0}  # what the images tell alone
+    learnt = learn_prior(annotations.category, keypoints, views=views, **how)
     return learnt, time.process_time() - begun
 
 
@@ -196,12 +199,32 @@ def variance(data: Path) -> None:
         chosen = marked.select(spread(marked, 300, np.random.default_rng(0)))
         for perspective in (False, True):
             options = replace(DEFAULT, basis=10, perspective=perspective)
-            prior = learn_prior(chosen.category, chosen.keypoints, options=options, views=chosen.views).prior
+            how = {"options": options, "proportions": 0.0}
+            prior = learn_prior(chosen.category, chosen.keypoints, views=chosen.views, **how).prior
             share = prior.explained
             shares = " ".join(f"{100 * x:.1f}" for x in share)
             kind = f"{name}{', perspective removed' if perspective else ''}"
             five = share[:5].sum()
             print(f"| {kind} | {shares} | {100 * five:.2f} | {100 * five / share.sum():.2f} |", flush=True)
+
+
+def few(data: Path, subsets: int) -> None:
+    """A fifth of the vehicles: with the proportions that images tell, with the default, and how sure it says to be."""
+    annotations, cars = veri14(data), apollo(data)
+    heads("choice", "as the images tell, % of apollo79", "default", "size prior `kitti`", "says, cm")
+    names = np.unique(np.asarray(annotations.vehicles))
+    for seed in range(subsets):
+        vehicles = np.random.default_rng(1000 + seed).permutation(names)[:37]
+        own = annotations.select(np.isin(annotations.vehicles, vehicles))
+        chosen = own.select(spread(own, 300, np.random.default_rng(seed)))
+        learnt = learn_prior(chosen.category, chosen.keypoints, views=chosen.views, vehicles=chosen.vehicles)
+        priors = [
+            to_prior(chosen.category, learnt.nrsfm, SIZE_PRIORS[fleet], proportions=share).prior
+            for fleet, share in (("apollo79", 0.0), ("apollo79", PROPORTIONS), ("kitti", PROPORTIONS))
+        ]
+        errors = " | ".join(f"{mean_error(prior, cars)[1]:.2f}" for prior in priors)
+        sure = 100 * float(np.sqrt(np.square(priors[1].mean_sigma).sum(axis=1).mean()))
+        print(f"| {seed} | {errors} | {sure:.1f} |", flush=True)
 
 
 def heads(*names: str) -> None:
@@ -226,7 +249,7 @@ def main() -> None:
     parser.add_argument("--part", action="append", choices=list(TITLES))
     parser.add_argument("--repeats", type=int, default=4, help="choices of images, or seeds")
     arguments = parser.parse_args()
-    parts = arguments.part or list(TITLES)
+    parts = arguments.part or [part for part in TITLES if part != "few"]  # that is on the page itself
     for part in parts:
         print(f"\n### {TITLES[part]}\n", flush=True)
         if part == "small":
@@ -237,6 +260,8 @@ def main() -> None:
             heldout(arguments.data, arguments.repeats)
         elif part == "points36":
             points36(arguments.data, min(arguments.repeats, 2))
+        elif part == "few":
+            few(arguments.data, arguments.repeats)
         else:
             variance(arguments.data)
 

@@ -108,11 +108,11 @@ class ObservationRows:
         return 2 * len(self.pixels) + 8
 
     def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
-        """The rows at the values; an infinite residual where a keypoint is behind the camera."""
+        """The rows at the values; an infinite residual where a keypoint is behind the camera, or infinitely far."""
         form = self.form if want_jacobian or self.form is Form.WEIGHTED else Form.LOSS
         evaluate = self._by_numpy if self.compiled is None else self._by_kernel
         nearest, residual, jacobian = evaluate(values, form, want_jacobian)
-        if nearest <= _SHALLOWEST:
+        if not _SHALLOWEST < nearest < np.inf:
             return np.full(self.rows, np.inf), None if jacobian is None else np.zeros_like(jacobian)
         if self.share != 1.0:
             residual *= self.share**0.5
@@ -142,6 +142,7 @@ class ObservationRows:
             jacobian = jacobian[:, self._columns]
         return nearest, residual, jacobian
 
+    @np.errstate(invalid="ignore")  # infinitely far there is no direction
     def _by_numpy(self, values: gtsam.Values, form: Form, want: bool) -> tuple[float, Array, Array | None]:
         at = self.kernel.evaluate(values, want)
         size, columns = len(self.pixels), sum(self.kernel.dims)

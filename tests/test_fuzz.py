@@ -1,10 +1,13 @@
 """A short run of the fuzzer on every reader, and the files that longer ones have found."""
 
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.fuzz import __main__ as command
+from benchmarks.fuzz import guided as by_coverage
 from benchmarks.fuzz.mutate import mutated
 from benchmarks.fuzz.readers import READERS
 from benchmarks.fuzz.run import fuzz, read
@@ -40,3 +43,19 @@ def test_damage_is_the_same_for_the_same_number():
         first, second = (mutated(content, np.random.default_rng(number)) for _ in range(2))
         assert first == second
     assert len({mutated(content, np.random.default_rng(number)) for number in range(50)}) > 30
+
+
+def test_without_atheris_guided_fuzzing_says_so(monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr(by_coverage, "find_spec", lambda name: None)
+    monkeypatch.setattr(sys, "argv", ["fuzz", "--guided", "--out", str(tmp_path / "out")])
+    assert command.main() == 0
+    assert "atheris is not installed: pip install 'fgrecon[fuzzing]'" in capsys.readouterr().out
+    assert not (tmp_path / "out").exists()
+
+
+def test_coverage_leads_to_more_files(tmp_path):
+    pytest.importorskip("atheris")
+    ended = by_coverage.guided("names", 4.0, tmp_path)
+    assert ended.finds == []
+    assert ended.files > 10
+    assert len(list((tmp_path / "guided" / "names" / "corpus").iterdir())) > len(READERS["names"].seeds())

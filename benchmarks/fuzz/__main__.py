@@ -1,7 +1,8 @@
-"""Damage files and read them, for as long as wanted: `python -m benchmarks.fuzz --minutes N [--reader NAME]`.
+"""Damage files and read them: `python -m benchmarks.fuzz --minutes N [--reader NAME] [--guided]`.
 
 Goes on where the last run with the same --out ended. What a reader raises that fgrecon does not raise on purpose is
-kept there as a file and printed; exit code 1 says that there was something. Slow files are told as well.
+kept there as a file and printed; exit code 1 says that there was something. Slow files are told as well. With --guided
+coverage leads the way (atheris, extra `fuzzing`), and the minutes are those of the clock.
 """
 
 from __future__ import annotations
@@ -13,8 +14,10 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from benchmarks.fuzz.guided import guided, why_not
 from benchmarks.fuzz.readers import READERS
 from benchmarks.fuzz.run import Find, fuzz
+from fgrecon.io.files import write_text
 
 
 def main() -> int:
@@ -23,21 +26,26 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=1.0, help="CPU minutes for each reader")
     parser.add_argument("--reader", action="append", choices=list(READERS), help="only this one; repeat for more")
     parser.add_argument("--out", type=Path, default=Path("fuzz"), help="folder of what was found and how far it came")
+    parser.add_argument("--guided", action="store_true", help="by coverage, with atheris; --minutes go by the clock")
     given = parser.parse_args()
+    if given.guided and (reason := why_not()) is not None:
+        print(f"Skipped: {reason}.")
+        return 0
     given.out.mkdir(parents=True, exist_ok=True)
     progress = given.out / "progress.json"
     before: dict[str, Mapping[str, float]] = json.loads(progress.read_text()) if progress.exists() else {}
     found: list[Find] = []
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # decoders of pictures tell all that they dislike
     for name in given.reader or list(READERS):
-        start = int(before.get(name, {}).get("files", 0))
-        ended = fuzz(name, start, 60.0 * given.minutes, given.out)
+        key = f"{name} (guided)" if given.guided else name
+        start, seconds = int(before.get(key, {}).get("files", 0)), 60.0 * given.minutes
+        ended = guided(name, seconds, given.out) if given.guided else fuzz(name, start, seconds, given.out)
         found += ended.finds
-        spent = float(before.get(name, {}).get("cpu_minutes", 0.0)) + ended.seconds / 60.0
-        before[name] = {"files": start + ended.files, "cpu_minutes": round(spent, 2)}
-        progress.write_text(json.dumps(before, indent=1))
-        slow = f", slowest {ended.slowest:.2f} s"
-        print(f"{name}: {before[name]['files']} files in {spent:.1f} CPU minutes, {len(ended.finds)} new finds{slow}")
+        spent = float(before.get(key, {}).get("cpu_minutes", 0.0)) + ended.seconds / 60.0
+        before[key] = {"files": start + ended.files, "cpu_minutes": round(spent, 2)}
+        write_text(progress, json.dumps(before, indent=1))
+        told = f"{before[key]['files']} files in {spent:.1f} CPU minutes, {len(ended.finds)} new finds"
+        print(f"{key}: {told}, slowest {ended.slowest:.2f} s", flush=True)
     _print(found)
     return int(bool(found))
 

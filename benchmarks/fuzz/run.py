@@ -16,7 +16,7 @@ from benchmarks.fuzz.mutate import mutated
 from benchmarks.fuzz.readers import READERS
 from fgrecon.core.errors import FgreconError
 
-__all__ = ["Ended", "Find", "fuzz", "read"]
+__all__ = ["Ended", "Find", "fuzz", "judge", "read"]
 
 _WAITED = 5.0  # so many times the CPU time may pass by the clock
 _SLOW = 20.0  # seconds for one small file: a find; a picture of 178 million equal pixels takes six
@@ -67,7 +67,7 @@ def fuzz(name: str, start: int, seconds: float, out: Path | None = None, most: i
         most: At most so many files.
     """
     seeds = sorted(READERS[name].seeds().items())
-    ended, places = Ended(), set()
+    ended = Ended()
     began, wall = time.process_time(), time.perf_counter()
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -80,24 +80,36 @@ def fuzz(name: str, start: int, seconds: float, out: Path | None = None, most: i
             number = start + ended.files
             rng = np.random.default_rng([number, *name.encode()])
             title, content = seeds[int(rng.integers(len(seeds)))]
-            damaged = mutated(content, rng)
-            clock = time.perf_counter()
-            error = read(name, Path(folder) / title, damaged)
-            took = time.perf_counter() - clock
-            ended.slowest = max(ended.slowest, took)
-            ended.files += 1
-            if error is None and took > _SLOW:
-                error = TimeoutError(f"{took:.1f} seconds")
-            if error is None:
-                continue
-            last = traceback.extract_tb(error.__traceback__)[-1:]
-            place = f"{Path(last[0].filename).name}:{last[0].lineno}" if last else "?"
-            if (type(error), place) not in places:
-                places.add((type(error), place))
-                kept = _keep(out, name, title, damaged)
-                ended.finds.append(Find(name, f"{type(error).__name__}: {error}"[:200], place, kept))
+            judge(name, Path(folder) / title, mutated(content, rng), ended, out)
     ended.seconds = time.process_time() - began
     return ended
+
+
+def judge(name: str, path: Path, content: bytes, ended: Ended, out: Path | None) -> None:
+    """Read one file and take note: of a place that raised, the first file alone.
+
+    Args:
+        name: Of the reader.
+        path: Where the file is written.
+        content: What is in it.
+        ended: Where note is taken.
+        out: Where files are kept that a reader does not bear.
+    """
+    clock = time.perf_counter()
+    error = read(name, path, content)
+    took = time.perf_counter() - clock
+    ended.slowest = max(ended.slowest, took)
+    ended.files += 1
+    if error is None and took > _SLOW:
+        error = TimeoutError(f"{took:.1f} seconds")
+    if error is None:
+        return
+    last = traceback.extract_tb(error.__traceback__)[-1:]
+    place = f"{Path(last[0].filename).name}:{last[0].lineno}" if last else "?"
+    kind = type(error).__name__
+    if all(find.place != place or not find.error.startswith(kind) for find in ended.finds):
+        kept = _keep(out, name, path.name, content)
+        ended.finds.append(Find(name, f"{kind}: {error}"[:200], place, kept))
 
 
 def read(name: str, path: Path, content: bytes) -> Exception | None:

@@ -49,14 +49,17 @@ def show_command(
     box = ", ".join(f"{x:.2f}" for x in loaded.box_size(np.zeros(loaded.dimension)))
     screen.print(f"length, width, height of the mean: {box} m")
     table = Table(title="Mean keypoints (m: forward, down, left), what the basis leaves unexplained, and the modes")
-    headings = ("keypoint", "x", "y", "z", "offset cm", *(f"mode {j + 1} cm" for j in range(loaded.dimension)))
+    sure = () if loaded.mean_sigma is None else ("mean ± cm (x, y, z)",)
+    headings = ("keypoint", "x", "y", "z", *sure, "offset cm", *(f"mode {j + 1} cm" for j in range(loaded.dimension)))
     for heading in headings:
         table.add_column(heading, justify="left" if heading == "keypoint" else "right")
     moves = 100 * np.linalg.norm(loaded.basis, axis=2)
     for k, keypoint in enumerate(loaded.category.keypoints):
-        numbers = (f"{x:.3f}" for x in loaded.mean[k])
+        numbers = [f"{x:.3f}" for x in loaded.mean[k]]
+        if loaded.mean_sigma is not None:
+            numbers.append(", ".join(f"{100 * x:.1f}" for x in loaded.mean_sigma[k]))
         table.add_row(keypoint, *numbers, f"{100 * loaded.offset_sigma[k]:.1f}", *(f"{x:.1f}" for x in moves[:, k]))
-    table.add_row("variance", "", "", "", "", *(f"{100 * x:.1f} %" for x in loaded.explained))
+    table.add_row("variance", "", "", "", *("" for _ in sure), "", *(f"{100 * x:.1f} %" for x in loaded.explained))
     screen.print(table)
     if picture is not None:
         from fgrecon.viz import save_picture

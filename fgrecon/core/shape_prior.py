@@ -62,6 +62,8 @@ class ShapePrior:
         explained: (N,) fraction of the data's variance that each vector explains.
         name: Name shown beside results.
         provenance: Learnt from what, how, under which terms (plain strings).
+        mean_sigma: (K, 3) standard deviation of each mean keypoint by what it was learnt from, metres: how far it would
+            move if other vehicles had been annotated. None where that was not estimated. No solve uses it.
     """
 
     category: Category
@@ -72,6 +74,7 @@ class ShapePrior:
     surface: Surface | None = None
     name: str = "unnamed"
     provenance: Mapping[str, str] = field(default_factory=dict)
+    mean_sigma: NDArray[np.float64] | None = None
 
     __repr__ = brief_repr
 
@@ -94,6 +97,11 @@ class ShapePrior:
                 raise InvalidInputError(f"prior.{name}", largest, f"Give metres, up to {_LARGEST:g}.")
         if (self.offset_sigma < 0).any():
             raise InvalidInputError("prior.offset_sigma", self.offset_sigma.min(), "Give standard deviations >= 0.")
+        if self.mean_sigma is not None:
+            set_(self, "mean_sigma", as_finite("prior.mean_sigma", self.mean_sigma, (size, 3)))
+            if (self.mean_sigma < 0).any() or (self.mean_sigma > _LARGEST).any():
+                worst = float(self.mean_sigma.flat[np.abs(self.mean_sigma).argmax()])
+                raise InvalidInputError("prior.mean_sigma", worst, "Give standard deviations in metres, >= 0.")
         if np.linalg.matrix_rank(self.mean - self.mean.mean(axis=0)) < 2:
             raise InvalidInputError("prior.mean", "keypoints on one line", "Give a shape that is not degenerate.")
         if (self.box_size(np.zeros(count)) <= 0).any():
@@ -156,7 +164,10 @@ class ShapePrior:
         if surface is not None:
             surface = Surface(surface.mean * s, surface.basis * s, surface.faces)
         sigma = self.offset_sigma * float(np.cbrt(s.prod()))
-        return replace(self, mean=self.mean * s, basis=self.basis * s, offset_sigma=sigma, surface=surface)
+        moved = None if self.mean_sigma is None else self.mean_sigma * s
+        return replace(
+            self, mean=self.mean * s, basis=self.basis * s, offset_sigma=sigma, surface=surface, mean_sigma=moved
+        )
 
     def for_fleet(self, size: SizePrior) -> ShapePrior:
         """The prior scaled per axis so that its mean has the mean size of a fleet (names both in `name`)."""

@@ -8,6 +8,7 @@ A category is a JSON file, a prior an npz file without pickled content. In a pri
 | `category`, `provenance` | () | JSON text |
 | `name` | () | text |
 | `mean`, `basis`, `offset_sigma`, `explained` | (K, 3), (N, K, 3), (K,), (N,) | as in `ShapePrior` |
+| `mean_sigma` | (K, 3) | metres: how far the mean would move with other vehicles (`ShapePrior`); where it is known |
 | `surface_mean`, `surface_basis`, `surface_faces` | (V, 3), (N, V, 3), (F, 3) | as in `Surface`; all or none |
 """
 
@@ -104,6 +105,8 @@ def save_prior(prior: ShapePrior, path: str | Path) -> Path:
         "name": np.array(prior.name),
         **{field: _compact(getattr(prior, field)) for field in _ARRAYS},
     }
+    if prior.mean_sigma is not None:
+        arrays["mean_sigma"] = _compact(prior.mean_sigma)
     if prior.surface is not None:
         arrays["surface_mean"] = _compact(prior.surface.mean)
         arrays["surface_basis"] = _compact(prior.surface.basis)
@@ -197,6 +200,7 @@ def _prior_from_arrays(source: str, arrays: Mapping[str, NDArray[Any]], fix: str
             surface=surface,
             name=text("name"),
             provenance={str(key): str(value) for key, value in _json("provenance", text("provenance")).items()},
+            mean_sigma=arrays.get("mean_sigma"),
         )
     except InvalidInputError as error:
         raise InvalidInputError(f"{source}: {error.field}", error.value, error.fix) from error
@@ -207,6 +211,8 @@ def _prior_from_arrays(source: str, arrays: Mapping[str, NDArray[Any]], fix: str
 def _freeze(prior: ShapePrior) -> None:
     """Make the arrays read-only: a shipped prior is shared by everyone who loads it."""
     arrays = [getattr(prior, field) for field in _ARRAYS]
+    if prior.mean_sigma is not None:
+        arrays.append(prior.mean_sigma)
     if prior.surface is not None:
         arrays += [prior.surface.mean, prior.surface.basis, prior.surface.faces]
     for array in arrays:

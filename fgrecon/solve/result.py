@@ -31,6 +31,7 @@ __all__ = ["history_of", "results", "weakened"]
 
 _SURE_FACING = 0.8
 """Less is ambiguous: 80 % of the cars that are turned round on KITTI's video, and 6 % of the others."""
+_ABSURD = 5.0  # times longer, wider or higher than the prior's mean, or as many times less: no such vehicle
 _LOOSE = np.deg2rad(30.0)  # a rotation known no better than this is not determined
 
 
@@ -120,7 +121,10 @@ def _result(
     centre = -camera_T_object[:3, :3].T @ camera_T_object[:3, 3]
     box_size = prior.box_size(coefficients, offsets)
     facing = _facing(part, camera_T_object) if told is None else told
-    status, message = _status(camera_T_object, box_size, facing, alternatives, uncertainty, problem.options, optimum)
+    relative = box_size / prior.box_size(np.zeros_like(coefficients))
+    status, message = _status(
+        camera_T_object, box_size, relative, facing, alternatives, uncertainty, problem.options, optimum
+    )
     if np.isnan(facing) and part.share == 1.0 and np.isfinite([*camera_T_object.ravel(), optimum.gain]).all():
         facing = facing_by_energies(camera_T_object, alternatives)
     others = with_probabilities(camera_T_object, coefficients, alternatives, facing)
@@ -191,6 +195,7 @@ def _facing(part: ObservationPart, camera_T_object: NDArray[np.float64]) -> floa
 def _status(
     camera_T_object: NDArray[np.float64],
     box_size: NDArray[np.float64],
+    relative_size: NDArray[np.float64],
     facing: float,
     alternatives: tuple[Alternative, ...],
     uncertainty: Covariances | None,
@@ -203,7 +208,7 @@ def _status(
         return Status.DEGENERATE, "The keypoints with any weight leave pose or shape undetermined."
     if optimum.unfinished is not None:
         return Status.DEGENERATE, f"The solver was stopped {optimum.unfinished}: near a minimum, not at one."
-    if not (box_size > 0.0).all():
+    if not (relative_size > 1.0 / _ABSURD).all() or not (relative_size < _ABSURD).all():
         length, width, height = box_size.tolist()
         return Status.DEGENERATE, f"No vehicle measures {length:.2f} x {width:.2f} x {height:.2f} m."
     if camera_T_object[2, 3] <= 0.0:

@@ -54,6 +54,8 @@ def test_learn_writes_a_prior_and_says_what_it_found(folder):
     text = RUN.invoke(app, ["prior", *learn(folder, "again.npz", "--images", "60", "--perspective")]).output
     assert "60 of 60 images" in text
     assert "variance explained" in text
+    assert "the mean by other vehicles: " in text
+    assert "other vehicles" not in RUN.invoke(app, ["prior", *learn(folder, "unsure.npz", "--bootstrap", 0)]).output
     assert "perspective" in load_prior(folder / "again.npz").provenance["method"]
 
 
@@ -95,6 +97,8 @@ def test_show_draws_and_records(folder):
     )
     assert result.exit_code == 0
     assert "left_front_foot" in result.output
+    assert "±" in result.output
+    assert "±" not in RUN.invoke(app, ["prior", "show", "car14"]).output
     assert out.read_bytes()[:4] == b"\x89PNG"
     from rerun.chunk import RrdReader
 

@@ -215,6 +215,14 @@ def test_behind_the_camera_the_energy_is_infinite(compiled):
     assert observation_factor(case.tell(Form.NEWTON)).error(case.values) == np.inf
 
 
+@BOTH
+def test_infinitely_far_the_energy_is_infinite(compiled):
+    """A step that overflows is one to refuse, not a fault of the factor."""
+    case = Case(4, compiled=compiled)
+    case.values.update(X(), gtsam.Pose3(case.pose.rotation(), np.array([0.0, 1.0, np.inf])))
+    assert observation_factor(case.tell(Form.NEWTON)).error(case.values) == np.inf
+
+
 @pytest.mark.skipif(KERNEL is None, reason="no compiled kernel")
 def test_arrays_that_do_not_fit_are_refused_at_the_border():
     rng = np.random.default_rng(0)

@@ -103,12 +103,11 @@ def test_round_trip_keeps_every_bit(small_category, tmp_path_factory, basis, ver
     from fgrecon.core.category import Category
 
     surface = Surface(vertices, np.zeros((2, 4, 3)), np.array([[0, 1, 2]]))
-    prior = small_prior(
-        Category.from_dict(small_category), basis=basis, surface=surface, name=name, provenance={"source": name}
-    )
+    told = {"surface": surface, "name": name, "provenance": {"source": name}, "mean_sigma": np.abs(basis[0])}
+    prior = small_prior(Category.from_dict(small_category), basis=basis, **told)
     file = tmp_path_factory.mktemp("prior") / "prior.npz"
     again = load_prior(save_prior(prior, file))
-    for field in FIELDS:
+    for field in (*FIELDS, "mean_sigma"):
         assert np.array_equal(getattr(again, field), getattr(prior, field))
     assert np.array_equal(again.surface.mean, prior.surface.mean)
     assert np.array_equal(again.surface.faces, prior.surface.faces)
@@ -121,7 +120,18 @@ def test_round_trip_keeps_every_bit(small_category, tmp_path_factory, basis, ver
 def test_round_trip_without_surface_or_basis(small_category, category_file, tmp_path):
     prior = small_prior(load_category(category_file), basis=np.zeros((0, 5, 3)), explained=[])
     again = load_prior(save_prior(prior, tmp_path / "mean.npz"))
-    assert (again.dimension, again.surface) == (0, None)
+    assert (again.dimension, again.surface, again.mean_sigma) == (0, None, None)
+
+
+@pytest.mark.parametrize("sigma", [np.zeros((4, 3)), np.full((5, 3), -0.1), np.full((5, 3), np.nan)])
+def test_a_mean_that_is_wrongly_sure_is_refused(category_file, sigma):
+    with pytest.raises(InvalidInputError, match="mean_sigma"):
+        small_prior(load_category(category_file), mean_sigma=sigma)
+
+
+def test_how_sure_a_mean_is_scales_with_it(category_file):
+    prior = small_prior(load_category(category_file), mean_sigma=np.full((5, 3), 0.1)).scaled((2.0, 1.0, 3.0))
+    np.testing.assert_allclose(prior.mean_sigma, np.tile([0.2, 0.1, 0.3], (5, 1)))
 
 
 class TestErrors:

@@ -1,5 +1,6 @@
 """What must hold of any solve: another frame, order or scale changes what it says and nothing else."""
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -8,9 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fgrecon
+from benchmarks.soak.problems import problem
+from benchmarks.soak.watch import watched
 from fgrecon.core.camera import Camera
+from fgrecon.core.errors import FgreconError
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
+from fgrecon.core.robust import RobustStrategy
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.scene import reconstruct_scene
 from tests.cars import CAMERA, observe, yaw_pose
@@ -33,7 +38,8 @@ def car(seed):
 
 
 def solve(observation, camera=KNOWN, **told):
-    return fgrecon.reconstruct(observation, camera, options=FAST, **({"ground": 1.65, "size_prior": "kitti"} | told))
+    told = {"ground": 1.65, "size_prior": "kitti", "options": FAST} | told
+    return fgrecon.reconstruct(observation, camera, **told)
 
 
 def close(found, wanted, scale=1.0):
@@ -124,3 +130,29 @@ def test_a_car_that_is_given_twice_is_found_twice(seed):
     told = {"ground": 1.65, "size_prior": "kitti", "options": FAST}
     first, second = reconstruct_scene(seen, KNOWN, **told).vehicles
     close(first.camera_T_object, second.camera_T_object)
+
+
+@settings(max_examples=8, deadline=None, derandomize=True)
+@given(seeds)
+def test_no_step_raises_the_energy(seed):
+    """Of cars, scenes and tracks that are mostly nonsense, visibility held."""
+    _, _, solve = problem([seed, 0])
+    with watched() as watch, suppress(FgreconError):
+        solve()
+    assert watch.rises == 0
+
+
+@pytest.mark.parametrize("strategy", ["huber", "cauchy", "geman_mcclure", "tukey"])
+def test_no_update_raises_the_energy(strategy):
+    with watched() as watch:
+        solve(car(11), options=replace(FAST, strategy=RobustStrategy(strategy)))
+    assert watch.steps > 2
+    assert watch.rises == 0
+
+
+def test_steps_are_watched():
+    with watched() as watch:
+        solve(car(3))
+    assert watch.steps > 5
+    watch.look(10.0, 10.1)
+    assert watch.rises == 1

@@ -103,7 +103,7 @@ def test_whole_cars_and_halves():
 
 
 def test_what_no_vehicle_is_does_not_converge(status_of, solved):
-    """A negative length, an origin behind the camera."""
+    """A length that is negative, or a seventh of a car's; an origin behind the camera."""
     optimum = solved.adjusted.optimum
     prior = solved.problem.model.prior
     operator = np.array([np.tensordot(prior.category.dimension_operator[0], vector, axes=2) for vector in prior.basis])
@@ -113,6 +113,10 @@ def test_what_no_vehicle_is_does_not_converge(status_of, solved):
     status, message = status_of(state=replace(optimum.state, shapes=shapes))
     assert status is Status.DEGENERATE
     assert message.startswith("No vehicle measures -")
+    shapes = {number: (0.43 * inside_out, np.zeros((14, 3)))}  # 0.6 m long
+    status, message = status_of(state=replace(optimum.state, shapes=shapes))
+    assert status is Status.DEGENERATE
+    assert message.startswith("No vehicle measures 0.")
     behind = optimum.state.poses[0].matrix()
     behind[:3, 3] *= -1.0
     status, message = status_of(state=replace(optimum.state, poses=[gtsam.Pose3(behind)]))

@@ -57,6 +57,13 @@ class Learning:
     ] = False
     restarts: Annotated[int, typer.Option(min=1, help="Random starts; the best likelihood is kept.")] = 3
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0
+    proportions: Annotated[
+        float,
+        typer.Option(min=0.0, max=1.0, help="How far length, width and height of the mean go to those of the fleet."),
+    ] = 0.75
+    bootstrap: Annotated[
+        int, typer.Option(min=0, help="Draws of the vehicles that tell how sure the mean is; 0 for none.")
+    ] = 12
 
     def options(self, min_visible: int) -> NrsfmOptions:
         """The settings as the method has them."""
@@ -71,6 +78,7 @@ class Learning:
             min_visible=min_visible,
             restarts=self.restarts,
             seed=self.seed,
+            bootstrap=self.bootstrap,
         )
 
 
@@ -130,6 +138,8 @@ def learn_command(
             size=size,
             options=learning.options(least),
             views=data.views if annotations.even_views else None,
+            vehicles=data.vehicles,
+            proportions=learning.proportions,
             name=name or out.stem,
             provenance={"source": data.source},
             progress=_told(advance) if screen.bars else None,
@@ -176,6 +186,9 @@ def _print_summary(screen: Screen, learnt: LearntPrior, given: int) -> None:
         f"variance explained: {share} %, together {100 * prior.explained.sum():.1f} %",
         f"left unexplained: {residual.min():.1f} to {residual.max():.1f} cm per keypoint and axis",
     )
+    if prior.mean_sigma is not None:
+        sure = 100 * prior.mean_sigma
+        screen.print(f"the mean by other vehicles: {sure.min():.1f} to {sure.max():.1f} cm per keypoint and axis")
     screen.detail(f"log likelihood per keypoint at the end of each start: {bounds}")
     for keypoint, left in zip(prior.category.keypoints, residual, strict=True):
         screen.detail(f"left unexplained of {keypoint}: {left:.1f} cm")

@@ -9,7 +9,7 @@ from fgrecon.core.category import Category
 from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.size_prior import SizePrior
 
-__all__ = ["at_ground_level", "levelled", "metric_scale", "object_axes"]
+__all__ = ["at_ground_level", "levelled", "metric_scale", "metric_stretch", "object_axes"]
 
 Array = NDArray[np.float64]
 _SEPARATION = 0.05
@@ -83,6 +83,25 @@ def metric_scale(category: Category, mean: Array, size: SizePrior) -> float:
         raise DegenerateProblemError("category.dimensions", box.round(3).tolist(), fix)
     weight = 1.0 / np.square(size.sigma)
     return float((weight * box) @ size.mean / ((weight * box) @ box))
+
+
+def metric_stretch(category: Category, mean: Array, size: SizePrior, proportions: float) -> Array:
+    """(3,) factors along x, y and z that bring a mean shape (K, 3) to metres.
+
+    Args:
+        category: Its dimensions.
+        mean: The mean shape in the object frame.
+        size: Mean size of the fleet.
+        proportions: Share of the way from one common factor (0) to those that give the mean the fleet's length, width
+            and height (1). Images tell proportions worst of all: those of one trade against the view.
+
+    Raises:
+        DegenerateProblemError: A dimension of the shape is not positive.
+    """
+    scale = metric_scale(category, mean, size)
+    box = scale * np.tensordot(category.dimension_operator, mean, axes=2)
+    length, width, height = (size.mean / box) ** proportions
+    return np.asarray(scale * np.array([length, height, width]))
 
 
 def at_ground_level(category: Category, shapes: Array) -> Array:

@@ -12,12 +12,15 @@ from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SIZE_PRIORS, SizePrior
-from fgrecon.training.priors.canonical_frame import at_ground_level, levelled, metric_scale
+from fgrecon.training.priors.canonical_frame import at_ground_level, levelled, metric_scale, metric_stretch
 from fgrecon.training.priors.nrsfm import NrsfmOptions, NrsfmResult, ProgressCallback, fit_nrsfm
 
-__all__ = ["LearntPrior", "default_size", "learn_prior", "to_prior"]
+__all__ = ["PROPORTIONS", "LearntPrior", "default_size", "learn_prior", "to_prior"]
 
 Array = NDArray[np.float64]
+
+PROPORTIONS = 0.75
+"""Share of the fleet's proportions in those of a learnt mean."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,8 @@ def learn_prior(
     size: SizePrior | None = None,
     options: NrsfmOptions | None = None,
     views: ArrayLike | None = None,
+    vehicles: ArrayLike | None = None,
+    proportions: float = PROPORTIONS,
     name: str = "nrsfm",
     provenance: Mapping[str, str] | None = None,
     progress: ProgressCallback | None = None,
@@ -67,6 +72,8 @@ def learn_prior(
         size: Mean size of the fleet, which sets the scale in metres; for cars that of the 79 car models by default.
         options: How to learn.
         views: (M,) class of each image's viewing direction, where known; the classes then count alike.
+        vehicles: (M,) which vehicle each image shows, where known: `mean_sigma` goes by vehicles then.
+        proportions: Share of the way from the proportions that the images tell to those of the fleet, from 0 to 1.
         name: Name of the prior.
         provenance: What it was learnt from; how is added here.
         progress: Told of the progress; it may raise to stop.
@@ -78,9 +85,11 @@ def learn_prior(
         InvalidInputError: Wrong shapes or values, or no size is known.
         DegenerateProblemError: The annotations do not determine a shape.
     """
+    if not 0.0 <= proportions <= 1.0:
+        raise InvalidInputError("proportions", proportions, "Give a share from 0 to 1.")
     options = options or NrsfmOptions()
     size = size or default_size(category)
-    result = fit_nrsfm(category, keypoints, options, views=views, progress=progress)
+    result = fit_nrsfm(category, keypoints, options, views=views, vehicles=vehicles, progress=progress)
     noise = "Gaussian" if options.dof is None else f"Student's t with {options.dof:g} degrees of freedom"
     model = "perspective to first order" if options.perspective else "scaled orthography"
     symmetry = "symmetric" if options.symmetric and category.symmetric_pairs else "as they are"
@@ -91,9 +100,9 @@ def learn_prior(
             f"NRSfM (EM-PPCA, {model}) of {int(result.used.sum())} images, {symmetry}, "
             f"noise {noise}, {likelihood} likelihood, seed {options.seed}"
         ),
-        "scale": f"box of {size.name}: {', '.join(f'{x:g}' for x in size.mean)} m",
+        "scale": f"box of {size.name}: {', '.join(f'{x:g}' for x in size.mean)} m; its proportions to {proportions:g}",
     }
-    return to_prior(category, result, size, name=name, provenance=how)
+    return to_prior(category, result, size, proportions=proportions, name=name, provenance=how)
 
 
 def to_prior(
@@ -101,6 +110,7 @@ def to_prior(
     result: NrsfmResult,
     size: SizePrior,
     *,
+    proportions: float = PROPORTIONS,
     name: str = "nrsfm",
     provenance: Mapping[str, str] | None = None,
 ) -> LearntPrior:
@@ -114,6 +124,7 @@ def to_prior(
         category: The category that was learnt.
         result: What NRSfM found.
         size: Mean size of the fleet; how much each dimension counts for the common scale follows from its spread.
+        proportions: Share of the way to the fleet's own proportions (`metric_stretch`).
         name: Name of the prior.
         provenance: Plain strings about where it came from.
 
@@ -124,8 +135,12 @@ def to_prior(
         DegenerateProblemError: A dimension of the learnt shape is not positive.
     """
     scale = metric_scale(category, result.mean, size)
-    mean = at_ground_level(category, scale * result.mean)
-    basis = at_ground_level(category, levelled(category, mean, scale * result.basis))
+    stretch = metric_stretch(category, result.mean, size, proportions)
+    mean = at_ground_level(category, stretch * result.mean)
+    basis = at_ground_level(category, levelled(category, mean, stretch * result.basis))
+    others = [
+        at_ground_level(category, metric_stretch(category, drawn, size, proportions) * drawn) for drawn in result.drawn
+    ]
     strength = np.square(result.basis).sum(axis=(1, 2))
     explained = strength / (strength.sum() + 3.0 * np.square(result.residual_sigma).sum())
     variance = np.square(scale * result.residual_sigma)
@@ -137,6 +152,7 @@ def to_prior(
         explained=explained,
         name=name,
         provenance=dict(provenance or {}),
+        mean_sigma=np.std(others, axis=0, ddof=1) if others else None,
     )
     box = np.tensordot(category.dimension_operator, result.mean, axes=2)
     return LearntPrior(prior, result, scale * box / size.mean)

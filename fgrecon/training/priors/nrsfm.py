@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.category import Category
 from fgrecon.core.checks import as_shape
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
+from fgrecon.training.priors.bootstrap import bootstrapped_means, vehicle_numbers
 from fgrecon.training.priors.canonical_frame import object_axes
 from fgrecon.training.priors.em_acceleration import EmState, em, start_state
 from fgrecon.training.priors.em_ppca import Cameras, Data, ShapeModel, expected_shapes
@@ -60,6 +61,8 @@ class NrsfmResult:
         restart_bounds: Bound per keypoint at the end of each restart.
         nearness: Inverse distance of the cameras per unit of the shape; 0 for scaled orthography.
         reversed: Whether the depth of the factorisation had to be reversed to make the object frame right-handed.
+        drawn: (B, K, 3) means by other draws of the vehicles (`bootstrap`), fitted to the mean; B is 0 where none were
+            made.
     """
 
     mean: Array
@@ -75,6 +78,7 @@ class NrsfmResult:
     restart_bounds: tuple[float, ...]
     nearness: float
     reversed: bool
+    drawn: Array
 
     def predict(self) -> Array:
         """(M', K, 2) every keypoint of every used image in pixels, unseen ones filled in."""
@@ -91,6 +95,7 @@ def fit_nrsfm(
     options: NrsfmOptions | None = None,
     *,
     views: ArrayLike | None = None,
+    vehicles: ArrayLike | None = None,
     progress: ProgressCallback | None = None,
 ) -> NrsfmResult:
     """Learn mean, basis and noise of a category's keypoints from images of different instances.
@@ -102,6 +107,7 @@ def fit_nrsfm(
         views: (M,) class of each image's viewing direction, where known. Every class then counts alike, whatever the
             share of its images: scaled orthography errs differently from each direction, and evenly spread views
             cancel much of that (learnt from 3,000 street images, the mean shape's error falls from 1.5 to 1.15 %).
+        vehicles: (M,) which vehicle each image shows, where known: how sure the mean is goes by vehicles then.
         progress: Told of the progress; it may raise to stop.
 
     Returns:
@@ -117,7 +123,11 @@ def fit_nrsfm(
     used, data, centre, size = _prepare(category, points, options, views)
     subspace = SymmetricSubspace.of(category.size, category.symmetric_pairs, options.symmetric)
     learner = _Learner(category, subspace, options, progress or (lambda _: None))
-    return _result(category, subspace, learner.learn(data), (used, centre, size))
+    learnt = learner.learn(data)
+    rng = np.random.default_rng([options.seed, options.bootstrap])
+    number = vehicle_numbers(vehicles, used)
+    drawn = bootstrapped_means(learnt.data, learnt.state, subspace, number, options.bootstrap, options.dof, rng)
+    return _result(category, subspace, learnt, (used, centre, size), drawn)
 
 
 def _prepare(
@@ -315,7 +325,11 @@ class _Learner:
 
 
 def _result(
-    category: Category, subspace: SymmetricSubspace, learnt: _Learnt, prepared: tuple[NDArray[np.bool_], Array, Array]
+    category: Category,
+    subspace: SymmetricSubspace,
+    learnt: _Learnt,
+    prepared: tuple[NDArray[np.bool_], Array, Array],
+    drawn: Array,
 ) -> NrsfmResult:
     """The state turned into the object frame, principal axes and the given pixels."""
     used, centre, size = prepared
@@ -350,4 +364,5 @@ def _result(
         restart_bounds=learnt.bounds,
         nearness=learnt.nearness,
         reversed=bool(np.linalg.det(axes) < 0),
+        drawn=subspace.project(drawn @ axes),
     )

@@ -29,6 +29,8 @@ class NrsfmOptions:
         start_images: Restarts use at most so many images.
         rotations: Starts of the global search for each camera.
         seed: Seed of everything random.
+        bootstrap: Draws of the vehicles by which the mean's standard deviation is estimated; 0 for none. They change
+            nothing else.
     """
 
     basis: int = 5
@@ -43,6 +45,7 @@ class NrsfmOptions:
     start_images: int = 2000
     rotations: int = 24
     seed: int = 0
+    bootstrap: int = 12
 
     def __post_init__(self) -> None:
         """Check the numbers.
@@ -53,6 +56,8 @@ class NrsfmOptions:
         for field, lowest in (("basis", 0), ("min_visible", 4), ("restarts", 1), ("iterations", 2), ("rotations", 0)):
             if getattr(self, field) < lowest:
                 raise InvalidInputError(f"options.{field}", getattr(self, field), f"Give at least {lowest}.")
+        if self.bootstrap < 0 or self.bootstrap == 1:
+            raise InvalidInputError("options.bootstrap", self.bootstrap, "Give 0, or 2 draws and more.")
         if self.dof is not None and not self.dof > 0:
             raise InvalidInputError("options.dof", self.dof, "Give a positive number, or None for Gaussian noise.")
         if not self.tolerance > 0:

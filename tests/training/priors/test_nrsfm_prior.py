@@ -13,7 +13,7 @@ from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.annotations import load_annotations, spread
 from fgrecon.io.catalogue import load_category, load_prior
-from fgrecon.training.priors.canonical_frame import at_ground_level, levelled, metric_scale, object_axes
+from fgrecon.training.priors.canonical_frame import at_ground_level, levelled, metric_scale, metric_stretch, object_axes
 from fgrecon.training.priors.compare import align, compare_priors, expression_error, mean_error
 from fgrecon.training.priors.factorisation import affine_factorisation, metric_upgrade
 from fgrecon.training.priors.learn import default_size, learn_prior
@@ -65,6 +65,53 @@ def test_scale_and_ground():
     level = levelled(chair(), mean, vector)[0]
     x = mean[feet, 0] - mean[feet, 0].mean()
     assert level[feet, 1] @ x == pytest.approx(0, abs=1e-12)
+
+
+def test_proportions_go_to_those_of_the_fleet():
+    mean = 3.0 * chair_mean() * [1.2, 1.0, 0.9]
+    boxes = {}
+    for share in (0.0, 0.5, 1.0):
+        moved = mean * metric_stretch(chair(), mean, CHAIR_SIZE, share)
+        boxes[share] = np.tensordot(chair().dimension_operator, moved, axes=2)
+    np.testing.assert_allclose(metric_stretch(chair(), mean, CHAIR_SIZE, 0.0), metric_scale(chair(), mean, CHAIR_SIZE))
+    np.testing.assert_allclose(boxes[1.0], CHAIR_SIZE.mean)
+    np.testing.assert_allclose(boxes[0.5], np.sqrt(boxes[0.0] * boxes[1.0]))
+    with pytest.raises(InvalidInputError, match="proportions"):
+        learn_prior(chair(), np.zeros((5, 11, 2)), size=CHAIR_SIZE, proportions=1.5)
+
+
+@pytest.fixture(scope="module")
+def sure():
+    """A chair from 120 images, with how sure its mean is, by what the images are said to show."""
+    world = draw_world(3, count=120, missing=0.2)
+    options = NrsfmOptions(basis=2, min_visible=6, restarts=1, bootstrap=6)
+
+    def learn(bootstrap=6, vehicles=None):
+        how = replace(options, bootstrap=bootstrap)
+        return learn_prior(chair(), world.keypoints, size=CHAIR_SIZE, options=how, vehicles=vehicles).prior
+
+    return learn
+
+
+def test_a_mean_says_how_sure_it_is_and_nothing_else_changes(sure):
+    alone, without = sure(), sure(bootstrap=0)
+    np.testing.assert_array_equal(alone.mean, without.mean)
+    np.testing.assert_array_equal(alone.basis, without.basis)
+    assert without.mean_sigma is None
+    np.testing.assert_allclose(alone.mean_sigma, alone.mean_sigma[chair().mirror], atol=1e-12)
+    error = np.abs(alone.mean - at_ground_level(chair(), chair_mean()))
+    assert 0.0005 < np.sqrt(np.square(alone.mean_sigma).mean()) < 0.02  # metres; the error's own size
+    assert np.sqrt(np.square(error).mean()) < 5.0 * np.sqrt(np.square(alone.mean_sigma).mean())
+
+
+def test_few_vehicles_are_less_sure_than_many(sure):
+    few = sure(vehicles=np.repeat(np.arange(4), 30))
+    assert np.square(few.mean_sigma).mean() > np.square(sure().mean_sigma).mean()
+    with pytest.raises(InvalidInputError, match="vehicles"):
+        sure(vehicles=np.arange(7))
+    for draws in (-1, 1):
+        with pytest.raises(InvalidInputError, match="bootstrap"):
+            NrsfmOptions(bootstrap=draws)
 
 
 def test_align_undoes_a_similarity():

@@ -1,32 +1,23 @@
-"""Random problems, most of them nonsense: `python -m benchmarks.soak --problems N [--seed S]`.
-
-Cars, scenes and tracks with missing images: 0 to 14 points, 0 to 100 % outliers, all depths, views, intrinsics and
-kinds of evidence. Counts what they come to and prints what must not be: an error that fgrecon does not raise on
-purpose, a number that is not finite, an absurd size or a place behind the camera in a result that is not flagged, other
-bits for the same input, more than five seconds. Exit code 1 says that there was something.
-"""
+"""Random problems, most of them nonsense, and what their results must not be."""
 
 from __future__ import annotations
 
-import argparse
-import sys
-import time
-from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 import fgrecon
-from fgrecon.core.errors import FgreconError
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.io.catalogue import load_prior
 from fgrecon.simulation.vehicles import yaw_pose
 
 _SIZES = (0.3, 30.0)  # metres: what a car can measure
-_SLOW = 5.0  # seconds for one car, or for a car of a scene or an image of a track
-_AGAIN = 20  # every so many-th problem is solved twice
+_STRATEGIES = tuple(fgrecon.StrategyName)
+
+__all__ = ["faults", "problem"]
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -68,9 +59,9 @@ def problem(seed: Sequence[int]) -> tuple[str, int, Callable[[], Sequence[Recons
     """A random problem: its kind, how many cars or images it has, and what solves it."""
     rng = np.random.default_rng(seed)
     camera = random_camera(rng)
-    told: dict[str, Any] = {
-        "options": fgrecon.Options(keep_history=False, box=("surface", "cuboid", "off")[seed[-1] % 3])
-    }
+    number = seed[-1]
+    options = fgrecon.Options(keep_history=False, box=("surface", "cuboid", "off")[number % 3])
+    told: dict[str, Any] = {"options": options}
     if rng.random() < 0.5:
         told["ground"] = float(10 ** rng.uniform(-2, 2))
     if rng.random() < 0.5:
@@ -79,6 +70,10 @@ def problem(seed: Sequence[int]) -> tuple[str, int, Callable[[], Sequence[Recons
     count = 1 if kind == "car" else int(rng.integers(1, 7))
     seen = [random_observation(rng, camera) for _ in range(count)]
     if kind == "car":
+        if number % 20 == 7:
+            told["options"] = replace(
+                options, strategy=fgrecon.RobustStrategy(_STRATEGIES[number // 20 % len(_STRATEGIES)])
+            )
         return kind, count, lambda: [fgrecon.reconstruct(seen[0], camera, **told)]
     if kind == "scene":
         if rng.random() < 0.3 and camera.distortion is None:
@@ -102,45 +97,3 @@ def faults(results: Sequence[Reconstruction]) -> list[str]:
         elif result.location[2] <= 0.0:
             found.append(f"behind the camera: {result.location.round(2).tolist()}")
     return found
-
-
-def main() -> int:
-    """Solve them."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--problems", type=int, default=1000)
-    parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
-    counts: Counter[str] = Counter()
-    bad: list[str] = []
-    slowest = (0.0, "")
-    problem([0, 0])[2]  # loads what is loaded on use
-    for number in range(given.problems):
-        kind, size, solve = problem([given.seed, number])
-        began = time.perf_counter()
-        try:
-            results: Sequence[Reconstruction] = solve()
-            counts.update(f"{kind}: {result.status.value}" for result in results)
-        except FgreconError as error:
-            results = []
-            counts[f"{kind}: {type(error).__name__}"] += 1
-        except Exception as error:  # noqa: BLE001  # that is the question
-            bad.append(f"{kind} {number}: {type(error).__name__}: {error}")
-            continue
-        each = (time.perf_counter() - began) / size
-        slowest = max(slowest, (each, f"{kind} {number}"))
-        bad += [f"{kind} {number}: {fault}" for fault in faults(results)]
-        if each > _SLOW and number > 0:
-            bad.append(f"{kind} {number}: {each:.2f} s each")
-        if number % _AGAIN == 0 and results:
-            same = [one.camera_T_object.tobytes() for one in problem([given.seed, number])[2]()]
-            if same != [one.camera_T_object.tobytes() for one in results]:
-                bad.append(f"{kind} {number}: other bits")
-    for name, count in sorted(counts.items()):
-        print(f"{name}: {count}")
-    print(f"{given.problems} problems, {len(bad)} faults; slowest {slowest[0]:.2f} s each: {slowest[1]}")
-    print(*bad, sep="\n")
-    return int(bool(bad))
-
-
-if __name__ == "__main__":
-    sys.exit(main())
