@@ -23,7 +23,14 @@ DEFAULTS = {
         "missed": 0.2,
         "false_alarm": 0.05,
     },
-    "keypoints": {"sigma_relative": 0.035, "sigma_pixels": 1.0, "least_confidence": 0.0, "common_factor": 4.0},
+    "keypoints": {
+        "sigma_relative": 0.035,
+        "sigma_pixels": 1.0,
+        "least_confidence": 0.0,
+        "common_factor": 4.0,
+        "facing_bias": -0.390,
+        "facing_slope": 0.976,
+    },
     "box": {"model": BoxModel.SURFACE, "sigma_relative": 0.02, "sigma_pixels": 1.5},
     "search": {"azimuths": 24, "basis_vectors": 0},
     "shape": {
