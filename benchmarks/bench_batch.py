@@ -1,0 +1,220 @@
+"""Cars by the thousand through `fgrecon batch`: cars per second, memory of all its processes, and whether it stays flat.
+
+Run from the repository root:
+    python -m benchmarks.bench_batch [--cars 100000] [--jobs 2] [--folder DIR] [--plot FILE] [--shares 500]
+Makes files of simulated keypoints, 10,000 cars each, runs `fgrecon batch` on them as a process tree of its own, and
+looks every second at the tree's memory (`/proc`: Linux alone) and at the rows that are in the folder. Prints the rate,
+the processor time a car, the peak of memory and its growth, and each stage's share; `--plot` draws the run. With
+`--folder` the input is kept, and a run that was ended goes on where it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+
+from benchmarks.batch_shares import keypoint_shares, share_lines
+from benchmarks.process_tree import usage_of_tree
+from benchmarks.speed.measure import machine
+from fgrecon.core.size_prior import SIZE_PRIORS
+from fgrecon.io.catalogue import load_prior
+from fgrecon.io.files import replacing
+from fgrecon.simulation.keypoint_noise import HOURGLASS
+from fgrecon.simulation.vehicles import KITTI_CAMERA, simulate_many
+
+SETTINGS = ("--size-prior", "kitti", "--camera-height", "1.65")
+"""What the cars are solved with: the fleet's size and the ground, as they are simulated."""
+
+_PER_FILE = 10_000
+_BEGUN = 0.1  # share of the rows after which memory is to stay as it is
+
+
+@dataclass(frozen=True)
+class Sample:
+    """The tree at one moment.
+
+    Attributes:
+        seconds: Since the run began, those of earlier parts of it included.
+        rows: In the folder.
+        proportional: Memory of all processes, MB, shared pages once.
+        resident: The same, shared pages with every process.
+        cpu: Processor time of each process, seconds, the first being the parent's.
+    """
+
+    seconds: float
+    rows: int
+    proportional: float
+    resident: float
+    cpu: tuple[float, ...]
+
+
+def make_cars(folder: Path, count: int) -> list[Path]:
+    """Files of simulated cars in KITTI's street, a line each; those that are there already stay."""
+    fleet = load_prior("car14").for_fleet(SIZE_PRIORS["kitti"])
+    files = []
+    for start in range(0, count, _PER_FILE):
+        size = min(_PER_FILE, count - start)
+        files.append(folder / f"cars-{start:07d}-{size}.jsonl")
+        if files[-1].exists():
+            continue
+        rng = np.random.default_rng([0, start])
+        with replacing(files[-1]) as part, Path(part).open("w", encoding="utf-8") as file:
+            for number in range(start, start + size):
+                ((seen, _),) = simulate_many(fleet, 1, rng, HOURGLASS)
+                instance = {
+                    "id": f"car-{number}",
+                    "K": KITTI_CAMERA.matrix.tolist(),
+                    "keypoints": seen.keypoints.round(2).tolist(),
+                    "confidence": seen.confidence.round(4).tolist(),
+                    "box": [] if seen.box is None else seen.box.round(2).tolist(),
+                }
+                file.write(json.dumps(instance) + "\n")
+    return files
+
+
+def watched_run(files: Sequence[Path], out: Path, jobs: int) -> Iterator[Sample]:
+    """Run `fgrecon batch` and look at it every second until it ends.
+
+    Raises:
+        RuntimeError: It ended with an error.
+    """
+    command = [sys.executable, "-m", "fgrecon", "batch", *map(str, files), "--out", str(out), "--jobs", str(jobs)]
+    counter, began = _RowCounter(out), time.monotonic()
+    with subprocess.Popen([*command, *SETTINGS, "--quiet"], env={**os.environ, "OMP_NUM_THREADS": "1"}) as run:
+        while run.poll() is None:
+            tree = list(usage_of_tree(run.pid).values())
+            yield Sample(
+                round(time.monotonic() - began, 3),
+                counter.rows(),
+                round(sum(one.proportional for one in tree), 1),
+                round(sum(one.resident for one in tree), 1),
+                tuple(round(one.cpu, 2) for one in tree),
+            )
+            time.sleep(1.0)
+    if run.returncode:
+        raise RuntimeError(f"fgrecon batch ended with {run.returncode}")
+    yield Sample(round(time.monotonic() - began, 3), counter.rows(), 0.0, 0.0, ())
+
+
+class _RowCounter:
+    """Counts the rows in a folder's parts; each part is looked at once."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._known = folder, dict[Path, int]()
+
+    def rows(self) -> int:
+        """Rows of all parts."""
+        for path in self._folder.glob("part-*.parquet"):
+            if path not in self._known:
+                self._known[path] = pq.ParquetFile(path).metadata.num_rows
+        return sum(self._known.values())
+
+
+def run_and_keep(files: Sequence[Path], folder: Path, jobs: int) -> list[Sample]:
+    """The samples of a run, those of the parts before it was ended included; they are kept in the folder."""
+    kept = folder / "samples.jsonl"
+    lines = kept.read_text(encoding="utf-8").splitlines() if kept.exists() else []
+    samples = [Sample(**{**json.loads(line), "cpu": tuple(json.loads(line)["cpu"])}) for line in lines]
+    before = samples[-1].seconds if samples else 0.0
+    with kept.open("a", encoding="utf-8") as file:
+        for one in watched_run(files, folder / "results", jobs):
+            samples.append(Sample(**{**asdict(one), "seconds": before + one.seconds}))
+            file.write(json.dumps(asdict(samples[-1])) + "\n")
+            file.flush()
+    return samples
+
+
+def cpu_seconds(samples: Sequence[Sample]) -> tuple[float, float]:
+    """Processor time of the parent and of its workers, over all parts of a run: times of each part only grow."""
+    parent = workers = 0.0
+    for now, following in zip(samples, [*samples[1:], None], strict=True):
+        if now.cpu and (following is None or not following.cpu or following.cpu[0] < now.cpu[0]):
+            parent, workers = parent + now.cpu[0], workers + sum(now.cpu[1:])
+    return parent, workers
+
+
+def summary(samples: Sequence[Sample], jobs: int) -> list[str]:
+    """What is to be said of a run."""
+    rows, seconds = samples[-1].rows, samples[-1].seconds
+    parent, workers = cpu_seconds(samples)
+    busy = [one for one in samples if one.cpu]
+    steady = [one for one in busy if one.rows >= _BEGUN * rows] or busy
+    tenth = max(len(steady) // 10, 1)
+    first, last = (float(np.median([s.proportional for s in part])) for part in (steady[:tenth], steady[-tenth:]))
+    each = 1e3 * (parent + workers) / rows
+    return [
+        f"{rows} cars in {seconds:.0f} s by {jobs} workers: {rows / seconds:.0f} cars/s",
+        f"CPU: {each:.2f} ms a car ({1e3 * workers / rows:.2f} workers, {1e3 * parent / rows:.2f} parent), which is "
+        f"{jobs * 1e3 / each:.0f} cars/s on {jobs} cores that do nothing else",
+        f"memory of all processes: peak {max(s.proportional for s in busy):.0f} MB, shared pages once "
+        f"({max(s.resident for s in busy):.0f} MB with every process)",
+        f"growth: {last - first:+.1f} MB from {_BEGUN:.0%} of the rows to the end ({first:.1f} to {last:.1f} MB)",
+    ]
+
+
+def check(out: Path, count: int) -> str:
+    """A line that says whether every row is there once, and their statuses."""
+    table = pq.read_table(out, columns=["row_id", "status"])
+    ids, statuses = table.column("row_id"), table.column("status").value_counts().to_pylist()
+    assert len(table) == count == len(set(ids.to_pylist())), f"{len(table)} rows of {count}"
+    size = sum(path.stat().st_size for path in out.glob("part-*.parquet"))
+    told = ", ".join(f"{one['counts']} {one['values']}" for one in statuses)
+    return f"every row once; {told}; {size / count / 1e3:.2f} kB a row in {len(list(out.glob('part-*')))} parts"
+
+
+def plot(samples: Sequence[Sample], path: Path) -> None:
+    """Memory and rows over time, as SVG."""
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    busy = [one for one in samples if one.cpu]
+    style = {"svg.hashsalt": "fgrecon", "svg.fonttype": "none", "font.family": "sans-serif"}
+    with mpl.rc_context(style):
+        figure = Figure(figsize=(7.2, 3.2), layout="constrained")
+        memory = figure.subplots()
+        minutes = [one.seconds / 60.0 for one in busy]
+        memory.plot(minutes, [one.proportional for one in busy], color="#1f77b4", label="memory of all processes")
+        memory.set(xlabel="minutes", ylabel="MB", ylim=(0, 1.15 * max(one.proportional for one in busy)))
+        rows = memory.twinx()
+        rows.plot([s.seconds / 60.0 for s in samples], [s.rows for s in samples], color="#ff7f0e", label="cars written")
+        rows.set(ylabel="cars", ylim=(0, None))
+        lines = [*memory.get_lines(), *rows.get_lines()]
+        memory.legend(lines, [str(line.get_label()) for line in lines], loc="lower right", frameon=False)
+        figure.savefig(path, format="svg", metadata={"Date": None, "Creator": None})
+
+
+def main() -> None:
+    """Make the cars, run, print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cars", type=int, default=100_000)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--folder", type=Path, help="keep input and results there")
+    parser.add_argument("--plot", type=Path, help="SVG file")
+    parser.add_argument("--shares", type=int, default=500, help="cars of which the stages are timed; 0 for none")
+    given = parser.parse_args()
+    print(*(f"{name}: {value}" for name, value in machine().items()), sep="\n")
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made) if given.folder is None else given.folder
+        folder.mkdir(parents=True, exist_ok=True)
+        files = make_cars(folder, given.cars)
+        samples = run_and_keep(files, folder, given.jobs)
+        print(*summary(samples, given.jobs), check(folder / "results", given.cars), sep="\n")
+        if given.plot is not None:
+            plot(samples, given.plot)
+        if given.shares:
+            print(*share_lines(keypoint_shares(files[0], given.shares)), sep="\n")
+
+
+if __name__ == "__main__":
+    main()
