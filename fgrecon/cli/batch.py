@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.batch.pool import WorkerDiedError, work
-from fgrecon.cli.common import ground_plane, parse_numbers
+from fgrecon.cli.common import ground_plane, parse_crop, parse_numbers
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.category import Category
 from fgrecon.core.errors import FgreconError, InvalidInputError
@@ -96,6 +96,8 @@ class CameraSource:
         image: (H, W, 3) photograph, which tells the image's size.
         file: Calibration file of any format, as `fgrecon.io.cameras.read_camera` takes it.
         own: The camera that the photograph's file tells (`fgrecon.io.exif`), where nothing else does.
+        crop: `left,top[,width,height]`: the image is a part of another of that size, and what is said of the camera
+            holds for that one.
     """
 
     calib: Path | None
@@ -104,6 +106,7 @@ class CameraSource:
     image: NDArray[np.uint8] | None
     file: str | None = None
     own: Camera | None = None
+    crop: str | None = None
 
     def camera(self, image: str | None = None) -> tuple[Camera | None, NDArray[np.float64] | None]:
         """The camera, and where KITTI's label frame lies from it; None where the command line does not say.
@@ -140,8 +143,29 @@ class CameraSource:
             return MountedCamera(calibration.camera, calibration.label_offset)
         return None if self.file is None else read_camera(self.file, image)
 
+    def assumed(self, size: tuple[int, int]) -> Camera:
+        """The photograph's own camera, or one of unknown focal length; of a part, that of the whole image.
+
+        Args:
+            size: (width, height) of the photograph, pixels.
+        """
+        return self.own or Camera.of_unknown(*self.whole(size))
+
+    def whole(self, size: tuple[int, int]) -> tuple[int, int]:
+        """(width, height) of the image whose camera is meant, from the photograph's own.
+
+        Raises:
+            InvalidInputError: The photograph is a part of an image, and nobody says how large that one is.
+        """
+        part = None if self.crop is None else parse_crop(self.crop)
+        if part is None:
+            return size
+        if part.whole is None:
+            raise InvalidInputError("crop", self.crop, "Give left,top,width,height, or the camera.")
+        return part.whole
+
     def complete(self, camera: Camera, *, declared: bool) -> Camera:
-        """The camera with the distortion of the command line and the size of the photograph.
+        """The camera with the distortion of the command line, of the part that the photograph is, of its size.
 
         Args:
             camera: The camera so far.
@@ -149,15 +173,20 @@ class CameraSource:
                 of KITTI's images are cropped).
 
         Raises:
-            InvalidInputError: The distortion is none, or the photograph has another size than was declared.
+            InvalidInputError: The distortion is none, the photograph is no such part, or it has another size than was
+                declared.
         """
         if self.distortion is not None:
             wanted = "4, 5, 8, 12 or 14 numbers in OpenCV's order: k1,k2,p1,p2[,k3,...]"
             numbers = parse_numbers("distortion", self.distortion, wanted, (4, 5, 8, 12, 14))
             camera = replace(camera, distortion=np.array(numbers))
-        if self.image is None:
+        size = None if self.image is None else (self.image.shape[1], self.image.shape[0])
+        if self.crop is not None:
+            part = parse_crop(self.crop)
+            whole = camera if part.whole is None else replace(camera, image_size=part.whole)
+            return whole.cropped(part.left, part.top, *(size or ()))
+        if size is None:
             return camera
-        size = (self.image.shape[1], self.image.shape[0])
         if declared and camera.image_size not in (None, size):
             raise InvalidInputError("image", f"{size} pixels", f"Give the image of {camera.image_size} pixels.")
         return replace(camera, image_size=size)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,12 +16,14 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
     from fgrecon.io.boxes import NamedBox
 
 __all__ = [
+    "PartOfImage",
     "about_camera",
     "check_output",
     "check_outputs",
     "chosen_boxes",
     "ground_plane",
     "headed_table",
+    "parse_crop",
     "parse_numbers",
 ]
 
@@ -47,6 +51,38 @@ def ground_plane(plane: str | None, height: float | None) -> tuple[Ground, str] 
     import numpy as np
 
     return Ground(np.array([nx, ny, nz]), distance), f"plane {plane}"
+
+
+@dataclass(frozen=True)
+class PartOfImage:
+    """A part of an image.
+
+    Attributes:
+        left: Columns before it.
+        top: Rows above it.
+        whole: (width, height) of the whole image in pixels, or None.
+    """
+
+    left: float
+    top: float
+    whole: tuple[int, int] | None
+
+
+def parse_crop(text: str) -> PartOfImage:
+    """What `--crop` says.
+
+    Raises:
+        InvalidInputError: It is not two or four numbers, or no part of an image.
+    """
+    from fgrecon.core.errors import InvalidInputError
+
+    wanted = "left,top or left,top,width,height: the part's corner, and the size of the whole image, in pixels"
+    left, top, *size = parse_numbers("crop", text, wanted, (2, 4))
+    if not (math.isfinite(left) and math.isfinite(top) and min(left, top) >= 0):
+        raise InvalidInputError("crop", text, f"Give {wanted}.")
+    if not all(side >= 1 and side == round(side) for side in size):
+        raise InvalidInputError("crop", text, "Give width and height in whole pixels.")
+    return PartOfImage(left, top, (int(size[0]), int(size[1])) if size else None)
 
 
 def parse_numbers(field: str, text: str, wanted: str, counts: tuple[int, ...]) -> list[float]:

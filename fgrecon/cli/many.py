@@ -10,6 +10,7 @@ import typer
 from fgrecon.cli.options import BOX_MODEL_HELP, CameraOptions, SceneOptions, WeightsOption
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.choices import BoxModel
+from fgrecon.core.errors import InvalidInputError
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from fgrecon.batch import Tally
@@ -59,6 +60,8 @@ def batch_command(
     settings = scene.settings(Options(strategy=scene.strategy, box=box_model, keep_history=False))
     source = camera.source()
     seen_by = source.camera()[0]
+    if seen_by is None and camera.crop is not None:
+        raise InvalidInputError("crop", camera.crop, "Give the whole image's camera too: --camera or --intrinsics.")
     seen_by = None if seen_by is None else source.complete(seen_by, declared=False)
     reconstructor = Reconstructor(
         prior=settings.prior if settings.prior_file else scene.prior,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fgrecon.cli.common import chosen_boxes, ground_plane
+from fgrecon.cli.common import chosen_boxes, ground_plane, parse_crop
 from fgrecon.core.choices import StrategyName
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
@@ -136,6 +136,23 @@ class CameraOptions:
         str | None, typer.Option(metavar="K1,K2,P1,P2,...", help="OpenCV's distortion coefficients.")
     ] = None
     camera: CameraOption = None
+    crop: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LEFT,TOP[,W,H]",
+            help="The image is a part of another (of W x H pixels) from there on; the camera is that one's.",
+            show_default="the whole image",
+        ),
+    ] = None
+
+    @property
+    def whole(self) -> tuple[int, int] | None:
+        """(width, height) of the image that a photograph is a part of, or None.
+
+        Raises:
+            InvalidInputError: It is no part of an image.
+        """
+        return None if self.crop is None else parse_crop(self.crop).whole
 
     def source(self, image: NDArray[Any] | None = None, own: Camera | None = None) -> CameraSource:
         """The camera as the commands use it.
@@ -146,7 +163,7 @@ class CameraOptions:
         """
         from fgrecon.cli.batch import CameraSource
 
-        return CameraSource(self.calib, self.intrinsics, self.distortion, image, self.camera, own)
+        return CameraSource(self.calib, self.intrinsics, self.distortion, image, self.camera, own, self.crop)
 
 
 @dataclass(frozen=True)

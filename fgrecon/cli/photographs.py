@@ -136,7 +136,7 @@ def _reconstruct(one: PhotographFile, how: PhotographWork, screen: Screen) -> li
     Raises:
         FgreconError: The image or its boxes cannot be used, or no vehicle in it.
     """
-    pixels, own = read_photograph(one.image)
+    pixels, own = read_photograph(one.image, how.camera.whole)
     source, settings = how.camera.source(pixels, own), how.settings
     category = settings.prior.category
     tasks = read_image_tasks(one.image, pixels, source, category, how.boxes, how.box_model, screen)

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from fgrecon.cli.batch import CameraSource, Task
 from fgrecon.cli.options import VehicleBoxes
 from fgrecon.cli.terminal import Screen
-from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.choices import BoxModel
 from fgrecon.io.boxes import NamedBox
@@ -91,7 +90,7 @@ def read_image_tasks(
     named = boxes.choose(path, image)
     camera, offset = source.camera(path.name)
     if camera is None:
-        camera = source.own or Camera.of_unknown(image.shape[1], image.shape[0])
+        camera = source.assumed((image.shape[1], image.shape[0]))
     complete = source.complete(camera, declared=False)
     found = find_keypoints(image, named, boxes.weights, screen, category)
     tasks = []

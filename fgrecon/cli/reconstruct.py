@@ -192,7 +192,7 @@ def reconstruct_command(
     if not pictured:
         boxes.refuse()
     path = file if pictured else drawings.image
-    photograph, own = (None, None) if path is None else read_photograph(path)
+    photograph, own = (None, None) if path is None else read_photograph(path, camera.whole)
     source = camera.source(photograph, own)
     ignored: tuple[str, ...] = ()
     if pictured and photograph is not None:

@@ -187,10 +187,11 @@ def _camera(
     if camera is None and (beside := calibration_beside(source.first_file)) is not None:
         camera, offset = beside.camera, beside.label_offset
     size = None if image is None else (image.shape[1], image.shape[0])
-    if camera is None and isinstance(source, ImageFrames):
-        camera = read_photograph(source.first_file)[1]  # by its EXIF data
-    if camera is None and size is not None:
-        camera = Camera.of_field_of_view(*size)
+    whole = None if camera is not None or size is None else ask.camera.whole(size)
+    if whole is not None and isinstance(source, ImageFrames):
+        camera = read_photograph(source.first_file, whole)[1]  # by its EXIF data
+    if camera is None and whole is not None:
+        camera = Camera.of_field_of_view(*whole)
         screen.warn(
             f"No camera is given: a horizontal field of view of {DEFAULT_FIELD_OF_VIEW:g} degrees is assumed, and "
             "distances are rough. Give --camera or --intrinsics."

@@ -135,6 +135,29 @@ class Camera:
         matrix[:2, :2] *= ratio
         return replace(self, matrix=matrix)
 
+    def cropped(self, left: float, top: float, width: int | None = None, height: int | None = None) -> Camera:
+        """The camera of a part of its image, whose pixels are counted from the part's own corner.
+
+        Args:
+            left: Columns that were cut off at the left.
+            top: Rows that were cut off at the top.
+            width: Of the part, pixels; None where nobody says.
+            height: Of the part, pixels.
+
+        Raises:
+            InvalidInputError: The part is not inside an image of known size, or a number is none.
+        """
+        corner = as_finite("crop", [left, top], (2,), "Give the column and the row of the part's corner.")
+        size = None if width is None or height is None else _image_size((width, height))
+        if self.image_size is not None:
+            room = np.array(self.image_size) - corner - (0 if size is None else np.array(size))
+            if np.any(corner < 0) or np.any(room < 0):
+                part = [*corner.tolist(), *(size or ())]
+                raise InvalidInputError("crop", part, "Give a part of the image of {} x {}.".format(*self.image_size))
+        matrix = self.matrix.copy()
+        matrix[:2, 2] -= corner
+        return replace(self, matrix=matrix, image_size=size)
+
     def project(self, points: ArrayLike) -> NDArray[np.float64]:
         """Pixels (..., 2) of points (..., 3) in the camera frame, without distortion."""
         homogeneous = np.asarray(points, dtype=np.float64) @ self.matrix.T

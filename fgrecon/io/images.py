@@ -30,15 +30,19 @@ def read_image(path: str | Path) -> NDArray[np.uint8]:
     return decode_image(_content(path), str(path))
 
 
-def read_photograph(path: str | Path) -> tuple[NDArray[np.uint8], Camera | None]:
+def read_photograph(path: str | Path, whole: tuple[int, int] | None = None) -> tuple[NDArray[np.uint8], Camera | None]:
     """A photograph as `read_image` gives it, and its camera where the EXIF data tell one (`fgrecon.io.exif`).
+
+    Args:
+        path: The file.
+        whole: (width, height) in pixels of the image that it is a part of, whose camera is meant then.
 
     Raises:
         InvalidInputError: The file cannot be read or is no image.
     """
     content = _content(path)
     image = decode_image(content, str(path))
-    return image, exif_camera(content, image.shape[1], image.shape[0])
+    return image, exif_camera(content, *(whole or (image.shape[1], image.shape[0])))
 
 
 def _content(path: str | Path) -> bytes:

@@ -67,3 +67,32 @@ def test_what_means_nothing_for_several_is_refused(street, tmp_path):
         done = run("reconstruct", *arguments)
         assert isinstance(done.exception, InvalidInputError), (arguments, done.output)
         assert str(done.exception).startswith(field)
+
+
+def test_a_part_of_a_photograph_has_the_camera_of_the_whole(street, tmp_path):
+    from PIL import Image
+
+    whole = street / "images" / "a.png"
+    left, top = 100, 40
+    with Image.open(whole) as picture:
+        width, height = picture.size
+        picture.crop((left, top, width, height)).save(tmp_path / "a.png")
+    lines = [line.split() for line in (street / "boxes" / "a.txt").read_text().splitlines()]
+    for line in lines:
+        line[4:8] = [str(float(value) - off) for value, off in zip(line[4:8], (left, top, left, top), strict=True)]
+    (tmp_path / "a.txt").write_text("\n".join(" ".join(line) for line in lines))
+    told = ("--calib", street / "sample" / "calib.txt", "--camera-height", 1.65, "--json", "-")
+    all_of_it = run("reconstruct", whole, "--boxes", street / "boxes" / "a.txt", *told)
+    part = ("reconstruct", tmp_path / "a.png", "--boxes", tmp_path / "a.txt")
+    cut = run(*part, "--crop", f"{left},{top},{width},{height}", *told)
+    found = [[one["location"] for one in json.loads(done.stdout)["instances"]] for done in (all_of_it, cut)]
+    assert len(found[0]) == len(found[1]) > 1
+    assert all(
+        abs(a - b) < 0.1 * max(map(abs, here))
+        for here, there in zip(*found, strict=True)
+        for a, b in zip(here, there, strict=True)
+    )
+    for crop, camera in ((f"{left},{top}", ()), (f"{left + 1},{top},{width},{height}", told)):
+        refused = run(*part, "--crop", crop, *camera)
+        assert isinstance(refused.exception, InvalidInputError)
+        assert refused.exception.field == "crop"

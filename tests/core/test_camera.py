@@ -1,5 +1,7 @@
 """The camera against OpenCV and plain formulas; the ground plane."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -169,3 +171,20 @@ def test_a_camera_of_a_field_of_view():
 def test_fields_of_view_that_are_none(size, degrees):
     with pytest.raises(InvalidInputError):
         Camera.of_field_of_view(*size, degrees)
+
+
+def test_a_part_of_the_image_sees_the_same():
+    whole = replace(Camera.of([700.0, 710.0, 600.0, 180.0], [-0.3, 0.1, 0.001, 0.0]), image_size=(1242, 375))
+    part = whole.cropped(200, 50, 640, 300)
+    points = np.array([[1.0, 0.5, 8.0], [-2.0, 1.0, 12.0]])
+    np.testing.assert_allclose(part.project(points), whole.project(points) - [200, 50], atol=1e-9)
+    seen = whole.distort(whole.project(points))
+    np.testing.assert_allclose(part.undistort(seen - [200, 50]), whole.undistort(seen) - [200, 50], atol=1e-6)
+    assert part.image_size == (640, 300)
+    assert whole.cropped(0, 0).image_size is None
+
+
+@pytest.mark.parametrize("part", [(-1, 0, 10, 10), (1240, 0, 10, 10), (0, 400), (float("nan"), 0), (0, 0, 10, 0.5)])
+def test_a_part_outside_the_image_is_refused(part):
+    with pytest.raises(InvalidInputError):
+        Camera.of_field_of_view(1242, 375).cropped(*part)
