@@ -12,14 +12,12 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-import pyarrow as pa
-
 import fgrecon.batch.reconstructor
 import fgrecon.solve.pipeline
 from fgrecon.batch import Reconstructor, sources_of
 from fgrecon.batch.parts import Parts
 from fgrecon.batch.rows import storable
-from fgrecon.batch.schema import task_schema
+from fgrecon.batch.tasks import TaskSolver
 
 Shares = Mapping[str, float]
 """Milliseconds of processor time a unit, by stage."""
@@ -31,7 +29,7 @@ _KEYPOINTS = {
     (fgrecon.solve.pipeline, "adjust_pose"): "solve: proposals",
     (fgrecon.solve.pipeline, "adjust"): "solve: graph",
     (fgrecon.solve.pipeline, "results"): "solve: covariances and result",
-    (fgrecon.batch.reconstructor, "reconstruct"): "solve: the rest",
+    (fgrecon.solve.pipeline, "reconstruct"): "solve: the rest",
     (fgrecon.batch.reconstructor, "solved_row"): "rows of results",
     (fgrecon.batch.reconstructor, "table_of"): "rows of results",
 }
@@ -39,7 +37,7 @@ _IMAGES = {
     (fgrecon.batch.reconstructor.Pictures, "get"): "read the image",
     (fgrecon.batch.reconstructor.NanodetVehicleDetector, "__call__"): "detector",
     (fgrecon.batch.reconstructor, "find_keypoints"): "keypoints",
-    (fgrecon.batch.reconstructor, "reconstruct"): "solve",
+    (fgrecon.solve.pipeline, "reconstruct"): "solve",
 }
 
 
@@ -110,7 +108,7 @@ def _shares(
     found: list[int] | None = None,
     **settings: Any,
 ) -> Shares:
-    clock, reconstructor, size = Clocked(), Reconstructor(**settings), _AT_ONCE[unit]
+    clock, solver, size = Clocked(), TaskSolver(Reconstructor(**settings)), _AT_ONCE[unit]
     rows = (row for source in sources_of(inputs) for row in source.rows())
     done = 0
     with tempfile.TemporaryDirectory() as folder:
@@ -120,13 +118,12 @@ def _shares(
                 clock.seconds.clear()
             with clock.stage("read the file"):
                 content = [storable(row) for row in islice(rows, size)]
-                table = pa.Table.from_pylist(content, schema=task_schema())
             if not content:
                 break
             with clock.stage("hand over"):
-                table = pickle.loads(pickle.dumps(table, protocol=5))
+                tasks = pickle.loads(pickle.dumps(content, protocol=5))
             with clock.stage("the rest"), _counted(clock, functions):
-                results = reconstructor(table)
+                results = solver(tasks)
             with clock.stage("hand over"):
                 results = pickle.loads(pickle.dumps(results, protocol=5))
             with clock.stage("write the parts"):

@@ -1,4 +1,4 @@
-"""Cars by the thousand through `fgrecon batch`: cars per second, memory of all its processes, and whether it stays flat.
+"""Cars by the thousand through `fgrecon batch`: cars a second, and the memory of all its processes over time.
 
 Run from the repository root:
     python -m benchmarks.bench_batch [--cars 100000] [--jobs 2] [--folder DIR] [--plot FILE] [--shares 500]
@@ -13,12 +13,13 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import resource
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -47,16 +48,18 @@ class Sample:
     Attributes:
         seconds: Since the run began, those of earlier parts of it included.
         rows: In the folder.
-        proportional: Memory of all processes, MB, shared pages once.
+        proportional: Memory of all processes, MB, shared pages once; 0 when they have ended.
         resident: The same, shared pages with every process.
-        cpu: Processor time of each process, seconds, the first being the parent's.
+        parent: Processor time of the process that reads and writes, seconds.
+        workers: Processor time of all others.
     """
 
     seconds: float
     rows: int
     proportional: float
     resident: float
-    cpu: tuple[float, ...]
+    parent: float
+    workers: float
 
 
 def make_cars(folder: Path, count: int) -> list[Path]:
@@ -90,21 +93,31 @@ def watched_run(files: Sequence[Path], out: Path, jobs: int) -> Iterator[Sample]
         RuntimeError: It ended with an error.
     """
     command = [sys.executable, "-m", "fgrecon", "batch", *map(str, files), "--out", str(out), "--jobs", str(jobs)]
-    counter, began = _RowCounter(out), time.monotonic()
+    counter, began, before = _RowCounter(out), time.monotonic(), _ended()
+    cpu: dict[int, float] = {}
     with subprocess.Popen([*command, *SETTINGS, "--quiet"], env={**os.environ, "OMP_NUM_THREADS": "1"}) as run:
         while run.poll() is None:
-            tree = list(usage_of_tree(run.pid).values())
+            tree = usage_of_tree(run.pid)
+            cpu |= {process: usage.cpu for process, usage in tree.items()}
             yield Sample(
-                round(time.monotonic() - began, 3),
+                time.monotonic() - began,
                 counter.rows(),
-                round(sum(one.proportional for one in tree), 1),
-                round(sum(one.resident for one in tree), 1),
-                tuple(round(one.cpu, 2) for one in tree),
+                sum(one.proportional for one in tree.values()),
+                sum(one.resident for one in tree.values()),
+                cpu.get(run.pid, 0.0),
+                sum(cpu.values()) - cpu.get(run.pid, 0.0),
             )
             time.sleep(1.0)
     if run.returncode:
         raise RuntimeError(f"fgrecon batch ended with {run.returncode}")
-    yield Sample(round(time.monotonic() - began, 3), counter.rows(), 0.0, 0.0, ())
+    parent = cpu.get(run.pid, 0.0)
+    yield Sample(time.monotonic() - began, counter.rows(), 0.0, 0.0, parent, _ended() - before - parent)
+
+
+def _ended() -> float:
+    """Processor time of all processes that this one started and that have ended, seconds."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
 
 
 class _RowCounter:
@@ -125,41 +138,31 @@ def run_and_keep(files: Sequence[Path], folder: Path, jobs: int) -> list[Sample]
     """The samples of a run, those of the parts before it was ended included; they are kept in the folder."""
     kept = folder / "samples.jsonl"
     lines = kept.read_text(encoding="utf-8").splitlines() if kept.exists() else []
-    samples = [Sample(**{**json.loads(line), "cpu": tuple(json.loads(line)["cpu"])}) for line in lines]
-    before = samples[-1].seconds if samples else 0.0
+    samples = [Sample(**json.loads(line)) for line in lines]
+    last = samples[-1] if samples else Sample(0.0, 0, 0.0, 0.0, 0.0, 0.0)
     with kept.open("a", encoding="utf-8") as file:
         for one in watched_run(files, folder / "results", jobs):
-            samples.append(Sample(**{**asdict(one), "seconds": before + one.seconds}))
-            file.write(json.dumps(asdict(samples[-1])) + "\n")
+            sums = {name: getattr(last, name) + getattr(one, name) for name in ("seconds", "parent", "workers")}
+            samples.append(replace(one, **sums))
+            file.write(json.dumps({name: round(value, 3) for name, value in asdict(samples[-1]).items()}) + "\n")
             file.flush()
     return samples
 
 
-def cpu_seconds(samples: Sequence[Sample]) -> tuple[float, float]:
-    """Processor time of the parent and of its workers, over all parts of a run: times of each part only grow."""
-    parent = workers = 0.0
-    for now, following in zip(samples, [*samples[1:], None], strict=True):
-        if now.cpu and (following is None or not following.cpu or following.cpu[0] < now.cpu[0]):
-            parent, workers = parent + now.cpu[0], workers + sum(now.cpu[1:])
-    return parent, workers
-
-
 def summary(samples: Sequence[Sample], jobs: int) -> list[str]:
     """What is to be said of a run."""
-    rows, seconds = samples[-1].rows, samples[-1].seconds
-    parent, workers = cpu_seconds(samples)
-    busy = [one for one in samples if one.cpu]
-    steady = [one for one in busy if one.rows >= _BEGUN * rows] or busy
+    end, busy = samples[-1], [one for one in samples if one.proportional]
+    steady = [one for one in busy if one.rows >= _BEGUN * end.rows] or busy
     tenth = max(len(steady) // 10, 1)
     first, last = (float(np.median([s.proportional for s in part])) for part in (steady[:tenth], steady[-tenth:]))
-    each = 1e3 * (parent + workers) / rows
+    parent, workers = 1e3 * end.parent / end.rows, 1e3 * end.workers / end.rows
+    rate, alone = end.rows / end.seconds, jobs * 1e3 / (parent + workers)
+    peak, with_each = (max(getattr(one, name) for one in busy) for name in ("proportional", "resident"))
     return [
-        f"{rows} cars in {seconds:.0f} s by {jobs} workers: {rows / seconds:.0f} cars/s",
-        f"CPU: {each:.2f} ms a car ({1e3 * workers / rows:.2f} workers, {1e3 * parent / rows:.2f} parent), which is "
-        f"{jobs * 1e3 / each:.0f} cars/s on {jobs} cores that do nothing else",
-        f"memory of all processes: peak {max(s.proportional for s in busy):.0f} MB, shared pages once "
-        f"({max(s.resident for s in busy):.0f} MB with every process)",
-        f"growth: {last - first:+.1f} MB from {_BEGUN:.0%} of the rows to the end ({first:.1f} to {last:.1f} MB)",
+        f"{end.rows} cars in {end.seconds:.0f} s by {jobs} workers: {rate:.0f} cars/s",
+        f"CPU ms a car: {parent + workers:.2f}, of them {parent:.2f} the parent; {jobs} idle cores: {alone:.0f} cars/s",
+        f"memory of all processes: {peak:.0f} MB at most, shared pages once ({with_each:.0f} MB with every process)",
+        f"memory from {_BEGUN:.0%} of the rows to the end: {first:.1f} to {last:.1f} MB ({last - first:+.1f})",
     ]
 
 
@@ -178,7 +181,7 @@ def plot(samples: Sequence[Sample], path: Path) -> None:
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    busy = [one for one in samples if one.cpu]
+    busy = [one for one in samples if one.proportional]
     style = {"svg.hashsalt": "fgrecon", "svg.fonttype": "none", "font.family": "sans-serif"}
     with mpl.rc_context(style):
         figure = Figure(figsize=(7.2, 3.2), layout="constrained")

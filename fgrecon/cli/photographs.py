@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fgrecon.cli import batch, show
-from fgrecon.cli.batch import Outcome, Settings
+from fgrecon.cli.batch import Outcome
 from fgrecon.cli.common import about_camera
 from fgrecon.cli.options import CameraOptions, VehicleBoxes
 from fgrecon.cli.picture_tasks import is_image, read_image_tasks
+from fgrecon.cli.settings import Settings
 from fgrecon.cli.terminal import Screen
 from fgrecon.cli.together import Scene, grounds_of, solve_together, wants_together
 from fgrecon.core.choices import BoxModel

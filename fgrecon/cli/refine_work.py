@@ -15,9 +15,8 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
-from fgrecon.cli.batch import Settings
 from fgrecon.cli.options import CameraOptions
-from fgrecon.cli.show import plain_camera, plain_settings
+from fgrecon.cli.settings import Settings, plain_camera, plain_settings
 from fgrecon.cli.terminal import Screen
 from fgrecon.core.box3d import BoxErrors
 from fgrecon.core.camera import Camera
