@@ -135,7 +135,9 @@ class ObservationPart:
         self._last: _Assessed | None = None
         if problem.energy.box is not None:
             box = problem.energy.box
-            self._box_kernel = ProjectionKernel(vehicle.enclosed(box.mean, box.basis), problem.camera.matrix, bound, focal)
+            self._box_kernel = ProjectionKernel(
+                vehicle.enclosed(box.mean, box.basis), problem.camera.matrix, bound, focal
+            )
         self.stacked = self._stacked()
 
     @property
