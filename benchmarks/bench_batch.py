@@ -2,10 +2,12 @@
 
 Run from the repository root:
     python -m benchmarks.bench_batch [--cars 100000] [--jobs 2] [--folder DIR] [--plot FILE] [--shares 500]
+    python -m benchmarks.bench_batch --images DIR [--shares 500]
 Makes files of simulated keypoints, 10,000 cars each, runs `fgrecon batch` on them as a process tree of its own, and
 looks every second at the tree's memory (`/proc`: Linux alone) and at the rows that are in the folder. Prints the rate,
 the processor time a car, the peak of memory and its growth, and each stage's share; `--plot` draws the run. With
-`--folder` the input is kept, and a run that was ended goes on where it was.
+`--folder` the input is kept, and a run that was ended goes on where it was. `--images` tells each stage's share for
+images instead.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 
-from benchmarks.batch_shares import keypoint_shares, share_lines
+from benchmarks.batch_shares import image_shares, keypoint_shares, share_lines
 from benchmarks.process_tree import usage_of_tree
 from benchmarks.speed.measure import machine
 from fgrecon.core.size_prior import SIZE_PRIORS
@@ -204,9 +206,14 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--folder", type=Path, help="keep input and results there")
     parser.add_argument("--plot", type=Path, help="SVG file")
-    parser.add_argument("--shares", type=int, default=500, help="cars of which the stages are timed; 0 for none")
+    parser.add_argument("--images", type=Path, help="folder of images of which the stages are timed, and no cars")
+    parser.add_argument("--shares", type=int, default=500, help="cars or images of which the stages are timed; 0: none")
     given = parser.parse_args()
     print(*(f"{name}: {value}" for name, value in machine().items()), sep="\n")
+    if given.images is not None:
+        shares, cars = image_shares([given.images], given.shares)
+        print(f"{cars:.1f} cars an image, one thread", *share_lines(shares, "image"), sep="\n")
+        return
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made) if given.folder is None else given.folder
         folder.mkdir(parents=True, exist_ok=True)
