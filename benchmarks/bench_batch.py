@@ -2,7 +2,7 @@
 
 Run from the repository root:
     python -m benchmarks.bench_batch [--cars 100000] [--jobs 2] [--folder DIR] [--plot FILE] [--shares 500]
-    python -m benchmarks.bench_batch --images DIR [--shares 500]
+    python -m benchmarks.bench_batch --images DIR ... [--shares 500]
 Makes files of simulated keypoints, 10,000 cars each, runs `fgrecon batch` on them as a process tree of its own, and
 looks every second at the tree's memory (`/proc`: Linux alone) and at the rows that are in the folder. Prints the rate,
 the processor time a car, the peak of memory and its growth, and each stage's share; `--plot` draws the run. With
@@ -206,12 +206,12 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--folder", type=Path, help="keep input and results there")
     parser.add_argument("--plot", type=Path, help="SVG file")
-    parser.add_argument("--images", type=Path, help="folder of images of which the stages are timed, and no cars")
+    parser.add_argument("--images", type=Path, nargs="+", help="folders of images, instead of cars")
     parser.add_argument("--shares", type=int, default=500, help="cars or images of which the stages are timed; 0: none")
     given = parser.parse_args()
     print(*(f"{name}: {value}" for name, value in machine().items()), sep="\n")
     if given.images is not None:
-        shares, cars = image_shares([given.images], given.shares)
+        shares, cars = image_shares(given.images, given.shares)
         print(f"{cars:.1f} cars an image, one thread", *share_lines(shares, "image"), sep="\n")
         return
     with tempfile.TemporaryDirectory() as made:
