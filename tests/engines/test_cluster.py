@@ -54,7 +54,7 @@ def rows_in(folder):
 
 
 def killed_run(file, out, victims, *options):
-    """`fgrecon batch` with one of its workers killed once a quarter is written; seconds, and rows there were by then."""
+    """`fgrecon batch` with one of its workers killed at a quarter; seconds, and rows by then."""
     command = [sys.executable, "-m", "fgrecon", "batch", str(file), "--out", str(out), *SETTINGS, *options]
     began, before = time.monotonic(), None
     with subprocess.Popen([*command, "--jobs", "2", "-q"], cwd=REPOSITORY) as run:

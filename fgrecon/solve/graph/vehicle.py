@@ -106,9 +106,8 @@ class VehiclePart:
             values.insert(self.shape.coefficients_key, coefficients)
         if self.shape.offsets_key is not None:
             values.insert(self.shape.offsets_key, offsets.ravel())
-        points = self.shape.points(values)
         for key, keypoints in self._planes.items():
-            plane = _medial_plane() if keypoints is None else factors.fit_plane(points[keypoints])
+            plane = _medial_plane() if keypoints is None else factors.fit_plane(self.shape.points(values)[keypoints])
             free = keypoints is not None and self.options.shape.plane_penalty is not None
             values.insert(key, plane.planeCoefficients() if free else plane)
 
