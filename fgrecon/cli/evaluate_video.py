@@ -182,7 +182,7 @@ def _table(boxes: list[VideoBox], method: str) -> Table:
 
 def _consistency_table(boxes: list[VideoBox]) -> Table:
     """How sure the methods are that have covariances, against how far they are off."""
-    from fgrecon.evaluation.video_images import DIMENSIONS
+    from fgrecon.evaluation.regions import DIMENSIONS
     from fgrecon.evaluation.video_summary import methods_of, summarise_boxes
 
     headings = [heading for name in DIMENSIONS for heading in (f"{name} mean", "median", "in 95 %")]

@@ -29,6 +29,7 @@ SIGNIFICANT: Mapping[str, int] = {
     "size_covariance": 6,
     "energies": 9,
     "excess": 9,
+    "probability": 6,
     "graph_gain": 9,
 }
 """Significant digits of fields whose numbers are of any size."""

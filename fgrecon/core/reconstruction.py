@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -75,11 +76,13 @@ class Alternative:
         camera_T_object: (4, 4) pose.
         coefficients: (N,) shape coefficients that go with it.
         excess: How much more energy it has than the result, nats; NaN where the strategy defines no energy.
+        probability: That it is the vehicle's pose; NaN where `Reconstruction.facing_probability` is.
     """
 
     camera_T_object: NDArray[np.float64]
     coefficients: NDArray[np.float64]
     excess: float
+    probability: float = float("nan")
 
     __repr__ = brief_repr
 
@@ -138,7 +141,7 @@ class Reconstruction:
         graph_iterations: Iterations that the graph's solver took from the proposal that led to the result.
         graph_gain: Nats that they took off its energy; NaN where the strategy defines none.
         facing_probability: How probably the vehicle faces where the pose says, within a quarter turn, by the detector's
-            directions, calibrated on real cars; NaN without directions.
+            directions, calibrated on real cars; without them by the energies of the poses. NaN where neither tells.
         reasons: Clauses that say what makes the result weak, whatever its status.
         size_covariance: (3, 3) covariance of `box_size`, or None where it is not determined.
     """
@@ -182,6 +185,12 @@ class Reconstruction:
         import gtsam  # on use: data alone need it not
 
         return gtsam.Pose3(self.camera_T_object)
+
+    @property
+    def pose_probability(self) -> float:
+        """How probable the pose is among `alternatives`, all of which add up to 1; NaN where that is not known."""
+        known = math.isfinite(self.facing_probability)
+        return 1.0 - sum(other.probability for other in self.alternatives) if known else float("nan")
 
     @property
     def rotation_y(self) -> float:
@@ -346,7 +355,8 @@ def _read(name: str, value: Any) -> Any:
 
 
 def _alternative(data: Mapping[str, Any]) -> Alternative:
-    return Alternative(array(data["camera_T_object"]), array(data["coefficients"]), float(data["excess"]))
+    excess, probability = float(data["excess"]), float(data.get("probability", "nan"))  # which earlier files have not
+    return Alternative(array(data["camera_T_object"]), array(data["coefficients"]), excess, probability)
 
 
 def _iteration(data: Mapping[str, Any]) -> Iteration:

@@ -6,12 +6,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from fgrecon.core.coverage import LEVELS, Coverage, Region, coverage
 from fgrecon.core.plain import finite
 from fgrecon.core.reliability import Reliability, reliability
-from fgrecon.evaluation.video_images import DIMENSIONS, TURNED_ROUND, VideoBox
+from fgrecon.evaluation.regions import DIMENSIONS
+from fgrecon.evaluation.video_images import TURNED_ROUND, BoxOutcome, VideoBox
 
-__all__ = ["WRONG", "Calibration", "StatusCount", "calibrate_boxes", "calibration_document"]
+__all__ = [
+    "WRONG",
+    "Calibration",
+    "Judged",
+    "StatusCount",
+    "calibrate",
+    "calibrate_boxes",
+    "calibration_document",
+    "judged",
+]
 
 FORMAT = "fgrecon.calibration/1"
 WRONG = (15.0, 0.2)
@@ -50,32 +62,68 @@ class Calibration:
     statuses: tuple[StatusCount, ...]
 
 
+@dataclass(frozen=True)
+class Judged:
+    """What one result says of itself, beside the truth.
+
+    Attributes:
+        status: Its status.
+        turned: Whether it is turned round.
+        wrong: Whether it is wrong (`WRONG`).
+        facing: Its facing's probability, or None.
+        regions: Its errors by the regions that it claims.
+    """
+
+    status: str
+    turned: bool
+    wrong: bool
+    facing: float | None
+    regions: tuple[Region, ...]
+
+
+def judged(found: BoxOutcome, group: str, distance: float, status: str) -> Judged:
+    """A result of some status beside the truth.
+
+    Args:
+        found: How far it is off.
+        group: What its regions are left out of the baselines with.
+        distance: Of the vehicle from the camera, metres.
+        status: Its status.
+    """
+    turned = found.degrees > TURNED_ROUND
+    off = found.degrees > WRONG[0] or found.metres > WRONG[1] * distance
+    errors = {"position": found.metres, "yaw": found.degrees}
+    if found.size is not None:
+        errors["size"] = float(np.linalg.norm(found.size))
+    if found.velocity is not None:
+        errors["velocity"] = found.velocity
+    regions = tuple(
+        Region(group, name, found.squared[name], DIMENSIONS[name], found.spread[name], error)
+        for name, error in errors.items()
+        if name in found.squared
+    )
+    return Judged(status, turned, off, found.facing, regions)
+
+
 def calibrate_boxes(boxes: Sequence[VideoBox], method: str) -> Calibration:
     """Compare what a method says of its results with the labels; drives are left out of their own baselines."""
-    regions: list[Region] = []
-    sure: list[float] = []
-    right: list[bool] = []
-    counts: dict[str, list[tuple[bool, bool]]] = {}
-    for box in boxes:
-        found = box.outcomes[method]
-        if found.status is None:
-            continue
-        turned = found.degrees > TURNED_ROUND
-        off = found.degrees > WRONG[0] or found.metres > WRONG[1] * box.distance
-        counts.setdefault(found.status, []).append((turned, off))
-        if found.facing is not None:
-            sure.append(found.facing)
-            right.append(not turned)
-        errors = {"position": found.metres, "yaw": found.degrees}
-        for name, error in errors.items():
-            if name in found.squared:
-                squared, spread = found.squared[name], found.spread[name]
-                regions.append(Region(box.drive, name, squared, DIMENSIONS[name], spread, error))
+    found = [(box, box.outcomes[method]) for box in boxes]
+    return calibrate([judged(one, box.drive, box.distance, one.status) for box, one in found if one.status is not None])
+
+
+def calibrate(results: Sequence[Judged]) -> Calibration:
+    """Compare what results say of themselves with the truth; groups are left out of their own baselines."""
+    regions = [region for one in results for region in one.regions]
+    faced = [(one.facing, not one.turned) for one in results if one.facing is not None]
+    counts: dict[str, list[Judged]] = {}
+    for one in results:
+        counts.setdefault(one.status, []).append(one)
     statuses = [
-        StatusCount(status, len(some), sum(turned for turned, _ in some), sum(off for _, off in some))
+        StatusCount(status, len(some), sum(one.turned for one in some), sum(one.wrong for one in some))
         for status, some in sorted(counts.items())
     ]
-    return Calibration(tuple(coverage(regions)), reliability(sure, right), tuple(statuses))
+    facing = reliability([sure for sure, _ in faced], [right for _, right in faced])
+    return Calibration(tuple(coverage(regions)), facing, tuple(statuses))
 
 
 def calibration_document(found: Calibration, given: dict[str, Any]) -> dict[str, Any]:

@@ -22,14 +22,14 @@ from numpy.typing import NDArray
 from fgrecon.annotation.wanted import Wanted
 from fgrecon.core.detection import facing_probability
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.geometry import position_covariance, view_azimuth, yaw_rotation
+from fgrecon.core.geometry import view_azimuth, yaw_rotation
 from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error, translation_error, wrap_angle
 from fgrecon.core.observation import Observation
 from fgrecon.core.processes import single_threaded
 from fgrecon.core.reconstruction import Reconstruction
-from fgrecon.evaluation.consistency import normalised_squared_error
 from fgrecon.evaluation.kitti_images import Setup, reconstruct_boxes
 from fgrecon.evaluation.methods import SceneKnowledge, Solver, select
+from fgrecon.evaluation.regions import DIMENSIONS, claimed
 from fgrecon.evaluation.run import score_pose
 from fgrecon.io.export.kitti import kitti_text
 from fgrecon.io.export.results import NamedResult
@@ -40,7 +40,6 @@ from fgrecon.io.track_file import GroundTruth, TrackFrame
 from fgrecon.perception.from_image import FromImage
 
 __all__ = [
-    "DIMENSIONS",
     "SYSTEM",
     "TURNED_ROUND",
     "BoxOutcome",
@@ -58,9 +57,6 @@ Array = NDArray[np.float64]
 
 TURNED_ROUND = 90.0
 """Degrees of yaw error above which a vehicle is turned round."""
-
-DIMENSIONS = {"position": 3, "yaw": 1, "velocity": 2}
-"""What normalised squared errors are of, and its dimension; velocity is over the ground."""
 
 SYSTEM = "reconstruct_image"
 """The whole way, which `fgrecon.reconstruct_image` goes: networks, both stages, and the network's direction."""
@@ -87,8 +83,8 @@ class BoxOutcome:
         status: How the reconstruction ended; None without one, and for a rival.
         failure: Why there is no pose, or None.
         off: Estimated minus labelled yaw in degrees, and origin (3) in metres; None where it was not wanted.
-        squared: Normalised squared errors (`fgrecon.evaluation.consistency`) of `position`, `yaw` and `velocity`, as
-            far as there are covariances; none of a vehicle that is turned round.
+        squared: Normalised squared errors of `position`, `yaw`, `size` and `velocity`, as far as there are covariances
+            (`fgrecon.evaluation.regions`); none of a vehicle that is turned round.
         spread: Geometric mean of the one-sigma regions' semi-axes that those are by, degrees or metres.
         facing: The result's `facing_probability`; None where it has none.
         velocity: Distance of the estimated from the labelled velocity, metres per second; None where either is unknown.
@@ -353,15 +349,9 @@ def outcome(result: Reconstruction, truth: GroundTruth, size: Array, offset: Arr
         offset: (3,) of the labels' frame in the camera's.
     """
     length, width, height = (result.box_size - size).tolist()
-    regions = _regions(result)
     turned = float(np.degrees(wrap_angle(result.rotation_y - truth.rotation_y)))
     x, y, z = (result.location - offset - truth.location).tolist()
-    errors = {"position": np.array([x, y, z]), "yaw": np.radians([turned])}
-    squared = {
-        name: value
-        for name, covariance in regions.items()
-        if (value := normalised_squared_error(errors[name], covariance)) is not None
-    }
+    claims = claimed(result, np.array([x, y, z]), float(np.radians(turned)), result.box_size - size)
     return BoxOutcome(
         degrees=float(orientation_error([result.rotation_y], [truth.rotation_y])[0]),
         metres=float(translation_error([result.location - offset], [truth.location])[0]),
@@ -369,21 +359,7 @@ def outcome(result: Reconstruction, truth: GroundTruth, size: Array, offset: Arr
         status=result.status.value,
         failure=None,
         off=(turned, x, y, z),
-        squared={} if abs(turned) > TURNED_ROUND else squared,
-        spread={name: _spread(name, regions[name]) for name in squared},
+        squared={} if abs(turned) > TURNED_ROUND else claims.squared,
+        spread=claims.spread,
         facing=result.facing_probability if np.isfinite(result.facing_probability) else None,
     )
-
-
-def _regions(result: Reconstruction) -> dict[str, Array]:
-    """Covariances of the position in the camera's frame, and of yaw about the vehicle's own vertical axis."""
-    covariance = result.pose_covariance
-    if covariance is None:
-        return {}
-    return {"position": position_covariance(result.camera_T_object, covariance), "yaw": covariance[1:2, 1:2]}
-
-
-def _spread(name: str, covariance: Array) -> float:
-    """Geometric mean of the one-sigma region's semi-axes, degrees or metres."""
-    radius = float(np.linalg.det(covariance)) ** (0.5 / len(covariance))
-    return float(np.degrees(radius)) if name == "yaw" else radius

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from fgrecon.evaluation.video_images import DIMENSIONS, VideoBox
+from fgrecon.evaluation.regions import DIMENSIONS
+from fgrecon.evaluation.video_images import VideoBox
 from fgrecon.evaluation.video_summary import BoxSummary, group_boxes, methods_of, summarise_boxes
 
 __all__ = ["markdown"]

@@ -18,7 +18,8 @@ from fgrecon.core.reconstruction import Status
 from fgrecon.core.reliability import Reliability, reliability
 from fgrecon.evaluation.bootstrap import Interval, mean_interval
 from fgrecon.evaluation.consistency import Consistency, consistency
-from fgrecon.evaluation.video_images import DIMENSIONS, SYSTEM, TURNED_ROUND, VideoBox, View
+from fgrecon.evaluation.regions import DIMENSIONS
+from fgrecon.evaluation.video_images import SYSTEM, TURNED_ROUND, VideoBox, View
 
 __all__ = [
     "BoxSummary",

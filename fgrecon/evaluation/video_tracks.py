@@ -136,5 +136,9 @@ def _moving(found: BoxOutcome, estimate: VehicleEstimate, velocity: Array | None
     spread = estimate.velocity_covariance
     if spread is None or found.degrees > TURNED_ROUND:
         return found
-    squared = normalised_squared_error(off, spread[np.ix_(_OVER_GROUND, _OVER_GROUND)])
-    return found if squared is None else replace(found, squared={**found.squared, "velocity": squared})
+    over_ground = spread[np.ix_(_OVER_GROUND, _OVER_GROUND)]
+    squared = normalised_squared_error(off, over_ground)
+    if squared is None:
+        return found
+    radius = float(np.linalg.det(over_ground)) ** 0.25
+    return replace(found, squared={**found.squared, "velocity": squared}, spread={**found.spread, "velocity": radius})

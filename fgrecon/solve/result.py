@@ -21,6 +21,7 @@ from fgrecon.solve.graph.history import iterations
 from fgrecon.solve.graph.observation import ObservationPart, Weights
 from fgrecon.solve.graph.optimise import Optimum
 from fgrecon.solve.graph.structure import graph_factors
+from fgrecon.solve.probable import facing_by_energies, with_probabilities
 from fgrecon.solve.proposals.adjust import PoseEstimate
 from fgrecon.solve.proposals.problem import keypoint_covariances
 from fgrecon.solve.vehicle.visibility import clearance, occluder, probability
@@ -59,7 +60,7 @@ def results(
     weights = optimum.state.weights
     values = graph.values(optimum.state)
     counted = [_common(part, weight) for part, weight in zip(graph.observations, weights, strict=True)]
-    marginals = factorise(graph.build(counted), values) if optimum.failure is None else None
+    marginals = factorise(graph.for_covariances(counted), values) if optimum.failure is None else None
     alone = len(seen) == 1
     keep = seen[0].problem.options.keep_history
     structure: Sequence[GraphFactor] = ()
@@ -120,6 +121,9 @@ def _result(
     box_size = prior.box_size(coefficients, offsets)
     facing = _facing(part, camera_T_object) if told is None else told
     status, message = _status(camera_T_object, box_size, facing, alternatives, uncertainty, problem.options, optimum)
+    if np.isnan(facing) and part.share == 1.0 and np.isfinite([*camera_T_object.ravel(), optimum.gain]).all():
+        facing = facing_by_energies(camera_T_object, alternatives)
+    others = with_probabilities(camera_T_object, coefficients, alternatives, facing)
     reasons: tuple[str, ...] = ()
     if status.determined:
         seen = problem.observation, weights.keypoints, problem.camera, camera_T_object
@@ -147,7 +151,7 @@ def _result(
         coefficients_covariance=None if uncertainty is None else uncertainty.coefficients,
         keypoint_covariance=None if uncertainty is None else uncertainty.keypoints,
         energies=energies,
-        alternatives=alternatives,
+        alternatives=others,
         history=history,
         milliseconds=milliseconds,
         surface_vertices=None if prior.surface is None else vertices,

@@ -43,7 +43,7 @@ def status_of(solved, monkeypatch):
         monkeypatch.setattr("fgrecon.solve.result.read_covariances", lambda *_: covariance)
         monkeypatch.setattr(part, "problem", problem)
         (result,) = results([Seen(problem)], [solved.start], adjusted, {})
-        assert result.alternatives == alternatives
+        assert [other.excess for other in result.alternatives] == [other.excess for other in alternatives]
         return result.status, result.message
 
     return told
@@ -132,7 +132,8 @@ def test_directions_that_leave_the_other_facing_open_are_ambiguous(behind, statu
     told = reconstruct(replace(seen, azimuth=directions), CAMERA, ground=1.65)
     assert told.status is status
     assert told.facing_probability == pytest.approx(calibrated_facing(1.0 - behind), abs=1e-6)
-    assert np.isnan(reconstruct(seen, CAMERA, ground=1.65).facing_probability)
+    assert reconstruct(seen, CAMERA, ground=1.65).facing_probability > 0.95  # by the energies
+    assert np.isnan(reconstruct(seen, CAMERA, options=make_options(strategy="paper")).facing_probability)
     back = Reconstruction.from_dict(told.to_dict(compact=True))
     assert back.facing_probability == told.facing_probability
     if status is Status.AMBIGUOUS:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import MissingPackageError
 from fgrecon.core.geometry import transform
-from fgrecon.core.reconstruction import Alternative
+from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.sides import SURFACE
 from fgrecon.io.export.frames import ImageInfo, box_in, by_image, info_of, plain_quaternion, plain_vector, score
 from fgrecon.io.export.messages import DETECTIONS, SCENE_UPDATE
@@ -140,7 +140,7 @@ def _detection(item: NamedResult, info: ImageInfo, header: dict[str, Any]) -> di
     result = item.result
     known = np.zeros((6, 6)) if result.pose_covariance is None else pose_covariance(item, info)
     poses = [result.camera_T_object, *(a.camera_T_object for a in result.alternatives)]
-    shares = score(item) * _probabilities(result.alternatives)
+    shares = score(item) * _probabilities(result)
     hypotheses = [
         {
             "hypothesis": {"class_id": _CAR, "score": float(share)},
@@ -155,9 +155,12 @@ def _detection(item: NamedResult, info: ImageInfo, header: dict[str, Any]) -> di
     return {"header": header, "results": hypotheses, "bbox": box, "id": item.name}
 
 
-def _probabilities(alternatives: Sequence[Alternative]) -> Array:
-    """Of a result and its alternatives, by their energies; where there are none the result is all there is."""
-    excess = np.array([0.0, *(a.excess for a in alternatives)])
+def _probabilities(result: Reconstruction) -> Array:
+    """Of a result and its alternatives: as it says, or else by their energies."""
+    own = result.pose_probability
+    if np.isfinite(own):
+        return np.array([own, *(other.probability for other in result.alternatives)])
+    excess = np.array([0.0, *(other.excess for other in result.alternatives)])
     odds = np.where(np.isnan(excess), 0.0, np.exp(-np.nan_to_num(excess)))
     shares: Array = odds / odds.sum()
     return shares

@@ -211,6 +211,19 @@ class Graph:
             self._built.add(factor)
         return self._built
 
+    def for_covariances(self, weights: Sequence[Weights]) -> gtsam.NonlinearFactorGraph:
+        """All factors with these weights, sizes counted once (`VehiclePart.counted_once`)."""
+        graph = gtsam.NonlinearFactorGraph()
+        for part, weight in zip(self.observations, weights, strict=True):
+            for factor in part.solved(weight, Form.WEIGHTED):
+                graph.add(factor)
+        for vehicle in self.vehicles.values():
+            for factor in vehicle.counted_once:
+                graph.add(factor)
+        for factor in self.extra:
+            graph.add(factor)
+        return graph
+
     def terms(self, weights: Sequence[Weights]) -> Iterator[tuple[str, list[gtsam.NonlinearFactor]]]:
         """Name and factors of each term, observation by observation, then vehicle by vehicle, then the extra ones."""
         for part, weight in zip(self.observations, weights, strict=True):

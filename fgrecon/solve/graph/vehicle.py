@@ -125,6 +125,25 @@ class VehiclePart:
         """The factors of all terms as the solver gets them: the stacked ones in one."""
         return self._solved
 
+    @property
+    def counted_once(self) -> Sequence[gtsam.NonlinearFactor]:
+        """The same factors for covariances, where the vehicle's size is as uncertain as the fleet's and no less.
+
+        The prior on lambda tells sizes and so does the fleet, and the minimum is nearer the truth with both. But the
+        spread of the fleet is that of real vehicles, which the two together make too small. So lambda has the prior
+        that gives sizes the fleet's spread, and is as it was where sizes do not depend on it.
+        """
+        key = self.shape.coefficients_key
+        if key is None or not {"coefficients", "dimensions"} <= self._makers.keys():
+            return self._solved
+        spread = self.model.fleet_spread
+        stack = self._stacked(sized=False)
+        slices: Collection[str] = () if stack is None else stack.slices
+        names = [name for name in self._makers if name not in {"coefficients", "dimensions", *slices}]
+        own = [factor for name in names for factor in self._term(name)]
+        prior = gtsam.PriorFactorVector(key, np.zeros(len(spread)), gtsam.noiseModel.Gaussian.Covariance(spread))
+        return [prior, *own] if stack is None else [stack.factor(), prior, *own]
+
     def energies(self, values: gtsam.Values) -> Iterator[tuple[str, float]]:
         """Name and energy of each term at the values, nats."""
         if self._stack is not None:
@@ -138,13 +157,13 @@ class VehiclePart:
         stacked: Collection[str] = () if self._stack is None else self._stack.slices
         return [name for name in self._makers if name not in stacked]
 
-    def _stacked(self) -> ShapeTerms | None:
-        """Symmetry, rectangularity and dimensions, as far as they are there, in the compiled kernel."""
+    def _stacked(self, *, sized: bool = True) -> ShapeTerms | None:
+        """Symmetry, rectangularity and dimensions, as far as they are there and wanted, in the compiled kernel."""
         kernel, options, size = native("factors._shape"), self.options.shape, self.model.size
         category, terms = self.model.prior.category, self._makers
-        if kernel is None or not terms.keys() & {"symmetry", "rectangularity", "dimensions"}:
+        symmetric, sized = "symmetry" in terms, sized and "dimensions" in terms and size is not None
+        if kernel is None or not (symmetric or sized or "rectangularity" in terms):
             return None
-        symmetric, sized = "symmetry" in terms, "dimensions" in terms and size is not None
         return ShapeTerms(
             kernel,
             self.shape,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,15 @@ class VehicleModel:
     def box_points(self, box_model: BoxModel) -> LinearPoints:
         """The points that a 2D box encloses."""
         return self.corners if box_model is BoxModel.CUBOID else self.outline
+
+    @cached_property
+    def fleet_spread(self) -> Array:
+        """(N, N) covariance of lambda that gives sizes the fleet's spread, and else is that of the prior, I."""
+        if self.size is None or not self.prior.dimension:
+            return np.eye(self.prior.dimension)
+        basis, by_size = self.dimension_basis, np.linalg.pinv(self.dimension_basis)
+        spread: Array = np.eye(basis.shape[1]) + by_size @ (np.diag(self.size.sigma**2) - basis @ basis.T) @ by_size.T
+        return spread
 
     def truncated(self, dimension: int) -> VehicleModel:
         """The same model with the first `dimension` coefficients alone: what the search for poses moves; remembered."""

@@ -1,0 +1,66 @@
+"""How probable a result's pose is, and each of the other poses that explain its keypoints.
+
+Which way a vehicle faces is the detector's directions to say, where it has any; the energies add nothing to them. What
+else tells poses apart is their energy, but keypoints err together, so that a nat of it is worth less than a nat of
+evidence: by the `_TEMPER`, which makes the poses of one facing as probable as they are on KITTI's video. Keypoints
+without directions leave facings to the energies as well, by a logistic law that was fitted to 4,200 simulated vehicles
+(expected calibration error 0.001 there). A detector that turns more vehicles round than the simulated one is less sure.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.reconstruction import Alternative
+from fgrecon.solve.graph.facing import is_turned
+from fgrecon.solve.time.turned import turned_alternative
+
+__all__ = ["facing_by_energies", "with_probabilities"]
+
+_TEMPER = 0.15
+_BIAS, _SLOPE = 1.05, 0.128  # log odds of the facing, and what a nat adds to them
+_MOST = 35.0  # nats: beyond, more margin made no facing surer
+_WORTH = 0.01  # a facing that is less probable need not have a pose
+
+
+def facing_by_energies(camera_T_object: NDArray[np.float64], alternatives: Sequence[Alternative]) -> float:
+    """How probably a pose (4, 4) faces the right way where energies alone tell; NaN where there are none."""
+    turned = [other.excess for other in alternatives if is_turned(other.camera_T_object, camera_T_object)]
+    if any(math.isnan(other.excess) for other in alternatives):
+        return float("nan")
+    return 1.0 / (1.0 + math.exp(-_BIAS - _SLOPE * min([_MOST, *turned])))
+
+
+def with_probabilities(
+    camera_T_object: NDArray[np.float64],
+    coefficients: NDArray[np.float64],
+    alternatives: Sequence[Alternative],
+    facing: float,
+) -> tuple[Alternative, ...]:
+    """The other poses with their probabilities; what is left of one is the result's own.
+
+    Args:
+        camera_T_object: (4, 4) the result's pose.
+        coefficients: (N,) its shape.
+        alternatives: Other poses, best first.
+        facing: How probably the result faces the right way; NaN where nobody knows, and nothing is told then.
+
+    Returns:
+        The poses. Where none of them faces the other way, though that may well be so, the last one does.
+    """
+    if math.isnan(facing) or any(math.isnan(other.excess) for other in alternatives):
+        return tuple(alternatives)
+    others = list(alternatives)
+    turned = [is_turned(other.camera_T_object, camera_T_object) for other in others]
+    if not any(turned) and 1.0 - facing >= _WORTH:
+        others += turned_alternative(camera_T_object, coefficients, facing)
+        turned += [True] * (len(others) - len(turned))
+    odds = np.exp(-_TEMPER * np.array([other.excess for other in others]))
+    there = np.array(turned, dtype=bool)
+    share = np.where(there, (1.0 - facing) / max(odds[there].sum(), 1e-300), facing / (1.0 + odds[~there].sum()))
+    return tuple(replace(one, probability=float(p)) for one, p in zip(others, share * odds, strict=True))

@@ -1,0 +1,36 @@
+"""What results say of themselves on simulated cars."""
+
+import numpy as np
+import pytest
+
+from fgrecon.core.camera import Ground
+from fgrecon.core.size_prior import size_prior
+from fgrecon.evaluation.calibration import calibrate
+from fgrecon.evaluation.simulated_calibration import judge_simulated
+from fgrecon.io.catalogue import load_prior
+from fgrecon.solve.vehicle.model import prepare
+
+
+def test_the_fleet_has_its_spread():
+    prior, fleet = load_prior("car14"), size_prior("kitti")
+    model = prepare(prior, fleet)
+    spread, basis = model.fleet_spread, model.dimension_basis
+    np.testing.assert_allclose(basis @ spread @ basis.T, np.diag(fleet.sigma**2), atol=1e-12)
+    assert np.linalg.eigvalsh(spread).min() > 0.0
+    others = np.linalg.svd(basis)[2][3:]  # directions in which no size changes
+    np.testing.assert_allclose(others @ spread @ others.T, np.eye(len(others)), atol=1e-12)
+    np.testing.assert_array_equal(prepare(prior).fleet_spread, np.eye(prior.dimension))
+
+
+@pytest.mark.slow
+def test_regions_hold():
+    told = {"ground": Ground.level(1.65), "size_prior": size_prior("kitti")}
+    judged = [one for one in judge_simulated(150, load_prior("car14"), **told) if one is not None]
+    assert len(judged) > 140
+    found = calibrate(judged)
+    assert [one.quantity for one in found.regions] == ["position", "yaw", "size", "keypoints"]
+    for one in found.regions:
+        assert 0.5 < one.inside[0.68]["claimed"] < 0.85, one.quantity
+        assert one.inside[0.95]["claimed"] > 0.8, one.quantity
+    again = [one for one in judge_simulated(5, load_prior("car14"), **told) if one is not None]
+    assert [one.regions for one in again] == [one.regions for one in judged[:5]]
