@@ -16,7 +16,7 @@ zero and are not built.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from threading import get_ident
 
 import gtsam
@@ -125,7 +125,7 @@ class VehiclePart:
         """The factors of all terms as the solver gets them: the stacked ones in one."""
         return self._solved
 
-    @property
+    @cached_property
     def counted_once(self) -> Sequence[gtsam.NonlinearFactor]:
         """The same factors for covariances, where the vehicle's size is as uncertain as the fleet's and no less.
 
