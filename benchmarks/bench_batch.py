@@ -4,7 +4,7 @@ Run from the repository root:
     python -m benchmarks.bench_batch [--cars 100000] [--jobs 2] [--folder DIR] [--plot FILE] [--shares 500]
     python -m benchmarks.bench_batch --images DIR ... [--shares 500]
 Makes files of simulated keypoints, 10,000 cars each, runs `fgrecon batch` on them as a process tree of its own, and
-looks every second at the tree's memory (`/proc`: Linux alone) and at the rows that are in the folder. Prints the rate,
+looks every two seconds at the memory of the tree (`/proc`: Linux alone) and at the rows in the folder. Prints the rate,
 the processor time a car, the peak of memory and its growth, and each stage's share; `--plot` draws the run. With
 `--folder` the input is kept, and a run that was ended goes on where it was. `--images` tells each stage's share for
 images instead.
@@ -28,7 +28,7 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from benchmarks.batch_shares import image_shares, keypoint_shares, share_lines
-from benchmarks.process_tree import usage_of_tree
+from benchmarks.process_tree import memory_of, usage_of_tree
 from benchmarks.speed.measure import machine
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior
@@ -50,15 +50,15 @@ class Sample:
     Attributes:
         seconds: Since the run began, those of earlier parts of it included.
         rows: In the folder.
-        proportional: Memory of all processes, MB, shared pages once; 0 when they have ended.
-        resident: The same, shared pages with every process.
+        memory: Memory of all processes, MB, that of libraries once; 0 when they have ended.
+        resident: The same, that of libraries with every process.
         parent: Processor time of the process that reads and writes, seconds.
         workers: Processor time of all others.
     """
 
     seconds: float
     rows: int
-    proportional: float
+    memory: float
     resident: float
     parent: float
     workers: float
@@ -89,7 +89,7 @@ def make_cars(folder: Path, count: int) -> list[Path]:
 
 
 def watched_run(files: Sequence[Path], out: Path, jobs: int) -> Iterator[Sample]:
-    """Run `fgrecon batch` and look at it every second until it ends.
+    """Run `fgrecon batch` and look at it every two seconds until it ends.
 
     Raises:
         RuntimeError: It ended with an error.
@@ -104,12 +104,12 @@ def watched_run(files: Sequence[Path], out: Path, jobs: int) -> Iterator[Sample]
             yield Sample(
                 time.monotonic() - began,
                 counter.rows(),
-                sum(one.proportional for one in tree.values()),
+                memory_of(tree.values()),
                 sum(one.resident for one in tree.values()),
                 cpu.get(run.pid, 0.0),
                 sum(cpu.values()) - cpu.get(run.pid, 0.0),
             )
-            time.sleep(1.0)
+            time.sleep(2.0)
     if run.returncode:
         raise RuntimeError(f"fgrecon batch ended with {run.returncode}")
     parent = cpu.get(run.pid, 0.0)
@@ -153,17 +153,17 @@ def run_and_keep(files: Sequence[Path], folder: Path, jobs: int) -> list[Sample]
 
 def summary(samples: Sequence[Sample], jobs: int) -> list[str]:
     """What is to be said of a run."""
-    end, busy = samples[-1], [one for one in samples if one.proportional]
+    end, busy = samples[-1], [one for one in samples if one.memory]
     steady = [one for one in busy if one.rows >= _BEGUN * end.rows] or busy
     tenth = max(len(steady) // 10, 1)
-    first, last = (float(np.median([s.proportional for s in part])) for part in (steady[:tenth], steady[-tenth:]))
+    first, last = (float(np.median([s.memory for s in part])) for part in (steady[:tenth], steady[-tenth:]))
     parent, workers = 1e3 * end.parent / end.rows, 1e3 * end.workers / end.rows
     rate, alone = end.rows / end.seconds, jobs * 1e3 / (parent + workers)
-    peak, with_each = (max(getattr(one, name) for one in busy) for name in ("proportional", "resident"))
+    peak, with_each = (max(getattr(one, name) for one in busy) for name in ("memory", "resident"))
     return [
         f"{end.rows} cars in {end.seconds:.0f} s by {jobs} workers: {rate:.0f} cars/s",
         f"CPU ms a car: {parent + workers:.2f}, of them {parent:.2f} the parent; {jobs} idle cores: {alone:.0f} cars/s",
-        f"memory of all processes: {peak:.0f} MB at most, shared pages once ({with_each:.0f} MB with every process)",
+        f"memory of all processes: {peak:.0f} MB at most, libraries once ({with_each:.0f} MB with every process)",
         f"memory from {_BEGUN:.0%} of the rows to the end: {first:.1f} to {last:.1f} MB ({last - first:+.1f})",
     ]
 
@@ -183,14 +183,14 @@ def plot(samples: Sequence[Sample], path: Path) -> None:
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    busy = [one for one in samples if one.proportional]
+    busy = [one for one in samples if one.memory]
     style = {"svg.hashsalt": "fgrecon", "svg.fonttype": "none", "font.family": "sans-serif"}
     with mpl.rc_context(style):
         figure = Figure(figsize=(7.2, 3.2), layout="constrained")
         memory = figure.subplots()
         minutes = [one.seconds / 60.0 for one in busy]
-        memory.plot(minutes, [one.proportional for one in busy], color="#1f77b4", label="memory of all processes")
-        memory.set(xlabel="minutes", ylabel="MB", ylim=(0, 1.15 * max(one.proportional for one in busy)))
+        memory.plot(minutes, [one.memory for one in busy], color="#1f77b4", label="memory of all processes")
+        memory.set(xlabel="minutes", ylabel="MB", ylim=(0, 1.15 * max(one.memory for one in busy)))
         rows = memory.twinx()
         rows.plot([s.seconds / 60.0 for s in samples], [s.rows for s in samples], color="#ff7f0e", label="cars written")
         rows.set(ylabel="cars", ylim=(0, None))

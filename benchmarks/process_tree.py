@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 _PROC = Path("/proc")
+_MB = 1.024e-3  # of a kB as /proc counts them
 _TICKS = os.sysconf("SC_CLK_TCK")
 
 
@@ -15,14 +17,28 @@ class Usage:
     """What a process takes.
 
     Attributes:
-        resident: Memory that it has in the machine, shared pages counted whole, MB (1,000,000 bytes).
-        proportional: The same with every page divided by how many processes share it, MB: these can be summed.
+        own: Memory that it shares with nobody, MB (1,000,000 bytes).
+        files: Memory of files that it has mapped, such as libraries, MB by file: other processes have the same pages.
         cpu: Processor time so far, seconds.
     """
 
-    resident: float
-    proportional: float
+    own: float
+    files: dict[str, float]
     cpu: float
+
+    @property
+    def resident(self) -> float:
+        """All memory that it has in the machine, MB."""
+        return self.own + sum(self.files.values())
+
+
+def memory_of(processes: Iterable[Usage]) -> float:
+    """Memory of several processes, MB, that of files once: what they take on a machine of their own."""
+    known = list(processes)
+    files: dict[str, float] = {}
+    for one in known:
+        files |= {name: max(size, files.get(name, 0.0)) for name, size in one.files.items()}
+    return sum(one.own for one in known) + sum(files.values())
 
 
 def usage_of_tree(root: int) -> dict[int, Usage]:
@@ -52,11 +68,21 @@ def _tree(root: int) -> list[int]:
 def _usage(process: int) -> Usage | None:
     folder = _PROC / str(process)
     try:
-        rollup = (folder / "smaps_rollup").read_text(encoding="ascii")
+        maps = (folder / "smaps").read_text(encoding="utf-8", errors="replace")
         times = (folder / "stat").read_text(encoding="utf-8").rpartition(")")[2].split()
     except OSError:
         return None
-    sizes = {line.split(":")[0]: int(line.split()[1]) for line in rollup.splitlines() if line.endswith(" kB")}
-    if "Rss" not in sizes or "Pss" not in sizes:
-        return None  # it is ending
-    return Usage(sizes["Rss"] * 1.024e-3, sizes["Pss"] * 1.024e-3, (int(times[11]) + int(times[12])) / _TICKS)
+    own, name, resident = 0.0, "", 0.0
+    files: dict[str, float] = {}
+    for line in maps.splitlines():
+        words = line.split()
+        if not words[0].endswith(":"):  # a mapping: addresses, permissions, offset, device, inode, file
+            name = words[5] if len(words) > 5 else ""
+        elif words[0] == "Rss:":
+            resident = int(words[1]) * _MB
+        elif words[0] == "Anonymous:":
+            alone = int(words[1]) * _MB
+            own += alone
+            if resident > alone:
+                files[name] = files.get(name, 0.0) + resident - alone
+    return Usage(own, files, (int(times[11]) + int(times[12])) / _TICKS)
