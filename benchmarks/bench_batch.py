@@ -179,23 +179,20 @@ def check(out: Path, count: int) -> str:
 
 
 def plot(samples: Sequence[Sample], path: Path) -> None:
-    """Memory and rows over time, as SVG."""
+    """Memory over the cars that are written, and these over time, as SVG."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
     busy = [one for one in samples if one.memory]
     style = {"svg.hashsalt": "fgrecon", "svg.fonttype": "none", "font.family": "sans-serif"}
     with mpl.rc_context(style):
-        figure = Figure(figsize=(7.2, 3.2), layout="constrained")
-        memory = figure.subplots()
-        minutes = [one.seconds / 60.0 for one in busy]
-        memory.plot(minutes, [one.memory for one in busy], color="#1f77b4", label="memory of all processes")
-        memory.set(xlabel="minutes", ylabel="MB", ylim=(0, 1.15 * max(one.memory for one in busy)))
-        rows = memory.twinx()
-        rows.plot([s.seconds / 60.0 for s in samples], [s.rows for s in samples], color="#ff7f0e", label="cars written")
-        rows.set(ylabel="cars", ylim=(0, None))
-        lines = [*memory.get_lines(), *rows.get_lines()]
-        memory.legend(lines, [str(line.get_label()) for line in lines], loc="lower right", frameon=False)
+        figure = Figure(figsize=(7.6, 2.6), layout="constrained")
+        memory, rows = figure.subplots(1, 2)
+        memory.plot([one.rows for one in busy], [one.memory for one in busy], color="#1f77b4")
+        memory.set(xlabel="cars written", ylabel="memory of all processes, MB", ylim=(0, 420))
+        memory.axhline(400, color="#999999", linestyle=":")
+        rows.plot([one.seconds / 60.0 for one in samples], [one.rows for one in samples], color="#ff7f0e")
+        rows.set(xlabel="minutes", ylabel="cars written", xlim=(0, None), ylim=(0, None))
         figure.savefig(path, format="svg", metadata={"Date": None, "Creator": None})
 
 
