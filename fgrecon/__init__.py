@@ -28,6 +28,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.core.category import Category
     from fgrecon.core.choices import BoxModel, StrategyName
     from fgrecon.core.detection import Detection
+    from fgrecon.core.detector_calibration import DetectorCalibration
     from fgrecon.core.motion import MotionModel
     from fgrecon.core.observation import Observation
     from fgrecon.core.options import BoxOptions, KeypointOptions, Options, SearchOptions, ShapeOptions
@@ -40,6 +41,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.core.track_reconstruction import JointStep, TrackReconstruction
     from fgrecon.core.vehicle_estimate import VehicleEstimate
     from fgrecon.io.catalogue import load_category, load_prior, save_prior
+    from fgrecon.io.detector_calibration import load_calibration, save_calibration
     from fgrecon.io.images import read_image
     from fgrecon.io.keypoints.reader import keypoints_from
     from fgrecon.perception.from_image import FromImage, reconstruct_image
@@ -47,7 +49,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.perception.refine import refine_boxes
     from fgrecon.perception.vehicles.detect import Vehicles
     from fgrecon.solve.pipeline import reconstruct
-    from fgrecon.solve.scene import reconstruct_scene
+    from fgrecon.solve.scene import reconstruct_scene, reconstruct_scenes
     from fgrecon.solve.track import reconstruct_track
     from fgrecon.solve.tracker import Tracker
 
@@ -61,6 +63,7 @@ __all__ = [
     "Camera",
     "Category",
     "Detection",
+    "DetectorCalibration",
     "FromImage",
     "GraphFactor",
     "Ground",
@@ -89,15 +92,18 @@ __all__ = [
     "Vehicles",
     "__version__",
     "keypoints_from",
+    "load_calibration",
     "load_category",
     "load_prior",
     "read_image",
     "reconstruct",
     "reconstruct_image",
     "reconstruct_scene",
+    "reconstruct_scenes",
     "reconstruct_track",
     "refine_boxes",
     "rotation_y",
+    "save_calibration",
     "save_prior",
     "strategy",
 ]

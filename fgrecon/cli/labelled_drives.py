@@ -15,6 +15,7 @@ from fgrecon.core.choices import BoxModel
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from fgrecon.cli.terminal import Screen
+    from fgrecon.core.options import KeypointOptions
     from fgrecon.evaluation.kitti_images import Setup
     from fgrecon.evaluation.methods import SceneKnowledge
     from fgrecon.evaluation.video_images import VideoBox
@@ -87,7 +88,14 @@ class DriveOptions:
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1
 
     def score(
-        self, folders: Sequence[Path], labelled: LabelledScene, screen: Screen, *, rivals: Sequence[str], track: bool
+        self,
+        folders: Sequence[Path],
+        labelled: LabelledScene,
+        screen: Screen,
+        *,
+        rivals: Sequence[str],
+        track: bool,
+        keypoints: KeypointOptions | None = None,
     ) -> ScoredDrives:
         """Reconstruct the labelled boxes that count, and score them.
 
@@ -97,6 +105,7 @@ class DriveOptions:
             screen: Where progress is shown.
             rivals: Methods that get the same keypoints.
             track: Whether the vehicles are followed by their labelled ids as well.
+            keypoints: What is assumed of the detector; None for the default.
 
         Raises:
             InvalidInputError: A folder is no drive, no box counts, or a network is given for none of the drives.
@@ -114,7 +123,7 @@ class DriveOptions:
             fix = "Give drives with labelled cars or vans of at least 25 pixels."
             raise InvalidInputError("drives", ", ".join(drive.name for drive in drives), fix)
         scene, (_, ground) = labelled.scene(), labelled.plane()
-        setups = _setups(files, scene, Options(box=self.box_model), together=self.together)
+        setups = _setups(files, scene, Options(box=self.box_model, keypoints=keypoints), together=self.together)
         with screen.bar() as advance:
             watched = counting(advance, "Images", images)
             boxes = score_drives(drives, setups, scene, rivals=rivals, jobs=self.jobs, advance=watched)

@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 
 from fgrecon.cli import evaluate, keypoints, prior, vehicles
+from fgrecon.cli.calibrate import calibrate_command
 from fgrecon.cli.commands import add_command
 from fgrecon.cli.demo import demo_command
 from fgrecon.cli.export import export_command
@@ -48,6 +49,7 @@ add_command(app, "run", run_command)
 add_command(app, "track", track_command)
 add_command(app, "replay", replay_command, once_flags={"--json": "-"})
 add_command(app, "export", export_command)
+add_command(app, "calibrate", calibrate_command)
 _GROUPS = {"evaluate": evaluate.app, "prior": prior.app, "keypoints": keypoints.app, "vehicles": vehicles.app}
 for _name, _group in _GROUPS.items():
     app.add_typer(_group, name=_name)

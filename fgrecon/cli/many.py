@@ -80,7 +80,6 @@ def batch_command(
         "camera": None if seen_by is None else plain_camera(seen_by),
         "weights": None if weights is None else str(weights),
         **({} if names is None else {"names": names}),
-        **({"min_confidence": scene.min_confidence} if scene.min_confidence else {}),
     }
     with screen.bar() as advance:
 

@@ -189,6 +189,14 @@ class SceneOptions:
     min_confidence: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Keypoints of less confidence count as not measured.")
     ] = 0.0
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="How far to trust the keypoint network: what `fgrecon calibrate` wrote.",
+            show_default="of the shipped ones",
+        ),
+    ] = None
 
     def settings(self, options: Options) -> Settings:
         """What holds for every vehicle of a run.
@@ -199,6 +207,10 @@ class SceneOptions:
         from fgrecon.cli.settings import Settings
 
         told = replace(options, keypoints=replace(options.keypoints, least_confidence=self.min_confidence))
+        if self.calibration is not None:
+            from fgrecon.io.detector_calibration import load_calibration
+
+            told = load_calibration(self.calibration).applied(told)
         return Settings.of(self.prior, self.ground, self.camera_height, self.size_prior, told)
 
 

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fgrecon.cli import batch, show
-from fgrecon.cli.batch import Outcome
+from fgrecon.cli.batch import Outcome, Task
 from fgrecon.cli.common import about_camera
 from fgrecon.cli.options import CameraOptions, VehicleBoxes
 from fgrecon.cli.picture_tasks import is_image, read_image_tasks
 from fgrecon.cli.settings import Settings
 from fgrecon.cli.terminal import Screen
-from fgrecon.cli.together import Scene, grounds_of, solve_together, wants_together
+from fgrecon.cli.together import Scene, grounds_of, solve_same_camera, solve_together, wants_together
+from fgrecon.core.camera import Camera
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.text import distinct
@@ -48,6 +52,7 @@ class PhotographWork:
         together: Whether the vehicles of an image are solved together; None for the default.
         history: Whether results keep their history.
         pictures: Whether each is drawn.
+        same_camera: Whether one camera took all of them.
     """
 
     camera: CameraOptions
@@ -57,6 +62,7 @@ class PhotographWork:
     together: bool | None
     history: bool
     pictures: bool
+    same_camera: bool = False
 
 
 def wanted(files: Sequence[Path], out: Path | None, *, pictures: bool) -> list[PhotographFile] | None:
@@ -114,16 +120,21 @@ def reconstruct_each(photographs: Sequence[PhotographFile], how: PhotographWork,
 
     Returns:
         Whether every one gave a vehicle.
+
+    Raises:
+        InvalidInputError: The camera of all of them is given already.
     """
+    if how.same_camera and how.camera.source().given:
+        raise InvalidInputError("same_camera", "beside a camera", "Leave it out: the focal length is known.")
     nothing: list[str] = []
     count = 0
-    for one in screen.watch(photographs, "Images"):
-        try:
-            outcomes = _reconstruct(one, how, screen)
-        except FgreconError as error:
-            nothing.append(f"{one.image}: {error}")
-            continue
-        count += sum(outcome.result is not None for outcome in outcomes)
+    for one, outcomes in (
+        _same_camera(photographs, how, screen) if how.same_camera else _apart(photographs, how, screen)
+    ):
+        if isinstance(outcomes, FgreconError):
+            nothing.append(f"{one.image}: {outcomes}")
+        else:
+            count += sum(outcome.result is not None for outcome in outcomes)
     done = len(photographs) - len(nothing)
     screen.print(f"{count} vehicles in {done} of {len(photographs)} images.")
     for line in nothing:
@@ -131,38 +142,108 @@ def reconstruct_each(photographs: Sequence[PhotographFile], how: PhotographWork,
     return not nothing
 
 
-def _reconstruct(one: PhotographFile, how: PhotographWork, screen: Screen) -> list[Outcome]:
-    """The vehicles of a photograph, written to its file.
+_Found = Iterator[tuple[PhotographFile, list[Outcome] | FgreconError]]
+
+
+def _apart(photographs: Sequence[PhotographFile], how: PhotographWork, screen: Screen) -> _Found:
+    """Each photograph by itself, as soon as it is read."""
+    for one in screen.watch(photographs, "Images"):
+        try:
+            seen = _look(one, how, screen)
+            joint = how.settings.options.shape.joint if how.together is None else how.together
+            scenes: list[Scene] = []
+            if joint or wants_together(seen.tasks):
+                outcomes, scenes = solve_together(seen.tasks, how.settings, screen)
+            else:
+                outcomes = [batch.run(task, how.settings) for task in seen.tasks]
+            _deliver(seen, outcomes, scenes, how, screen)
+            yield one, outcomes
+        except FgreconError as error:
+            yield one, error
+
+
+def _same_camera(photographs: Sequence[PhotographFile], how: PhotographWork, screen: Screen) -> _Found:
+    """All photographs with one focal length, which is found when all are read."""
+    seen: list[_Seen] = []
+    for one in screen.watch(photographs, "Keypoints"):
+        try:
+            looked = replace(_look(one, how, screen), pixels=None)  # read again where it is drawn
+            if seen and not _alike(seen[0].tasks[0].camera, looked.tasks[0].camera):
+                value = f"another size or focal length than {seen[0].file.image.name}"
+                raise InvalidInputError("same_camera", value, "Give images of one camera, alike in size.")
+            seen.append(looked)
+        except FgreconError as error:
+            yield one, error
+    if not seen:
+        return
+    solved = solve_same_camera([(one.file.image.name, one.tasks) for one in seen], how.settings)
+    for one_seen, (outcomes, scene) in zip(seen, solved, strict=True):
+        try:
+            _deliver(one_seen, outcomes, [scene], how, screen)
+            yield one_seen.file, outcomes
+        except FgreconError as error:
+            yield one_seen.file, error
+
+
+def _alike(first: Camera, second: Camera) -> bool:
+    """Whether two photographs' cameras may be one: of the same size, and with the same focal length as far as known."""
+    same = first.image_size == second.image_size and first.focal_sigma == second.focal_sigma
+    return same and bool(np.allclose(first.matrix, second.matrix, rtol=1e-3))
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """A photograph whose vehicles have keypoints.
+
+    Attributes:
+        file: The photograph.
+        tasks: Its vehicles.
+        own: The camera that its file tells, or None.
+        pixels: (H, W, 3), or None where they are not kept.
+    """
+
+    file: PhotographFile
+    tasks: list[Task]
+    own: Camera | None
+    pixels: NDArray[np.uint8] | None
+
+
+def _look(one: PhotographFile, how: PhotographWork, screen: Screen) -> _Seen:
+    """The vehicles of a photograph.
 
     Raises:
-        FgreconError: The image or its boxes cannot be used, or no vehicle in it.
+        InvalidInputError: The image or its boxes cannot be used.
     """
     pixels, own = read_photograph(one.image, how.camera.whole)
-    source, settings = how.camera.source(pixels, own), how.settings
-    category = settings.prior.category
-    tasks = read_image_tasks(one.image, pixels, source, category, how.boxes, how.box_model, screen)
-    scenes: list[Scene] = []
-    joint = settings.options.shape.joint if how.together is None else how.together
-    if joint or wants_together(tasks):
-        outcomes, scenes = solve_together(tasks, settings, screen)
-    else:
-        outcomes = [batch.run(task, settings) for task in tasks]
+    source, category = how.camera.source(pixels, own), how.settings.prior.category
+    return _Seen(
+        one, read_image_tasks(one.image, pixels, source, category, how.boxes, how.box_model, screen), own, pixels
+    )
+
+
+def _deliver(seen: _Seen, outcomes: list[Outcome], scenes: list[Scene], how: PhotographWork, screen: Screen) -> None:
+    """Show a photograph's results, and write them to its file.
+
+    Raises:
+        FgreconError: No vehicle could be reconstructed.
+    """
+    one, settings = seen.file, how.settings
     screen.print(f"{one.image}:")
     show.print_table(screen, outcomes)
     for scene in scenes:
         if scene.result.camera.focal_sigma:
-            screen.warn(about_camera(scene.result.camera, own))
+            screen.warn(about_camera(scene.result.camera, seen.own))
     plain = [scene.plain() for scene in scenes]
     screen.wrote(
         write_text(_ending(one, ".json"), show.document(one.image, outcomes, settings, plain, history=how.history))
     )
     if how.pictures:
-        grounds = grounds_of(tasks, settings, scenes)
+        pixels = read_photograph(one.image)[0] if seen.pixels is None else seen.pixels
+        grounds = grounds_of(seen.tasks, settings, scenes)
         screen.wrote(*show.draw(_ending(one, ".png"), outcomes, pixels, grounds, sheet=False))
     if not batch.check_any(one.image, outcomes):
         first = next(outcome for outcome in outcomes)
         raise first.error or InvalidInputError("image", str(one.image), "Solving failed on every vehicle.")
-    return outcomes
 
 
 def _ending(one: PhotographFile, ending: str) -> Path:

@@ -147,6 +147,10 @@ def reconstruct_command(
     out: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="For images: a results file NAME.json for each of them.")
     ] = None,
+    same_camera: Annotated[
+        bool,
+        typer.Option("--same-camera", help="With --out: one camera took all, whose focal length is not known."),
+    ] = False,
     pictures: Annotated[bool, typer.Option("--pictures", help="With --out: a picture NAME.png for each as well.")] = (
         False
     ),
@@ -179,10 +183,13 @@ def reconstruct_command(
     )
     settings = scene.settings(options)
     several = photographs.wanted(files, out, pictures=pictures)
+    if same_camera and (several is None or together is False or not solving.joint):
+        fix = "Give several images and --out, and let their vehicles be solved together."
+        raise InvalidInputError("same_camera", "without --out, or with --apart or --no-joint", fix)
     if several is not None:
         photographs.refuse(json_out, drawings.wanted or drawings.image is not None, delivery.wanted, boxes.box)
         how = photographs.PhotographWork(
-            camera, boxes, settings, solving.box_model, together, history=history, pictures=pictures
+            camera, boxes, settings, solving.box_model, together, history, pictures, same_camera
         )
         if not photographs.reconstruct_each(several, how, screen):
             raise typer.Exit(1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fgrecon.cli.common import ground_plane, parse_crop, parse_numbers
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.options import Options
+from fgrecon.core.options import KeypointOptions, Options
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as parse_size
@@ -82,6 +82,11 @@ class CameraSource:
     file: str | None = None
     own: Camera | None = None
     crop: str | None = None
+
+    @property
+    def given(self) -> bool:
+        """Whether the command line says which camera it is."""
+        return any(part is not None for part in (self.calib, self.intrinsics, self.file))
 
     def camera(self, image: str | None = None) -> tuple[Camera | None, NDArray[np.float64] | None]:
         """The camera, and where KITTI's label frame lies from it; None where the command line does not say.
@@ -176,7 +181,16 @@ def plain_settings(settings: Settings) -> dict[str, Any]:
         "size_prior": _plain_size(settings.size_prior),
         "strategy": settings.options.strategy.name.value,
         "box_model": settings.options.box.model.value,
+        **_plain_keypoints(settings.options.keypoints),
     }
+
+
+def _plain_keypoints(given: KeypointOptions) -> dict[str, Any]:
+    """What is assumed of the keypoint detector, where that is not the default."""
+    default = KeypointOptions()
+    told = {entry.name: getattr(given, entry.name) for entry in fields(given)}
+    changed = {name: value for name, value in told.items() if value != getattr(default, name)}
+    return {"keypoints": changed} if changed else {}
 
 
 def _plain_ground(ground: Ground | None) -> dict[str, Any] | None:

@@ -12,9 +12,9 @@ from fgrecon.cli.terminal import Screen
 from fgrecon.core.camera import Ground
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.scene_reconstruction import SceneReconstruction
-from fgrecon.solve.scene import reconstruct_scene
+from fgrecon.solve.scene import reconstruct_scene, reconstruct_scenes
 
-__all__ = ["Scene", "grounds_of", "solve_together", "wants_together"]
+__all__ = ["Scene", "grounds_of", "solve_same_camera", "solve_together", "wants_together"]
 
 
 @dataclass(frozen=True)
@@ -86,24 +86,49 @@ def solve_together(tasks: Sequence[Task], settings: Settings, screen: Screen) ->
     outcomes: dict[int, Outcome] = {}
     scenes = []
     for image, numbers in screen.watch(list(images.items()), "Images"):
-        scene = _solve([tasks[n] for n in numbers], settings)
+        own = [tasks[n] for n in numbers]
+        scene = reconstruct_scene([task.instance.observation for task in own], own[0].camera, **_told(own, settings))
         scenes.append(Scene(image, scene))
-        solved = dict(zip(scene.numbers, scene.vehicles, strict=True))
-        for i, n in enumerate(numbers):
-            seen_by = replace(scene.camera, image_size=tasks[n].camera.image_size)
-            outcomes[n] = Outcome(replace(tasks[n], camera=seen_by), solved.get(i), scene.refused.get(i))
+        outcomes |= dict(zip(numbers, _outcomes(own, scene), strict=True))
     return [outcomes[n] for n in range(len(tasks))], scenes
 
 
-def _solve(tasks: Sequence[Task], settings: Settings) -> SceneReconstruction:
+def solve_same_camera(
+    images: Sequence[tuple[str, Sequence[Task]]], settings: Settings
+) -> list[tuple[list[Outcome], Scene]]:
+    """Reconstruct the vehicles of images that one camera took, whose focal length they tell together.
+
+    Args:
+        images: Name and vehicles of each image, all with the same camera.
+        settings: What holds for all of them.
+
+    Returns:
+        Of each image the outcomes of its vehicles, with the camera that was found, and its scene.
+    """
+    tasks = [task for _, some in images for task in some]
+    seen = [[task.instance.observation for task in some] for _, some in images]
+    scenes = reconstruct_scenes(seen, tasks[0].camera, **_told(tasks, settings))
+    return [(_outcomes(some, scene), Scene(name, scene)) for (name, some), scene in zip(images, scenes, strict=True)]
+
+
+def _outcomes(tasks: Sequence[Task], scene: SceneReconstruction) -> list[Outcome]:
+    """What became of each vehicle of an image, with the camera that was found."""
+    solved = dict(zip(scene.numbers, scene.vehicles, strict=True))
+    outcomes = []
+    for i, task in enumerate(tasks):
+        seen_by = replace(scene.camera, image_size=task.camera.image_size)
+        outcomes.append(Outcome(replace(task, camera=seen_by), solved.get(i), scene.refused.get(i)))
+    return outcomes
+
+
+def _told(tasks: Sequence[Task], settings: Settings) -> dict[str, Any]:
+    """What the solver is told beside the vehicles and their camera."""
     options, model = settings.options, tasks[0].box_model
     if model is not None:  # the boxes of an image are from one source
         options = replace(options, box=replace(options.box, model=model))
-    return reconstruct_scene(
-        [task.instance.observation for task in tasks],
-        tasks[0].camera,
-        prior=settings.prior,
-        ground=settings.ground,
-        size_prior=settings.size_prior,
-        options=options,
-    )
+    return {
+        "prior": settings.prior,
+        "ground": settings.ground,
+        "size_prior": settings.size_prior,
+        "options": options,
+    }

@@ -16,9 +16,6 @@ from fgrecon.core.observation import Observation, as_directions
 
 __all__ = ["Detection", "calibrated_facing", "facing_probability"]
 
-_BIAS, _SLOPE = -0.390, 0.976
-"""Of the log odds; fitted by maximum likelihood to 1,246 boxes of KITTI's video, each found by networks that had not
-learnt from its drive. Fitted without a drive and tested on it: expected calibration error 0.005."""
 _SUREST = 1e-6
 
 
@@ -85,11 +82,16 @@ def facing_probability(directions: NDArray[np.float64], azimuth: float) -> float
     return float(np.clip((np.pi / 2.0 - off) / width + 0.5, 0.0, 1.0) @ directions)
 
 
-def calibrated_facing(probability: float) -> float:
+def calibrated_facing(probability: float, bias: float, slope: float) -> float:
     """How probably a result that chose a facing has the right one, for the probability that the network gives it.
 
     Less than the network says: a result that follows from the same image is wrong where the network is.
+
+    Args:
+        probability: The network's.
+        bias: Of the log odds.
+        slope: What the network's log odds count.
     """
     p = min(max(probability, _SUREST), 1.0 - _SUREST)
-    odds = math.exp(_BIAS + _SLOPE * math.log(p / (1.0 - p)))
+    odds = math.exp(bias + slope * math.log(p / (1.0 - p)))
     return odds / (1.0 + odds)

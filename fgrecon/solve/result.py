@@ -184,7 +184,8 @@ def _facing(part: ObservationPart, camera_T_object: NDArray[np.float64]) -> floa
     if directions is None or part.share < 1.0 or not np.isfinite(camera_T_object).all():
         return float("nan")
     azimuth = float(view_azimuth(camera_T_object[:3, :3], camera_T_object[:3, 3]))
-    return calibrated_facing(facing_probability(directions, azimuth))
+    detector = part.problem.options.keypoints
+    return calibrated_facing(facing_probability(directions, azimuth), detector.facing_bias, detector.facing_slope)
 
 
 def _status(

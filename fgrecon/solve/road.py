@@ -25,7 +25,7 @@ from factors.marginals import Marginal, marginal, marginal_factor
 from factors.noise import diagonal_noise
 from factors.road import road_factor
 from fgrecon.core.camera import Ground
-from fgrecon.solve.scene import OWN_HEIGHT, OWN_SLOPE
+from fgrecon.solve.standing import OWN_HEIGHT, OWN_SLOPE
 
 __all__ = ["KnownGround", "Road"]
 

@@ -4,13 +4,11 @@
     F(0) keypoints, box --- X(2,0) --- contact --- G(0) --- prior (what is known of the mount)
     +--- keypoints, box --- X(3,0) --- contact ---+
 
-Every vehicle is first solved alone. How far cars lie off a plane that is told beforehand (`Ground`) is mostly the
-plane's fault, pitch above all, and the same for all of them; so that part of the plane's uncertainty is the prior's of
-G, and what is left is each vehicle's own. A vehicle on another road or a kerb is an outlier of its contact alone.
-Without a ground the vehicles' own poses say about where it is, and the prior is wide.
+Every vehicle is first solved alone; `fgrecon.solve.standing` is about the ground.
 
-Where the focal length is not known it is the variable F(0) of all keypoints and boxes (`fgrecon.solve.focal`). Vehicles
-of which another detector has a 3D box have its factors as well (`fgrecon.solve.detected`).
+Where the focal length is not known it is the variable F(0) of all keypoints and boxes (`fgrecon.solve.focal`), also of
+several images that one camera took, each with a ground of its own. Vehicles of which another detector has a 3D box have
+its factors as well (`fgrecon.solve.detected`).
 """
 
 from __future__ import annotations
@@ -25,11 +23,8 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from factors.contact import GroundFrame, contact_factor
-from factors.keys import F, G, X
-from factors.losses import Loss, RobustLoss
+from factors.keys import F, G
 from factors.marginals import Marginal, marginal, marginal_factor
-from factors.noise import diagonal_noise
 from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
@@ -42,27 +37,24 @@ from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as named_size_prior
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.alone import Alone, Tried, each_alone, known_boxes
+from fgrecon.solve.detected import KnownBox
 from fgrecon.solve.focal import candidates, focal_prior, log_ratio, starts
 from fgrecon.solve.graph.adjust import Adjusted, SolvedStage
 from fgrecon.solve.graph.covariance import factorise
 from fgrecon.solve.graph.graph import Graph, Seen, State
 from fgrecon.solve.graph.optimise import Optimum, optimise
+from fgrecon.solve.occlusion import with_occlusion
 from fgrecon.solve.pipeline import ground_plane
 from fgrecon.solve.result import history_of, results, weakened
+from fgrecon.solve.standing import Standing
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.vehicle.model import VehicleModel, prepare
-from fgrecon.solve.weakness import off_ground
 
-__all__ = ["OWN_HEIGHT", "OWN_SLOPE", "OWN_TILT", "ground_evidence", "reconstruct_scene"]
+__all__ = ["ground_evidence", "reconstruct_scene", "reconstruct_scenes"]
 
 Array = NDArray[np.float64]
 
-OWN_HEIGHT, OWN_SLOPE, OWN_TILT = 0.35, 0.15, 0.5
-"""Shares of a told ground's deviations that are each vehicle's own; chosen on KITTI's video (docs/method.md)."""
-_WIDE = (0.5, 0.3, 0.1)  # metres, radians, radians: prior of height, pitch and roll where no ground is told
-_OUTLYING = 3.0  # standard deviations from which on a contact counts less
 _SAME_FOCAL = 0.02  # logarithms that differ by less are of one focal length
-_LEAST_HEIGHT = 0.2  # metres; a camera is above the road
 
 
 @single_threaded
@@ -100,41 +92,106 @@ def reconstruct_scene(
         InvalidInputError: An argument cannot be used, such as a distorted lens without a focal length; names it, its
             value and the fix.
     """
-    options = Options() if options is None else options
-    if not options.shape.joint:
-        raise InvalidInputError("options.shape.joint", value=False, fix="Let pose and shape move: joint=True.")
-    shape_prior, known, plane = load_prior(prior), Camera.of(camera), ground_plane(ground)
-    fleet = None if size_prior is None else named_size_prior(size_prior)
-    model = prepare(shape_prior, fleet, options.shape.basis_vectors)
+    options, shape_prior, fleet = _settings(options, prior, size_prior)
+    known, plane = Camera.of(camera), ground_plane(ground)
     boxed = None
     if boxes is not None:
         plain = prepare(shape_prior, None, options.shape.basis_vectors)
         boxed = known_boxes(boxes, box_errors, len(observations), known, plain)
+    model = prepare(shape_prior, fleet, options.shape.basis_vectors)
+    return _reconstruct([observations], known, model, plane, options, boxed)[0]
+
+
+@single_threaded
+def reconstruct_scenes(
+    images: Sequence[Sequence[Observation]],
+    camera: Camera | ArrayLike,
+    *,
+    prior: ShapePrior | str | Path = "car14",
+    ground: Ground | float | None = None,
+    size_prior: SizePrior | str | None = None,
+    options: Options | None = None,
+) -> list[SceneReconstruction]:
+    """Recover the vehicles of several images that one camera took, whose focal length all of them tell together.
+
+    Where it is known the images have nothing in common, and each is reconstructed as by `reconstruct_scene`.
+
+    Args:
+        images: The keypoints of each vehicle, of each image.
+        camera: The camera of all images, as in `reconstruct_scene`.
+        prior: Shape prior, or its name, or the path of its file.
+        ground: About where the ground is, in each image anew; a number is the height in metres of a level camera.
+        size_prior: Fleet (`kitti`, `apollo79`), or a size prior; None takes sizes from the shape prior.
+        options: Settings; `joint` must be set.
+
+    Returns:
+        The scene of each image, all with the same camera.
+
+    Raises:
+        InvalidInputError: An argument cannot be used; names it, its value and the fix.
+    """
+    options, shape_prior, fleet = _settings(options, prior, size_prior)
+    known, plane = Camera.of(camera), ground_plane(ground)
+    model = prepare(shape_prior, fleet, options.shape.basis_vectors)
+    if not known.focal_sigma:
+        return [_reconstruct([one], known, model, plane, options, None)[0] for one in images]
+    return _reconstruct(images, known, model, plane, options, None)
+
+
+def _settings(
+    options: Options | None, prior: ShapePrior | str | Path, size_prior: SizePrior | str | None
+) -> tuple[Options, ShapePrior, SizePrior | None]:
+    chosen = Options() if options is None else options
+    if not chosen.shape.joint:
+        raise InvalidInputError("options.shape.joint", value=False, fix="Let pose and shape move: joint=True.")
+    return chosen, load_prior(prior), None if size_prior is None else named_size_prior(size_prior)
+
+
+def _reconstruct(
+    images: Sequence[Sequence[Observation]],
+    known: Camera,
+    model: VehicleModel,
+    plane: Ground | None,
+    options: Options,
+    boxed: Sequence[KnownBox | None] | None,
+) -> list[SceneReconstruction]:
+    """The scenes of images whose vehicles, numbered through, are solved together."""
+    image_of = [image for image, some in enumerate(images) for _ in some]
+    observations = [one for some in images for one in some]
     started = perf_counter()
     tried = [each_alone(observations, one, model, plane, options, boxed) for one in candidates(known)]
     energies = _energies(tried, known)
     found = perf_counter()
-    joint = [scene for i in starts(energies) if (scene := _together(tried[i], known, plane, options)) is not None]
+    begun = (_together(tried[i], image_of, known, plane, options) for i in starts(energies))
+    joint = [one for one in begun if one is not None]
     told = None if not joint else _told(min(joint, key=lambda one: one.optimum.energy), joint, known)
     if told is None:
         alone = tried[min(range(len(tried)), key=lambda i: (energies[i], abs(log_ratio(tried[i].camera, known))))]
-        told = _Told({}, plane, None, known, (), "They were solved one by one.", alone)
+        told = _Told({}, {}, known, (), (), alone)
     alone = told.alone
     each = {number: _result(one) for number, one in alone.vehicles.items() if number not in told.results}
     each |= told.results
-    numbers = tuple(sorted(each))
     milliseconds = {"alone": (found - started) * 1e3, "together": (perf_counter() - found) * 1e3}
-    return SceneReconstruction(
-        numbers,
-        tuple(each[n] for n in numbers),
-        alone.refused,
-        told.ground,
-        told.ground_covariance,
-        told.camera,
-        told.focal_lengths,
-        told.message,
-        milliseconds,
-    )
+    scenes, first = [], 0
+    for image, some in enumerate(images):
+        own = range(first, first + len(some))
+        numbers = tuple(number for number in own if number in each)
+        ground, covariance = told.grounds.get(image, (plane, None))
+        scenes.append(
+            SceneReconstruction(
+                tuple(number - first for number in numbers),
+                with_occlusion([each[n] for n in numbers]),
+                {number - first: alone.refused[number] for number in own if number in alone.refused},
+                ground,
+                covariance,
+                told.camera,
+                told.focal_lengths,
+                told.message(image, sum(number in told.results for number in own), len(images)),
+                milliseconds,
+            )
+        )
+        first += len(some)
+    return scenes
 
 
 @dataclass(frozen=True)
@@ -146,22 +203,27 @@ class _Joint:
     graph: Graph
     optimum: Optimum
     extra: list[gtsam.NonlinearFactor]
-    contacts: dict[int, gtsam.CustomFactor]
-    nominal: Ground | None
-    frame: GroundFrame | None
+    standing: dict[int, Standing]
 
 
 @dataclass(frozen=True)
 class _Told:
-    """What is said of a scene; vehicles without a result are as they were alone."""
+    """What is said of the scenes: their grounds by image; vehicles without a result are as they were alone."""
 
     results: dict[int, Reconstruction]
-    ground: Ground | None
-    ground_covariance: Array | None
+    grounds: dict[int, tuple[Ground, Array | None]]
     camera: Camera
     focal_lengths: tuple[tuple[float, float], ...]
-    message: str
+    shared: tuple[str, ...]
     alone: Tried
+
+    def message(self, image: int, count: int, images: int) -> str:
+        """What was done with so many vehicles of one of so many images."""
+        shared = [*(["the ground"] if image in self.grounds else []), *self.shared]
+        if not count or not shared:
+            return "They were solved one by one."
+        others = f", as were {len(self.results) - count} of other images" if images > 1 else ""
+        return f"{count} were solved together with {' and '.join(shared)}{others}."
 
 
 def _energies(tried: Sequence[Tried], known: Camera) -> list[float]:
@@ -205,8 +267,9 @@ def ground_evidence(
         The evidence about G(0); None where there are fewer than two vehicles, or they could not be solved.
     """
     sure = replace(camera, focal_sigma=0.0)
-    best = _together(each_alone(observations, sure, model, plane, options), sure, plane, options, known)
-    if best is None or best.frame is None:
+    alone = each_alone(observations, sure, model, plane, options)
+    best = _together(alone, [0] * len(observations), sure, plane, options, known)
+    if best is None or not best.standing:
         return None
     told, values = gtsam.NonlinearFactorGraph(), best.optimum.values
     built = best.graph.build(best.optimum.state.weights)
@@ -218,38 +281,49 @@ def ground_evidence(
 
 
 def _together(
-    alone: Tried, known: Camera, plane: Ground | None, options: Options, before: Marginal | None = None
+    alone: Tried,
+    image_of: Sequence[int],
+    known: Camera,
+    plane: Ground | None,
+    options: Options,
+    before: Marginal | None = None,
 ) -> _Joint | None:
-    """The joint solve; None where there is nothing to solve together, or it gave up."""
+    """The joint solve; None where there is nothing to solve together, or it gave up.
+
+    Args:
+        alone: The vehicles solved alone.
+        image_of: The image of each vehicle, by its number.
+        known: What is known of the camera.
+        plane: About where the ground is, or None.
+        options: Settings.
+        before: What is known of the ground of the one image that there is, in the place of its prior.
+    """
     solved = alone.solved
-    on_ground = len(solved) > 1 and "ground" not in options.disabled_terms
-    if not solved or not (on_ground or known.focal_sigma):
+    standing: dict[int, Standing] = {}
+    if "ground" not in options.disabled_terms:
+        for image in sorted({image_of[number] for number in solved}):
+            poses = {number: one.pose for number, one in solved.items() if image_of[number] == image}
+            if len(poses) > 1:
+                standing[image] = Standing.of(image, poses, plane)
+    if not solved or not (standing or known.focal_sigma):
         return None
     seen: list[Seen] = []
-    contacts: dict[int, gtsam.CustomFactor] = {}
     priors: list[gtsam.NonlinearFactor] = []
     others = gtsam.Values()
-    nominal, frame = plane, None
-    if on_ground:
-        nominal = plane if plane is not None else _seen_ground([one.pose for one in solved.values()])
-        frame = GroundFrame.of(nominal.normal, nominal.distance)
-        spread = _WIDE if plane is None else (nominal.height_sigma, nominal.slope_sigma, nominal.slope_sigma)
+    for one_ground in standing.values():
         if before is None:
-            others.insert(G(0), np.zeros(3))
-            priors.append(gtsam.PriorFactorVector(G(0), np.zeros(3), diagonal_noise("ground", np.array(spread))))
+            others.insert(one_ground.key, np.zeros(3))
+            priors.append(one_ground.prior)
         else:
             others.insert(before.values)
             priors.append(marginal_factor(before))
-        for number, one in solved.items():
-            noise = _contact_noise(nominal, float(one.pose[2, 3]))
-            contacts[number] = contact_factor(X(number, 0), G(0), frame, noise)
     if known.focal_sigma:
         others.insert(F(0), np.zeros(1))
         priors.append(focal_prior(known, alone.camera))
     for number, one in solved.items():
         priors += one.own(number)
         free = replace(one.problem, ground=None, energy=replace(one.problem.energy, ground=None))
-        seen.append(Seen(free if on_ground else one.problem, vehicle=number))
+        seen.append(Seen(free if image_of[number] in standing else one.problem, vehicle=number))
     states = [one.adjusted.optimum.state for one in solved.values()]
     state = State(
         poses=[state.poses[0] for state in states],
@@ -257,12 +331,12 @@ def _together(
         weights=[state.weights[0] for state in states],
         others=others,
     )
-    extra = [*contacts.values(), *priors]
+    extra = [*(contact for one in standing.values() for contact in one.contacts.values()), *priors]
     graph = Graph(seen, state, pose_free=True, extra=extra)
     optimum = optimise(graph, state)
     if optimum.failure is not None:
         return None
-    return _Joint(alone, seen, graph, optimum, extra, contacts, nominal, frame)
+    return _Joint(alone, seen, graph, optimum, extra, standing)
 
 
 def _told(best: _Joint, joint: Sequence[_Joint], known: Camera) -> _Told:
@@ -281,19 +355,19 @@ def _told(best: _Joint, joint: Sequence[_Joint], known: Camera) -> _Told:
         ]
     facing = [one.facing(pose) for one, pose in zip(solved.values(), poses, strict=True)]
     each = dict(zip(solved, results(best.seen, starts_, adjusted, {}, best.extra, facing=facing), strict=True))
-    for number, contact in best.contacts.items():
-        energies = {**each[number].energies, "ground": float(contact.error(values))}
-        each[number] = replace(each[number], energies=energies)
-        if best.frame is not None and best.nominal is not None:
-            told = solved[number].problem.ground
-            each[number] = weakened(each[number], _off_ground(each[number], told, best, values.atVector(G(0))))
+    for one_ground in best.standing.values():
+        for number, contact in one_ground.contacts.items():
+            energies = {**each[number].energies, "ground": float(contact.error(values))}
+            each[number] = replace(each[number], energies=energies)
+            each[number] = weakened(each[number], one_ground.doubt(each[number], solved[number].problem.ground, values))
     marginals = factorise(best.graph.build(optimum.state.weights), values)
-    ground, camera, shared = best.nominal, best.alone.camera, []
+    camera = best.alone.camera
+    shared: tuple[str, ...] = ()
     lengths: tuple[tuple[float, float], ...] = ()
-    if best.frame is not None and best.nominal is not None:
-        normal, distance = best.frame.plane(values.atVector(G(0)))
-        ground = replace(best.nominal, normal=normal, distance=max(distance, _LEAST_HEIGHT))
-        shared.append("the ground")
+    grounds = {
+        image: (one_ground.ground(values), _marginal(marginals, one_ground.key))
+        for image, one_ground in best.standing.items()
+    }
     if known.focal_sigma:
         variance = _marginal(marginals, F(0))
         sigma = known.focal_sigma if variance is None else float(np.sqrt(variance[0, 0]))
@@ -302,21 +376,8 @@ def _told(best: _Joint, joint: Sequence[_Joint], known: Camera) -> _Told:
             (float(_camera(one).matrix[0, 0]), one.optimum.energy - optimum.energy)
             for one in sorted(joint, key=lambda one: one.optimum.energy)
         )
-        shared.append("the focal length")
-    message = f"{len(each)} were solved together with {' and '.join(shared)}."
-    covariance = None if best.frame is None else _marginal(marginals, G(0))
-    return _Told(each, ground, covariance, camera, _distinct(lengths), message, best.alone)
-
-
-def _off_ground(result: Reconstruction, told: Ground | None, joint: _Joint, change: Array) -> list[str]:
-    """The clause of a vehicle that does not stand on the ground that was told, or else on that of the others."""
-    assert joint.frame is not None
-    assert joint.nominal is not None
-    depth = float(result.location[2])
-    if told is not None:
-        return off_ground(float(told.normal @ result.location - told.distance), told.height_sigma_at_depth(depth))
-    normal, distance = joint.frame.plane(change)
-    return off_ground(float(normal @ result.location - distance), _own_height(joint.nominal, depth))
+        shared = ("the focal length",)
+    return _Told(each, grounds, camera, _distinct(lengths), shared, best.alone)
 
 
 def _camera(joint: _Joint) -> Camera:
@@ -330,26 +391,6 @@ def _distinct(lengths: tuple[tuple[float, float], ...]) -> tuple[tuple[float, fl
         if all(abs(math.log(pixels / other)) > _SAME_FOCAL for other, _ in kept):
             kept.append((pixels, excess))
     return tuple(kept)
-
-
-def _seen_ground(poses: Sequence[Array]) -> Ground:
-    """The plane that vehicles' poses (4, 4) speak of: their median down axis and height."""
-    down = np.median([pose[:3, 1] for pose in poses], axis=0)
-    normal = down / np.linalg.norm(down)
-    distance = float(np.median([pose[:3, 3] @ normal for pose in poses]))
-    upright = normal if normal[1] > 0.0 else np.array([0.0, 1.0, 0.0])
-    return Ground(upright, max(distance, _LEAST_HEIGHT))
-
-
-def _contact_noise(ground: Ground, depth: float) -> gtsam.noiseModel.Robust:
-    """What is a vehicle's own of its deviation from the plane."""
-    height, tilt = _own_height(ground, depth), OWN_TILT * ground.tilt_sigma
-    return RobustLoss.of(Loss.CAUCHY, _OUTLYING).wrap(diagonal_noise("contact", np.array([height, tilt, tilt, tilt])))
-
-
-def _own_height(ground: Ground, depth: float) -> float:
-    """How far a vehicle's origin may lie off the ground of the others, metres (1 sigma)."""
-    return float(np.hypot(OWN_HEIGHT * ground.height_sigma, OWN_SLOPE * ground.slope_sigma * depth))
 
 
 def _marginal(marginals: gtsam.Marginals | None, key: int) -> Array | None:

@@ -96,3 +96,37 @@ def test_a_part_of_a_photograph_has_the_camera_of_the_whole(street, tmp_path):
         refused = run(*part, "--crop", crop, *camera)
         assert isinstance(refused.exception, InvalidInputError)
         assert refused.exception.field == "crop"
+
+
+def test_one_camera_took_them(street, tmp_path):
+    images, boxes = street / "images", ("--boxes", street / "boxes")
+    done = run("reconstruct", images, *boxes, "--same-camera", "--pictures", "--out", tmp_path / "out", "-q")
+    assert done.exit_code == 0, done.output
+    found = [json.loads((tmp_path / "out" / f"{name}.json").read_text()) for name in ("a", "b")]
+    cameras = [one["camera"] for file in found for one in file["instances"]]
+    assert all(camera == cameras[0] for camera in cameras)
+    assert "as were 3 of other images" in found[0]["scenes"][0]["message"]
+    assert (tmp_path / "out" / "b.png").stat().st_size > 10_000
+    for more in (
+        ("--calib", street / "sample" / "calib.txt", "--out", tmp_path / "x"),
+        ("--apart", "--out", tmp_path),
+        (),
+    ):
+        refused = run("reconstruct", images if more else images / "a.png", *boxes, "--same-camera", *more)
+        assert isinstance(refused.exception, InvalidInputError)
+        assert refused.exception.field == "same_camera"
+
+
+def test_another_size_is_another_camera(street, tmp_path):
+    from PIL import Image
+
+    with Image.open(street / "images" / "a.png") as picture:
+        picture.resize((picture.width // 2, picture.height // 2)).save(tmp_path / "small.png")
+    (tmp_path / "boxes").mkdir()
+    for name in ("a", "small"):
+        shutil.copy(street / "boxes" / "a.txt", tmp_path / "boxes" / f"{name}.txt")
+    told = ("--boxes", tmp_path / "boxes", "--same-camera", "--out", tmp_path / "out", "-q")
+    done = run("reconstruct", street / "images" / "a.png", tmp_path / "small.png", *told)
+    assert done.exit_code == 1
+    assert "small.png" in done.stderr
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["a.json"]

@@ -11,7 +11,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.focal import candidates, starts
-from fgrecon.solve.scene import reconstruct_scene
+from fgrecon.solve.scene import reconstruct_scene, reconstruct_scenes
 from tests.cars import CAMERA, observe
 from tests.solve.test_scene import street
 
@@ -127,3 +127,29 @@ def test_starts_are_the_low_minima():
     assert starts([1.0]) == [0]
     assert starts([np.inf, np.inf]) == []
     assert starts([2.0, 2.0, 2.0]) == [2]
+
+
+def test_images_of_one_camera_tell_its_focal_length_together():
+    """Each image has two cars: together they are surer than the best of them, and right."""
+    images = [near(seed, 2)[1] for seed in range(20, 24)]
+    true = KNOWN.matrix[0, 0]
+    unknown = replace(KNOWN.scaled(1.4), focal_sigma=0.5)
+    alone = [reconstruct_scene(one, unknown, size_prior="kitti") for one in images]
+    together = reconstruct_scenes(images, unknown, size_prior="kitti")
+    assert [len(scene.vehicles) for scene in together] == [2, 2, 2, 2]
+    (focal,) = {scene.camera.matrix[0, 0] for scene in together}
+    sigma = together[0].camera.focal_sigma
+    assert sigma < min(scene.camera.focal_sigma for scene in alone)
+    assert abs(np.log(focal / true)) < 3.0 * sigma
+    assert abs(np.log(focal / true)) < max(abs(np.log(scene.camera.matrix[0, 0] / true)) for scene in alone)
+    assert all("as were 6 of other images" in scene.message for scene in together)
+
+
+def test_one_image_is_a_scene_and_a_known_camera_ties_nothing():
+    seen = near(30, 2)[1]
+    for camera in (replace(KNOWN, focal_sigma=0.5), KNOWN):
+        single = reconstruct_scene(seen, camera, ground=1.65)
+        for other in reconstruct_scenes([seen] if camera.focal_sigma else [seen, seen], camera, ground=1.65):
+            poses = [one.camera_T_object for one in other.vehicles]
+            np.testing.assert_array_equal(poses, [one.camera_T_object for one in single.vehicles])
+            assert other.camera.matrix[0, 0] == single.camera.matrix[0, 0]

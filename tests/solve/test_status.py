@@ -8,7 +8,7 @@ import pytest
 
 from fgrecon.core.detection import calibrated_facing
 from fgrecon.core.geometry import view_azimuth
-from fgrecon.core.options import Options
+from fgrecon.core.options import KeypointOptions, Options
 from fgrecon.core.reconstruction import Alternative, Reconstruction, Status
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph.covariance import Covariances
@@ -19,6 +19,7 @@ from tests.cars import CAMERA, observe, yaw_pose
 from tests.settings import options as make_options
 from tests.solve.graph.support import problem_of, solve
 
+FACING = KeypointOptions().facing_bias, KeypointOptions().facing_slope
 TIGHT = Covariances(np.radians(0.1) ** 2 * np.eye(6), np.eye(5), np.tile(np.eye(3), (14, 1, 1)), np.eye(3))
 """The pose is known to a tenth of a degree."""
 
@@ -131,7 +132,7 @@ def test_directions_that_leave_the_other_facing_open_are_ambiguous(behind, statu
     directions[bin_], directions[(bin_ + 18) % 36] = 1.0 - behind, behind
     told = reconstruct(replace(seen, azimuth=directions), CAMERA, ground=1.65)
     assert told.status is status
-    assert told.facing_probability == pytest.approx(calibrated_facing(1.0 - behind), abs=1e-6)
+    assert told.facing_probability == pytest.approx(calibrated_facing(1.0 - behind, *FACING), abs=1e-6)
     assert reconstruct(seen, CAMERA, ground=1.65).facing_probability > 0.95  # by the energies
     assert np.isnan(reconstruct(seen, CAMERA, options=make_options(strategy="paper")).facing_probability)
     back = Reconstruction.from_dict(told.to_dict(compact=True))
@@ -142,7 +143,7 @@ def test_directions_that_leave_the_other_facing_open_are_ambiguous(behind, statu
 
 def test_the_calibration_keeps_the_order_and_is_less_sure():
     probabilities = np.linspace(0.0, 1.0, 101)
-    calibrated = [calibrated_facing(p) for p in probabilities.tolist()]
+    calibrated = [calibrated_facing(p, *FACING) for p in probabilities.tolist()]
     assert (np.diff(calibrated) > 0.0).all()
     assert all(c < p for c, p in zip(calibrated[50:], probabilities[50:], strict=True))
     assert 0.0 < calibrated[0] < calibrated[-1] < 1.0

@@ -1,0 +1,146 @@
+"""Fit to a detector what results say of themselves: how far its errors go together, and what its directions count.
+
+Both from vehicles whose boxes are labelled, found by the detector and reconstructed. Drives are left out in turn to
+tell how well what was fitted holds elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.coverage import SIGMAS
+from fgrecon.core.detection import calibrated_facing
+from fgrecon.core.detector_calibration import DetectorCalibration
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.reliability import reliability
+from fgrecon.evaluation.calibration import calibrate_boxes
+from fgrecon.evaluation.video_images import SYSTEM, TURNED_ROUND, VideoBox
+
+__all__ = ["FACTORS", "FittedDetector", "fit_detector"]
+
+FACTORS = (1.0, 2.0, 4.0, 8.0, 16.0)
+"""The common factors that vehicles are reconstructed with; what is fitted lies between them."""
+
+_FEWEST = 30  # vehicles that regions are judged by
+_FEWEST_TURNED = 5  # turned round, without which nothing tells what a direction counts
+_QUANTITIES = "position", "yaw"
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FittedDetector:
+    """What was fitted, and how well it holds on drives that were left out.
+
+    Attributes:
+        calibration: What was fitted to all drives.
+        inside: Share of the errors of position and yaw within their regions, by level (`SIGMAS`): fitted without the
+            drive. NaN with a single drive.
+        facing_error: Expected calibration error of the facing, likewise.
+        turned: Number of vehicles turned round; where they are too few the facing's numbers are the default ones.
+    """
+
+    calibration: DetectorCalibration
+    inside: Mapping[str, Mapping[float, float]]
+    facing_error: float
+    turned: int
+
+
+def fit_detector(scored: Mapping[float, Sequence[VideoBox]], provenance: Mapping[str, Any]) -> FittedDetector:
+    """Fit a detector's calibration.
+
+    Args:
+        scored: The same boxes reconstructed with each of `FACTORS` (`fgrecon.KeypointOptions.common_factor`).
+        provenance: What is told of the data; plain values.
+
+    Raises:
+        InvalidInputError: Too few vehicles were reconstructed.
+    """
+    boxes = scored[FACTORS[0]]
+    drives = sorted({box.drive for box in boxes})
+    solved = [box for box in boxes if box.outcomes[SYSTEM].squared]
+    if len(solved) < _FEWEST:
+        fix = f"Give drives with at least {_FEWEST} labelled vehicles that can be reconstructed."
+        raise InvalidInputError("drives", f"{len(solved)} vehicles", fix)
+    factor, facing, turned = _factor(scored), _facing(boxes), sum(_is_turned(box) for box in boxes)
+    inside: dict[str, dict[float, float]] = {name: dict.fromkeys(SIGMAS, float("nan")) for name in _QUANTITIES}
+    said: list[float] = []
+    right: list[bool] = []
+    if len(drives) > 1:
+        parts = []
+        for drive in drives:
+            others = {f: [box for box in some if box.drive != drive] for f, some in scored.items()}
+            own = {f: [box for box in some if box.drive == drive] for f, some in scored.items()}
+            parts.append(
+                (sum(bool(box.outcomes[SYSTEM].squared) for box in own[FACTORS[0]]), _curves(own), _factor(others))
+            )
+            probability, hit = _chosen(own[FACTORS[0]])
+            said += [calibrated_facing(p, *_facing(others[FACTORS[0]])) for p in probability.tolist()]
+            right += hit.tolist()
+        for name in _QUANTITIES:
+            for level in SIGMAS:
+                held = [(count, _at(curves[name, level], best)) for count, curves, best in parts if count]
+                inside[name][level] = float(np.average([share for _, share in held], weights=[n for n, _ in held]))
+    error = reliability(said, right).error if said else float("nan")
+    told = {**provenance, "vehicles": len(solved), "turned_round": turned}
+    calibration = DetectorCalibration(factor, *facing, told)
+    return FittedDetector(calibration, inside, error, turned)
+
+
+def _is_turned(box: VideoBox) -> bool:
+    found = box.outcomes[SYSTEM]
+    return found.status is not None and found.degrees > TURNED_ROUND
+
+
+def _curves(scored: Mapping[float, Sequence[VideoBox]]) -> dict[tuple[str, float], Array]:
+    """(F,) share inside each region at each of `FACTORS`."""
+    curves: dict[tuple[str, float], list[float]] = {}
+    for factor in FACTORS:
+        for one in calibrate_boxes(scored[factor], SYSTEM).regions:
+            if one.quantity in _QUANTITIES:
+                for level in SIGMAS:
+                    curves.setdefault((one.quantity, level), []).append(one.inside[level]["claimed"])
+    return {key: np.array(shares) for key, shares in curves.items()}
+
+
+def _at(curve: Array, factor: float) -> float:
+    return float(np.interp(np.log(factor), np.log(FACTORS), curve))
+
+
+def _factor(scored: Mapping[float, Sequence[VideoBox]]) -> float:
+    """Where the regions hold as much as they claim, on the mean over quantities and levels."""
+    mean = np.mean(list(_curves(scored).values()), axis=0)
+    rising = np.maximum.accumulate(mean) + 1e-9 * np.arange(len(mean))
+    return float(np.exp(np.interp(np.mean(SIGMAS), rising, np.log(FACTORS))))
+
+
+def _chosen(boxes: Sequence[VideoBox]) -> tuple[Array, NDArray[np.bool_]]:
+    """What the directions give the facing of each result that has one, and whether it is right."""
+    faced = [box for box in boxes if box.facing is not None and box.outcomes[SYSTEM].status is not None]
+    turned = np.array([_is_turned(box) for box in faced], dtype=bool)
+    truth = np.array([box.facing for box in faced], dtype=np.float64)
+    return np.where(turned, 1.0 - truth, truth), ~turned
+
+
+def _facing(boxes: Sequence[VideoBox]) -> tuple[float, float]:
+    """Bias and slope of the log odds by maximum likelihood; the default ones where too few tell."""
+    from scipy.optimize import minimize
+
+    probability, right = _chosen(boxes)
+    default = DetectorCalibration()
+    start = np.array([default.facing_bias, default.facing_slope])
+    if np.count_nonzero(~right) < _FEWEST_TURNED or not right.any():
+        return default.facing_bias, default.facing_slope
+    p = np.clip(probability, 1e-6, 1.0 - 1e-6)
+    odds, sign = np.log(p / (1.0 - p)), np.where(right, 1.0, -1.0)
+
+    def surprise(numbers: Array) -> float:
+        return float(np.mean(np.logaddexp(0.0, -sign * (numbers[0] + numbers[1] * odds))))
+
+    found = minimize(surprise, start, method="L-BFGS-B", bounds=[(-10.0, 10.0), (0.0, 10.0)])
+    return float(found.x[0]), float(found.x[1])

@@ -1,0 +1,44 @@
+"""Files of what was fitted to a keypoint detector: JSON, written by `fgrecon calibrate`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from fgrecon.core.detector_calibration import DetectorCalibration
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.files import write_text
+from fgrecon.io.json_fields import Fields, read_json
+
+__all__ = ["DETECTOR_FORMAT", "load_calibration", "save_calibration"]
+
+DETECTOR_FORMAT = "fgrecon.detector/1"
+
+
+def load_calibration(path: str | Path) -> DetectorCalibration:
+    """Read a detector's calibration.
+
+    Raises:
+        InvalidInputError: The file cannot be read, is of another format, or a number is missing or out of range; names
+            file and field.
+    """
+    where = f"{path}: "
+    data = Fields(read_json(Path(path)), where)
+    told = data.get("format", str)
+    if told != DETECTOR_FORMAT:
+        raise InvalidInputError(f"{where}format", told, f"Give a file of {DETECTOR_FORMAT}: `fgrecon calibrate`.")
+    numbers = {name: float(data.numbers(name, ())) for name in DetectorCalibration().numbers}
+    try:
+        return DetectorCalibration(**numbers, provenance=data.get("provenance", dict))
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{where}{error.field}", error.value, error.fix) from error
+
+
+def save_calibration(calibration: DetectorCalibration, path: str | Path) -> Path:
+    """Write a detector's calibration, whole or not at all.
+
+    Raises:
+        InvalidInputError: The file cannot be written.
+    """
+    told = {"format": DETECTOR_FORMAT, **calibration.numbers, "provenance": dict(calibration.provenance)}
+    return write_text(Path(path), json.dumps(told, indent=1, allow_nan=False) + "\n")

@@ -1,0 +1,103 @@
+"""The ground of an image as the variable G(t), and its vehicles, each of which stands on it.
+
+How far cars lie off a plane that is told beforehand (`Ground`) is mostly the plane's fault, pitch above all, and the
+same for all of them; so that part of the plane's uncertainty is the prior's of G, and what is left is each vehicle's
+own. A vehicle on another road or a kerb is an outlier of its contact alone. Without a ground the vehicles' own poses
+say about where it is, and the prior is wide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from factors.contact import GroundFrame, contact_factor
+from factors.keys import G, X
+from factors.losses import Loss, RobustLoss
+from factors.noise import diagonal_noise
+from fgrecon.core.camera import Ground
+from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.solve.weakness import off_ground
+
+__all__ = ["OWN_HEIGHT", "OWN_SLOPE", "OWN_TILT", "Standing"]
+
+Array = NDArray[np.float64]
+
+OWN_HEIGHT, OWN_SLOPE, OWN_TILT = 0.35, 0.15, 0.5
+"""Shares of a told ground's deviations that are each vehicle's own; chosen on KITTI's video (docs/method.md)."""
+_WIDE = (0.5, 0.3, 0.1)  # metres, radians, radians: prior of height, pitch and roll where no ground is told
+_OUTLYING = 3.0  # standard deviations from which on a contact counts less
+_LEAST_HEIGHT = 0.2  # metres; a camera is above the road
+
+
+@dataclass(frozen=True)
+class Standing:
+    """The vehicles of an image on its ground.
+
+    Attributes:
+        key: Of the ground's variable.
+        nominal: About where the ground is.
+        frame: Axes in which the variable changes it.
+        contacts: The factor between ground and pose of each vehicle, by its number.
+        spread: (3,) standard deviations of height, pitch and roll before the vehicles tell.
+    """
+
+    key: int
+    nominal: Ground
+    frame: GroundFrame
+    contacts: Mapping[int, gtsam.CustomFactor]
+    spread: Array
+
+    @classmethod
+    def of(cls, image: int, poses: Mapping[int, Array], plane: Ground | None) -> Standing:
+        """The ground of an image with vehicles at poses (4, 4), by number; `plane` is what is told of it."""
+        nominal = _seen_ground(poses) if plane is None else plane
+        frame = GroundFrame.of(nominal.normal, nominal.distance)
+        spread = _WIDE if plane is None else (nominal.height_sigma, nominal.slope_sigma, nominal.slope_sigma)
+        contacts = {
+            number: contact_factor(X(number, 0), G(image), frame, _contact_noise(nominal, float(pose[2, 3])))
+            for number, pose in poses.items()
+        }
+        return cls(G(image), nominal, frame, contacts, np.array(spread))
+
+    @property
+    def prior(self) -> gtsam.PriorFactorVector:
+        """What is known of the ground before the vehicles tell."""
+        return gtsam.PriorFactorVector(self.key, np.zeros(3), diagonal_noise("ground", self.spread))
+
+    def ground(self, values: gtsam.Values) -> Ground:
+        """The ground at some values."""
+        normal, distance = self.frame.plane(values.atVector(self.key))
+        return replace(self.nominal, normal=normal, distance=max(distance, _LEAST_HEIGHT))
+
+    def doubt(self, result: Reconstruction, told: Ground | None, values: gtsam.Values) -> list[str]:
+        """The clause of a vehicle that does not stand on the ground that was told, or else on that of the others."""
+        depth = float(result.location[2])
+        if told is not None:
+            return off_ground(float(told.normal @ result.location - told.distance), told.height_sigma_at_depth(depth))
+        normal, distance = self.frame.plane(values.atVector(self.key))
+        return off_ground(float(normal @ result.location - distance), _own_height(self.nominal, depth))
+
+
+def _seen_ground(poses: Mapping[int, Array]) -> Ground:
+    """The plane that vehicles' poses (4, 4) speak of: their median down axis and height."""
+    down = np.median([pose[:3, 1] for pose in poses.values()], axis=0)
+    normal = down / np.linalg.norm(down)
+    distance = float(np.median([pose[:3, 3] @ normal for pose in poses.values()]))
+    upright = normal if normal[1] > 0.0 else np.array([0.0, 1.0, 0.0])
+    return Ground(upright, max(distance, _LEAST_HEIGHT))
+
+
+def _contact_noise(ground: Ground, depth: float) -> gtsam.noiseModel.Robust:
+    """What is a vehicle's own of its deviation from the plane."""
+    height, tilt = _own_height(ground, depth), OWN_TILT * ground.tilt_sigma
+    return RobustLoss.of(Loss.CAUCHY, _OUTLYING).wrap(diagonal_noise("contact", np.array([height, tilt, tilt, tilt])))
+
+
+def _own_height(ground: Ground, depth: float) -> float:
+    """How far a vehicle's origin may lie off the ground of the others, metres (1 sigma)."""
+    return float(np.hypot(OWN_HEIGHT * ground.height_sigma, OWN_SLOPE * ground.slope_sigma * depth))

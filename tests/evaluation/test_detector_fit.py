@@ -1,0 +1,86 @@
+"""Fitting a detector's calibration: recovered from boxes of known make, kept in a file, used by a solve."""
+
+import json
+
+import numpy as np
+import pytest
+
+import fgrecon
+from fgrecon.core.coverage import SIGMAS
+from fgrecon.core.detection import calibrated_facing
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.options import Options
+from fgrecon.evaluation.detector_fit import FACTORS, fit_detector
+from fgrecon.evaluation.video_images import SYSTEM, BoxOutcome, VideoBox
+
+FACTOR, BIAS, SLOPE = 5.0, -0.8, 0.7
+
+
+def boxes(factor, count=4000, turns=True):
+    """Boxes of three drives whose errors are as wide as with FACTOR, and whose directions err by BIAS and SLOPE."""
+    rng = np.random.default_rng(3)
+    made = []
+    for number in range(count):
+        p = rng.beta(4.0, 1.0)
+        turned = turns and rng.random() > calibrated_facing(p, BIAS, SLOPE)
+        squared = {"position": rng.chisquare(3) * FACTOR / factor, "yaw": rng.chisquare(1) * FACTOR / factor}
+        found = BoxOutcome(
+            *(180.0 if turned else 1.0, 0.5, None, "converged", None),
+            squared={} if turned else squared,
+            spread=dict.fromkeys(squared, factor**0.5),
+        )
+        drive = "abc"[number % 3]
+        truth = 1.0 - p if turned else p
+        made.append(VideoBox(drive, 0, number, 0, "Car", 0.0, 0, 80.0, 10.0, 0.0, truth, {SYSTEM: found}))
+    return made
+
+
+def test_what_made_them_is_found():
+    found = fit_detector({factor: boxes(factor) for factor in FACTORS}, {"drives": ["a", "b", "c"]})
+    assert found.calibration.common_factor == pytest.approx(FACTOR, rel=0.1)
+    assert found.calibration.facing_bias == pytest.approx(BIAS, abs=0.25)
+    assert found.calibration.facing_slope == pytest.approx(SLOPE, abs=0.1)
+    assert found.facing_error < 0.03
+    for shares in found.inside.values():
+        for level in SIGMAS:
+            assert shares[level] == pytest.approx(level, abs=0.03)
+    assert found.calibration.provenance["drives"] == ["a", "b", "c"]
+    assert found.calibration.provenance["turned_round"] == found.turned > 100
+
+
+def test_without_a_vehicle_turned_round_the_facing_is_left():
+    found = fit_detector({factor: boxes(factor, 200, turns=False) for factor in FACTORS}, {})
+    default = fgrecon.KeypointOptions()
+    assert (found.calibration.facing_bias, found.calibration.facing_slope) == (
+        default.facing_bias,
+        default.facing_slope,
+    )
+    with pytest.raises(InvalidInputError, match="20 vehicles"):
+        fit_detector({factor: boxes(factor, 20, turns=False) for factor in FACTORS}, {})
+
+
+def test_the_file_and_the_options(tmp_path):
+    one = fgrecon.DetectorCalibration(6.5, -0.2, 1.1, {"drives": ["a"]})
+    path = fgrecon.save_calibration(one, tmp_path / "detector.json")
+    assert fgrecon.load_calibration(path) == one
+    keypoints = one.applied(Options()).keypoints
+    assert (keypoints.common_factor, keypoints.facing_bias, keypoints.facing_slope) == (6.5, -0.2, 1.1)
+    assert keypoints.sigma_relative == fgrecon.KeypointOptions().sigma_relative
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"format": "else"}, "format"),
+        ({"common_factor": 0.5}, "common_factor"),
+        ({"facing_slope": "x"}, "facing_slope"),
+        ({"facing_bias": None}, "facing_bias"),
+        ({"provenance": 3}, "provenance"),
+    ],
+)
+def test_a_bad_file_is_refused(tmp_path, change, field):
+    path = fgrecon.save_calibration(fgrecon.DetectorCalibration(), tmp_path / "detector.json")
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(InvalidInputError, match=field) as refused:
+        fgrecon.load_calibration(path)
+    assert str(path) in refused.value.field
