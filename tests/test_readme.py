@@ -45,6 +45,6 @@ def test_it_is_short():
     assert len(README.splitlines()) <= 140
 
 
-@pytest.mark.parametrize("name", ["demo.jpg", "recording.png"])
+@pytest.mark.parametrize("name", ["demo.jpg", "demo.gif", "recording.png"])
 def test_the_pictures_are_small(name):
     assert (REPOSITORY / f"docs/images/{name}").stat().st_size < 400_000

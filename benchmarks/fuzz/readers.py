@@ -23,6 +23,7 @@ from fgrecon.io.images import decode_image
 from fgrecon.io.keypoints import read_any_keypoints
 from fgrecon.io.kitti_calibration import read_calibration
 from fgrecon.io.kitti_files import read_detections, read_image_set, read_labels
+from fgrecon.io.models import read_models
 from fgrecon.io.track_file import read_track
 from fgrecon.perception.keypoints.weights import load_weights
 
@@ -130,6 +131,19 @@ def _weights() -> Mapping[str, bytes]:
     return {"w.safetensors": content[: 8 + int.from_bytes(content[:8], "little") + 4096]}
 
 
+@cache
+def _models() -> Mapping[str, bytes]:
+    """A box as large as a car."""
+    import trimesh
+
+    box = trimesh.creation.box((4.0, 1.5, 1.8))
+    found = {f"car.{kind}": box.export(file_type=kind) for kind in ("obj", "ply", "glb")}
+    archive = io.BytesIO()
+    np.savez(archive, car_names=np.array(["a"]), vertices=box.vertices[None], faces=box.faces)
+    texts = {name: content.encode() if isinstance(content, str) else content for name, content in found.items()}
+    return {**texts, "cars.npz": archive.getvalue()}
+
+
 READERS: Mapping[str, Reader] = {
     "keypoints": Reader(lambda path: read_any_keypoints(path, _CAR), _keypoints),
     "track": Reader(lambda path: read_track(path, _CAR), _track),
@@ -153,6 +167,7 @@ READERS: Mapping[str, Reader] = {
     "image set": Reader(read_image_set, _text("val.txt", "000000\n000001\n")),
     "picture": Reader(_picture, _pictures),
     "weights": Reader(load_weights, _weights),
+    "car models": Reader(lambda path: read_models(path, _CAR), _models),
     **STORED,
 }
 """Every reader by its name."""

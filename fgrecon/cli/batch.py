@@ -19,6 +19,7 @@ from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import BoxModel
 from fgrecon.core.reconstruction import Reconstruction, Status
+from fgrecon.core.vehicle_mesh import ClosestModel
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.keypoint_file import Instance
 from fgrecon.io.keypoints import NOT_JSON, parse_any_keypoints, read_any_keypoints
@@ -72,6 +73,8 @@ class Outcome:
     task: Task
     result: Reconstruction | None
     error: FgreconError | None
+    closest: ClosestModel | None = None
+    """The car model that the result comes nearest to, where models were given."""
 
     @property
     def name(self) -> str:

@@ -121,7 +121,9 @@ def recordings_of(sights: Sequence[Sight], ground: Ground | None) -> list[tuple[
 
     def recording(s: Sight) -> Recording:
         image = images[id(s.image)]
-        return recording_of(s.reconstruction, s.observation, s.camera, image=image, truth=s.truth, ground=ground)
+        return recording_of(
+            s.reconstruction, s.observation, s.camera, image=image, truth=s.truth, ground=ground, model=s.model
+        )
 
     return [(s.title, recording(s)) for s in sights]
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fgrecon.cli import batch, show
 from fgrecon.cli.batch import Outcome, Task
 from fgrecon.cli.common import about_camera
+from fgrecon.cli.models import with_closest
 from fgrecon.cli.options import CameraOptions, VehicleBoxes
 from fgrecon.cli.picture_tasks import is_image, read_image_tasks
 from fgrecon.cli.settings import Settings
@@ -21,6 +22,7 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.text import distinct
+from fgrecon.core.vehicle_mesh import VehicleMesh
 from fgrecon.io.files import write_text
 from fgrecon.io.images import IMAGES, read_photograph
 
@@ -50,6 +52,7 @@ class PhotographWork:
         settings: Prior, ground, size prior and options.
         box_model: What boxes enclose, or None for what their source says.
         together: Whether the vehicles of an image are solved together; None for the default.
+        models: Car models that vehicles are compared with; may be empty.
         history: Whether results keep their history.
         pictures: Whether each is drawn.
         same_camera: Whether one camera took all of them.
@@ -60,6 +63,7 @@ class PhotographWork:
     settings: Settings
     box_model: BoxModel | None
     together: bool | None
+    models: Sequence[VehicleMesh]
     history: bool
     pictures: bool
     same_camera: bool = False
@@ -228,6 +232,7 @@ def _deliver(seen: _Seen, outcomes: list[Outcome], scenes: list[Scene], how: Pho
         FgreconError: No vehicle could be reconstructed.
     """
     one, settings = seen.file, how.settings
+    outcomes = with_closest(outcomes, how.models)
     screen.print(f"{one.image}:")
     show.print_table(screen, outcomes)
     for scene in scenes:

@@ -10,6 +10,7 @@ import typer
 
 from fgrecon.cli.common import about_camera, check_outputs
 from fgrecon.cli.deliver import Delivery
+from fgrecon.cli.models import CarModels, with_closest
 from fgrecon.cli.options import (
     BOX_MODEL_HELP,
     CameraOptions,
@@ -131,6 +132,7 @@ def reconstruct_command(
     boxes: VehicleBoxes,
     drawings: Drawings,
     delivery: Delivery,
+    car_models: CarModels,
     terminal: Terminal,
     names: NamesOption = None,
     json_out: JsonOption = None,
@@ -182,6 +184,7 @@ def reconstruct_command(
         keep_history=history or drawings.wanted or delivery.wanted or pictures,
     )
     settings = scene.settings(options)
+    models = car_models.read(settings.prior.category)
     several = photographs.wanted(files, out, pictures=pictures)
     if same_camera and (several is None or together is False or not solving.joint):
         fix = "Give several images and --out, and let their vehicles be solved together."
@@ -189,7 +192,7 @@ def reconstruct_command(
     if several is not None:
         photographs.refuse(json_out, drawings.wanted or drawings.image is not None, delivery.wanted, boxes.box)
         how = photographs.PhotographWork(
-            camera, boxes, settings, solving.box_model, together, history, pictures, same_camera
+            camera, boxes, settings, solving.box_model, together, models, history, pictures, same_camera
         )
         if not photographs.reconstruct_each(several, how, screen):
             raise typer.Exit(1)
@@ -223,6 +226,7 @@ def reconstruct_command(
         with screen.bar() as advance:
             outcomes = batch.run_all(tasks, settings, jobs, lambda done: advance("Vehicles", done, len(tasks)))
 
+    outcomes = with_closest(outcomes, models)
     show.print_table(screen, outcomes)
     for found in scenes:
         screen.print(*found.lines())

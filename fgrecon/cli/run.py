@@ -54,21 +54,28 @@ def run_command(
     video: Annotated[
         Path | None, typer.Option(metavar="FILE.mp4", help="Write the video with what was found drawn into it (H.264).")
     ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Draw a frame and its scene from above (png, svg, pdf, jpg)."),
+    ] = None,
+    picture_frame: Annotated[
+        int | None, typer.Option(metavar="N", help="Which frame.", show_default="the one with the most cars")
+    ] = None,
     json_out: JsonOption = None,
 ) -> None:
     """Find the cars of a video, follow them, and reconstruct pose, size and motion of each in each frame.
 
     The folder gets tracks.txt (KITTI's tracking results), tracks.csv, tracks.parquet and frames.jsonl. A run that was
     stopped or killed goes on where it was when it is started again with the same folder; with other priors, grounds or
-    options the networks need not look again. Ctrl-C writes what there is. A frame that cannot be read is a gap.
-    --verbose tells every car and gap.
+    options, or for another --picture, the networks need not look again. Ctrl-C writes what there is. A frame that
+    cannot be read is a gap. --verbose tells every car and gap.
 
     Exit code 0: at least one car was reconstructed; 1: none; 2: bad usage or input; 130: stopped before the end.
     """
     from fgrecon.cli import run_report
 
     delivery.check()
-    check_outputs(json_out, video)
+    check_outputs(json_out, video, picture)
     screen = terminal.screen(json_out)
     job = run_report.prepare(
         run_report.Request(
@@ -86,6 +93,8 @@ def run_command(
             alone=alone,
             together=together,
             video=video,
+            picture=picture,
+            picture_frame=picture_frame,
         ),
         screen,
     )

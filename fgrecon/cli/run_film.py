@@ -1,4 +1,4 @@
-"""The annotated video and the recording of `fgrecon run`: frames once more, with the estimates drawn into them."""
+"""Video, picture and recording of `fgrecon run`: frames once more, with the estimates drawn into them."""
 
 from __future__ import annotations
 
@@ -10,18 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.cli.progress import Advance
-from fgrecon.core.camera import Camera
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.frames import FrameSource
 from fgrecon.io.video import write_video
 from fgrecon.video.follow import TrackedFrame
 from fgrecon.video.rows import motion_of
+from fgrecon.viz import save_picture, scene_picture
 from fgrecon.viz.overlay import Shown, annotated
 from fgrecon.viz.overview import state_in_words
 from fgrecon.viz.video_recording import ShownFrame
 
-__all__ = ["Showing", "film", "recorded"]
+__all__ = ["Showing", "film", "recorded", "still"]
 
 _RATE = 10.0  # told to players; the frames have times of their own
 _TRAIL = 100  # frames that a vehicle's path is drawn
@@ -92,6 +94,39 @@ def film(path: Path, source: FrameSource, frames: Sequence[TrackedFrame], camera
             caption = f"frame {frame.number}, {frame.time:.2f} s"
             add(annotated(picture.image, showing.vehicles(frame), camera, caption=caption), frame.time)
     return path
+
+
+def still(
+    path: Path,
+    source: FrameSource,
+    frames: Sequence[TrackedFrame],
+    camera: Camera,
+    ground: Ground | None,
+    number: int | None,
+) -> Path:
+    """Draw a frame as `fgrecon.viz.scene_picture` does, with the paths of its vehicles up to it.
+
+    Args:
+        path: File to write.
+        source: The frames' images.
+        frames: What was found in them.
+        camera: Their camera.
+        ground: The ground plane, or None.
+        number: Which frame; None for the first of those with the most estimates.
+
+    Raises:
+        InvalidInputError: There is no such frame or no vehicle in it, or the file cannot be written.
+    """
+    if number is None:
+        number = max(frames, key=lambda frame: len(frame.estimates)).number if frames else 0
+    showing = Showing()
+    for frame in frames:
+        vehicles = showing.vehicles(frame)
+        if frame.number == number and vehicles:
+            picture = next((p for p in source.read(number - 1) if p.number == number), None)
+            image = None if picture is None else picture.image
+            return save_picture(path, scene_picture(image, vehicles, camera, ground=ground))
+    raise InvalidInputError("picture_frame", number, "Give a frame in which there is a vehicle.")
 
 
 def recorded(source: FrameSource, frames: Sequence[TrackedFrame]) -> Iterator[ShownFrame]:

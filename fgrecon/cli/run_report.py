@@ -19,7 +19,7 @@ from rich.table import Table
 
 from fgrecon.cli.deliver import Viewer
 from fgrecon.cli.options import SceneOptions
-from fgrecon.cli.run_film import Showing, film, recorded
+from fgrecon.cli.run_film import Showing, film, recorded, still
 from fgrecon.cli.run_options import FrameOptions, MotionOptions
 from fgrecon.cli.settings import CameraSource, Settings, plain_camera, plain_settings
 from fgrecon.cli.terminal import Screen
@@ -28,7 +28,7 @@ from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import Options
 from fgrecon.io.export.files import export_rows
-from fgrecon.io.files import write_text
+from fgrecon.io.files import check_ending, write_text
 from fgrecon.io.frames import DEFAULT_RATE, FrameSource, ImageFrames, SourceFrame, numbered_frames, open_frames
 from fgrecon.io.images import read_photograph
 from fgrecon.io.kitti_calibration import calibration_beside
@@ -42,6 +42,7 @@ from fgrecon.video.follow import TrackedFrame
 from fgrecon.video.given import Given
 from fgrecon.video.rows import frame_lines, rows_of, tracking_text
 from fgrecon.viz import Recording
+from fgrecon.viz.picture import FORMATS
 from fgrecon.viz.sinks import start_viewer
 from fgrecon.viz.video_recording import LiveRecording, video_recording_of
 
@@ -80,6 +81,8 @@ class Request:
     alone: bool
     together: bool
     video: Path | None
+    picture: Path | None
+    picture_frame: int | None
 
 
 @dataclass(frozen=True)
@@ -136,6 +139,10 @@ def prepare(ask: Request, screen: Screen) -> Job:
     """
     if ask.video is not None:
         check_video(ask.video)
+    if ask.picture is not None:
+        check_ending(ask.picture, FORMATS)
+    elif ask.picture_frame is not None:
+        raise InvalidInputError("picture_frame", "without --picture", "Say with --picture where it is to be written.")
     frames, motion = ask.frames, ask.motion
     settings = ask.scene.settings(Options(strategy=ask.scene.strategy, keep_history=False))
     given = _given(ask, settings)
@@ -282,7 +289,7 @@ def _on_interrupt() -> Iterator[list[int]]:
 
 
 def write(job: Job, run: VideoRun, screen: Screen) -> None:
-    """Write tables and frames, each whole; and the video, where it is wanted and the run was not stopped."""
+    """Write tables and frames, each whole; where wanted a picture and, if the run was not stopped, the video."""
     out = job.request.out
     write_text(out / "tracks.txt", tracking_text(run.frames, job.label_offset))
     write_text(out / "frames.jsonl", "".join(frame_lines(run.frames)))
@@ -293,6 +300,9 @@ def write(job: Job, run: VideoRun, screen: Screen) -> None:
     if job.request.video is not None and not run.stopped:
         with screen.bar() as advance:
             screen.wrote(film(job.request.video, job.source, run.frames, job.camera, advance))
+    if job.request.picture is not None:
+        number, ground = job.request.picture_frame, job.settings.ground
+        screen.wrote(still(job.request.picture, job.source, run.frames, job.camera, ground, number))
 
 
 def table(run: VideoRun) -> Table:

@@ -81,6 +81,9 @@ def print_table(screen: Screen, outcomes: Sequence[Outcome]) -> None:
             screen.print(f"{outcome.name}: {_message(outcome)}", *details(outcome.result))
         elif not wide and (clause := _clause(outcome)):
             screen.print(f"{outcome.name}: {clause}")
+    for outcome in outcomes:
+        if outcome.closest is not None:
+            screen.print(f"{outcome.name}: closest model {printable(str(outcome.closest))}.")
 
 
 def details(result: Reconstruction | TrackReconstruction | None) -> list[str]:
@@ -177,7 +180,8 @@ def entry_of(task: Task, result: Reconstruction | None, error: FgreconError | No
 
 
 def _entry(outcome: Outcome, *, history: bool) -> dict[str, Any]:
-    return entry_of(outcome.task, outcome.result, outcome.error, history=history)
+    entry = entry_of(outcome.task, outcome.result, outcome.error, history=history)
+    return entry if outcome.closest is None else entry | {"closest_model": outcome.closest.to_dict()}
 
 
 def draw(
@@ -228,7 +232,8 @@ def _shown(outcomes: Sequence[Outcome]) -> list[Shown]:
                 continue
             box = np.concatenate([measured.min(axis=0), measured.max(axis=0)])
         words = "" if short else name if len(name) <= _WORDS else f"{name[: _WORDS - 1]}…"
-        shown.append(Shown(number, box, outcome.result, words, name=name if short else str(number + 1)))
+        model = None if outcome.closest is None else outcome.closest.model
+        shown.append(Shown(number, box, outcome.result, words, name=name if short else str(number + 1), model=model))
     return shown
 
 
@@ -281,7 +286,14 @@ def _by_image(outcomes: Sequence[Outcome]) -> dict[tuple[str | None, bytes], lis
 
 def _sights(outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None) -> list[Sight]:
     return [
-        Sight(outcome.result, outcome.task.observation, outcome.task.camera, image, title=printable(outcome.name, 80))
+        Sight(
+            outcome.result,
+            outcome.task.observation,
+            outcome.task.camera,
+            image,
+            title=printable(outcome.name, 80),
+            model=None if outcome.closest is None else outcome.closest.model,
+        )
         for outcome in outcomes
         if outcome.result is not None
     ]

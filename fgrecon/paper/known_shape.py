@@ -35,7 +35,15 @@ from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.vehicle.conditioning import given_size
 from fgrecon.training.priors.apollo79 import Apollo79, apollo79_prior, apollo79_size_relation
 
-__all__ = ["BASIS", "KNOWN_SHAPE_OPTIONS", "KNOWN_SHAPE_ROWS", "KnownShapeScores", "score_known_shapes"]
+__all__ = [
+    "BASIS",
+    "KNOWN_SHAPE_OPTIONS",
+    "KNOWN_SHAPE_ROWS",
+    "KnownShapeScores",
+    "car_errors",
+    "score_known_shapes",
+    "told_by_others",
+]
 
 Array = NDArray[np.float64]
 _Result = tuple[Array, list[str]]  # scores (R, 3) of one car, and why rows failed
@@ -126,7 +134,7 @@ def score_known_shapes(
     advance(len(found), len(cars.cars))
     with single_threaded(), ProcessPoolExecutor(workers, get_context("spawn")) as pool:
         waiting = {
-            pool.submit(_score_model, models, cars.camera, group, _others(models, cars, group)): (group, path)
+            pool.submit(_score_model, models, cars.camera, group, told_by_others(models, cars, group)): (group, path)
             for group, path in todo
         }
         for future in as_completed(waiting):
@@ -177,7 +185,7 @@ def _read(path: Path) -> list[_Result]:
         raise InvalidInputError(str(path), str(error), MADE_AGAIN) from error
 
 
-def _others(models: Apollo79, cars: MarkedCars, group: Sequence[MarkedCar]) -> tuple[Array, Array]:
+def told_by_others(models: Apollo79, cars: MarkedCars, group: Sequence[MarkedCar]) -> tuple[Array, Array]:
     """What all other models' cars tell: how their marks lie (14, 3), and how much each model counts (79,)."""
     others = [car for car in cars.cars if car.model != group[0].model]
     found = Counter(car.model for car in others)
@@ -209,7 +217,7 @@ def _score_car(car: MarkedCar, camera: Camera, variants: Sequence[tuple[ShapePri
         for solve, names in ((_sqpnp, ("sqpnp",)), (_stages, _STAGES)):
             try:
                 marked = replace(base, mean=base.mean + offsets)
-                rows += [_errors(car, pose, shape - offsets) for pose, shape in solve(car, camera, marked)]
+                rows += [car_errors(car, pose, shape - offsets) for pose, shape in solve(car, camera, marked)]
             except Exception as error:  # noqa: BLE001 - a crash counts like a refusal: wrong, named, never left out
                 rows += [(FAILURE_DEGREES, np.inf, np.inf)] * len(names)
                 failures.append(f"{car.name} {names[0]}: {type(error).__name__}: {error}")
@@ -240,7 +248,8 @@ def _stages(car: MarkedCar, camera: Camera, prior: ShapePrior) -> list[tuple[Arr
     return [(found[stage].camera_T_object, found[stage].keypoints) for stage in _STAGES]
 
 
-def _errors(car: MarkedCar, camera_T_object: Array, shape: Array) -> tuple[float, float, float]:
+def car_errors(car: MarkedCar, camera_T_object: Array, shape: Array) -> tuple[float, float, float]:
+    """Rotation in degrees, relative distance, and keypoints in metres, as `KnownShapeScores` has them."""
     points = transform(camera_T_object, shape)
     truth = car.in_camera
     turn = rotation_error(camera_T_object[None, :3, :3], car.camera_T_object[None, :3, :3])[0]

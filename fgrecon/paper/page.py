@@ -22,7 +22,7 @@ def document(page: Page, settings: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "conditions": list(page.conditions),
-        "claims": list(page.claims),
+        "claims": [str(claim) for claim in page.claims],
         "tables": {table.key: table.document() for table in page.tables},
         "problems": dict(page.problems),
         "defects": list(page.defects),
@@ -37,7 +37,10 @@ def document(page: Page, settings: Mapping[str, Any]) -> dict[str, Any]:
 def markdown(page: Page) -> str:
     """Claims, conditions and tables as Markdown."""
     parts = ["# Evaluation\n", *(f"{text}\n" for text in page.conditions), "## The paper's claims\n"]
-    parts += [f"- {text}\n" for text in page.claims]
+    parts += [
+        "".join(f"{line}\n" for line in (f"**{claim.heading}**\n", *(f"- {text}" for text in claim.sentences)))
+        for claim in page.claims
+    ]
     for table in page.tables:
         parts.append(f"## {table.title}\n")
         if table.note:
@@ -50,8 +53,13 @@ def markdown(page: Page) -> str:
     return "\n".join(parts)
 
 
-def html(page: Page) -> str:
-    """One self-contained page."""
+def html(page: Page, pictures: Mapping[str, str] | None = None) -> str:
+    """One self-contained page.
+
+    Args:
+        page: What is shown.
+        pictures: SVG elements of cars by caption.
+    """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -62,7 +70,9 @@ def html(page: Page) -> str:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    return environment.get_template("page.html.j2").render(page=page, run=_run(page), best_of=_best)
+    return environment.get_template("page.html.j2").render(
+        page=page, pictures=pictures or {}, run=_run(page), best_of=_best
+    )
 
 
 def _run(page: Page) -> list[str]:

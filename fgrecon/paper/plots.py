@@ -23,10 +23,20 @@ __all__ = [
     "per_part_plot",
     "per_part_table",
     "simulated_parts",
+    "svg_text",
 ]
 
 _INK, _MUTED, _GRID = "#1b2733", "#6b7785", "#e3e8ee"
 _COLOURS = ("#8d99a6", "#4c78a8", "#e45756", "#54a24b", "#b279a2")
+_DASHES: tuple[Any, ...] = (
+    "-",
+    (0, (4.0, 1.2)),
+    (0, (1.2, 1.0)),
+    (0, (5.0, 1.2, 1.2, 1.2)),
+    (0, (8.0, 1.5)),
+    (0, (3.0, 1.0, 1.0, 1.0, 1.0, 1.0)),
+)
+"""Lines of the methods: in grey print and to some eyes their colours are alike."""
 _OURS, _PRINTED = "#e45756", "#c9d1d9"
 
 
@@ -42,7 +52,7 @@ def error_curves(scores: Scores, rows: Sequence[str], shown: Sequence[str]) -> s
         style: Mapping[str, Any] = (
             {"color": _OURS, "lw": 2.4, "ls": "--" if row == "fgrecon+size" else "-"}
             if ours
-            else {"color": _shade(position), "lw": 1.5}
+            else {"color": _shade(position), "lw": 1.5, "ls": _DASHES[position % len(_DASHES)]}
         )
         axes.plot(limits, share, label=row_label(row), **style)
     detected = 100.0 * (scores.detection[used] >= 0).mean()
@@ -50,7 +60,7 @@ def error_curves(scores: Scores, rows: Sequence[str], shown: Sequence[str]) -> s
     axes.annotate(f"detected: {detected:.0f} %", (44.5, detected), ha="right", va="bottom", fontsize=8, color=_MUTED)
     axes.set(xlim=(0, 45), ylim=(0, 102), xlabel="orientation error at most, degrees", ylabel="% of the Hard cars")
     axes.legend(frameon=False, fontsize=8, loc="lower right", ncols=2)
-    return _svg(figure)
+    return svg_text(figure)
 
 
 def aop_plot(table: Table) -> str:
@@ -69,7 +79,7 @@ def aop_plot(table: Table) -> str:
     axes.set_yticks(range(len(lines)), [label for label, _ in reversed(lines)], fontsize=8)
     axes.set(xlim=(0, 100), xlabel="% of the Hard cars within 5 degrees")
     axes.grid(visible=False, axis="y")
-    return _svg(figure)
+    return svg_text(figure)
 
 
 def simulated_parts(scores: Scores, rows: Sequence[str]) -> Mapping[str, np.ndarray]:
@@ -100,7 +110,7 @@ def per_part_plot(shares: Mapping[str, np.ndarray], category: Category) -> str:
     axes.set(xlim=(-0.6, category.size - 0.4), ylim=(0, 104), ylabel="APK, %")
     axes.legend(frameon=False, fontsize=8, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     axes.grid(visible=False, axis="x")
-    return _svg(figure)
+    return svg_text(figure)
 
 
 def known_shape_plot(scores: KnownShapeScores) -> str:
@@ -125,7 +135,7 @@ def known_shape_plot(scores: KnownShapeScores) -> str:
         axes.set(ylim=(0, limit), title=label)
         axes.title.set(fontsize=9, color=_INK)
         axes.grid(visible=False, axis="x")
-    return _svg(figure)
+    return svg_text(figure)
 
 
 def noise_plot(network: Sequence[Residuals], scores: Scores) -> str:
@@ -146,7 +156,7 @@ def noise_plot(network: Sequence[Residuals], scores: Scores) -> str:
         xlim=(0, 0.5), ylim=(0, 102), xlabel="distance from the truth / longer side of the box", ylabel="% of keypoints"
     )
     axes.legend(frameon=False, fontsize=8, loc="lower right")
-    return _svg(figure)
+    return svg_text(figure)
 
 
 def _figure(width: float, height: float) -> tuple[Any, Any]:
@@ -169,7 +179,7 @@ def _shade(position: int) -> str:
     return ("#8d99a6", "#4c78a8", "#72b7b2", "#b279a2", "#9d755d", "#eeca3b", "#54a24b", "#f58518")[position % 8]
 
 
-def _svg(figure: Any) -> str:
+def svg_text(figure: Any) -> str:
     """The figure as an SVG element; the same figure gives the same text."""
     import matplotlib as mpl
     import matplotlib.pyplot as plt

@@ -15,7 +15,8 @@ from fgrecon.evaluation.methods import METHODS, SceneKnowledge, select
 from fgrecon.io.kitti_files import Objects, count_defects, write_results
 from fgrecon.io.track_file import Track, read_track
 from fgrecon.paper.apollocar3d import CONSISTENT, FEWEST_MARKS, MarkedCars, read_apollocar3d
-from fgrecon.paper.claims import claims
+from fgrecon.paper.claims import Claim, claims
+from fgrecon.paper.example_cars import ExampleCar, example_cars
 from fgrecon.paper.hand_labels import read_hand_labels
 from fgrecon.paper.keypoint_noise_fit import Residuals, read_vehicle, residuals
 from fgrecon.paper.known_shape import BASIS, KNOWN_SHAPE_OPTIONS, KnownShapeScores, score_known_shapes
@@ -93,6 +94,7 @@ class Page:
     Attributes:
         conditions: What was run under which conditions, a paragraph each.
         claims: What the numbers say about the paper's claims.
+        cars: Cars of known shape that came out best, in the middle and worst.
         tables: The tables.
         plots: SVG elements by caption.
         problems: Defects of the files, counted by kind, and
@@ -102,13 +104,14 @@ class Page:
     """
 
     conditions: tuple[str, ...]
-    claims: tuple[str, ...]
+    claims: tuple[Claim, ...]
     tables: tuple[Table, ...]
     plots: Mapping[str, str]
     problems: Mapping[str, int]
     defects: tuple[str, ...]
     failures: tuple[str, ...]
     throughput: Mapping[str, float]
+    cars: tuple[ExampleCar, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -184,6 +187,7 @@ def evaluate_paper(settings: EvaluationSettings, advance: Callable[[str, int, in
         defects=tuple(map(str, inputs.validation.problems)),
         failures=(*(f for o in outcomes.values() for f in o.scores.failures.tolist()), *known.failures),
         throughput={"instances": solved, "seconds": seconds, "per_second": solved / max(seconds, 1e-9)},
+        cars=example_cars(inputs.cars, inputs.models),
     )
 
 

@@ -34,8 +34,8 @@ _DPI = 100
 _WIDTH, _HEIGHT, _PANEL, _LOW = 9.0, 3.2, 2.72, 0.1  # inches
 _ASPECT = 1.5
 _PER_SECOND = 6
-_HOLD = 12  # frames that the result stays
-_REACH = 3.4  # metres around the result that the view from above shows
+_START, _HOLD = 5, 12  # frames that the start and the result stay
+_REACH, _FARTHEST = 3.4, 12.0  # metres around the result that the view from above shows; and as many as the start asks
 
 Edges = Mapping[Side, NDArray[np.int64]]
 
@@ -135,8 +135,11 @@ def _draw_ground(axes: Any, result: Reconstruction, truth: Truth | None) -> None
     if truth is not None and truth.box_size is not None:
         corners = transform(truth.camera_T_object, box_corners(truth.box_size)[BOX_EDGES[:4, 0]])[[0, 1, 2, 3, 0]]
         axes.plot(corners[:, 0], corners[:, 2], color=unit(style.TRUTH), linewidth=1.2, zorder=2)
-    axes.set_xlim(x - _REACH, x + _REACH)
-    axes.set_ylim(z - _REACH, z + _REACH)
+    start = result.history[0]
+    away = transform(start.camera_T_object, start.keypoints)[:, [0, 2]] - (x, z)
+    reach = float(np.clip(1.05 * np.abs(away).max(), _REACH, _FARTHEST))
+    axes.set_xlim(x - reach, x + reach)
+    axes.set_ylim(z - reach, z + reach)
     axes.set_aspect("equal")
     axes.set_title("From above [m]", fontsize=8, loc="left", pad=3)
     axes.tick_params(labelsize=6, length=2, pad=1.5)
@@ -159,10 +162,14 @@ def _prepare_energy(axes: Any, result: Reconstruction) -> NDArray[np.float64]:
 
 
 def _gif(frames: list[NDArray[np.uint8]]) -> bytes:
+    """All frames in the same 256 colours, those of the first and the last: with palettes of their own they flicker."""
     from PIL import Image  # matplotlib brings it
 
-    pictures = [Image.fromarray(frame).quantize(128, dither=Image.Dither.NONE) for frame in frames]
-    duration = [1000 // _PER_SECOND] * (len(pictures) - 1) + [1000 * _HOLD // _PER_SECOND]
+    both = Image.fromarray(np.concatenate([frames[0], frames[-1]]))
+    palette = both.quantize(256, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    pictures = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    shown = [_START, *[1] * (len(pictures) - 2), _HOLD][-len(pictures) :]
+    duration = [1000 * count // _PER_SECOND for count in shown]
     content = io.BytesIO()
     pictures[0].save(content, "GIF", save_all=True, append_images=pictures[1:], duration=duration, loop=0)
     return content.getvalue()
@@ -170,6 +177,6 @@ def _gif(frames: list[NDArray[np.uint8]]) -> bytes:
 
 def _mp4(path: str | Path, frames: list[NDArray[np.uint8]]) -> Path:
     with write_video(path, rate=_PER_SECOND) as add:
-        for frame in [*frames, *[frames[-1]] * _HOLD]:
+        for frame in [*[frames[0]] * (_START - 1), *frames, *[frames[-1]] * _HOLD]:
             add(frame, None)
     return Path(path)

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,13 +11,11 @@ from numpy.typing import NDArray
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.viz import entities, style
-from fgrecon.viz.columns import made_columns
 from fgrecon.viz.factor_graph import Layout, lay_out
 from fgrecon.viz.geometry import Box, crop_around
 from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR, Truth
 
 __all__ = [
-    "ChunkBlueprint",
     "blueprint",
     "error_measures",
     "error_views",
@@ -36,104 +30,22 @@ __all__ = [
 ]
 
 _ASPECT = 1.6
-_HOOK = "_log_to_stream"  # what rerun 0.41 calls to get the content of a layout
 _STEPS_PER_SECOND = 8.0
-_LAYOUT_TIME, _CLOCK = "blueprint", "log_time"  # rerun's timelines of a layout
 _GRAPH_MARGIN = (75.0, 30.0)  # half a label beyond the outermost nodes
 _NEAR, _CLOSE_UP = 14.0, 8.0  # metres: how far a camera may be to stay in the view, and what is looked at without it
 
 
-def blueprint(reconstruction: Reconstruction, observation: Observation, truth: Truth | None) -> Any:
-    """The layout of a recording for rerun, zoomed to the vehicle in the image and in the scene."""
+def blueprint(
+    reconstruction: Reconstruction, observation: Observation, truth: Truth | None, *, model: bool = False
+) -> Any:
+    """The `rerun.blueprint.Blueprint` of a recording, zoomed to the vehicle in the image and in the scene.
+
+    With a car model the surface is not shown, which is where that is.
+    """
     crop = crop_around(observation, reconstruction.wireframe_uv, aspect=_ASPECT)
     measures = () if truth is None else error_measures(shape=truth.keypoints is not None)
-    controls = eye(reconstruction)
-    layout = lay_out(reconstruction.graph) if reconstruction.graph else None
-    if not _takes_chunks():
-        structure = None if layout is None else graph_view(layout)
-        return _whole(measures, image_view(crop), scene_view(controls), structure)
-    views = _views(measures, graph=layout is not None)
-    zoom = [(views.image, _bounds(crop))]
-    if controls is not None:
-        zoom.append((views.scene, controls))
-    if layout is not None:
-        zoom.append((views.graph, _bounds(_reach(layout))))
-    return ChunkBlueprint(views.chunks, zoom)
-
-
-def _takes_chunks() -> bool:
-    """Whether this release of rerun asks a layout for its chunks as `ChunkBlueprint` gives them.
-
-    It does so by a private method, which may go. The layout is then built of rerun's public classes, which takes
-    longer.
-    """
-    import rerun.blueprint as rrb
-
-    return hasattr(rrb.Blueprint, _HOOK)
-
-
-@dataclass(frozen=True)
-class ChunkBlueprint:
-    """A layout for rerun that is made of chunks: building its views again for every recording would cost too much.
-
-    rerun takes it for a `Blueprint`, of which it asks no more than these two methods.
-
-    Attributes:
-        chunks: All views and containers, on the timeline of layouts.
-        properties: What differs between recordings: a view's path and the archetype that it gets.
-    """
-
-    chunks: Sequence[Any]
-    properties: Sequence[tuple[str, Any]]
-
-    def to_blueprint(self) -> ChunkBlueprint:
-        """Itself."""
-        return self
-
-    def _log_to_stream(self, stream: Any) -> None:
-        """Send all of it to a blueprint's stream."""
-        import rerun as rr
-        from rerun.chunk import Chunk
-
-        now = rr.TimeColumn(_LAYOUT_TIME, sequence=[0])
-        zoom = [Chunk.from_columns(f"{v}/{type(a).__name__}", [now], made_columns(a)) for v, a in self.properties]
-        stream.send_chunks([*self.chunks, *zoom])
-
-
-def _without_clock(chunk: Any) -> Any:
-    """A chunk of a layout without the time of day, which nothing asks for: a file's table of contents lists it all."""
-    from rerun.chunk import Chunk
-
-    batch = chunk.to_record_batch()
-    kept = [name for name in batch.schema.names if name != _CLOCK]
-    (slim,) = Chunk.from_record_batch(batch.select(kept))
-    return slim
-
-
-@dataclass(frozen=True)
-class _Views:
-    """The views of a vehicle's recording as chunks, and the paths of those that are zoomed."""
-
-    chunks: tuple[Any, ...]
-    image: str
-    scene: str
-    graph: str
-
-
-@lru_cache(maxsize=8)
-def _views(measures: tuple[tuple[str, str], ...], *, graph: bool) -> _Views:
-    """The views with these errors and with the factor graph or without, not zoomed yet."""
-    from rerun.chunk import RrdReader
-
-    image, scene, structure = image_view(None), scene_view(None), graph_view(None)
-    whole = _whole(measures, image, scene, structure if graph else None)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "layout.rbl"
-        whole.save("fgrecon", path)
-        reader = RrdReader(path)
-        (store,) = reader.blueprints()
-        paths = (view.blueprint_path() for view in (image, scene, structure))
-        return _Views(tuple(map(_without_clock, reader.stream(store=store))), *paths)
+    structure = graph_view(lay_out(reconstruction.graph)) if reconstruction.graph else None
+    return _whole(measures, image_view(crop), scene_view(eye(reconstruction), model=model), structure)
 
 
 def _whole(measures: tuple[tuple[str, str], ...], image: Any, scene: Any, structure: Any) -> Any:
@@ -197,11 +109,12 @@ def _bounds(crop: Box) -> Any:
     return rrb.VisualBounds2D(x_range=(x1, x2), y_range=(y1, y2))
 
 
-def scene_view(controls: Any) -> Any:
-    """The 3D scene without what the image alone shows."""
+def scene_view(controls: Any, *, model: bool = False) -> Any:
+    """The 3D scene without what the image alone shows, and with a car model without the surface."""
     import rerun.blueprint as rrb
 
-    only_in_image = (
+    hidden = (
+        *((entities.SURFACE,) if model else ()),
         entities.BOX_2D,
         entities.KEYPOINTS_2D,
         entities.WIREFRAME_2D,
@@ -212,7 +125,7 @@ def scene_view(controls: Any) -> Any:
     return rrb.Spatial3DView(
         name="Scene: camera frame, metres",
         origin=f"/{entities.SCENE}",
-        contents=["$origin/**", *(f"- /{entity}/**" for entity in only_in_image)],
+        contents=["$origin/**", *(f"- /{entity}/**" for entity in hidden)],
         background=style.SCREEN_BACKGROUND,
         eye_controls=controls,
         line_grid=False,

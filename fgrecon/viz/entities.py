@@ -16,6 +16,7 @@
 | `.../wireframe/{left,right,across}` | 3D wireframe | every step |
 | `.../planes/<face>`, `.../planes/medial` | faces' planes and the medial plane, fitted to keypoints | every step |
 | `.../surface`, `.../box`, `.../uncertainty` | surface, box, one-sigma ellipsoids of the keypoints | at the result |
+| `.../model` | the closest car model, where there were any to compare with | at the result |
 | `scene/previous` | wireframe in the camera frame, faint, after the weight update before | every step |
 | `scene/truth`, `.../box`, `.../keypoints` | true pose, box and keypoints | each frame |
 | `scene/ground` | grid on the ground | once |
@@ -79,6 +80,7 @@ __all__ = [
     "KEYPOINTS_3D",
     "LOG",
     "MEDIAL",
+    "MODEL",
     "PATH",
     "PLANES",
     "POSITION",
@@ -126,6 +128,7 @@ WIREFRAME_3D = "scene/vehicle/wireframe"
 PLANES = "scene/vehicle/planes"
 MEDIAL = "medial"
 SURFACE = "scene/vehicle/surface"
+MODEL = "scene/vehicle/model"
 VEHICLE_BOX = "scene/vehicle/box"
 UNCERTAINTY = "scene/vehicle/uncertainty"
 PREVIOUS_3D = "scene/previous"

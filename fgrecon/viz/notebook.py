@@ -108,7 +108,8 @@ def html(result: Reconstruction | TrackReconstruction) -> str:
     figure.savefig(buffer, format="png", dpi=100)
     picture = base64.b64encode(buffer.getvalue()).decode("ascii")
     cells = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows)
-    return f'<div><img alt="result" src="data:image/png;base64,{picture}"><table>{cells}</table></div>'
+    image = f'<img alt="result" style="max-width: 100%" src="data:image/png;base64,{picture}">'
+    return f"<div>{image}<table>{cells}</table></div>"
 
 
 def _sheet(
@@ -158,6 +159,7 @@ def _solved(result: Reconstruction) -> bool:
 def _rows(result: Reconstruction) -> list[tuple[str, str]]:
     x, y, z = result.location
     length, width, height = result.box_size
+    time = sum(result.milliseconds.values())
     return [
         ("status", f"{result.status.value}: {result.message}"),
         ("rotation_y", f"{np.degrees(result.rotation_y):.1f}°"),
@@ -165,7 +167,7 @@ def _rows(result: Reconstruction) -> list[tuple[str, str]]:
         ("length, width, height", f"{length:.2f}, {width:.2f}, {height:.2f} m"),
         ("keypoints trusted", f"{np.count_nonzero(result.weights >= TRUSTED)} of {len(result.weights)}"),
         ("other poses", str(len(result.alternatives))),
-        ("time", f"{sum(result.milliseconds.values()):.0f} ms"),
+        *([("time", f"{time:.0f} ms")] if time else []),  # with others of an image it is theirs as well
     ]
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.vehicle_mesh import VehicleMesh
 from fgrecon.viz import style
 from fgrecon.viz.geometry import BOX_EDGES, as_image, box_corners, image_points
 from fgrecon.viz.truth import Truth
@@ -40,6 +41,7 @@ class Shown:
         trail: (T, 3) where it was, in this camera's frame, oldest first; none where that is not known.
         name: What it is called where its id is not its name.
         truth: What is known to be true.
+        model: The car model that it comes nearest to.
     """
 
     identity: int
@@ -49,6 +51,7 @@ class Shown:
     trail: NDArray[np.float64] | None = None
     name: str = ""
     truth: Truth | None = None
+    model: VehicleMesh | None = None
 
     @property
     def pose(self) -> NDArray[np.float64] | None:

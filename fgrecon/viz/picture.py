@@ -19,6 +19,7 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Iteration, Reconstruction, Status
+from fgrecon.core.vehicle_mesh import VehicleMesh
 from fgrecon.io.files import check_ending, write_bytes
 from fgrecon.viz import style
 from fgrecon.viz.describe import describe_errors, median_residual
@@ -66,6 +67,7 @@ class Sight:
         image: (H, W, 3) RGB photograph, or None.
         truth: What is known to be true, or None.
         title: Heading of the cell; empty for none.
+        model: The car model that it comes nearest to, or None.
     """
 
     reconstruction: Reconstruction
@@ -74,6 +76,7 @@ class Sight:
     image: NDArray[np.uint8] | None = None
     truth: Truth | None = None
     title: str = ""
+    model: VehicleMesh | None = None
 
 
 @dataclass(frozen=True)
@@ -214,12 +217,9 @@ def save_picture(path: str | Path, figure: Any, dpi: float | None = None) -> Pat
 
 def new_figure(width: float, height: float) -> Any:
     """A figure of a size in inches, with a canvas of its own."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    from fgrecon.viz.figure import Drawing
 
-    figure = Figure(figsize=(width, height), dpi=_DPI, facecolor=unit(style.PAPER))
-    FigureCanvasAgg(figure)
-    return figure
+    return Drawing(figsize=(width, height), dpi=_DPI, facecolor=unit(style.PAPER))
 
 
 def place_axes(figure: Any, left: float, bottom: float, width: float, height: float) -> Any:

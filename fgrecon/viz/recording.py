@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.vehicle_mesh import VehicleMesh
 from fgrecon.viz.columns import Outbox
 from fgrecon.viz.factor_graph import log_graph
 from fgrecon.viz.photograph import Photograph
 from fgrecon.viz.playback import Playback, Rows
 from fgrecon.viz.plots import log_history, log_plots, log_words
-from fgrecon.viz.scene import log_camera, log_frame, log_ground, log_result, log_steps, log_truth
+from fgrecon.viz.scene import log_camera, log_frame, log_ground, log_model, log_result, log_steps, log_truth
 from fgrecon.viz.sinks import Recording
 from fgrecon.viz.truth import Truth
 
@@ -67,17 +68,19 @@ def recording_of(
     image: NDArray[np.uint8] | Photograph | None = None,
     truth: Truth | None = None,
     ground: Ground | None = None,
+    model: VehicleMesh | None = None,
 ) -> Recording:
     """The recording that `record` writes, to be sent elsewhere; the arguments are those of `record`.
 
-    A `Photograph` that several recordings share is encoded once.
+    A `Photograph` that several recordings share is encoded once. `model` is the closest car model, shown instead of the
+    surface.
     """
     from fgrecon.viz.blueprint import blueprint
 
     def make() -> Callable[[Any], None]:
-        return _outbox(reconstruction, observation, camera, image, truth, ground).empty_into
+        return _outbox(reconstruction, observation, camera, image, truth, ground, model).empty_into
 
-    return Recording(make, lambda: blueprint(reconstruction, observation, truth))
+    return Recording(make, lambda: blueprint(reconstruction, observation, truth, model=model is not None))
 
 
 def _outbox(
@@ -87,6 +90,7 @@ def _outbox(
     image: NDArray[np.uint8] | Photograph | None,
     truth: Truth | None,
     ground: Ground | None,
+    model: VehicleMesh | None,
 ) -> Outbox:
     """All chunks of a recording."""
     photograph = Photograph.of(image)
@@ -94,14 +98,17 @@ def _outbox(
     play = Playback(out, reconstruction, observation, camera, truth)
     log_camera(play, photograph)
     log_frame(play, photograph)
-    log_vehicle(play)
+    log_vehicle(play, model)
     if np.isfinite(reconstruction.camera_T_object).all():
         log_ground(play, ground)
     return out
 
 
-def log_vehicle(play: Playback) -> None:
-    """All about a vehicle that does not depend on where it is seen: truth, every step, result, plots, graph, words."""
+def log_vehicle(play: Playback, model: VehicleMesh | None = None) -> None:
+    """All about a vehicle that does not depend on where it is seen.
+
+    That is truth, every step, result, closest car model, plots, graph and words.
+    """
     if play.truth is not None:
         log_truth(play, play.truth)
     if play.steps:
@@ -113,4 +120,6 @@ def log_vehicle(play: Playback) -> None:
             log_history(rows)
     if np.isfinite(play.reconstruction.camera_T_object).all():
         log_result(play)
+        if model is not None:
+            log_model(play, model)
     log_words(play)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.camera import Ground
+from fgrecon.core.vehicle_mesh import VehicleMesh
 from fgrecon.viz import entities, style
 from fgrecon.viz.columns import Column, column, fixed_columns, strip_column
 from fgrecon.viz.geometry import (
@@ -24,7 +25,17 @@ from fgrecon.viz.planes import face_outlines, fan, medial_outlines
 from fgrecon.viz.playback import Playback, Rows
 from fgrecon.viz.truth import Truth
 
-__all__ = ["line_style", "log_camera", "log_frame", "log_ground", "log_image", "log_result", "log_steps", "log_truth"]
+__all__ = [
+    "line_style",
+    "log_camera",
+    "log_frame",
+    "log_ground",
+    "log_image",
+    "log_model",
+    "log_result",
+    "log_steps",
+    "log_truth",
+]
 
 _AXES = (3, 2, 5)  # right, down, forward in rerun's numbers
 _SURFACE_ALPHA = 150  # of 255: the wireframe shows through
@@ -196,13 +207,8 @@ def log_result(play: Playback) -> None:
     corners = box_corners(result.box_size)[None, BOX_EDGES]
     play.at_result(entities.VEHICLE_BOX, [strip_column(rr.LineStrips3D, corners)])
     if result.surface_vertices is not None and result.surface_faces is not None:
-        play.once(entities.SURFACE, rr.Mesh3D, albedo_factor=(*style.SURFACE, _SURFACE_ALPHA))
-        values = {
-            "vertex_positions": result.surface_vertices,
-            "triangle_indices": result.surface_faces,
-            "vertex_normals": vertex_normals(result.surface_vertices, result.surface_faces),
-        }
-        play.at_result(entities.SURFACE, [column(rr.Mesh3D, name, value) for name, value in values.items()])
+        colour = (*style.SURFACE, _SURFACE_ALPHA)
+        _log_mesh(play, entities.SURFACE, result.surface_vertices, result.surface_faces, colour)
     if result.keypoint_covariance is not None:
         axes, rotations = ellipsoids(result.keypoint_covariance)
         look = {"colors": style.UNCERTAINTY, "fill_mode": "MajorWireframe", "line_radii": -0.5}
@@ -213,3 +219,22 @@ def log_result(play: Playback) -> None:
             column(rr.InstancePoses3D, "mat3x3", rotations),
         ]
         play.at_result(entities.UNCERTAINTY, shapes)
+
+
+def log_model(play: Playback, model: VehicleMesh) -> None:
+    """The closest car model, where the vehicle is."""
+    _log_mesh(play, entities.MODEL, model.vertices, model.faces, style.MODEL)
+
+
+def _log_mesh(
+    play: Playback, entity: str, vertices: NDArray[np.float64], faces: NDArray[np.int64], colour: tuple[int, ...]
+) -> None:
+    import rerun as rr
+
+    play.once(entity, rr.Mesh3D, albedo_factor=colour)
+    values = {
+        "vertex_positions": vertices,
+        "triangle_indices": faces,
+        "vertex_normals": vertex_normals(vertices, faces),
+    }
+    play.at_result(entity, [column(rr.Mesh3D, name, value) for name, value in values.items()])

@@ -17,6 +17,7 @@ from fgrecon.viz.scene_members import Member
 __all__ = ["scene_blueprint"]
 
 _ASPECT = 1.6
+_BODY = (entities.SURFACE, entities.MODEL, entities.WIREFRAME_3D)
 _BEHIND, _HIGH = 0.45, 0.35  # of the scene's reach: where the eye is, seen from the camera
 
 
@@ -54,8 +55,9 @@ def _scene_views(members: Sequence[Member], places: Any) -> list[Any]:
     parts = (entities.KEYPOINTS_3D, entities.PLANES, entities.UNCERTAINTY, entities.PREVIOUS_3D)
     hidden = [f"{entities.CAMERA}/{entities.IN_VEHICLES}", entities.BOXES_2D]
     hidden += [member.place(part) for member in members for part in parts]
+    hidden += [member.place(entities.SURFACE) for member in members if member.sight.model is not None]
     contents = ["$origin/**", *(f"- /{entity}/**" for entity in hidden)]
-    bodies = (member.place(part) for member in members for part in (entities.SURFACE, entities.WIREFRAME_3D))
+    bodies = (member.place(part) for member in members for part in _BODY)
     without_bodies = [*contents, *(f"- /{entity}/**" for entity in bodies)]  # which hide how far positions are known
     reach = np.concatenate([places, np.zeros((1, 3))])
     low, high = reach.min(axis=0), reach.max(axis=0)

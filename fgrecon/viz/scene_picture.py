@@ -20,6 +20,7 @@ from fgrecon.viz import style
 from fgrecon.viz.from_above import DASHES, draw_scene_from_above, ellipse_scale, extent_from_above, name_of
 from fgrecon.viz.geometry import BOX_EDGES, as_image, box_corners, ground_lines, level_axes, resolution
 from fgrecon.viz.marks import draw_crop, draw_paths
+from fgrecon.viz.model_overlay import render_models
 from fgrecon.viz.occlusion import DepthImage, depth_image, pieces_of, runs_of
 from fgrecon.viz.overlay import Shown
 from fgrecon.viz.picture import new_figure, place_axes
@@ -145,11 +146,23 @@ def _draw_photograph(
     if ground is not None:
         poses = [v.pose for v in solved if v.pose is not None]
         _draw_ground(axes, ground, camera, depth, poses, style.HAIRLINE if image is None else style.PAPER)
+    models = [(v.model, v.pose, style.categorical(v.identity)) for v in solved if v.model is not None]
+    posed = [(model, pose, colour) for model, pose, colour in models if pose is not None and start is None]
+    if posed:
+        rendered = render_models(posed, camera, size)
+        axes.imshow(rendered, extent=(-0.5, size[0] - 0.5, size[1] - 0.5, -0.5), aspect="auto", zorder=1.5)
     points = axes.get_position().width * axes.figure.get_size_inches()[0] * 72 / size[0]  # in a pixel
     for vehicle in sorted(solved, key=lambda v: -float(v.pose[2, 3]) if v.pose is not None else 0.0):
         if start is None:
             behind = style.FADED if image is None else style.PAPER
-            _draw_vehicle(axes, vehicle, camera, depth, behind, wireframe=points * _width(vehicle) > _SMALL)
+            _draw_vehicle(
+                axes,
+                vehicle,
+                camera,
+                depth,
+                behind,
+                wireframe=vehicle.model is None and points * _width(vehicle) > _SMALL,
+            )
         elif vehicle.identity in start:
             _draw_start(axes, vehicle, camera)
     plates = Plates(axes, _FONT)

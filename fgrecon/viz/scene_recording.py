@@ -76,7 +76,7 @@ def _outbox(members: Sequence[Member], ground: Ground | None) -> Outbox:
     for member in members:
         sight = member.sight
         play = Playback(out.branch(member.place), sight.reconstruction, sight.observation, sight.camera, sight.truth)
-        log_vehicle(play)
+        log_vehicle(play, sight.model)
         if np.isfinite(sight.reconstruction.camera_T_object).all():
             _log_position(play, member)
         _log_states(play, member)

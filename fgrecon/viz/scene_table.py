@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -21,6 +22,7 @@ __all__ = ["Row", "ScenePage", "draw_key", "draw_table", "scene_page"]
 
 _SIGMAS = 1.96  # of the same confidence in one dimension
 _MINUS = str.maketrans("-", "−")
+_WORDS = 30  # characters of a model's name
 _FEW = 6
 """Of so many vehicles there is room for a second line."""
 
@@ -105,9 +107,11 @@ def _length(vehicle: Shown) -> str:
 
 
 def _detail(vehicle: Shown) -> str:
-    """The words of a vehicle, its size and status."""
+    """The words of a vehicle, its size and status; or the car model that it is like."""
     if vehicle.result is None or vehicle.pose is None:
         return vehicle.words
+    if vehicle.model is not None:
+        return textwrap.shorten(f"like {vehicle.model.name}", _WORDS, placeholder="…")
     size = " × ".join(f"{metres:.1f}" for metres in vehicle.result.box_size)
     return ", ".join(part for part in (f"{size} m", vehicle.words or vehicle.result.status.value) if part)
 

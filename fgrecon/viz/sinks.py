@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import socket
 import subprocess
@@ -13,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.errors import InvalidInputError, MissingPackageError
 from fgrecon.io.files import replacing
 
 __all__ = [
@@ -93,6 +94,32 @@ class Recording:
         self.make()(stream)
         stream.flush()
         stream.disconnect()
+
+    def widget(self, *, width: int | None = None, height: int | None = None) -> Any:
+        """Rerun's viewer for a cell of a notebook, with this recording in it.
+
+        Args:
+            width: Pixels; None for all that the cell has.
+            height: Pixels; None for rerun's own.
+
+        Returns:
+            A `rerun.notebook.Viewer`, which shows itself where it is a cell's last value.
+
+        Raises:
+            MissingPackageError: The package of the widget is not installed.
+        """
+        import rerun as rr
+
+        if importlib.util.find_spec("rerun_notebook") is None:
+            raise MissingPackageError("rerun-sdk[notebook]", "The viewer in a notebook")
+        from rerun.notebook import Viewer
+
+        stream = rr.RecordingStream(f"{self.application}: notebook")
+        viewer = Viewer(width=width or "auto", height=height, recording=stream)
+        _lay_out(stream, self.layout())
+        self.make()(stream)
+        stream.flush()
+        return viewer
 
 
 def _encoded(application: str, send: Callable[[Any], None], layout: Any) -> bytes:

@@ -21,6 +21,7 @@ __all__ = [
     "GROUND",
     "HAIRLINE",
     "INK",
+    "MODEL",
     "PAPER",
     "PREVIOUS",
     "SCREEN_BACKGROUND",
@@ -58,6 +59,8 @@ BACKGROUND: Colour = (244, 244, 242)
 SCREEN_BACKGROUND: Colour = (72, 72, 76)
 """Images and scenes of a recording have it in light viewers and in dark ones: dark enough for light lines, light enough
 for keypoints of no weight."""
+MODEL: Colour = (222, 184, 120)
+"""The closest car model in a recording."""
 INK: Colour = (34, 34, 34)
 """Text, boxes and residuals of a picture."""
 FADED: Colour = (96, 96, 96)

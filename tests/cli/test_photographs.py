@@ -4,10 +4,12 @@ import json
 import shutil
 
 import pytest
+import trimesh
 from typer.testing import CliRunner
 
 from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.catalogue import load_prior
 
 pytest.importorskip("torch")
 
@@ -32,12 +34,17 @@ def street(tmp_path_factory):
 
 def test_each_has_a_results_file(street, tmp_path):
     told = ("--boxes", street / "boxes", "--calib", street / "sample" / "calib.txt", "--camera-height", 1.65)
-    done = run("reconstruct", street / "images", *told, "--out", tmp_path, "--pictures")
+    prior = load_prior("car14")
+    mesh = trimesh.Trimesh(prior.surface.mean, prior.surface.faces, process=False).export(file_type="ply")
+    (street / "mean.ply").write_bytes(mesh)
+    told_more = ("--out", tmp_path, "--pictures", "--models", street / "mean.ply")
+    done = run("reconstruct", street / "images", *told, *told_more)
     assert done.exit_code == 0, done.output
     assert "6 vehicles in 2 of 2 images" in done.stdout
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.json", "a.png", "b.json", "b.png"]
     single = run("reconstruct", street / "images" / "a.png", *told, "--json", "-")
     first, alone = json.loads((tmp_path / "a.json").read_text()), json.loads(single.stdout)
+    assert {one["closest_model"]["name"] for one in first["instances"]} == {"mean"}
     assert [one["location"] for one in first["instances"]] == [one["location"] for one in alone["instances"]]
 
 

@@ -187,6 +187,20 @@ def test_a_video_in_and_a_video_out(drive, tmp_path):
     assert (tmp_path / "r.rrd").stat().st_size > 10_000
 
 
+def test_a_frame_is_drawn_as_a_scene(drive, whole, tmp_path):
+    """From a folder that is finished, without the networks; by default the frame with the most cars."""
+    images, file = drive
+    told = (images, "--tracks", file, "--fps", 10, "--out", whole[0])
+    for name, options in (("most.png", ()), ("eight.svg", ("--picture-frame", 8))):
+        done = run(*told, "--picture", tmp_path / name, *options)
+        assert done.exit_code == 0, done.output
+        assert name in done.stdout
+    assert "ahead [m]" in (tmp_path / "eight.svg").read_text()
+    done = run(*told, "--picture", tmp_path / "none.png", "--picture-frame", 99)
+    assert done.exception.field == "picture_frame"
+    assert not (tmp_path / "none.png").exists()
+
+
 def test_keypoints_alone_give_the_same(drive, whole, tmp_path):
     _, file = drive
     done = run(file, "--fps", 10, "--out", tmp_path / "out")
@@ -221,6 +235,8 @@ def test_a_viewer_sees_it_while_it_goes_on(drive, tmp_path):
         (["--poses", "none.txt"], "poses"),
         (["--tracks", "none.json"], "file"),
         (["--save", "a.mp4"], "save"),
+        (["--picture", "a.bmp"], "a.bmp"),
+        (["--picture-frame", "5"], "picture_frame"),
         (["--end", "0"], "end"),
     ],
 )

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.paper.apollocar3d import marking_offsets, read_apollocar3d
-from fgrecon.paper.known_shape import KNOWN_SHAPE_ROWS, _errors, _score_car, score_known_shapes
+from fgrecon.paper.known_shape import KNOWN_SHAPE_ROWS, _score_car, car_errors, score_known_shapes
 from fgrecon.training.priors.apollo79 import Apollo79, load_apollo79
 
 K = np.array([[2304.5, 0.0, 1686.2], [0.0, 2305.9, 1355.0], [0.0, 0.0, 1.0]])
@@ -86,19 +86,19 @@ def test_cars_that_cannot_be_scored_are_counted(tmp_path, models):
 
 def test_errors_by_hand(tmp_path, models):
     (car,) = read(tmp_path, models, annotations(models, 0, POSE, POINTS)).cars
-    assert _errors(car, car.camera_T_object, car.shape) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+    assert car_errors(car, car.camera_T_object, car.shape) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
     moved = car.camera_T_object.copy()
     moved[:3, 3] *= 1.1
     centroid = car.in_camera.mean(axis=0)
     expected = 0.1 * np.linalg.norm(car.camera_T_object[:3, 3]) / np.linalg.norm(centroid)
-    assert _errors(car, moved, car.shape) == pytest.approx((0.0, expected, 0.0), abs=1e-9)
+    assert car_errors(car, moved, car.shape) == pytest.approx((0.0, expected, 0.0), abs=1e-9)
     turned = car.camera_T_object.copy()
     turned[:3, :3] = turned[:3, :3] @ Rotation.from_euler("y", 10, degrees=True).as_matrix()
-    rotation, _, keypoint = _errors(car, turned, car.shape)
+    rotation, _, keypoint = car_errors(car, turned, car.shape)
     arms = (car.shape - car.shape.mean(0))[:, [0, 2]]
     assert rotation == pytest.approx(10.0)
     assert keypoint == pytest.approx(2 * np.sin(np.radians(5)) * np.linalg.norm(arms, axis=1).mean())
-    larger = _errors(car, car.camera_T_object, 1.05 * car.shape)
+    larger = car_errors(car, car.camera_T_object, 1.05 * car.shape)
     assert larger[2] == pytest.approx(0.05 * np.linalg.norm(car.shape - car.shape.mean(0), axis=1).mean())
 
 

@@ -14,7 +14,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.evaluation import report
 from fgrecon.evaluation.bootstrap import Interval
 from fgrecon.io.kitti_files import Objects
-from fgrecon.paper.claims import claims, decoupling_claim, irls_claim, ranking_claim
+from fgrecon.paper.claims import Claim, claims, decoupling_claim, irls_claim, ranking_claim
 from fgrecon.paper.hand_labels import read_hand_labels
 from fgrecon.paper.keypoint_noise_fit import Residuals
 from fgrecon.paper.known_shape import KNOWN_SHAPE_ROWS, KnownShapeScores
@@ -131,17 +131,17 @@ def test_known_shapes_by_distance_and_marks(known):
 
 
 def test_the_claim_about_irls_follows_the_numbers(scores):
-    text = irls_claim(scores, MAIN_ROWS)
+    text = str(irls_claim(scores, MAIN_ROWS))
     assert "more than 90 %': refuted" in text
-    assert "ASPnP + IRLS (paper's) 50 / 50 / 50 %" in text
-    assert "fgrecon, pose stage 95 / 95 / 95 %" in text
+    assert "ASPnP + IRLS (paper's), Eqs. 4 and 5: 50 / 50 / 50 %." in text
+    assert "fgrecon, pose stage, the same with the ground: 95 / 95 / 95 %." in text
     assert "91 / 87 / 84 %" in text  # what the paper prints
     better = made_up(MAIN_ROWS, errors={**ERRORS, "aspnp_irls+size": 1.5})
-    assert "more than 90 %': confirmed" in irls_claim(better, MAIN_ROWS)
+    assert "more than 90 %': confirmed" in irls_claim(better, MAIN_ROWS).heading
 
 
 def test_the_ranking_names_who_is_not_beaten(scores):
-    text = ranking_claim(scores, MAIN_ROWS)
+    text = str(ranking_claim(scores, MAIN_ROWS))
     assert "fgrecon, pose stage beats every baseline" not in text  # all are equal at 30 degrees
     clear = made_up(
         MAIN_ROWS,
@@ -155,7 +155,7 @@ def test_the_ranking_names_who_is_not_beaten(scores):
             clear.orientation,
         ),
     )
-    text = ranking_claim(clear, MAIN_ROWS)
+    text = str(ranking_claim(clear, MAIN_ROWS))
     assert "fgrecon, pose stage beats every baseline at every threshold and regime" in text
     assert "ASPnP + IRLS (paper's) does not beat" in text
     assert "PoseLib RANSAC" in text
@@ -163,18 +163,23 @@ def test_the_ranking_names_who_is_not_beaten(scores):
 
 def test_the_claim_about_decoupling_compares_sequence_and_joint(scores):
     joint = made_up(MAIN_ROWS, errors={**ERRORS, "sequential": 1.25, "joint": 1.5})
-    text = decoupling_claim(joint, MAIN_ROWS, made_up(CHAIN_ROWS, errors={"paper_sequential": 9.0}), CHAIN_ROWS)
+    text = str(decoupling_claim(joint, MAIN_ROWS, made_up(CHAIN_ROWS, errors={"paper_sequential": 9.0}), CHAIN_ROWS))
     assert "1.25 against 1.50 degrees" in text
     assert "9.00 against 0.00 degrees" in text
-    assert "0.05 m on average, against 2.0 m" in text
+    assert "by 0.05 m on average, the pose stage by 2.0 m" in text
 
 
 def test_of_no_car_nothing_is_claimed(scores):
     chain = made_up(CHAIN_ROWS)
     assert len(claims(scores, MAIN_ROWS, chain, CHAIN_ROWS)) == 3
     empty = replace(scores, regimes=scores.regimes & [False, True, True])
-    (text,) = claims(empty, MAIN_ROWS, chain, CHAIN_ROWS)
-    assert "nothing can be said" in text
+    (claim,) = claims(empty, MAIN_ROWS, chain, CHAIN_ROWS)
+    assert "nothing can be said" in claim.heading
+
+
+def test_what_is_said_of_the_claims_is_said_in_short_sentences(scores):
+    for claim in claims(scores, MAIN_ROWS, made_up(CHAIN_ROWS), CHAIN_ROWS):
+        assert all(len(sentence) < 160 and sentence[-1] in ".:" for sentence in claim.sentences)
 
 
 def test_cells_as_text_and_as_json():
@@ -214,7 +219,14 @@ def page(scores, known, scene):
     }
     speed = {"instances": 30.0, "seconds": 10.0, "per_second": 3.0}
     return Page(
-        ("conditions",), ("a claim",), tables, plots, {"missing frame": 5}, _DEFECTS, ("000001:0: no luck",), speed
+        ("conditions",),
+        (Claim("a claim", ("A sentence.",)),),
+        tables,
+        plots,
+        {"missing frame": 5},
+        _DEFECTS,
+        ("000001:0: no luck",),
+        speed,
     )
 
 
@@ -246,6 +258,7 @@ def test_the_page_stands_alone(page):
     assert elements.open == []
     assert elements.links == []
     assert elements.seen.count("svg") == 5
+    assert html(page, {"three cars": "<svg></svg>"}).count("<svg") == 6
     assert elements.seen.count("table") == len(page.tables)
     assert "note &lt;1&gt;" in text
     assert "000001:0: no luck" in text
@@ -260,6 +273,7 @@ def test_the_contents_lead_to_every_part(page):
     led_to = re.findall(r'<li><a href="#([^"]+)">', text)
     assert led_to == re.findall(r'<h2 id="([^"]+)">', text)
     assert len(led_to) == len(set(led_to)) == len(page.tables) + 3
+    assert 'href="#cars"' in html(page, {"three cars": "<svg></svg>"})
 
 
 def test_the_same_numbers_give_the_same_plots(page, scores):
@@ -270,7 +284,7 @@ def test_the_same_numbers_give_the_same_plots(page, scores):
 def test_markdown_has_every_table_and_claim(page):
     text = markdown(page)
     assert all(f"## {table.title}\n" in text for table in page.tables)
-    assert "- a claim" in text
+    assert "**a claim**\n\n- A sentence.\n" in text
     lines = [line for line in text.splitlines() if line.startswith("| fgrecon, pose stage")]
     assert lines[0].count("|") == 11
     assert "| fgrecon, pose stage | 2.00 | 2.00 |" in text

@@ -1,4 +1,4 @@
-"""Layouts: one in every file, zoomed to its own vehicle, whichever way rerun takes them."""
+"""Layouts: one in every file, zoomed to its own vehicle, of classes that any release of rerun has."""
 
 from __future__ import annotations
 
@@ -6,19 +6,18 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import pytest
-
-from fgrecon.viz import record, replay
+from fgrecon.viz import Sight, record, recording_of, scene_recording_of
 from tests.viz.made_up import Example
 
 
 @dataclass(frozen=True)
 class Layout:
-    """How often each view is there, and what the zoomed ones show."""
+    """How often each view is there, what the zoomed ones show, and what each view is of."""
 
     views: Counter[str]
     bounds: list
     eyes: list
+    contents: list
 
 
 def layout_of(path: Path) -> Layout:
@@ -34,7 +33,8 @@ def layout_of(path: Path) -> Layout:
         return sorted(found, key=str)
 
     names = Counter(name for (name,) in values("ViewBlueprint:display_name"))
-    return Layout(names, values("VisualBounds2D:range"), values("EyeControls3D:position"))
+    queries = [" ".join(query) for query in values("ViewContents:query")]
+    return Layout(names, values("VisualBounds2D:range"), values("EyeControls3D:position"), queries)
 
 
 def test_every_recording_has_all_views_zoomed_to_its_own_vehicle(example: Example, tmp_path: Path) -> None:
@@ -51,28 +51,13 @@ def test_every_recording_has_all_views_zoomed_to_its_own_vehicle(example: Exampl
     assert len(here.eyes) == 1
 
 
-def test_a_release_of_rerun_without_the_private_hook_gets_the_same_layout(
-    example: Example, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_layouts_are_of_public_classes_of_rerun(example: Example) -> None:
+    """So that another release makes of them what it wants; one needs no hook of this one."""
     import rerun.blueprint as rrb
-    import rerun.sinks
 
-    def layout(name: str) -> Layout:
-        path, result = tmp_path / name, example.reconstruction
-        record(path, result, example.observation, example.camera, truth=example.truth)
-        assert len(replay.read(path).history) == len(result.history)
-        return layout_of(path)
-
-    hook, convert = rrb.Blueprint._log_to_stream, rerun.sinks.create_in_memory_blueprint
-
-    def newer(*, application_id: str, blueprint: rrb.Blueprint) -> object:
-        assert isinstance(blueprint, rrb.Blueprint)  # of which a newer release may ask anything
-        with monkeypatch.context() as patch:
-            patch.setattr(rrb.Blueprint, "_log_to_stream", hook, raising=False)
-            return convert(application_id=application_id, blueprint=blueprint)
-
-    now = layout("now.rrd")
-    monkeypatch.delattr(rrb.Blueprint, "_log_to_stream")
-    monkeypatch.setattr(rerun.sinks, "create_in_memory_blueprint", newer)
-    assert layout("newer.rrd") == now
-    assert set(now.views.values()) == {1}
+    sight = Sight(example.reconstruction, example.observation, example.camera, title="car")
+    for recording in (
+        recording_of(example.reconstruction, example.observation, example.camera, truth=example.truth),
+        scene_recording_of([sight]),
+    ):
+        assert type(recording.layout()) is rrb.Blueprint

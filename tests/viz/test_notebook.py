@@ -2,6 +2,7 @@
 
 import base64
 import io
+import pickle
 import re
 from dataclasses import replace
 
@@ -9,12 +10,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.errors import InvalidInputError, MissingPackageError
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Status
 from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.io.images import write_png
-from fgrecon.viz import notebook
+from fgrecon.viz import Shown, notebook, recording_of, scene_picture
 from fgrecon.viz.picture import as_rgb
 from tests.viz.made_up import make_example
 
@@ -97,3 +98,29 @@ def test_a_notebook_shows_a_long_track_in_part(track):
     data = re.search(r"base64,([^\"]+)", notebook.html(long)).group(1)
     with Image.open(io.BytesIO(base64.b64decode(data))) as picture:
         assert picture.height < 700
+
+
+def test_a_figure_shows_itself_without_pyplot(example):
+    for figure in (example.reconstruction.plot(), as_scene(example)):
+        shown = Image.open(io.BytesIO(figure._repr_png_()))
+        assert 500 < shown.width <= 1200
+        assert type(pickle.loads(pickle.dumps(figure))) is type(figure)
+
+
+def as_scene(example):
+    box = example.observation.box
+    return scene_picture(None, [Shown(0, box, example.reconstruction)], example.camera)
+
+
+def test_the_widget_needs_its_package(example, monkeypatch):
+    recording = recording_of(example.reconstruction, example.observation, example.camera)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(MissingPackageError, match=r"rerun-sdk\[notebook\]"):
+        recording.widget()
+
+
+def test_the_widget_gets_layout_and_content(example):
+    pytest.importorskip("rerun_notebook")
+    recording = recording_of(example.reconstruction, example.observation, example.camera, image=example.image)
+    widget = recording.widget(height=400)
+    assert "Viewer" in type(widget).__name__

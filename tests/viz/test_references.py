@@ -7,12 +7,14 @@ FGRECON_REFERENCES=1 in the environment the references are written anew; look at
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from fgrecon.core.vehicle_mesh import VehicleMesh
 from fgrecon.viz import Sight, as_rgb, contact_sheet, picture, scene_picture
 from tests.viz.made_up import Example
 from tests.viz.scenes import GROUND, result_of, shown_of, street
@@ -46,6 +48,16 @@ def stages(example: Example):
     return picture(example.reconstruction, example.observation, example.camera, truth=example.truth)
 
 
+def models(example: Example):
+    """The closest car models, here the cars' own shapes, over the photograph."""
+    seen = street()
+    vehicles = [
+        replace(shown, model=VehicleMesh(f"model {i}", car.truth.vehicle.vertices, car.truth.vehicle.faces))
+        for i, (shown, car) in enumerate(zip(shown_of(example, seen), seen.cars, strict=True))
+    ]
+    return scene_picture(seen.image, vehicles, seen.camera, ground=GROUND)
+
+
 def sheet(example: Example):
     """A cell for each car."""
     seen = street()
@@ -57,7 +69,7 @@ def sheet(example: Example):
 
 DRAWN = {
     function.__name__: (function, dpi)
-    for function, dpi in ((scene, 150), (gain, 150), (plain, 150), (stages, 75), (sheet, 75))
+    for function, dpi in ((scene, 150), (gain, 150), (plain, 150), (models, 150), (stages, 75), (sheet, 75))
 }
 
 

@@ -10,7 +10,8 @@ import pytest
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Status
-from fgrecon.viz import Sight, entities, record, record_scene, replay
+from fgrecon.core.vehicle_mesh import VehicleMesh
+from fgrecon.viz import Sight, entities, record, record_scene, recording_of, replay
 from fgrecon.viz.describe import scene_table
 from fgrecon.viz.overview import STATES
 from fgrecon.viz.scene_members import members_of
@@ -123,6 +124,23 @@ def test_the_layout_has_a_view_from_above_and_a_tab_for_each(recording) -> None:
     assert layout.views["Stage, then status, and side"] == 1
     assert layout.views["Keypoints by weight"] == layout.views["Factor graph"] == len(TITLES)
     assert len(layout.eyes) == 2
+
+
+def test_the_closest_model_is_shown_instead_of_the_surface(sights, example, tmp_path) -> None:
+    result = example.reconstruction
+    model = VehicleMesh("like it", result.surface_vertices, result.surface_faces)
+    path = record_scene(tmp_path / "scene.rrd", [replace(sights[0], model=model), sights[1]])
+    found = chunks(path)
+    entity = entities.of_vehicle(entities.MODEL, "a-b")
+    (vertices,) = values(found[entity], "Mesh3D:vertex_positions")
+    assert np.asarray(vertices) == pytest.approx(result.surface_vertices, abs=1e-5)
+    assert entities.of_vehicle(entities.MODEL, "a-b-2") not in found
+    surface = f"- /{entities.of_vehicle(entities.SURFACE, 'a-b')}/**"
+    assert sum(surface in line for line in layout_of(path).contents) == 2
+    assert sum("a-b-2/vehicle/surface" in line for line in layout_of(path).contents) == 1  # from above alone
+    recording = recording_of(result, example.observation, example.camera, model=model).write(tmp_path / "car.rrd")
+    assert entities.MODEL in chunks(recording)
+    assert any(f"- /{entities.SURFACE}/**" in line for line in layout_of(recording).contents)
 
 
 def test_what_was_not_solved_is_in_it(sights, example, tmp_path) -> None:
