@@ -4,35 +4,37 @@
 |---|---|---|
 | `.jsonl`, `.ndjson` | a line each: an instance of a keypoint file | `FILE#LINE` |
 | `.json` | a keypoint file of any format, or a track: an instance each | `FILE#NUMBER` |
+| `.txt`, `.mat` | CarFusion's and PASCAL3D+'s keypoints: an instance each | `FILE#NUMBER` |
 | `.parquet` | a row each: its columns are the fields of an instance, or `instance`, `image` | `FILE#NUMBER` |
 | an image | one | `FILE` |
 | a video | a frame each | `FILE#FRAME` |
 
-A folder stands for the images and videos below it, in order; where there are none, for its keypoint files. KITTI's
-folders (`image_2` or `image_02` with `calib`) bring their cameras.
+A folder stands for the images and videos below it, in order; where there are none, for its keypoint files; where there
+are none of these either, for its files `.txt` and `.mat`. KITTI's folders (`image_2` or `image_02` with `calib`) bring
+their cameras.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from fgrecon.batch.instances import instance_text
 from fgrecon.batch.pictures import count_frames
-from fgrecon.batch.reconstructor import instance_text
+from fgrecon.core.category import Category
 from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.io.catalogue import load_category
 from fgrecon.io.frames import VIDEOS
 from fgrecon.io.images import IMAGES
-from fgrecon.io.json_fields import read_json
-from fgrecon.io.keypoints.coco import annotation_records, is_annotations
+from fgrecon.io.keypoints.records import NOT_JSON, keypoint_records
 from fgrecon.io.kitti_calibration import calibration_beside
 
 __all__ = ["IMAGES", "VIDEOS", "InputFile", "sources_of"]
 
 _LEFT_COLOUR = ("image_2", "image_02")
-_SHARED = ("K", "intrinsics", "distortion", "image_size")
 _CHUNK = 1024  # rows of Parquet in memory
 
 Row = dict[str, Any]
@@ -45,10 +47,12 @@ class InputFile:
     Attributes:
         path: The file, as it was given.
         every: Of a video every so many frames.
+        category: The category whose keypoints are wanted.
     """
 
     path: Path
     every: int = 1
+    category: Category = field(default_factory=lambda: load_category("car14"))
 
     @property
     def is_picture(self) -> bool:
@@ -79,12 +83,15 @@ class _Reader:
     rows: Callable[[InputFile], Iterator[Row]]
 
 
-def sources_of(inputs: Sequence[str | Path], every: int = 1) -> list[InputFile]:
+def sources_of(
+    inputs: Sequence[str | Path], every: int = 1, category: Category | str | Path = "car14"
+) -> list[InputFile]:
     """The files that inputs stand for, each once.
 
     Args:
         inputs: Files and folders.
         every: Of videos every so many frames.
+        category: The category whose keypoints are wanted, its name or its file.
 
     Raises:
         InvalidInputError: One does not exist, has another ending, or is a folder without anything.
@@ -96,7 +103,8 @@ def sources_of(inputs: Sequence[str | Path], every: int = 1) -> list[InputFile]:
         if item.is_file() and item.suffix.lower() not in _READERS:
             raise InvalidInputError("input", str(item), f"Give a folder, or files ending in {', '.join(_READERS)}.")
         found |= dict.fromkeys(_files(item) if item.is_dir() else [item])
-    return [InputFile(path, every) for path in found]
+    wanted = load_category(category)
+    return [InputFile(path, every, wanted) for path in found]
 
 
 def _files(folder: Path) -> list[Path]:
@@ -107,7 +115,7 @@ def _files(folder: Path) -> list[Path]:
     pictures = [path for path in visible if path.suffix.lower() in (*IMAGES, *VIDEOS)]
     if not visible:
         raise InvalidInputError("input", str(folder), "Give a folder with images, videos or keypoint files.")
-    return pictures or visible
+    return pictures or [path for path in visible if path.suffix.lower() not in NOT_JSON] or visible
 
 
 def _count_lines(source: InputFile) -> int:
@@ -122,47 +130,12 @@ def _lines(source: InputFile) -> Iterator[Row]:
                 yield {"row_id": f"{source.path}#{number}", "instance": line.strip()}
 
 
-def _instances(source: InputFile) -> list[Any]:
-    """The instances of a JSON file, each with the camera that all share."""
-    data = read_json(source.path)
-    if isinstance(data, Mapping) and "frames" in data and "keypoints" not in data:
-        return _frames(data, source.path)
-    if is_annotations(data):
-        return [record for record, _ in annotation_records(data, f"{source.path}: ")]
-    if not isinstance(data, Mapping) or "instances" not in data:
-        return data if isinstance(data, list) else [data]
-    if not isinstance(data["instances"], list):
-        raise InvalidInputError(f"{source.path}: instances", data["instances"], "Give a list.")
-    shared = {name: data[name] for name in _SHARED if data.get(name) is not None}
-    cameras = {"K", "intrinsics"}
-    return [
-        {**shared, **item} if isinstance(item, Mapping) and not cameras & {k for k in item if item[k]} else item
-        for item in data["instances"]
-    ]
+def _count_records(source: InputFile) -> int:
+    return len(keypoint_records(source.path, source.category))
 
 
-def _frames(track: Mapping[str, Any], path: Path) -> list[Any]:
-    """The frames of a track as instances."""
-    try:
-        names = track["keypoint_names"]
-        return [
-            {
-                "id": f"{path.stem}:{frame['frame']}",
-                "K": track["K"],
-                "box": frame["box_xyxy"],
-                "keypoints": dict(zip(names, frame["keypoints_uv"], strict=True)),
-                "confidence": dict(zip(names, frame["confidence"], strict=True)),
-            }
-            for frame in track["frames"]
-        ]
-    except (KeyError, TypeError, ValueError) as error:
-        raise InvalidInputError(
-            str(path), f"malformed: {error!r}", "Give a track as docs/formats.md has it."
-        ) from error
-
-
-def _json_rows(source: InputFile) -> Iterator[Row]:
-    for number, item in enumerate(_instances(source)):
+def _record_rows(source: InputFile) -> Iterator[Row]:
+    for number, item in enumerate(keypoint_records(source.path, source.category)):
         yield {"row_id": f"{source.path}#{number}", "instance": json.dumps(item)}
 
 
@@ -224,11 +197,13 @@ def _kitti_camera(image: Path) -> str | None:
     return None if found is None else json.dumps({"K": found.camera.matrix.tolist()})
 
 
+_RECORDS = _Reader(_count_records, _record_rows)
 _LINES = _Reader(_count_lines, _lines)
 _IMAGE = _Reader(lambda _: 1, _image_row)
 _VIDEO = _Reader(lambda source: -(-count_frames(source.path) // source.every), _frame_rows)
 _READERS: Mapping[str, _Reader] = {
-    ".json": _Reader(lambda source: len(_instances(source)), _json_rows),
+    ".json": _RECORDS,
+    **dict.fromkeys(NOT_JSON, _RECORDS),
     ".jsonl": _LINES,
     ".ndjson": _LINES,
     ".parquet": _Reader(_count_parquet, _parquet_rows),

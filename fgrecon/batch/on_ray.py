@@ -11,8 +11,8 @@ from concurrent.futures import Future
 from typing import Any
 
 from fgrecon.batch.pool import STARTS, WorkerDiedError, drive
-from fgrecon.batch.reconstructor import Reconstructor
-from fgrecon.batch.rows import lost_rows, single_rows
+from fgrecon.batch.rows import lost_rows, single_tasks
+from fgrecon.batch.tasks import Tasks, TaskSolver
 from fgrecon.core.errors import MissingPackageError
 
 __all__ = ["work_on_ray"]
@@ -22,36 +22,36 @@ _WORD = 60.0  # seconds within which word of a dead actor comes
 
 
 class _Solver:
-    """What an actor is: a reconstructor, which it gets once."""
+    """What an actor is: something that solves tasks, which it gets once."""
 
-    def __init__(self, reconstructor: Reconstructor) -> None:
-        self._reconstructor = reconstructor
+    def __init__(self, solver: TaskSolver) -> None:
+        self._solver = solver
 
     def ready(self) -> bool:
         """Whether it has begun."""
         return True
 
-    def solve(self, table: Any, word: bool) -> Any:  # noqa: ARG002 - Ray sends nothing before it has the word
-        """The results of a table of tasks, which is sent once there is word that the actor has begun."""
-        return self._reconstructor(table)
+    def solve(self, tasks: Tasks, word: bool) -> Any:  # noqa: ARG002 - Ray sends nothing before it has the word
+        """The results of tasks, which are sent once there is word that the actor has begun."""
+        return self._solver(tasks)
 
 
 class _Actor:
     """An actor with a processor of its own; made on use."""
 
-    def __init__(self, reconstructor: Reconstructor) -> None:
-        self._reconstructor = reconstructor
+    def __init__(self, solver: TaskSolver) -> None:
+        self._solver = solver
         self._actor: Any = None
         self._word: Any = None
         self._ready: Future[bool] | None = None
         self._deaths = 0
 
-    def submit(self, piece: Any) -> Future[Any]:
-        """Let it work on a table."""
+    def submit(self, piece: Tasks) -> Future[Any]:
+        """Let it work on tasks."""
         import ray
 
         if self._actor is None:
-            self._actor = ray.remote(num_cpus=1, max_restarts=0)(_Solver).remote(self._reconstructor)
+            self._actor = ray.remote(num_cpus=1, max_restarts=0)(_Solver).remote(self._solver)
             self._word = self._actor.ready.remote()
             self._ready = self._word.future()
         future: Future[Any] = self._actor.solve.remote(piece, self._word).future()
@@ -83,12 +83,12 @@ class _Actor:
             self._actor = None
 
 
-def work_on_ray(reconstructor: Reconstructor, batches: Iterable[Any], jobs: int, address: str) -> Iterator[Any]:
-    """The results of tables of tasks, as they are done.
+def work_on_ray(solver: TaskSolver, batches: Iterable[Tasks], jobs: int, address: str) -> Iterator[Any]:
+    """Tables of the results of tasks, as they are done.
 
     Args:
-        reconstructor: What does the work.
-        batches: Tables of tasks.
+        solver: What does the work.
+        batches: Tasks that an actor gets at once.
         jobs: Actors at most, each with one processor; no more than the cluster has.
         address: Of the cluster, or `auto`.
 
@@ -103,5 +103,5 @@ def work_on_ray(reconstructor: Reconstructor, batches: Iterable[Any], jobs: int,
     if not ray.is_initialized():
         ray.init(address=address, log_to_driver=False)
     processors = max(int(ray.cluster_resources().get("CPU", 1)), 1)
-    actors = [_Actor(reconstructor) for _ in range(min(jobs, processors))]
-    yield from drive(actors, batches, single_rows, lost_rows, ray.exceptions.RayActorError)
+    actors = [_Actor(solver) for _ in range(min(jobs, processors))]
+    yield from drive(actors, batches, single_tasks, lost_rows, ray.exceptions.RayActorError)

@@ -23,6 +23,9 @@ __all__ = ["RUN", "Parts", "begin", "claimed"]
 RUN = "_run.json"
 """What the run is: readers of Parquet folders leave names alone that begin with an underscore."""
 
+_AT_ONCE = 512
+"""Rows of a part that are looked at together."""
+
 _ROWS, _SECONDS = 4096, 10.0
 """A part is written when it has so many rows, or so much time has passed since the last one."""
 
@@ -57,12 +60,15 @@ class Parts:
         found: set[str] = set()
         for path in self._paths():
             found.update(stored(path, _row_ids) or ())
+        pa.default_memory_pool().release_unused()  # whoever goes on with a long run would keep it to its end
         return found
 
     def rows(self) -> Iterator[dict[str, Any]]:
         """The rows of all parts, as plain values."""
         for path in self._paths():
-            yield from pq.read_table(path).to_pylist()
+            with pq.ParquetFile(path) as part:
+                for batch in part.iter_batches(_AT_ONCE):
+                    yield from batch.to_pylist()
 
     def rows_in_order(self) -> list[dict[str, Any]]:
         """The rows of all parts before the first that is missing or damaged; those after it are to be computed again.
@@ -104,9 +110,11 @@ def _row_ids(path: Path) -> list[str]:
         InvalidInputError: It is damaged, or none of ours.
     """
     try:
-        table = pq.read_table(path, page_checksum_verification=True)
-        table.validate(full=True)
-        ids: list[str] = table.column("row_id").to_pylist()
+        ids: list[str] = []
+        with pq.ParquetFile(path, page_checksum_verification=True) as part:
+            for batch in part.iter_batches(_AT_ONCE):
+                batch.validate(full=True)
+                ids += batch.column("row_id").to_pylist()
     except (pa.ArrowException, OSError, KeyError, ValueError) as error:  # ValueError: names that are no text
         raise InvalidInputError(str(path), str(error), MADE_AGAIN) from error
     return ids

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import cached_property
@@ -14,6 +13,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import ArrayLike, NDArray
 
+from fgrecon.batch.instances import nested, record_of
 from fgrecon.batch.pictures import Pictures
 from fgrecon.batch.rows import failed_row, origin_of, solved_row, table_of
 from fgrecon.batch.schema import EMPTY
@@ -26,13 +26,13 @@ from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as named_size_prior
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.keypoint_file import Instance
+from fgrecon.io.keypoints.names import Names, NamesLike, parse_names
 from fgrecon.io.keypoints.reader import parse_any_keypoints
 from fgrecon.perception.keypoints.detect import SMALLEST_BOX, KeypointCascade, check_box, shipped_cascade
 from fgrecon.perception.protocols import find_keypoints
 from fgrecon.perception.vehicles.detect import NanodetVehicleDetector, Vehicles
-from fgrecon.solve.pipeline import reconstruct
 
-__all__ = ["Reconstructor", "instance_text"]
+__all__ = ["Reconstructor"]
 
 Row = dict[str, Any]
 
@@ -61,6 +61,7 @@ class Reconstructor:
         ground: Ground | float | None = None,
         size_prior: SizePrior | str | None = None,
         options: Options | None = None,
+        names: NamesLike | None = None,
         weights: str | Path | None = None,
         threads: int | None = None,
     ) -> None:
@@ -73,6 +74,7 @@ class Reconstructor:
             ground: Ground plane, or the height in metres of a level camera.
             size_prior: Fleet, or a size prior.
             options: Settings; histories are not kept.
+            names: What the keypoints are called, as `fgrecon.keypoints_from` takes it; None where they tell themselves.
             weights: Keypoint network; None for the shipped one.
             threads: Threads that OpenCV and torch use from the first image on; None leaves them as they are.
 
@@ -81,14 +83,14 @@ class Reconstructor:
         """
         self._prior, self._ground = prior, ground
         self._camera = None if camera is None else Camera.of(camera)
-        self._size = size_prior
+        self._size, self._names = size_prior, names
         self._options = replace(Options() if options is None else options, keep_history=False)
         self._weights, self._threads = weights, threads
         self._pictures = Pictures()
 
     def __getstate__(self) -> dict[str, Any]:
         """The settings alone: what is loaded is loaded again elsewhere."""
-        loaded = ("prior", "_size_prior", "_networks", "_pictures")
+        loaded = ("prior", "_known_names", "_size_prior", "_networks", "_pictures")
         return {name: value for name, value in vars(self).items() if name not in loaded}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -103,6 +105,10 @@ class Reconstructor:
             InvalidInputError: It cannot be loaded.
         """
         return load_prior(self._prior)
+
+    @cached_property
+    def _known_names(self) -> Names | None:
+        return None if self._names is None else parse_names(self._names, self.prior.category)
 
     @cached_property
     def _size_prior(self) -> SizePrior | None:
@@ -137,9 +143,10 @@ class Reconstructor:
         if task.get("image") is not None:
             yield from self._image(task, origin)
             return
-        record = _nested(_record(task), self.prior.category.size)
+        category = self.prior.category
+        record = nested(record_of(task), category.size)
         named = isinstance(record, dict) and record.get("id") is not None
-        for vehicle, instance in enumerate(parse_any_keypoints(record, self.prior.category).instances):
+        for vehicle, instance in enumerate(parse_any_keypoints(record, category, self._known_names).instances):
             name = instance.name if named or vehicle or isinstance(record, list) else str(origin["row_id"])
             yield self._vehicle(origin, vehicle, name, instance, self._camera or instance.camera)
 
@@ -153,6 +160,8 @@ class Reconstructor:
         score: float | None = None,
     ) -> Row:
         """The row of one vehicle."""
+        from fgrecon.solve.pipeline import reconstruct  # on use: whoever hands out the work needs no solver
+
         try:
             if camera is None:
                 raise InvalidInputError("intrinsics", "nothing", "Give K with the row, or a camera for all of them.")
@@ -201,59 +210,6 @@ class Reconstructor:
         text = task.get("camera")
         own = self._camera or (_camera(json.loads(text)) if text else None)
         return Camera.of_field_of_view(width, height) if own is None else replace(own, image_size=(width, height))
-
-
-def instance_text(row: Mapping[str, Any]) -> str:
-    """The JSON text of an instance whose fields are the columns of a row; what is missing is left out, NaN is null."""
-    return json.dumps({name: _plain(value) for name, value in row.items() if value is not None})
-
-
-def _record(task: Mapping[str, Any]) -> Any:
-    """What JSON holds of a row's instance.
-
-    Raises:
-        InvalidInputError: Its text is no JSON.
-    """
-    text = task["instance"] if task.get("instance") is not None else instance_text(_fields(task))
-    try:
-        return json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InvalidInputError("instance", str(error), "Give an instance of a keypoint file as JSON.") from error
-
-
-def _fields(task: Mapping[str, Any]) -> Row:
-    aside = ("row_id", "source", "frame", "instance", "image", "camera", "problem", "boxes")
-    return {name: value for name, value in task.items() if name not in aside}
-
-
-def _plain(value: Any) -> Any:
-    """A column's value as JSON has it: NaN is null, and what JSON does not know is text."""
-    if isinstance(value, float):
-        return None if math.isnan(value) else value
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items() if item is not None}
-    if isinstance(value, list):
-        if value and all(isinstance(item, tuple) for item in value):  # a map, as Arrow gives it
-            return {key: _plain(item) for key, item in value if item is not None}
-        return [_plain(item) for item in value]
-    return value if value is None or isinstance(value, str | int) else str(value)
-
-
-def _nested(record: Any, keypoints: int) -> Any:
-    """An instance whose keypoints and K have their rows again where an engine has flattened them."""
-    if not isinstance(record, dict):
-        return record
-    sizes = {"keypoints": keypoints, "K": 3}
-    for name, count in sizes.items():
-        flat = record.get(name)
-        if (
-            isinstance(flat, list)
-            and len(flat) in (2 * count, 3 * count)
-            and not any(isinstance(i, list) for i in flat)
-        ):
-            width = len(flat) // count
-            record = record | {name: [flat[i : i + width] for i in range(0, len(flat), width)]}
-    return record
 
 
 def _camera(fields: Mapping[str, Any]) -> Camera:

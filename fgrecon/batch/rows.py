@@ -21,7 +21,7 @@ __all__ = [
     "lost_rows",
     "origin_of",
     "reconstruction_of",
-    "single_rows",
+    "single_tasks",
     "solved_row",
     "storable",
     "table_of",
@@ -117,14 +117,14 @@ def _table_of(row: Mapping[str, Any]) -> Any:
         return pa.Table.from_pylist([failed_row(origin, error, row.get("vehicle"))], schema=result_schema())
 
 
-def single_rows(table: Any) -> list[Any]:
-    """A table for each row."""
-    return [table.slice(position, 1) for position in range(len(table))]
+def single_tasks(tasks: Sequence[Mapping[str, Any]]) -> list[Sequence[Mapping[str, Any]]]:
+    """Each task alone."""
+    return [[task] for task in tasks]
 
 
-def lost_rows(table: Any, error: WorkerDiedError) -> Any:
+def lost_rows(tasks: Sequence[Mapping[str, Any]], error: WorkerDiedError) -> Any:
     """The rows of tasks that were given up."""
-    rows = [failed_row(origin_of(task, 0), error) | {"status": ERROR} for task in table.to_pylist()]
+    rows = [failed_row(origin_of(task, 0), error) | {"status": ERROR} for task in tasks]
     return pa.Table.from_pylist(rows, schema=result_schema())
 
 

@@ -8,15 +8,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
 import pyarrow.compute as pc
 
 from fgrecon.batch.inputs import InputFile
 from fgrecon.batch.parts import Parts, begin, claimed
 from fgrecon.batch.pool import work
 from fgrecon.batch.reconstructor import Reconstructor
-from fgrecon.batch.rows import lost_rows, single_rows, storable
-from fgrecon.batch.schema import task_schema
+from fgrecon.batch.rows import lost_rows, single_tasks, storable
+from fgrecon.batch.tasks import Tasks, TaskSolver
 from fgrecon.core.errors import InvalidInputError
 
 __all__ = ["Tally", "run"]
@@ -98,11 +97,11 @@ def run(
         batches = _batches(_left(sources, done, tally), batch_rows)
         report(tally)
         if ray is None:
-            tables = work(reconstructor, batches, jobs, single_rows, lost_rows)
+            tables = work(TaskSolver(reconstructor), batches, jobs, single_tasks, lost_rows)
         else:
             from fgrecon.batch.on_ray import work_on_ray
 
-            tables = work_on_ray(reconstructor, batches, jobs, ray)
+            tables = work_on_ray(TaskSolver(reconstructor), batches, jobs, ray)
         try:
             for table in tables:
                 parts.add(table)
@@ -124,16 +123,16 @@ def _left(sources: Sequence[InputFile], done: set[str], tally: Tally) -> Iterato
                 yield source.is_picture, row
 
 
-def _batches(rows: Iterable[tuple[bool, dict[str, Any]]], size: int | None) -> Iterator[Any]:
-    """Tables of rows, images apart from others."""
+def _batches(rows: Iterable[tuple[bool, dict[str, Any]]], size: int | None) -> Iterator[Tasks]:
+    """Rows that a worker gets at once, images apart from others."""
     waiting: list[dict[str, Any]] = []
     of_pictures = False
     for is_picture, row in rows:
         full = len(waiting) >= (size or (_PICTURES if of_pictures else _VEHICLES))
         if waiting and (full or is_picture != of_pictures):
-            yield pa.Table.from_pylist(waiting, schema=task_schema())
+            yield waiting
             waiting = []
         waiting.append(row)
         of_pictures = is_picture
     if waiting:
-        yield pa.Table.from_pylist(waiting, schema=task_schema())
+        yield waiting

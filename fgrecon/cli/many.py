@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli.options import BOX_MODEL_HELP, CameraOptions, SceneOptions, WeightsOption
+from fgrecon.cli.options import BOX_MODEL_HELP, CameraOptions, NamesOption, SceneOptions, WeightsOption
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError
@@ -22,7 +22,7 @@ def batch_command(
     inputs: Annotated[
         list[Path],
         typer.Argument(
-            metavar="INPUT...", help="Keypoints (json, jsonl, parquet), images, videos, or folders of them."
+            metavar="INPUT...", help="Keypoints (json, jsonl, parquet, txt, mat), images, videos, or folders."
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="For the parts (Parquet); made where it does not exist.")],
@@ -30,6 +30,7 @@ def batch_command(
     scene: SceneOptions,
     terminal: Terminal,
     box_model: Annotated[BoxModel, typer.Option(help=BOX_MODEL_HELP)] = BoxModel.SURFACE,
+    names: NamesOption = None,
     weights: WeightsOption = None,
     jobs: Annotated[int, typer.Option(min=1, help="Processes; with --ray actors at most.")] = 1,
     ray: Annotated[
@@ -52,9 +53,10 @@ def batch_command(
     from rich.table import Table
 
     from fgrecon.batch import Reconstructor, run, sources_of
-    from fgrecon.cli.show import plain_camera, plain_settings
+    from fgrecon.cli.settings import plain_camera, plain_settings
     from fgrecon.core.options import Options
     from fgrecon.core.reconstruction import Status
+    from fgrecon.io.keypoints.names import parse_names
 
     screen = terminal.screen()
     settings = scene.settings(Options(strategy=scene.strategy, box=box_model, keep_history=False))
@@ -63,18 +65,21 @@ def batch_command(
     if seen_by is None and camera.crop is not None:
         raise InvalidInputError("crop", camera.crop, "Give the whole image's camera too: --camera or --intrinsics.")
     seen_by = None if seen_by is None else source.complete(seen_by, declared=False)
+    known = None if names is None else parse_names(names, settings.prior.category)
     reconstructor = Reconstructor(
         prior=settings.prior if settings.prior_file else scene.prior,
         camera=seen_by,
         ground=settings.ground,
         size_prior=settings.size_prior,
         options=settings.options,
+        names=known,
         weights=weights,
         threads=1,
     )
     told = plain_settings(settings) | {
         "camera": None if seen_by is None else plain_camera(seen_by),
         "weights": None if weights is None else str(weights),
+        **({} if names is None else {"names": names}),
     }
     with screen.bar() as advance:
 
@@ -82,7 +87,7 @@ def batch_command(
             advance("Rows", tally.done, tally.total)
 
         tally = run(
-            sources_of(inputs, every),
+            sources_of(inputs, every, settings.prior.category),
             out,
             reconstructor,
             jobs=jobs,

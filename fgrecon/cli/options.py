@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
 
     from numpy.typing import NDArray
 
-    from fgrecon.cli.batch import CameraSource, Settings
+    from fgrecon.cli.settings import CameraSource, Settings
     from fgrecon.core.camera import Camera, Ground
     from fgrecon.core.options import Options
     from fgrecon.evaluation.methods import SceneKnowledge
@@ -161,7 +161,7 @@ class CameraOptions:
             image: (H, W, 3) photograph, which tells the image's size.
             own: The camera that the photograph's file tells.
         """
-        from fgrecon.cli.batch import CameraSource
+        from fgrecon.cli.settings import CameraSource
 
         return CameraSource(self.calib, self.intrinsics, self.distortion, image, self.camera, own, self.crop)
 
@@ -204,7 +204,7 @@ class SceneOptions:
         Raises:
             InvalidInputError: A value names nothing, or both a plane and a height are given.
         """
-        from fgrecon.cli.batch import Settings
+        from fgrecon.cli.settings import Settings
 
         told = replace(options, keypoints=replace(options.keypoints, least_confidence=self.min_confidence))
         if self.calibration is not None:

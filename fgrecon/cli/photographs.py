@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.cli import batch, show
-from fgrecon.cli.batch import Outcome, Settings, Task
+from fgrecon.cli.batch import Outcome, Task
 from fgrecon.cli.common import about_camera
 from fgrecon.cli.models import with_closest
 from fgrecon.cli.options import CameraOptions, VehicleBoxes
 from fgrecon.cli.picture_tasks import is_image, read_image_tasks
+from fgrecon.cli.settings import Settings
 from fgrecon.cli.terminal import Screen
 from fgrecon.cli.together import Scene, grounds_of, solve_same_camera, solve_together, wants_together
 from fgrecon.core.camera import Camera

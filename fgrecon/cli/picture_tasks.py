@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.cli.batch import CameraSource, Task
+from fgrecon.cli.batch import Task
 from fgrecon.cli.options import VehicleBoxes
+from fgrecon.cli.settings import CameraSource
 from fgrecon.cli.terminal import Screen
 from fgrecon.core.category import Category
 from fgrecon.core.choices import BoxModel

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -16,6 +16,7 @@ from fgrecon.core.errors import InvalidInputError
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from fgrecon.io.box_lines import BoxedImage
+    from fgrecon.io.nuscenes_detections import Submission
 
 __all__ = ["refine_command"]
 
@@ -24,7 +25,8 @@ def refine_command(
     boxes: Annotated[
         Path,
         typer.Argument(
-            metavar="BOXES", help="KITTI's object lines of an image, a folder of such files, or tracking lines."
+            metavar="BOXES",
+            help="KITTI's object lines of an image, a folder of such files, tracking lines, or nuScenes' submission.",
         ),
     ],
     images: Annotated[Path, typer.Argument(metavar="IMAGES", help="The image, or the folder of images.")],
@@ -45,19 +47,22 @@ def refine_command(
     are, and so do boxes of which the keypoints say too little or that they contradict: each with its reason.
 
     The camera is that of --calib (a KITTI file, or a folder with one for each image), --camera or --intrinsics; in the
-    folders of KITTI's layout it is found. Locations are in the frame of KITTI's labels where the calibration says where
-    that is. --verbose lists every box of several images.
+    folders of KITTI's layout it is found. nuScenes' boxes need --camera with the folder of its tables. Locations are in
+    the frame of KITTI's labels where the calibration says where that is. --verbose lists every box of several images.
 
     Exit code 0: at least one box was refined; 1: none; 2: bad usage or input.
     """
     from fgrecon.cli import refine_work
     from fgrecon.core.options import BoxOptions, Options
-    from fgrecon.io.box_lines import boxed_images
+    from fgrecon.io.box_lines import boxed_images, text_of
     from fgrecon.io.files import write_text
+    from fgrecon.io.nuscenes_detections import is_submission
 
     check_outputs(json_out)
     screen = terminal.screen(json_out)
-    found = boxed_images(boxes, images)
+    submission = _submission(boxes, images, camera.camera) if is_submission(boxes) else None
+    lines = boxed_images(boxes, images) if submission is None else []
+    found: list[BoxedImage[Any]] = [*lines] if submission is None else [*submission.images]
     _check_out(out, boxes, found)
     how = refine_work.RefineWork(
         errors=errors.errors(),
@@ -71,9 +76,12 @@ def refine_command(
     for one in screen.watch(found, "Images"):
         done.append(work(one))
         if boxes.is_dir():
-            write_text(out / one.source.name, done[-1].text)
-    if not boxes.is_dir():
-        write_text(out, refine_work.merged(done))
+            write_text(out / one.source.name, text_of(one.objects, done[-1].changed))
+    changed = {number: text for one in done for number, text in one.changed.items()}
+    if submission is not None:
+        write_text(out, submission.text(changed))
+    elif not boxes.is_dir():
+        write_text(out, text_of([line for one in lines for line in one.objects], changed))
     refine_work.show(screen, done)
     screen.wrote(out)
     screen.write_json(refine_work.document(how, done))
@@ -82,7 +90,23 @@ def refine_command(
         raise typer.Exit(1)
 
 
-def _check_out(out: Path, boxes: Path, found: list[BoxedImage]) -> None:
+def _submission(boxes: Path, images: Path, tables: str | None) -> Submission:
+    """NuScenes' boxes and the images that show them.
+
+    Raises:
+        InvalidInputError: There are no tables, or a file is malformed.
+    """
+    from fgrecon.io.nuscenes import is_nuscenes, open_nuscenes
+    from fgrecon.io.nuscenes_detections import read_submission
+
+    if tables is None or not is_nuscenes(Path(tables)):
+        raise InvalidInputError(
+            "camera", tables or "nothing", "Give the folder of nuScenes' tables, such as v1.0-mini."
+        )
+    return read_submission(boxes, images, open_nuscenes(Path(tables)))
+
+
+def _check_out(out: Path, boxes: Path, found: list[BoxedImage[Any]]) -> None:
     """Refuse before the work what could not be written after it, or would write over the input."""
     if out.resolve() == boxes.resolve():
         raise InvalidInputError("out", str(out), "Give another place than that of the boxes.")

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,26 +16,25 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
-from fgrecon.cli.batch import Settings
 from fgrecon.cli.options import CameraOptions
-from fgrecon.cli.show import plain_camera, plain_settings
+from fgrecon.cli.settings import Settings, plain_camera, plain_settings
 from fgrecon.cli.terminal import Screen
 from fgrecon.core.box3d import BoxErrors
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.refined_box import RefinedBox
 from fgrecon.core.text import printable
-from fgrecon.io.box_lines import BoxedImage, BoxLine
+from fgrecon.io.box_lines import Boxed, BoxedImage
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_calibration import calibration_beside, read_calibration
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.refine import refine_boxes
 
-__all__ = ["FORMAT", "KINDS", "Done", "RefineWork", "Refiner", "document", "merged", "show"]
+__all__ = ["FORMAT", "KINDS", "Done", "RefineWork", "Refiner", "document", "show"]
 
 FORMAT = "fgrecon.refined-boxes/1"
-KINDS = "Car", "Van"
-"""Types of objects that are refined."""
+KINDS = "Car", "Van", "car"
+"""Types of objects that are refined: KITTI's, nuScenes'."""
 
 _SHOWN = 40  # boxes in the table of several images, without --verbose
 
@@ -63,29 +63,23 @@ class Done:
     """An image whose boxes were refined.
 
     Attributes:
-        image: It, and its lines.
+        image: It, and its objects.
         camera: The camera; None where the image could not be used.
         offset: (3,) where the labels' frame lies from the camera's.
-        boxes: The lines of vehicles with what became of their boxes.
+        boxes: The vehicles with what became of their boxes.
         error: Why nothing could be done, or None.
     """
 
-    image: BoxedImage
+    image: BoxedImage[Boxed]
     camera: Camera | None
     offset: NDArray[np.float64]
-    boxes: tuple[tuple[BoxLine, RefinedBox], ...]
+    boxes: tuple[tuple[Boxed, RefinedBox], ...]
     error: FgreconError | None = None
 
     @property
-    def lines(self) -> dict[int, str]:
-        """The text of each line by its number."""
-        new = {line.number: line.with_box(one.box, self.offset) for line, one in self.boxes if one.changed}
-        return {line.number: new.get(line.number, line.text) for line in self.image.lines}
-
-    @property
-    def text(self) -> str:
-        """All lines."""
-        return _joined(self.lines)
+    def changed(self) -> dict[int, Any]:
+        """How the file has the vehicles whose boxes were refined, by their numbers."""
+        return {one.number: one.with_box(box.box, self.offset) for one, box in self.boxes if box.changed}
 
 
 class Refiner:
@@ -94,7 +88,7 @@ class Refiner:
     def __init__(self, how: RefineWork) -> None:
         self.how = how
 
-    def __call__(self, one: BoxedImage) -> Done:
+    def __call__(self, one: BoxedImage[Boxed]) -> Done:
         """Refine an image's boxes; one that cannot be used keeps them, and says why."""
         nowhere = np.zeros(3)
         if one.image is None:
@@ -103,7 +97,7 @@ class Refiner:
             camera, offset = self._camera(one.image)
             boxed = [
                 (line, box)
-                for line in one.lines
+                for line in one.objects
                 if line.kind in KINDS and line.score >= self.how.min_score and (box := line.box(offset)) is not None
             ]
             pixels = read_image(one.image)
@@ -145,15 +139,6 @@ class Refiner:
                 raise InvalidInputError("camera", f"none for {image}", fix)
             camera, offset = beside.camera, beside.label_offset
         return source.complete(camera, declared=False), np.zeros(3) if offset is None else offset
-
-
-def merged(done: Sequence[Done]) -> str:
-    """The lines of images whose boxes were in one file, in its order."""
-    return _joined({number: text for one in done for number, text in one.lines.items()})
-
-
-def _joined(lines: dict[int, str]) -> str:
-    return "".join(f"{lines[number]}\n" for number in sorted(lines))
 
 
 def show(screen: Screen, done: Sequence[Done]) -> None:
@@ -217,7 +202,7 @@ def document(how: RefineWork, done: Sequence[Done]) -> str:
                 "camera": None if one.camera is None else plain_camera(one.camera),
                 "label_offset": one.offset.tolist(),
                 "error": None if one.error is None else str(one.error),
-                "boxes": [{"line": line.number, "type": line.kind, **box.to_dict()} for line, box in one.boxes],
+                "boxes": [{**line.place, "type": line.kind, **box.to_dict()} for line, box in one.boxes],
             }
             for one in done
         ],

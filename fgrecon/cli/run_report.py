@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from fgrecon.cli.batch import CameraSource, Settings
 from fgrecon.cli.deliver import Viewer
 from fgrecon.cli.options import SceneOptions
 from fgrecon.cli.run_film import Showing, film, recorded, still
 from fgrecon.cli.run_options import FrameOptions, MotionOptions
-from fgrecon.cli.show import plain_camera, plain_settings
+from fgrecon.cli.settings import CameraSource, Settings, plain_camera, plain_settings
 from fgrecon.cli.terminal import Screen
 from fgrecon.core.camera import DEFAULT_FIELD_OF_VIEW, Camera
 from fgrecon.core.choices import BoxModel

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -16,15 +15,14 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
-from fgrecon.cli.batch import Outcome, Settings, Task
+from fgrecon.cli.batch import Outcome, Task
 from fgrecon.cli.deliver import recordings_of
+from fgrecon.cli.settings import Settings, plain_camera, plain_settings
 from fgrecon.cli.terminal import Screen
-from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.camera import Ground
 from fgrecon.core.digits import shortened
 from fgrecon.core.errors import FgreconError, InvalidInputError
-from fgrecon.core.options import KeypointOptions
 from fgrecon.core.reconstruction import Reconstruction, Status
-from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.text import printable
 from fgrecon.solve.track import TrackReconstruction
 from fgrecon.viz import (
@@ -47,8 +45,6 @@ __all__ = [
     "draw",
     "draw_moving",
     "entry_of",
-    "plain_camera",
-    "plain_settings",
     "print_table",
     "recordings",
 ]
@@ -160,47 +156,6 @@ def document(
         "instances": [_entry(outcome, history=history) for outcome in outcomes],
     }
     return json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n"
-
-
-def plain_settings(settings: Settings) -> dict[str, Any]:
-    """What held for all vehicles of a run, for JSON; with `prior_file` surfaces can be made again."""
-    return {
-        "prior": settings.prior.name,
-        "prior_file": None if settings.prior_file is None else str(settings.prior_file),
-        "ground": _plain_ground(settings.ground),
-        "size_prior": _plain_size(settings.size_prior),
-        "strategy": settings.options.strategy.name.value,
-        "box_model": settings.options.box.model.value,
-        **_plain_keypoints(settings.options.keypoints),
-    }
-
-
-def _plain_keypoints(given: KeypointOptions) -> dict[str, Any]:
-    """What is assumed of the keypoint detector, where that is not the default."""
-    default = KeypointOptions()
-    told = {entry.name: getattr(given, entry.name) for entry in fields(given)}
-    changed = {name: value for name, value in told.items() if value != getattr(default, name)}
-    return {"keypoints": changed} if changed else {}
-
-
-def _plain_ground(ground: Ground | None) -> dict[str, Any] | None:
-    """A ground plane for JSON."""
-    return None if ground is None else {"normal": ground.normal.tolist(), "distance": ground.distance}
-
-
-def _plain_size(size: SizePrior | None) -> dict[str, Any] | None:
-    """A size prior for JSON."""
-    return None if size is None else {"name": size.name, "mean": size.mean.tolist(), "sigma": size.sigma.tolist()}
-
-
-def plain_camera(camera: Camera) -> dict[str, Any]:
-    """A camera for JSON."""
-    return {
-        "matrix": camera.matrix.tolist(),
-        "distortion": None if camera.distortion is None else camera.distortion.tolist(),
-        "image_size": camera.image_size,
-        **({"focal_sigma": camera.focal_sigma} if camera.focal_sigma else {}),
-    }
 
 
 def entry_of(task: Task, result: Reconstruction | None, error: FgreconError | None, *, history: bool) -> dict[str, Any]:

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from fgrecon.cli.batch import Outcome, Settings, Task
+from fgrecon.cli.batch import Outcome, Task
+from fgrecon.cli.settings import Settings
 from fgrecon.cli.terminal import Screen
 from fgrecon.core.camera import Ground
 from fgrecon.core.errors import InvalidInputError

@@ -7,8 +7,10 @@ A line is `type truncated occluded alpha x1 y1 x2 y2 h w l x y z rotation_y [sco
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +21,45 @@ from fgrecon.core.metrics import wrap_angle
 from fgrecon.io.images import IMAGES
 from fgrecon.io.kitti_files import LABEL_COLUMNS, parse_object
 
-__all__ = ["BoxLine", "BoxedImage", "boxed_images", "read_box_lines"]
+__all__ = ["BoxLine", "Boxed", "BoxedImage", "boxed_images", "images_of", "read_box_lines", "text_of"]
 
 Array = NDArray[np.float64]
 
 _TRACKED = 2  # columns in front of a tracking line's object
 _FIX = "Give lines of KITTI's objects: type, 14 numbers and a score or none; of its tracking set after frame and track."
+
+
+class Boxed(Protocol):
+    """An object of a file with a 3D box, of whatever format."""
+
+    @property
+    def number(self) -> int:
+        """Of the object in its file."""
+
+    @property
+    def kind(self) -> str:
+        """Its type."""
+
+    @property
+    def score(self) -> float:
+        """How sure the detector was."""
+
+    @property
+    def corners(self) -> Array:
+        """(4,) 2D box in pixels; NaN where the file has none."""
+
+    @property
+    def place(self) -> Mapping[str, str | int]:
+        """What finds it in its file, in the words of the format."""
+
+    def box(self, offset: Array) -> Box3D | None:
+        """The 3D box in the camera's frame; None where there is none in front of the camera."""
+
+    def with_box(self, box: Box3D, offset: Array) -> Any:
+        """How the file has it with another 3D box."""
+
+
+Item_co = TypeVar("Item_co", bound=Boxed, covariant=True)
 
 
 @dataclass(frozen=True)
@@ -53,6 +88,11 @@ class BoxLine:
     rotation_y: float
     size: Array
 
+    @property
+    def place(self) -> Mapping[str, str | int]:
+        """The number of the line."""
+        return {"line": self.number}
+
     def box(self, offset: Array) -> Box3D | None:
         """The 3D box in the camera's frame; None where the line has none, or none in front of the camera.
 
@@ -78,23 +118,23 @@ class BoxLine:
 
 
 @dataclass(frozen=True)
-class BoxedImage:
-    """An image and the lines of its objects.
+class BoxedImage(Generic[Item_co]):
+    """An image and its objects.
 
     Attributes:
         name: Of the image, without ending.
         image: Its file; None where there is none.
-        source: The file of the lines.
-        lines: They.
+        source: The file of the objects.
+        objects: They: lines that are of none included.
     """
 
     name: str
     image: Path | None
     source: Path
-    lines: tuple[BoxLine, ...]
+    objects: tuple[Item_co, ...]
 
 
-def boxed_images(boxes: Path, images: Path) -> list[BoxedImage]:
+def boxed_images(boxes: Path, images: Path) -> list[BoxedImage[BoxLine]]:
     """The images that a source of boxes speaks of, in order.
 
     Args:
@@ -109,7 +149,7 @@ def boxed_images(boxes: Path, images: Path) -> list[BoxedImage]:
         files = sorted(path for path in boxes.glob("*.txt") if path.is_file())
         if not files:
             raise InvalidInputError("boxes", str(boxes), "Give a folder with a text file for each image.")
-        by_name = _images(images)
+        by_name = images_of(images)
         return [BoxedImage(f.stem, by_name.get(f.stem), f, tuple(read_box_lines(f))) for f in files]
     lines = read_box_lines(boxes)
     frames = {line.frame for line in lines if line.kind}
@@ -123,7 +163,7 @@ def boxed_images(boxes: Path, images: Path) -> list[BoxedImage]:
         raise InvalidInputError(
             "boxes", str(boxes), "Give lines of the object set, or of the tracking set, not of both."
         )
-    numbered = {int(name): path for name, path in _images(images).items() if name.isdecimal()}
+    numbered = {int(name): path for name, path in images_of(images).items() if name.isdecimal()}
     each: dict[int, list[BoxLine]] = defaultdict(list)
     for line in lines:
         if line.frame is not None:
@@ -131,8 +171,12 @@ def boxed_images(boxes: Path, images: Path) -> list[BoxedImage]:
     return [BoxedImage(f"{n:06d}", numbered.get(n), boxes, tuple(own)) for n, own in sorted(each.items())]
 
 
-def _images(folder: Path) -> dict[str, Path]:
-    """The images of a folder by their names; or one alone."""
+def images_of(folder: Path) -> dict[str, Path]:
+    """The images of a folder by their names without ending; or one alone.
+
+    Raises:
+        InvalidInputError: There are none.
+    """
     if folder.is_file():
         return {folder.stem: folder}
     found = {p.stem: p for p in sorted(folder.glob("*")) if p.suffix.lower() in IMAGES}
@@ -152,6 +196,11 @@ def read_box_lines(path: Path) -> list[BoxLine]:
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInputError("boxes", str(path), f"Give a text file that can be read ({error}).") from error
     return [_line(text, number, path) for number, text in enumerate(lines, start=1)]
+
+
+def text_of(lines: Sequence[BoxLine], changed: Mapping[int, str]) -> str:
+    """The text of lines, with other ones in the place of some by their numbers."""
+    return "".join(f"{changed.get(line.number, line.text)}\n" for line in sorted(lines, key=lambda one: one.number))
 
 
 def _line(text: str, number: int, path: Path) -> BoxLine:

@@ -18,6 +18,7 @@ from fgrecon.core.errors import InvalidInputError
 __all__ = ["Fields", "numbers", "parse_json", "read_json", "read_toml"]
 
 _SURROGATE = re.compile(r"\\u[dD][89abAB-Fc-f]")
+_FLOATS = {float}
 _ARTICLES = {int: "an integer", str: "a text", list: "a list", dict: "an object"}
 
 
@@ -120,9 +121,24 @@ class Fields:
 
 def numbers(value: Any, shape: tuple[int, ...], field: str, *, missing: bool = False) -> NDArray[np.float64]:
     """Nested lists as an array; see `Fields.numbers`."""
+    if _plain(value, shape):
+        found: NDArray[np.float64] = np.array(value, dtype=np.float64)
+        if np.isfinite(found).all():
+            return found
     array = np.empty(shape)
     _fill(array, (), value, field, missing)
     return array
+
+
+def _plain(value: Any, shape: tuple[int, ...]) -> bool:
+    """Whether a value is nested lists of floats of this shape, of which numpy makes an array as `_fill` does."""
+    if not shape:
+        return type(value) is float
+    if type(value) is not list or len(value) != shape[0]:
+        return False
+    if len(shape) == 1:
+        return set(map(type, value)) == _FLOATS
+    return all(_plain(item, shape[1:]) for item in value)
 
 
 def _fill(array: NDArray[np.float64], at: tuple[int, ...], value: Any, field: str, missing: bool) -> None:

@@ -101,7 +101,7 @@ def test_the_unforeseen_becomes_a_row_too(reconstructor, cars, monkeypatch):
     def fail(*_, **__):
         raise ZeroDivisionError("nobody thought of this")
 
-    monkeypatch.setattr("fgrecon.batch.reconstructor.reconstruct", fail)
+    monkeypatch.setattr("fgrecon.solve.pipeline.reconstruct", fail)
     (row,) = reconstructor(table_of(cars[:1])).to_pylist()
     assert (row["status"], row["error_type"], row["id"]) == ("error", "ZeroDivisionError", "car-0")
 

@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 from hypothesis import strategies as st
+from scipy.io import savemat
 
 import fgrecon
 from fgrecon.core.camera import Camera
@@ -60,6 +61,18 @@ def told_by(scheme, points):
     """Our points (14, 2) of which a scheme has any; NaN elsewhere."""
     groups = parse_names(scheme, CATEGORY).groups
     return np.array([points[k] if name in groups else [np.nan] * 2 for k, name in enumerate(CATEGORY.keypoints)])
+
+
+def pascal_file(path, points, box):
+    """A file of PASCAL3D+, which counts pixels from 1: a car, and a dog."""
+    anchors = {
+        name: {"location": point + 1, "status": 1} if np.isfinite(point).all() else {"location": [], "status": 2}
+        for name, point in zip(scheme_keypoints("pascal12"), in_scheme(points, "pascal12"), strict=True)
+    }
+    dtype = [("class", object), ("bbox", object), ("anchors", object)]
+    objects = np.array([("car", box + 1, anchors), ("dog", box + 1, np.zeros(0))], dtype=dtype)
+    savemat(path, {"record": {"filename": f"{path.stem}.jpg", "objects": objects}})
+    return path
 
 
 def flat(points, confidence):

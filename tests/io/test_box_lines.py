@@ -57,14 +57,14 @@ def test_images_and_their_lines(tmp_path):
     for name in ("000001", "000002"):
         write(boxes / f"{name}.txt", CAR, CARE)
     first, second = boxed_images(boxes, images)
-    assert (first.name, first.image, len(first.lines)) == ("000001", images / "000001.png", 2)
+    assert (first.name, first.image, len(first.objects)) == ("000001", images / "000001.png", 2)
     assert second.image is None
     (alone,) = boxed_images(boxes / "000001.txt", images / "000003.jpg")
     assert (alone.name, alone.source) == ("000003", boxes / "000001.txt")
     tracks = write(tmp_path / "tracks.txt", f"3 1 {CAR}", f"1 2 {VAN}", f"3 -1 {CARE}")
     one, three = boxed_images(tracks, images)
     assert (one.name, one.image) == ("000001", images / "000001.png")
-    assert [line.number for line in three.lines] == [1, 3]
+    assert [line.number for line in three.objects] == [1, 3]
 
 
 @pytest.mark.parametrize(

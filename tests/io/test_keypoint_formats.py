@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from scipy.io import savemat
 
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.io.catalogue import load_category
@@ -15,7 +14,7 @@ from fgrecon.io.keypoint_file import parse_keypoints
 from fgrecon.io.keypoints import parse_any_keypoints, read_any_keypoints
 from fgrecon.io.keypoints.names import scheme_keypoints
 
-from .formats import CATEGORY, MISSING, car, flat, in_scheme, our_record, same, spoilt, told_by, write
+from .formats import CATEGORY, MISSING, car, flat, in_scheme, our_record, pascal_file, same, spoilt, told_by, write
 
 POINTS, BOX = car()
 BBOX = [float(x) for x in (BOX[0], BOX[1], BOX[2] - BOX[0], BOX[3] - BOX[1])]
@@ -154,14 +153,7 @@ def test_carfusion_in_coco_whose_names_are_numbers():
 
 
 def test_pascal3d(tmp_path):
-    points = in_scheme(POINTS, "pascal12")
-    anchors = {
-        name: {"location": point + 1, "status": 1} if np.isfinite(point).all() else {"location": [], "status": 2}
-        for name, point in zip(scheme_keypoints("pascal12"), points, strict=True)
-    }
-    dtype = [("class", object), ("bbox", object), ("anchors", object)]
-    objects = np.array([("car", BOX + 1, anchors), ("dog", BOX + 1, np.zeros(0))], dtype=dtype)
-    savemat(tmp_path / "2008_000001.mat", {"record": {"filename": "2008_000001.jpg", "objects": objects}})
+    pascal_file(tmp_path / "2008_000001.mat", POINTS, BOX)
     (instance,) = read_any_keypoints(tmp_path / "2008_000001.mat", CATEGORY).instances
     assert instance.image == "2008_000001.jpg"
     assert np.allclose(instance.box, BOX)

@@ -22,9 +22,6 @@ from fgrecon.io.json_fields import read_json, read_toml
 
 __all__ = ["Names", "NamesLike", "naming_of", "order_of", "parse_names", "scheme_keypoints", "shipped_schemes"]
 
-NamesLike = str | Path | Mapping[str, str] | Sequence[str | None]
-"""Name of a scheme, file, pairs `theirs=ours`, mapping from their names to ours, or names in the order of points."""
-
 _FIX = "Give a scheme ({}), pairs theirs=ours, or a file (JSON, TOML) with such pairs or with a list of names."
 
 
@@ -39,6 +36,10 @@ class Names:
 
     order: tuple[str | None, ...] | None
     groups: Mapping[str, tuple[str, ...]]
+
+
+NamesLike = Names | str | Path | Mapping[str, str] | Sequence[str | None]
+"""Name of a scheme, file, pairs `theirs=ours`, mapping from their names to ours, or names in the order of points."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,8 @@ def parse_names(given: NamesLike, category: Category, field: str = "names") -> N
     Raises:
         InvalidInputError: Neither of these, or a keypoint that the category does not have.
     """
+    if isinstance(given, Names):
+        return given
     value: Any = given
     if isinstance(value, str) and value in _schemes():
         scheme = _schemes()[value]

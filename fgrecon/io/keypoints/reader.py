@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.annotations.pascal3d import read_anchors
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.keypoint_file import Instance, KeypointFile, parse_keypoints
-from fgrecon.io.keypoints.carfusion import carfusion_records
 from fgrecon.io.keypoints.coco import annotation_records, is_annotations, is_result, result_records
 from fgrecon.io.keypoints.names import Names, NamesLike, naming_of, parse_names, scheme_keypoints, shipped_schemes
 from fgrecon.io.keypoints.objects import object_records
+from fgrecon.io.keypoints.records import NOT_JSON, named_records
 from fgrecon.io.keypoints.translate import translated
 
-__all__ = ["NOT_JSON", "keypoints_from", "parse_any_keypoints", "read_any_keypoints"]
-
-NOT_JSON = ".mat", ".txt"
-"""Endings of files of other formats: PASCAL3D+, CarFusion."""
+__all__ = ["keypoints_from", "parse_any_keypoints", "read_any_keypoints"]
 
 _Records = Iterable[tuple[Mapping[str, Any], str]]
 
@@ -41,14 +37,10 @@ def read_any_keypoints(
     Raises:
         InvalidInputError: The file cannot be read or is none of these, or a value is malformed; names file and field.
     """
-    ending = path.suffix.lower()
-    if ending not in NOT_JSON:
+    if path.suffix.lower() not in NOT_JSON:
         return parse_any_keypoints(read_json(path), category, names, image, where=f"{path}: ")
-    records: _Records = carfusion_records(path)
-    if ending == ".mat":
-        records = _anchors(path, category)
     known = None if names is None else parse_names(names, category)
-    return _parsed(records, category, known, image, f"{path}: ")
+    return _parsed(named_records(path, category), category, known, image, f"{path}: ")
 
 
 def parse_any_keypoints(
@@ -182,13 +174,3 @@ def _of_this(file: KeypointFile, image: str | None, where: str) -> KeypointFile:
 def _same(one: str, other: str) -> bool:
     """Whether two names of images are one; numbers may have leading zeros."""
     return one == other or (one.isdecimal() and other.isdecimal() and one.lstrip("0") == other.lstrip("0"))
-
-
-def _anchors(path: Path, category: Category) -> Iterator[tuple[dict[str, Any], str]]:
-    """Objects of a PASCAL3D+ file that have an anchor of a known name."""
-    for number, item in enumerate(read_anchors(path), start=1):
-        where = f"{path}: object {number}: "
-        found = item.found(where)
-        if found and naming_of(tuple(item.anchors), category) is not None:
-            box = {} if item.box is None else {"box": item.box.tolist()}
-            yield {"id": number, "image": f"{path.stem}.jpg", "keypoints": found, **box}, where

@@ -21,7 +21,7 @@ from factors.mixture import Form
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import Options
 from fgrecon.solve.graph.observation import ObservationPart, Weights
-from fgrecon.solve.graph.vehicle import Held, Terms, VehiclePart
+from fgrecon.solve.graph.vehicle import Held, Terms, VehiclePart, vehicle_part
 from fgrecon.solve.proposals.problem import Problem
 
 __all__ = ["EXTRA", "Graph", "Seen", "State", "Terms", "common_share"]
@@ -109,9 +109,11 @@ class Graph:
         counts = Counter(one.vehicle for one in seen)
         for one, pose in zip(seen, state.poses, strict=True):
             if one.vehicle not in self.vehicles:
-                held = state.shapes[one.vehicle] if hold_shape else None
-                part = VehiclePart(one.problem.model, self.options, one.vehicle, held=held)
-                self.vehicles[one.vehicle] = part
+                model, number = one.problem.model, one.vehicle
+                if hold_shape:
+                    self.vehicles[number] = VehiclePart(model, self.options, number, held=state.shapes[number])
+                else:
+                    self.vehicles[number] = vehicle_part(model, self.options, number)
             vehicle = self.vehicles[one.vehicle]
             share = common_share(counts[one.vehicle] + earlier, self.options)
             self.observations.append(
@@ -125,8 +127,9 @@ class Graph:
                     focal_free=state.others.exists(F(one.image)),
                 )
             )
-        keys = set(self.values(state).keys())
-        self._own_keys = keys - set(state.others.keys())
+        self._own_keys = {part.pose_key for part in self.observations if part.pose_key is not None}
+        self._own_keys |= {key for vehicle in self.vehicles.values() for key in vehicle.keys}
+        keys = self._own_keys | set(state.others.keys())
         self.extra = [factor for factor in extra if keys.issuperset(factor.keys())]
         if pose_free and not hold_shape and len(self.extra) < len(extra):
             unknown = {key for factor in extra for key in list(factor.keys())} - keys

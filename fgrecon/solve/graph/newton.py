@@ -13,7 +13,6 @@ from there. Of many images one may swing and keep all from ending: it is held as
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -90,6 +89,7 @@ class Descent:
         self.iterations = 0
         self.first = float("nan")
         self.converged = False
+        self._slices: dict[int, slice] = {}  # where a step has each variable
         self._rescued = 0
         self._swinging = _Swinging(len(start.weights))
         self._steady = STEADY if len(start.weights) == 1 else STEADY_TOGETHER
@@ -157,12 +157,23 @@ class Descent:
             further = None
         shorter = [share * step for share in _SHORTER]
         for proposed in (step, *shorter) if further is None else (further, step, *shorter):
-            moved = self.values.retract(newton if proposed is step else _like(newton, self.values, proposed))
+            moved = self.values.retract(newton if proposed is step else self._by_key(newton, proposed))
             if built.error(moved) <= energy or length <= self._steady:
                 steps.took(proposed)
                 self.values, self._rescued = moved, 0
                 return length <= self._steady
         return self._rescue(built, steps)
+
+    def _by_key(self, newton: gtsam.VectorValues, step: Array) -> gtsam.VectorValues:
+        """A step (D,) as values by key, which are in ascending order."""
+        if not self._slices:
+            start = 0
+            for key in self.values.keys():  # noqa: SIM118  # a key vector, not a mapping
+                self._slices[key] = slice(start, start := start + len(newton.at(key)))
+        result = gtsam.VectorValues()
+        for key, part in self._slices.items():
+            result.insert(key, step[part])
+        return result
 
     def _rescue(self, built: gtsam.NonlinearFactorGraph, steps: _Anderson) -> bool:
         """A few iterations of Levenberg-Marquardt instead; whether they moved nothing."""
@@ -206,19 +217,20 @@ class _Anderson:
     """
 
     def __init__(self) -> None:
-        self._changes: deque[tuple[Array, Array]] = deque(maxlen=_REMEMBERED)  # of f, and what was moved meanwhile
+        self._changes: Array | None = None  # (n, D) of f, and
+        self._moves: Array | None = None  # what was moved meanwhile
         self._last: Array | None = None
         self._moved: Array | None = None
 
     def propose(self, step: Array) -> Array | None:
         """Where to go, given the plain step f; None where nothing is known but that."""
         if self._last is not None and self._moved is not None:
-            self._changes.append((step - self._last, self._moved))
+            self._changes = _remembered(self._changes, step - self._last)
+            self._moves = _remembered(self._moves, self._moved)
         self._last = step
-        if not self._changes:
+        if self._changes is None or self._moves is None:
             return None
-        changes = np.array([change for change, _ in self._changes]).T
-        moves = np.array([move for _, move in self._changes]).T
+        changes, moves = self._changes.T, self._moves.T
         # Normal equations, a little damped: of several changes that are nearly one any mixture will do.
         squares = changes.T @ changes
         index = np.arange(len(squares))
@@ -233,15 +245,9 @@ class _Anderson:
 
     def forget(self) -> None:
         """Forget what was learnt: the steps were not those of one iteration."""
-        self._changes.clear()
-        self._last = self._moved = None
+        self._changes = self._moves = self._last = self._moved = None
 
 
-def _like(newton: gtsam.VectorValues, values: gtsam.Values, step: Array) -> gtsam.VectorValues:
-    """A step (D,) as values by key, which are in ascending order."""
-    result, start = gtsam.VectorValues(), 0
-    for key in values.keys():  # noqa: SIM118  # a key vector, not a mapping
-        size = len(newton.at(key))
-        result.insert(key, step[start : start + size])
-        start += size
-    return result
+def _remembered(rows: Array | None, row: Array) -> Array:
+    """The last few rows (n, D) with one more."""
+    return row[None] if rows is None else np.concatenate([rows[1 - _REMEMBERED :], row[None]])

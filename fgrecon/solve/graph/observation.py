@@ -24,7 +24,6 @@ from factors.box import projected_extents
 from factors.ground import ground_rows
 from factors.mixture import Form
 from factors.observation import BoxRows, GroundRows, ObservationRows, observation_factor
-from factors.shape import LinearShape
 from fgrecon.core.camera import Camera
 from fgrecon.core.robust import StrategyName
 from fgrecon.solve.graph.vehicle import VehiclePart
@@ -136,8 +135,9 @@ class ObservationPart:
         self._last: _Assessed | None = None
         if problem.energy.box is not None:
             box = problem.energy.box
-            box_shape = LinearShape(box.mean, box.basis, vehicle.coefficients)
-            self._box_kernel = ProjectionKernel(box_shape, problem.camera.matrix, bound, focal)
+            self._box_kernel = ProjectionKernel(
+                vehicle.enclosed(box.mean, box.basis), problem.camera.matrix, bound, focal
+            )
         self.stacked = self._stacked()
 
     @property

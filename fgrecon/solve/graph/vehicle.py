@@ -16,6 +16,8 @@ zero and are not built.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from functools import cached_property, lru_cache
+from threading import get_ident
 
 import gtsam
 import numpy as np
@@ -29,7 +31,7 @@ from fgrecon.core.category import Category, Face
 from fgrecon.core.options import Options
 from fgrecon.solve.vehicle.model import VehicleModel
 
-__all__ = ["Terms", "VehiclePart"]
+__all__ = ["Terms", "VehiclePart", "vehicle_part"]
 
 Array = NDArray[np.float64]
 Terms = Mapping[str, list[gtsam.NonlinearFactor]]
@@ -72,9 +74,21 @@ class VehiclePart:
         self._planes: dict[int, NDArray[np.intp] | None] = {}  # keypoints to fit each plane to; None: the medial plane
         self._makers = self._present() if self.shape.keys else {}
         self._made: dict[str, list[gtsam.NonlinearFactor]] = {}
+        self._enclosed: tuple[Array, Array, LinearShape] | None = None
         self._stack = self._stacked()
         self._solved: list[gtsam.NonlinearFactor] = [self._stack.factor()] if self._stack is not None else []
         self._solved += [factor for name in self._others for factor in self._term(name)]
+
+    @property
+    def keys(self) -> tuple[int, ...]:
+        """Keys of its variables: lambda, the offsets, the planes, as far as they are there."""
+        return (*self.shape.keys, *self._planes)
+
+    def enclosed(self, mean: Array, basis: Array) -> LinearShape:
+        """The points (P, 3) that a 2D box encloses as a function of lambda; those of the last call are remembered."""
+        if self._enclosed is None or self._enclosed[0] is not mean or self._enclosed[1] is not basis:
+            self._enclosed = mean, basis, LinearShape(mean, basis, self.coefficients)
+        return self._enclosed[2]
 
     @property
     def terms(self) -> Terms:
@@ -92,9 +106,8 @@ class VehiclePart:
             values.insert(self.shape.coefficients_key, coefficients)
         if self.shape.offsets_key is not None:
             values.insert(self.shape.offsets_key, offsets.ravel())
-        points = self.shape.points(values)
         for key, keypoints in self._planes.items():
-            plane = _medial_plane() if keypoints is None else factors.fit_plane(points[keypoints])
+            plane = _medial_plane() if keypoints is None else factors.fit_plane(self.shape.points(values)[keypoints])
             free = keypoints is not None and self.options.shape.plane_penalty is not None
             values.insert(key, plane.planeCoefficients() if free else plane)
 
@@ -112,7 +125,7 @@ class VehiclePart:
         """The factors of all terms as the solver gets them: the stacked ones in one."""
         return self._solved
 
-    @property
+    @cached_property
     def counted_once(self) -> Sequence[gtsam.NonlinearFactor]:
         """The same factors for covariances, where the vehicle's size is as uncertain as the fleet's and no less.
 
@@ -264,6 +277,17 @@ class VehiclePart:
 
 Held = tuple[Array, Array]
 """Lambda (N,) and offsets (K, 3)."""
+
+
+def vehicle_part(model: VehicleModel, options: Options, number: int) -> VehiclePart:
+    """The part of a vehicle whose shape is free; remembered, since every vehicle of a fleet has the same."""
+    return _remembered(model, options, number, get_ident())
+
+
+@lru_cache(maxsize=16)
+def _remembered(model: VehicleModel, options: Options, number: int, thread: int) -> VehiclePart:  # noqa: ARG001
+    """One for each thread: a part keeps what it evaluated last."""
+    return VehiclePart(model, options, number)
 
 
 def _is_mirrored(face: Face, category: Category) -> bool:

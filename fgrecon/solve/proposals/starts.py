@@ -104,8 +104,7 @@ def from_pose(camera_T_object: ArrayLike, dimension: int) -> Hypotheses:
 
 def _align(normal: Array) -> Array:
     """(3, 3) smallest rotation that turns the camera's y axis onto the normal."""
-    axis = np.cross([0.0, 1.0, 0.0], normal)
-    cosine = normal[1]
-    skew = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
+    x, cosine, z = normal
+    skew = np.array([[0.0, x, 0.0], [-x, 0.0, -z], [0.0, z, 0.0]])  # of the axis (z, 0, -x) = y x normal
     result: Array = np.eye(3) + skew + skew @ skew / (1.0 + cosine)
     return result

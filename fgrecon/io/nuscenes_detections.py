@@ -1,0 +1,211 @@
+"""nuScenes' submissions of its detection task as 3D boxes that can be replaced: all else stays as it was written.
+
+A submission is `{"meta": ..., "results": {sample_token: [box, ...]}}`. A box stands in the world's frame: `translation`
+of its centre, `size` width, length, height, `rotation` w, x, y, z from axes x forward, y left, z up. Which image shows
+it is in the tables: the key frames of its sample. One that several cameras see is taken from the one that has it most
+in the middle.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.box3d import Box3D
+from fgrecon.core.camera import MIN_DEPTH
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.reconstruction import rotation_y
+from fgrecon.io.box_lines import BoxedImage, images_of
+from fgrecon.io.json_fields import Fields, read_json
+from fgrecon.io.nuscenes import NuScenesTables, pose_of
+
+__all__ = ["Submission", "SubmittedBox", "is_submission", "read_submission"]
+
+Array = NDArray[np.float64]
+
+_FIX = "Give a submission of nuScenes' detection task: an object with `results`, a list of boxes by sample token."
+
+
+@dataclass(frozen=True, eq=False)
+class SubmittedBox:
+    """A box of a submission in the image that shows it.
+
+    Attributes:
+        number: Of the box in its file, from 0.
+        kind: Its `detection_name`.
+        score: Its `detection_score`.
+        place: What finds it in the file: sample and number within it, from 0.
+        entry: The box as it is written.
+        world_T_object: (4, 4) its centre and its axes forward, left, up.
+        size: (3,) length, width and height, metres.
+        world_T_camera: (4, 4) pose of the camera that took the image.
+        corners: (4,) NaN: a submission has no 2D boxes.
+    """
+
+    number: int
+    kind: str
+    score: float
+    place: Mapping[str, str | int]
+    entry: Mapping[str, Any]
+    world_T_object: Array
+    size: Array
+    world_T_camera: Array
+    corners: Array
+
+    def box(self, offset: Array) -> Box3D | None:
+        """The 3D box in the camera's frame; None where it is not in front of the camera.
+
+        Args:
+            offset: (3,) where the boxes' frame lies from the camera's beside `world_T_camera`.
+        """
+        pose = np.linalg.inv(self.world_T_camera) @ self.world_T_object
+        bottom = pose[:3, 3] - pose[:3, 2] * self.size[2] / 2.0
+        try:
+            return Box3D(bottom + offset, rotation_y(pose), self.size)
+        except InvalidInputError:
+            return None
+
+    def with_box(self, box: Box3D, offset: Array) -> dict[str, Any]:
+        """The entry with another 3D box in the camera's frame, turned about the axis that the box had for up."""
+        before = self.box(offset)
+        assert before is not None
+        size = self.size if box.size is None else box.size
+        place = self.world_T_camera[:3, :3] @ (box.location - offset) + self.world_T_camera[:3, 3]
+        up = self.world_T_object[:3, 2]
+        half = -0.5 * (box.rotation_y - before.rotation_y)  # the camera's y axis points down
+        turned = _product(np.array([np.cos(half), *(np.sin(half) * up)]), _unit(self.entry["rotation"]))
+        return {
+            **self.entry,
+            "translation": (place + up * size[2] / 2.0).tolist(),
+            "size": size[[1, 0, 2]].tolist(),
+            "rotation": turned.tolist(),
+        }
+
+
+@dataclass(frozen=True)
+class Submission:
+    """A submission and the images of its samples.
+
+    Attributes:
+        data: The file's content.
+        images: Those of its samples that are there, with the boxes that each shows.
+    """
+
+    data: Mapping[str, Any]
+    images: tuple[BoxedImage[SubmittedBox], ...]
+
+    def text(self, changed: Mapping[int, Mapping[str, Any]]) -> str:
+        """The JSON of the submission with other entries for some boxes, by their numbers."""
+        number, results = 0, {}
+        for token, entries in self.data["results"].items():
+            results[token] = [changed.get(number + i, entry) for i, entry in enumerate(entries)]
+            number += len(entries)
+        return json.dumps({**self.data, "results": results}) + "\n"
+
+
+def is_submission(path: Path) -> bool:
+    """Whether boxes are nuScenes' by the ending of their file."""
+    return path.suffix.lower() == ".json"
+
+
+def read_submission(path: Path, images: Path, tables: NuScenesTables) -> Submission:
+    """A submission and the images of its samples.
+
+    Args:
+        path: The file.
+        images: An image of a key frame, or a folder of such; they have nuScenes' names.
+        tables: The tables.
+
+    Raises:
+        InvalidInputError: A file cannot be read or is malformed, or there is none of the images; names file and field.
+    """
+    data = read_json(path)
+    results = data.get("results") if isinstance(data, Mapping) else None
+    if not isinstance(results, Mapping) or not all(isinstance(entries, list) for entries in results.values()):
+        raise InvalidInputError(str(path), type(data).__name__, _FIX)
+    views = _views(images, tables)
+    if not views.keys() & results.keys():
+        fix = f"Give images of key frames that {tables.folder / 'sample_data.json'} has for the samples of {path}."
+        raise InvalidInputError("images", str(images), fix)
+    shown: dict[str, list[SubmittedBox]] = {v.name: [] for token in results for v in views.get(token, ())}
+    files = {view.name: view.file for of_sample in views.values() for view in of_sample}
+    number = 0
+    for token, entries in results.items():
+        for place, entry in enumerate(entries):
+            fields = Fields(entry, f"{path}: results.{token}[{place}].")
+            world_T_object, size = pose_of(fields), fields.numbers("size", (3,))[[1, 0, 2]]
+            view = _best_view(views.get(token, ()), world_T_object[:3, 3])
+            if view is not None:
+                shown[view.name].append(
+                    SubmittedBox(
+                        number=number,
+                        kind=fields.get("detection_name", str),
+                        score=float(fields.numbers("detection_score", ())),
+                        place={"sample_token": token, "index": place},
+                        entry=entry,
+                        world_T_object=world_T_object,
+                        size=size,
+                        world_T_camera=view.world_T_camera,
+                        corners=np.full(4, np.nan),
+                    )
+                )
+            number += 1
+    return Submission(data, tuple(BoxedImage(name, files[name], path, tuple(own)) for name, own in shown.items()))
+
+
+@dataclass(frozen=True)
+class _View:
+    """A key frame of a camera: name and file of the image, its intrinsics (3, 3) and size, and the camera's pose."""
+
+    name: str
+    file: Path
+    matrix: Array
+    size: tuple[int, int]
+    world_T_camera: Array
+
+
+def _views(images: Path, tables: NuScenesTables) -> dict[str, list[_View]]:
+    """The key frames whose images are there, by sample."""
+    by_name, found = images_of(images), dict[str, list[_View]]()
+    for record in tables.table("sample_data").values():
+        name = Path(record.get("filename", str)).stem
+        if name not in by_name or record.data.get("is_key_frame") is False:
+            continue
+        sensor = tables.named(record, "calibrated_sensor_token", "calibrated_sensor")
+        pose = pose_of(tables.named(record, "ego_pose_token", "ego_pose")) @ pose_of(sensor)
+        size = record.get("width", int), record.get("height", int)
+        view = _View(name, by_name[name], sensor.numbers("camera_intrinsic", (3, 3)), size, pose)
+        found.setdefault(record.get("sample_token", str), []).append(view)
+    return found
+
+
+def _best_view(views: list[_View] | tuple[()], centre: Array) -> _View | None:
+    """The image that has a point of the world most in its middle; None where it is in none."""
+    best, least = None, np.inf
+    for view in views:
+        x, y, z = view.world_T_camera[:3, :3].T @ (centre - view.world_T_camera[:3, 3])
+        if z <= MIN_DEPTH:
+            continue
+        u, v, _ = view.matrix @ [x / z, y / z, 1.0]
+        aside = abs(u / view.size[0] - 0.5)
+        if aside <= min(least, 0.5) and 0.0 <= v <= view.size[1]:
+            best, least = view, aside
+    return best
+
+
+def _unit(quaternion: Any) -> Array:
+    values = np.array(quaternion, dtype=np.float64)
+    unit: Array = values / np.linalg.norm(values)
+    return unit
+
+
+def _product(first: Array, second: Array) -> Array:
+    """The quaternion w, x, y, z of a rotation after another."""
+    a, u, b, v = first[0], first[1:], second[0], second[1:]
+    return np.array([a * b - u @ v, *(a * v + b * u + np.cross(u, v))])
