@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -14,6 +15,7 @@ from fgrecon.batch.schema import ERROR, REFUSED, result_schema
 from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.plain import finite
 from fgrecon.core.reconstruction import Alternative, Reconstruction, Status
 
 __all__ = [
@@ -65,9 +67,17 @@ def solved_row(
         "pose_covariance": _flat(result.pose_covariance),
         "coefficients_covariance": _flat(result.coefficients_covariance),
         "alternatives": [
-            {"camera_T_object": _flat(a.camera_T_object), "coefficients": _flat(a.coefficients), "excess": a.excess}
+            {
+                "camera_T_object": _flat(a.camera_T_object),
+                "coefficients": _flat(a.coefficients),
+                "excess": a.excess,
+                "probability": finite(a.probability),
+            }
             for a in result.alternatives
         ],
+        "size_covariance": _flat(result.size_covariance),
+        "facing_probability": finite(result.facing_probability),
+        "reasons": list(result.reasons),
         "camera_matrix": _flat(camera.matrix),
         "distortion": _flat(camera.distortion),
         "image_size": camera.image_size,
@@ -151,8 +161,8 @@ def reconstruction_of(row: Mapping[str, Any], category: Category) -> Reconstruct
         raise InvalidInputError("category", category.name, f"Give the category {row['category']}, which the row names.")
 
     def square(name: str) -> Array | None:
-        side = 6 if name == "pose_covariance" else len(row["coefficients"])
-        return None if row[name] is None else np.array(row[name]).reshape(side, side)
+        numbers = row.get(name)  # earlier folders have no sizes'
+        return None if numbers is None else np.array(numbers).reshape(math.isqrt(len(numbers)), -1)
 
     def vectors(name: str, length: int) -> Array:
         return np.array(row[name], dtype=np.float64).reshape(-1, length)
@@ -182,9 +192,18 @@ def reconstruction_of(row: Mapping[str, Any], category: Category) -> Reconstruct
         milliseconds={"total": row["milliseconds"]},
         faces={face.name: face.keypoints for face in category.faces},
         symmetric_pairs=np.array(category.symmetric_pairs, dtype=np.int64).reshape(-1, 2),
+        facing_probability=_number(row.get("facing_probability")),
+        reasons=tuple(row.get("reasons") or ()),
+        size_covariance=square("size_covariance"),
     )
+
+
+def _number(value: float | None) -> float:
+    """The number; NaN where none is known, as in earlier folders."""
+    return float("nan") if value is None else value
 
 
 def _alternative(data: Mapping[str, Any]) -> Alternative:
     pose = np.array(data["camera_T_object"], dtype=np.float64).reshape(4, 4)
-    return Alternative(pose, np.array(data["coefficients"], dtype=np.float64), data["excess"])
+    shape = np.array(data["coefficients"], dtype=np.float64)
+    return Alternative(pose, shape, data["excess"], _number(data.get("probability")))

@@ -8,7 +8,7 @@ import pyarrow as pa
 
 __all__ = ["EMPTY", "ERROR", "FORMAT", "REFUSED", "SCHEMA_VERSION", "result_schema", "task_schema"]
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 FORMAT = f"fgrecon.batch/{SCHEMA_VERSION}"
 
 REFUSED, ERROR, EMPTY = "refused", "error", "empty"
@@ -16,7 +16,9 @@ REFUSED, ERROR, EMPTY = "refused", "error", "empty"
 
 _TEXT, _NUMBER, _NUMBERS = pa.string(), pa.float64(), pa.list_(pa.float64())
 
-_ALTERNATIVE = pa.struct([("camera_T_object", _NUMBERS), ("coefficients", _NUMBERS), ("excess", _NUMBER)])
+_ALTERNATIVE = pa.struct(
+    [("camera_T_object", _NUMBERS), ("coefficients", _NUMBERS), ("excess", _NUMBER), ("probability", _NUMBER)]
+)
 
 
 def task_schema() -> Any:
@@ -43,8 +45,10 @@ def result_schema() -> Any:
         *((name, _NUMBERS) for name in ("camera_T_object", "coefficients", "offsets")),
         ("keypoints", pa.list_(_TEXT)),
         *((name, _NUMBERS) for name in ("wireframe", "wireframe_uv", "weights", "sigmas", "visibility")),
-        *((name, _NUMBERS) for name in ("pose_covariance", "coefficients_covariance")),
+        *((name, _NUMBERS) for name in ("pose_covariance", "coefficients_covariance", "size_covariance")),
         ("alternatives", pa.list_(_ALTERNATIVE)),
+        ("facing_probability", _NUMBER),
+        ("reasons", pa.list_(_TEXT)),
         *((name, _NUMBERS) for name in ("camera_matrix", "distortion")),
         ("image_size", pa.list_(pa.int32())),
         ("box", _NUMBERS),

@@ -41,10 +41,14 @@ def table_of(rows):
     return pa.table({name: [row.get(name) for row in rows] for name in names})
 
 
+ADDED = "facing_probability", "reasons", "size_covariance"
+"""Columns that the first version had not."""
+
+
 def test_rows_are_what_reconstruct_gives_to_the_last_bit(reconstructor, cars):
     table = reconstructor(table_of([{"instance": json.dumps(car)} for car in cars]))
     assert table.schema.equals(result_schema(), check_metadata=True)
-    assert table.schema.metadata[b"fgrecon.format"] == b"fgrecon.batch/1"
+    assert table.schema.metadata[b"fgrecon.format"] == b"fgrecon.batch/2"
     category = fgrecon.load_category("car14")
     for number, (row, car) in enumerate(zip(table.to_pylist(), cars, strict=True)):
         result = solved(car, size_prior="kitti", ground=1.65)
@@ -55,8 +59,18 @@ def test_rows_are_what_reconstruct_gives_to_the_last_bit(reconstructor, cars):
         assert row["error"] is None
         for name in ("camera_T_object", "coefficients", "offsets", "wireframe", "weights", "sigmas", "pose_covariance"):
             assert getattr(back, name).tobytes() == getattr(result, name).tobytes(), name
+        np.testing.assert_array_equal(
+            [a.probability for a in back.alternatives], [a.probability for a in result.alternatives]
+        )
+        assert back.facing_probability == result.facing_probability
+        assert back.reasons == result.reasons
+        np.testing.assert_array_equal(back.size_covariance, result.size_covariance)
         assert [a.excess for a in back.alternatives] == [a.excess for a in result.alternatives]
         assert (back.status, back.message, back.prior) == (result.status, result.message, result.prior)
+        first_version = {name: value for name, value in row.items() if name not in ADDED}
+        before = reconstruction_of(first_version, category)
+        assert (before.reasons, before.size_covariance) == ((), None)
+        assert np.isnan(before.pose_probability)
 
 
 def test_columns_may_be_the_fields_of_an_instance_flat_or_not(reconstructor, cars):

@@ -52,7 +52,7 @@ def test_two_processes_give_the_bits_of_one(cars, tmp_path):
     assert {name: untimed(row) for name, row in found.items()} == expected
     schema = pq.read_schema(next((tmp_path / "out").glob("part-*.parquet")))
     assert schema.equals(result_schema())
-    assert schema.metadata[b"fgrecon.format"] == b"fgrecon.batch/1"
+    assert schema.metadata[b"fgrecon.format"] == b"fgrecon.batch/2"
     again = batch(file, "--out", tmp_path / "out", "--size-prior", "kitti")
     assert again.exit_code == 0
     assert "20 of 20 rows are done, 20 of them before." in again.stdout
