@@ -16,7 +16,9 @@ NUMBERS = [
     for field in dataclasses.fields(kind)
     if field.type.startswith("float")
 ]
-POSITIVE = [entry for entry in NUMBERS if not entry[2].endswith(("relative", "common_error", "confidence"))]
+SIGNED = "facing_bias"
+MAY_BE_ZERO = "relative", "common_error", "confidence", SIGNED, "facing_slope"
+POSITIVE = [entry for entry in NUMBERS if not entry[2].endswith(MAY_BE_ZERO)]
 
 
 def test_defaults_are_valid_and_names_are_understood():
@@ -31,6 +33,8 @@ def test_defaults_are_valid_and_names_are_understood():
 @pytest.mark.parametrize(("kind", "group", "name"), NUMBERS)
 @pytest.mark.parametrize("value", [-1.0, np.nan, np.inf, "1", True])
 def test_numbers_out_of_range_or_of_another_type(kind, group, name, value):
+    if name == SIGNED and value == -1.0:
+        value = -100.0
     with pytest.raises(InvalidInputError) as caught:
         kind(**{name: value})
     assert caught.value.field == f"options.{group}.{name}"
