@@ -21,7 +21,7 @@ def test_a_short_run_is_counted_to_the_last_row(tmp_path):
     assert "every row once" in check(tmp_path / "results", 20)
     assert samples[-1].rows == 20
     assert 0.0 < max(one.memory for one in samples) <= max(one.resident for one in samples)
-    assert samples[-1].workers > samples[-1].parent > 0.0
+    assert samples[-1].workers > samples[-1].parent >= 0.0  # a short run may end before it is looked at
     again = run_and_keep(files, tmp_path, 1)
     assert [one.rows for one in again[: len(samples)]] == [one.rows for one in samples]
     assert again[-1].seconds > samples[-1].seconds
