@@ -20,13 +20,15 @@ from factors.keys import F
 from factors.noise import diagonal_noise
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.solve.alone import Tried
 
-__all__ = ["candidates", "focal_prior", "log_ratio", "starts"]
+__all__ = ["candidates", "distinct_lengths", "energies_of", "focal_prior", "log_ratio", "starts"]
 
 _TRIED = 9
 _REACH = 2.0  # standard deviations of the prior that are tried
 _CLOSE = 5.0  # nats: a minimum over the tried ones that is worse by more is no start
 _MOST_STARTS = 2
+_SAME_FOCAL = 0.02  # logarithms that differ by less are of one focal length
 
 
 def candidates(camera: Camera) -> list[Camera]:
@@ -55,6 +57,20 @@ def focal_prior(known: Camera, nominal: Camera) -> gtsam.PriorFactorVector:
     return gtsam.PriorFactorVector(F(0), np.array([log_ratio(known, nominal)]), noise)
 
 
+def energies_of(tried: Sequence[Tried], known: Camera) -> list[float]:
+    """The energy with each of the cameras, of the vehicles that were solved with all of them."""
+    if len(tried) == 1:
+        return [0.0]
+    common = set.intersection(*(set(one.solved) for one in tried))
+    if not common:
+        return [math.inf] * len(tried)
+    return [
+        sum(one.vehicles[number].adjusted.optimum.energy for number in common)
+        + 0.5 * (log_ratio(one.camera, known) / known.focal_sigma) ** 2
+        for one in tried
+    ]
+
+
 def starts(energies: Sequence[float]) -> list[int]:
     """Which of the tried focal lengths the joint graph starts from, the best first.
 
@@ -69,3 +85,12 @@ def starts(energies: Sequence[float]) -> list[int]:
         if energy <= padded[i] and energy < padded[i + 2] and energy <= least + _CLOSE
     ]
     return sorted(minima, key=lambda i: energies[i])[:_MOST_STARTS]
+
+
+def distinct_lengths(lengths: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
+    """Focal lengths and their energies, the best first, without those that are one of the better ones again."""
+    kept: list[tuple[float, float]] = []
+    for pixels, excess in lengths:
+        if all(abs(math.log(pixels / other)) > _SAME_FOCAL for other, _ in kept):
+            kept.append((pixels, excess))
+    return tuple(kept)

@@ -14,7 +14,7 @@ its factors as well (`fgrecon.solve.detected`).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
@@ -38,9 +38,9 @@ from fgrecon.core.size_prior import size_prior as named_size_prior
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.alone import Alone, Tried, each_alone, known_boxes
 from fgrecon.solve.detected import KnownBox
-from fgrecon.solve.focal import candidates, focal_prior, log_ratio, starts
+from fgrecon.solve.focal import candidates, distinct_lengths, energies_of, focal_prior, log_ratio, starts
 from fgrecon.solve.graph.adjust import Adjusted, SolvedStage
-from fgrecon.solve.graph.covariance import factorise
+from fgrecon.solve.graph.covariance import covariance_of, factorise, undetermined
 from fgrecon.solve.graph.graph import Graph, Seen, State
 from fgrecon.solve.graph.optimise import Optimum, optimise
 from fgrecon.solve.occlusion import with_occlusion
@@ -53,8 +53,6 @@ from fgrecon.solve.vehicle.model import VehicleModel, prepare
 __all__ = ["ground_evidence", "reconstruct_scene", "reconstruct_scenes"]
 
 Array = NDArray[np.float64]
-
-_SAME_FOCAL = 0.02  # logarithms that differ by less are of one focal length
 
 
 @single_threaded
@@ -160,11 +158,9 @@ def _reconstruct(
     observations = [one for some in images for one in some]
     started = perf_counter()
     tried = [each_alone(observations, one, model, plane, options, boxed) for one in candidates(known)]
-    energies = _energies(tried, known)
+    energies = energies_of(tried, known)
     found = perf_counter()
-    begun = (_together(tried[i], image_of, known, plane, options) for i in starts(energies))
-    joint = [one for one in begun if one is not None]
-    told = None if not joint else _told(min(joint, key=lambda one: one.optimum.energy), joint, known)
+    told = _solved([tried[i] for i in starts(energies)], image_of, known, plane, options)
     if told is None:
         alone = tried[min(range(len(tried)), key=lambda i: (energies[i], abs(log_ratio(tried[i].camera, known))))]
         told = _Told({}, {}, known, (), (), alone)
@@ -216,6 +212,7 @@ class _Told:
     focal_lengths: tuple[tuple[float, float], ...]
     shared: tuple[str, ...]
     alone: Tried
+    determined: bool = True
 
     def message(self, image: int, count: int, images: int) -> str:
         """What was done with so many vehicles of one of so many images."""
@@ -224,20 +221,6 @@ class _Told:
             return "They were solved one by one."
         others = f", as were {len(self.results) - count} of other images" if images > 1 else ""
         return f"{count} were solved together with {' and '.join(shared)}{others}."
-
-
-def _energies(tried: Sequence[Tried], known: Camera) -> list[float]:
-    """The energy with each of the cameras, of the vehicles that were solved with all of them."""
-    if len(tried) == 1:
-        return [0.0]
-    common = set.intersection(*(set(one.solved) for one in tried))
-    if not common:
-        return [math.inf] * len(tried)
-    return [
-        sum(one.vehicles[number].adjusted.optimum.energy for number in common)
-        + 0.5 * (log_ratio(one.camera, known) / known.focal_sigma) ** 2
-        for one in tried
-    ]
 
 
 def _result(one: Alone) -> Reconstruction:
@@ -280,6 +263,29 @@ def ground_evidence(
     return found if np.isfinite(found.matrix).all() and np.isfinite(found.right).all() else None
 
 
+def _solved(
+    begun: Sequence[Tried], image_of: Sequence[int], known: Camera, plane: Ground | None, options: Options
+) -> _Told | None:
+    """The best end of the joint solves; None where there is none.
+
+    A vehicle that the graph leaves open leaves all others without a covariance, so it is taken out.
+    """
+    out: set[int] = set()
+    while True:
+        ends = (_together(one, image_of, known, plane, options, out=out) for one in begun)
+        joint = [one for one in ends if one is not None]
+        if not joint:
+            return None
+        best = min(joint, key=lambda one: one.optimum.energy)
+        told = _told(best, joint, known)
+        if told.determined:
+            return told
+        left_open = undetermined(best.graph, best.optimum.values, best.optimum.state.weights)
+        if not left_open or len(left_open) == len(best.seen):
+            return told
+        out |= left_open
+
+
 def _together(
     alone: Tried,
     image_of: Sequence[int],
@@ -287,6 +293,7 @@ def _together(
     plane: Ground | None,
     options: Options,
     before: Marginal | None = None,
+    out: Collection[int] = (),
 ) -> _Joint | None:
     """The joint solve; None where there is nothing to solve together, or it gave up.
 
@@ -297,8 +304,9 @@ def _together(
         plane: About where the ground is, or None.
         options: Settings.
         before: What is known of the ground of the one image that there is, in the place of its prior.
+        out: Vehicles that are left out.
     """
-    solved = alone.solved
+    solved = {number: one for number, one in alone.solved.items() if number not in out}
     standing: dict[int, Standing] = {}
     if "ground" not in options.disabled_terms:
         for image in sorted({image_of[number] for number in solved}):
@@ -341,7 +349,8 @@ def _together(
 
 def _told(best: _Joint, joint: Sequence[_Joint], known: Camera) -> _Told:
     """Results of the vehicles, the ground and the camera, with what is left open of both."""
-    solved, optimum, values = best.alone.solved, best.optimum, best.optimum.values
+    optimum, values = best.optimum, best.optimum.values
+    solved = {one.vehicle: best.alone.vehicles[one.vehicle] for one in best.seen}
     poses = [pose.matrix() for pose in optimum.state.poses]
     adjusted = Adjusted(
         optimum,
@@ -365,11 +374,11 @@ def _told(best: _Joint, joint: Sequence[_Joint], known: Camera) -> _Told:
     shared: tuple[str, ...] = ()
     lengths: tuple[tuple[float, float], ...] = ()
     grounds = {
-        image: (one_ground.ground(values), _marginal(marginals, one_ground.key))
+        image: (one_ground.ground(values), covariance_of(marginals, one_ground.key))
         for image, one_ground in best.standing.items()
     }
     if known.focal_sigma:
-        variance = _marginal(marginals, F(0))
+        variance = covariance_of(marginals, F(0))
         sigma = known.focal_sigma if variance is None else float(np.sqrt(variance[0, 0]))
         camera = replace(_camera(best), focal_sigma=min(sigma, known.focal_sigma))
         lengths = tuple(
@@ -377,24 +386,9 @@ def _told(best: _Joint, joint: Sequence[_Joint], known: Camera) -> _Told:
             for one in sorted(joint, key=lambda one: one.optimum.energy)
         )
         shared = ("the focal length",)
-    return _Told(each, grounds, camera, _distinct(lengths), shared, best.alone)
+    determined = marginals is not None and all(one.pose_covariance is not None for one in each.values())
+    return _Told(each, grounds, camera, distinct_lengths(lengths), shared, best.alone, determined)
 
 
 def _camera(joint: _Joint) -> Camera:
     return joint.alone.camera.scaled(math.exp(joint.optimum.values.atVector(F(0))[0]))
-
-
-def _distinct(lengths: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
-    """Without those that are one of the better ones again."""
-    kept: list[tuple[float, float]] = []
-    for pixels, excess in lengths:
-        if all(abs(math.log(pixels / other)) > _SAME_FOCAL for other, _ in kept):
-            kept.append((pixels, excess))
-    return tuple(kept)
-
-
-def _marginal(marginals: gtsam.Marginals | None, key: int) -> Array | None:
-    if marginals is None:
-        return None
-    covariance: Array = marginals.marginalCovariance(key)
-    return covariance if np.isfinite(covariance).all() else None

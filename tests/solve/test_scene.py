@@ -1,5 +1,7 @@
 """All vehicles of an image on one ground: the ground comes out, the vehicles come closer, outliers stay outliers."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options, ShapeOptions
 from fgrecon.core.reconstruction import Status
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.scene import reconstruct_scene
+from fgrecon.solve.scene import reconstruct_scene, reconstruct_scenes
 from tests.cars import CAMERA, observe
 
 PITCH = np.radians(1.5)  # the camera looks up: the road falls away from its y axis
@@ -104,6 +106,26 @@ def test_what_cannot_be_solved_is_refused_and_the_rest_goes_on():
     assert {step.stage for step in scene.vehicles[0].history} == {"initialisation", "pose", "joint", "scene"}
     assert scene.vehicles[0].energies["ground"] >= 0.0
     assert "3 vehicles, 1 refused" in repr(scene)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_vehicle_that_nothing_determines_leaves_the_others_as_without_it(seed):
+    """No keypoint of it is believed: the joint graph has no covariances with it, and its neighbours none either."""
+    pixels = np.random.default_rng(seed).uniform([0, 0], [1200, 370], (14, 2))
+    nothing = Observation(pixels, np.full(14, 0.02))
+    images = [street(40 + seed, count=2)[1], street(50 + seed, count=2)[1]]
+    known, without = (reconstruct_scene(seen, CAMERA, ground=1.65) for seen in ([*images[0], nothing], images[0]))
+    for one, other in zip(known.vehicles, without.vehicles, strict=False):
+        np.testing.assert_allclose(one.camera_T_object, other.camera_T_object, atol=0.05)
+        np.testing.assert_allclose(one.pose_covariance, other.pose_covariance, rtol=0.05, atol=1e-4)
+    assert len(known.vehicles) == 3
+    camera = replace(CAMERA, focal_sigma=0.5)
+    shared, plain = (
+        reconstruct_scenes(seen, camera, ground=1.65) for seen in ([[*images[0], nothing], images[1]], images)
+    )
+    assert shared[0].camera.focal_sigma == pytest.approx(plain[0].camera.focal_sigma, rel=0.05)
+    assert shared[0].camera.matrix[0, 0] == pytest.approx(plain[0].camera.matrix[0, 0], rel=0.02)
+    assert all(one.pose_covariance is not None for scene in shared for one in scene.vehicles[:2])
 
 
 def test_the_same_input_gives_the_same_bits():

@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from factors.keys import decode_key
 from factors.mixture import Form
 from fgrecon.core.errors import FactorCallbackError
+from fgrecon.solve.graph.graph import Graph
 from fgrecon.solve.graph.observation import ObservationPart, Weights
 
-__all__ = ["Covariances", "factorise", "joint_covariance", "projected_covariances", "read_covariances"]
+__all__ = [
+    "Covariances",
+    "covariance_of",
+    "factorise",
+    "joint_covariance",
+    "projected_covariances",
+    "read_covariances",
+    "undetermined",
+]
 
 Array = NDArray[np.float64]
+
+_NOTHING = 1e-12  # share of a vehicle's largest information below which a direction has none
 
 
 @dataclass(frozen=True)
@@ -42,6 +55,48 @@ def factorise(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.
         raise
     except RuntimeError:  # GTSAM's only sign of an indeterminate system
         return None
+
+
+def covariance_of(marginals: gtsam.Marginals | None, key: int) -> Array | None:
+    """The covariance of a variable; None where there are no marginals, or it is not finite."""
+    if marginals is None:
+        return None
+    covariance: Array = marginals.marginalCovariance(key)
+    return covariance if np.isfinite(covariance).all() else None
+
+
+def undetermined(graph: Graph, values: gtsam.Values, weights: Sequence[Weights]) -> set[int]:
+    """Numbers of the vehicles that are left open by all that is known of them, and so leave the graph undetermined.
+
+    Args:
+        graph: The graph; every variable that belongs to no vehicle, such as the ground, has a prior.
+        values: Its minimum.
+        weights: Weights of each observation there.
+    """
+    built = graph.for_covariances(weights)
+    factors = {number: gtsam.NonlinearFactorGraph() for number in graph.vehicles}
+    for factor in map(built.at, range(built.size())):
+        for number in set(map(_vehicle, factor.keys())):
+            if number is not None:
+                factors[number].add(factor)
+    dims = values.zeroVectors()
+    found = set()
+    for number, own in factors.items():
+        keys = sorted(own.keyVector(), key=lambda key: _vehicle(key) != number)
+        ordering = gtsam.Ordering()
+        for key in keys:  # the vehicle's own first
+            ordering.push_back(key)
+        count = sum(len(dims.at(key)) for key in keys if _vehicle(key) == number)
+        information = np.linalg.eigvalsh(own.linearize(values).hessian(ordering)[0][:count, :count])
+        if information[0] <= _NOTHING * information[-1]:
+            found.add(number)
+    return found
+
+
+def _vehicle(key: int) -> int | None:
+    """The vehicle of a variable; None of the ground and the focal length."""
+    letter, vehicle, _ = decode_key(key)
+    return None if letter in "GF" else vehicle
 
 
 def read_covariances(
