@@ -178,14 +178,15 @@ def headed_table(*headings: str, left: int = 1, wrap: bool = False) -> Table:
     return table
 
 
-def about_camera(camera: Camera, own: Camera | None) -> str:
+def about_camera(camera: Camera, own: Camera | None, cars: str = "its cars") -> str:
     """How far to trust distances where no camera is given.
 
     Args:
         camera: The one that was found.
         own: The one that the photograph's file tells, or None.
+        cars: Whose looks tell it, in words.
     """
-    source = "what its cars look like" if own is None else "the EXIF data and its cars"
+    source = f"what {cars} look like" if own is None else f"the EXIF data and {cars}"
     return (
         f"No camera is given: the focal length is {camera.matrix[0, 0]:.0f} px, known to "
         f"{100 * camera.focal_sigma:.0f} %, from {source}. Distances are as rough. Give --camera or --intrinsics."

@@ -161,6 +161,9 @@ def _apart(photographs: Sequence[PhotographFile], how: PhotographWork, screen: S
             else:
                 outcomes = [batch.run(task, how.settings) for task in seen.tasks]
             _deliver(seen, outcomes, scenes, how, screen)
+            for scene in scenes:
+                if scene.result.camera.focal_sigma:
+                    screen.warn(about_camera(scene.result.camera, seen.own))
             yield one, outcomes
         except FgreconError as error:
             yield one, error
@@ -181,6 +184,9 @@ def _same_camera(photographs: Sequence[PhotographFile], how: PhotographWork, scr
     if not seen:
         return
     solved = solve_same_camera([(one.file.image.name, one.tasks) for one in seen], how.settings)
+    counts = [sum(outcome.result is not None for outcome in outcomes) for outcomes, _ in solved]
+    cars = f"the {sum(counts)} cars of {sum(map(bool, counts))} images"
+    screen.warn(about_camera(solved[0][1].result.camera, seen[0].own, cars))
     for one_seen, (outcomes, scene) in zip(seen, solved, strict=True):
         try:
             _deliver(one_seen, outcomes, [scene], how, screen)
@@ -235,9 +241,6 @@ def _deliver(seen: _Seen, outcomes: list[Outcome], scenes: list[Scene], how: Pho
     outcomes = with_closest(outcomes, how.models)
     screen.print(f"{one.image}:")
     show.print_table(screen, outcomes)
-    for scene in scenes:
-        if scene.result.camera.focal_sigma:
-            screen.warn(about_camera(scene.result.camera, seen.own))
     plain = [scene.plain() for scene in scenes]
     screen.wrote(
         write_text(_ending(one, ".json"), show.document(one.image, outcomes, settings, plain, history=how.history))

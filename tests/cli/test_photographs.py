@@ -3,6 +3,7 @@
 import json
 import shutil
 
+import numpy as np
 import pytest
 import trimesh
 from typer.testing import CliRunner
@@ -107,8 +108,11 @@ def test_a_part_of_a_photograph_has_the_camera_of_the_whole(street, tmp_path):
 
 def test_one_camera_took_them(street, tmp_path):
     images, boxes = street / "images", ("--boxes", street / "boxes")
-    done = run("reconstruct", images, *boxes, "--same-camera", "--pictures", "--out", tmp_path / "out", "-q")
+    done = run("reconstruct", images, *boxes, "--same-camera", "--pictures", "--out", tmp_path / "out")
     assert done.exit_code == 0, done.output
+    said = " ".join(done.stderr.split())
+    assert said.count("No camera is given") == 1
+    assert "from what the 6 cars of 2 images look like" in said
     found = [json.loads((tmp_path / "out" / f"{name}.json").read_text()) for name in ("a", "b")]
     cameras = [one["camera"] for file in found for one in file["instances"]]
     assert all(camera == cameras[0] for camera in cameras)
@@ -122,6 +126,29 @@ def test_one_camera_took_them(street, tmp_path):
         refused = run("reconstruct", images if more else images / "a.png", *boxes, "--same-camera", *more)
         assert isinstance(refused.exception, InvalidInputError)
         assert refused.exception.field == "same_camera"
+
+
+def test_another_focal_length_is_another_camera(street, tmp_path):
+    """EXIF's: 28 mm, 28 mm and 50 mm of a film's frame."""
+    from PIL import Image
+
+    (tmp_path / "boxes").mkdir()
+    for name, film in (("a", 28), ("b", 28), ("c", 50)):
+        exif = Image.Exif()
+        exif.get_ifd(0x8769)[0xA405] = film
+        with Image.open(street / "images" / "a.png") as picture:
+            picture.convert("RGB").save(tmp_path / f"{name}.jpg", exif=exif, quality=95)
+            diagonal = float(np.hypot(*picture.size))
+        shutil.copy(street / "boxes" / "a.txt", tmp_path / "boxes" / f"{name}.txt")
+    images = [tmp_path / f"{name}.jpg" for name in "abc"]
+    done = run("reconstruct", *images, "--boxes", tmp_path / "boxes", "--same-camera", "--out", tmp_path / "out")
+    assert done.exit_code == 1
+    assert "c.jpg: same_camera" in done.stderr
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a.json", "b.json"]
+    found = json.loads((tmp_path / "out" / "a.json").read_text())["scenes"][0]
+    assert found["focal_lengths"][0]["pixels"] == pytest.approx(28 / 43.27 * diagonal, rel=0.1)
+    assert found["focal_sigma"] <= 0.05
+    assert "from the EXIF data and the 6 cars of 2 images" in " ".join(done.stderr.split())
 
 
 def test_another_size_is_another_camera(street, tmp_path):
