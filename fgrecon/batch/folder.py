@@ -53,5 +53,6 @@ def _named(row: Mapping[str, Any], category: Category, surfaces: Surfaces) -> Na
             np.array(row["camera_matrix"]).reshape(3, 3),
             None if distortion is None else np.array(distortion),
             None if size is None else (size[0], size[1]),
+            focal_sigma=row.get("focal_sigma") or 0.0,
         ),
     )

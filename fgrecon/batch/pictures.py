@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.images import decode_image, read_image
+from fgrecon.io.images import decode_photograph, read_photograph
 
 __all__ = ["Pictures", "count_frames"]
 
@@ -23,8 +24,8 @@ class Pictures:
         self._video: Any = None
         self._next = 0
 
-    def get(self, image: str | bytes, frame: int | None = None) -> NDArray[np.uint8]:
-        """An image (H, W, 3) of RGB bytes.
+    def get(self, image: str | bytes, frame: int | None = None) -> tuple[NDArray[np.uint8], Camera | None]:
+        """An image (H, W, 3) of RGB bytes, and the camera that its EXIF data tell, or None.
 
         Args:
             image: File of an image, or of a video where a frame is given; or the bytes of an image file.
@@ -34,8 +35,8 @@ class Pictures:
             InvalidInputError: It cannot be read.
         """
         if isinstance(image, bytes):
-            return decode_image(image, "image")
-        return read_image(image) if frame is None else self._frame(image, frame)
+            return decode_photograph(image, "image")
+        return read_photograph(image) if frame is None else (self._frame(image, frame), None)
 
     def _frame(self, path: str, frame: int) -> NDArray[np.uint8]:
         import cv2

@@ -69,8 +69,8 @@ class Reconstructor:
 
         Args:
             prior: Shape prior, or its name, or the path of its file.
-            camera: The camera of all rows, which goes before their own; None has each row bring its own, and assumes a
-                horizontal field of view of 60 degrees for images that do not.
+            camera: The camera of all rows, which goes before their own; None has each row bring its own. Images that do
+                not have the focal length of their EXIF data, or else the one that their vehicles tell.
             ground: Ground plane, or the height in metres of a level camera.
             size_prior: Fleet, or a size prior.
             options: Settings; histories are not kept.
@@ -150,15 +150,7 @@ class Reconstructor:
             name = instance.name if named or vehicle or isinstance(record, list) else str(origin["row_id"])
             yield self._vehicle(origin, vehicle, name, instance, self._camera or instance.camera)
 
-    def _vehicle(
-        self,
-        origin: Row,
-        vehicle: int,
-        name: str,
-        instance: Instance,
-        camera: Camera | None,
-        score: float | None = None,
-    ) -> Row:
+    def _vehicle(self, origin: Row, vehicle: int, name: str, instance: Instance, camera: Camera | None) -> Row:
         """The row of one vehicle."""
         from fgrecon.solve.pipeline import reconstruct  # on use: whoever hands out the work needs no solver
 
@@ -174,13 +166,15 @@ class Reconstructor:
                 initial=instance.initial,
                 options=self._options,
             )
-        except Exception as error:  # noqa: BLE001 - one bad vehicle must not take the others of its image along
+        except Exception as error:  # noqa: BLE001 - one bad vehicle must not take the others of its row along
             return failed_row(origin, error, vehicle, name)
-        return solved_row(origin, vehicle, name, result, camera, instance.box, score)
+        return solved_row(origin, vehicle, name, result, camera, instance.box)
 
     def _image(self, task: Mapping[str, Any], origin: Row) -> Iterator[Row]:
-        """A row for each vehicle of an image."""
-        image = self._pictures.get(task["image"], task.get("frame"))
+        """A row for each vehicle of an image; they are solved together, as by `fgrecon.reconstruct_image`."""
+        from fgrecon.perception.from_image import reconstruct_detections
+
+        image, told = self._pictures.get(task["image"], task.get("frame"))
         vehicle_detector, cascade = self._networks
         given = task.get("boxes")
         found = vehicle_detector(image) if given is None else _given(given, image)
@@ -189,27 +183,29 @@ class Reconstructor:
         if not len(boxes):
             yield {**origin, "status": EMPTY}
             return
-        camera = self._camera_of(task, image)
-        for vehicle, seen in enumerate(find_keypoints(cascade, image, boxes, self.prior.category)):
-            evidence, name = seen.evidence, f"{origin['row_id']}:{vehicle}"
-            instance = Instance(
-                name,
-                evidence.keypoints,
-                evidence.confidence,
-                evidence.confidence_midpoint,
-                evidence.box,
-                evidence.covariance,
-                evidence.azimuth,
-            )
+        vehicles = reconstruct_detections(
+            find_keypoints(cascade, image, boxes, self.prior.category),
+            self._camera_of(task, image, told),
+            prior=self.prior,
+            ground=self._ground,
+            size_prior=self._size_prior,
+            options=self._options,
+        )
+        for vehicle, one in enumerate(vehicles):
+            name = f"{origin['row_id']}:{vehicle}"
+            if one.result is None or one.camera is None:
+                assert one.error is not None
+                yield failed_row(origin, one.error, vehicle, name)
+                continue
             score = None if given is not None else float(scores[vehicle])
-            yield self._vehicle(origin, vehicle, name, instance, camera, score)
+            yield solved_row(origin, vehicle, name, one.result, one.camera, one.detection.evidence.box, score)
 
-    def _camera_of(self, task: Mapping[str, Any], image: NDArray[np.uint8]) -> Camera:
-        """The camera of an image, which knows its size."""
+    def _camera_of(self, task: Mapping[str, Any], image: NDArray[np.uint8], told: Camera | None) -> Camera:
+        """The camera of an image, which knows its size; its vehicles tell the focal length where nobody else does."""
         height, width = image.shape[:2]
         text = task.get("camera")
-        own = self._camera or (_camera(json.loads(text)) if text else None)
-        return Camera.of_field_of_view(width, height) if own is None else replace(own, image_size=(width, height))
+        own = self._camera or (_camera(json.loads(text)) if text else told)
+        return Camera.of_unknown(width, height) if own is None else replace(own, image_size=(width, height))
 
 
 def _camera(fields: Mapping[str, Any]) -> Camera:

@@ -79,6 +79,7 @@ def solved_row(
         "facing_probability": finite(result.facing_probability),
         "reasons": list(result.reasons),
         "camera_matrix": _flat(camera.matrix),
+        "focal_sigma": camera.focal_sigma,
         "distortion": _flat(camera.distortion),
         "image_size": camera.image_size,
         "box": _flat(box),

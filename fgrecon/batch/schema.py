@@ -53,6 +53,7 @@ def result_schema() -> Any:
         ("image_size", pa.list_(pa.int32())),
         ("box", _NUMBERS),
         ("score", _NUMBER),
+        ("focal_sigma", _NUMBER),
         ("milliseconds", _NUMBER),
     ]
     return pa.schema(fields, metadata={"fgrecon.format": FORMAT})

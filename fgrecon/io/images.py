@@ -15,7 +15,7 @@ from fgrecon.io.arrays import LARGEST, largest_bytes
 from fgrecon.io.exif import exif_camera
 from fgrecon.io.files import write_bytes
 
-__all__ = ["IMAGES", "decode_image", "read_image", "read_photograph", "write_png"]
+__all__ = ["IMAGES", "decode_image", "decode_photograph", "read_image", "read_photograph", "write_png"]
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
 """Endings of image files."""
@@ -40,8 +40,23 @@ def read_photograph(path: str | Path, whole: tuple[int, int] | None = None) -> t
     Raises:
         InvalidInputError: The file cannot be read or is no image.
     """
-    content = _content(path)
-    image = decode_image(content, str(path))
+    return decode_photograph(_content(path), str(path), whole)
+
+
+def decode_photograph(
+    content: bytes, name: str, whole: tuple[int, int] | None = None
+) -> tuple[NDArray[np.uint8], Camera | None]:
+    """The content of an image file as `read_photograph` gives it.
+
+    Args:
+        content: The file's bytes.
+        name: What it is called in an error.
+        whole: As in `read_photograph`.
+
+    Raises:
+        InvalidInputError: It is no image.
+    """
+    image = decode_image(content, name)
     return image, exif_camera(content, *(whole or (image.shape[1], image.shape[0])))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,7 @@ from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.proposals.direction import direction_penalty as penalty_of
 from fgrecon.solve.scene import reconstruct_scene
 
-__all__ = ["FromImage", "direction_penalty", "reconstruct_detection", "reconstruct_image"]
+__all__ = ["FromImage", "direction_penalty", "reconstruct_detection", "reconstruct_detections", "reconstruct_image"]
 
 Array = NDArray[np.float64]
 
@@ -74,6 +75,57 @@ def reconstruct_detection(
         DegenerateProblemError: The keypoints do not determine a pose.
     """
     return reconstruct(detection.evidence, camera, options=options, **arguments)
+
+
+def reconstruct_detections(
+    detections: Sequence[Detection],
+    camera: Camera,
+    *,
+    prior: ShapePrior | str | Path = "car14",
+    ground: Ground | float | None = None,
+    size_prior: SizePrior | str | None = None,
+    options: Options | None = None,
+    together: bool = True,
+) -> list[FromImage]:
+    """Pose and shape of the detected vehicles of one image; the arguments are those of `reconstruct_image`.
+
+    Args:
+        detections: What a keypoint detector found.
+        camera: The camera that took the image, which may be one of unknown focal length.
+        prior: Shape prior.
+        ground: Ground plane.
+        size_prior: Size prior.
+        options: Settings.
+        together: Whether the vehicles share one ground.
+
+    Returns:
+        The vehicles, in the order of the detections; one that was refused has its error.
+
+    Raises:
+        InvalidInputError: An argument cannot be used.
+    """
+    joint = options is None or options.shape.joint
+    if (together and joint) or camera.focal_sigma:
+        scene = reconstruct_scene(
+            [detection.evidence for detection in detections],
+            camera,
+            prior=prior,
+            ground=ground,
+            size_prior=size_prior,
+            options=options,
+        )
+        solved = dict(zip(scene.numbers, scene.vehicles, strict=True))
+        return [FromImage(d, solved.get(i), scene.refused.get(i), scene.camera) for i, d in enumerate(detections)]
+    vehicles = []
+    for detection in detections:
+        try:
+            result = reconstruct_detection(
+                detection, camera, options=options, prior=prior, ground=ground, size_prior=size_prior
+            )
+            vehicles.append(FromImage(detection, result, None, camera))
+        except FgreconError as error:
+            vehicles.append(FromImage(detection, None, error, camera))
+    return vehicles
 
 
 def reconstruct_image(
@@ -125,29 +177,18 @@ def reconstruct_image(
     corners = find_boxes(pixels, vehicle_detector) if boxes is None else _boxes(boxes)
     networks = shipped_cascade() if keypoint_detector is None else keypoint_detector
     detections = find_keypoints(networks, pixels, corners, shape_prior.category)
-    joint = options is None or options.shape.joint
-    if (together and joint) or sized.focal_sigma:
-        scene = reconstruct_scene(
-            [detection.evidence for detection in detections],
-            sized,
-            prior=shape_prior,
-            ground=ground,
-            size_prior=size_prior,
-            options=options,
-        )
-        solved = dict(zip(scene.numbers, scene.vehicles, strict=True))
-        if camera is None and told is None and solved:
-            _warn_of_camera(scene.camera)
-        return [FromImage(d, solved.get(i), scene.refused.get(i), scene.camera) for i, d in enumerate(detections)]
-    vehicles = []
-    for detection in detections:
-        try:
-            result = reconstruct_detection(
-                detection, sized, options=options, prior=shape_prior, ground=ground, size_prior=size_prior
-            )
-            vehicles.append(FromImage(detection, result, None, sized))
-        except FgreconError as error:
-            vehicles.append(FromImage(detection, None, error, sized))
+    vehicles = reconstruct_detections(
+        detections,
+        sized,
+        prior=shape_prior,
+        ground=ground,
+        size_prior=size_prior,
+        options=options,
+        together=together,
+    )
+    if camera is None and told is None and vehicles and any(one.result is not None for one in vehicles):
+        assert vehicles[0].camera is not None
+        _warn_of_camera(vehicles[0].camera)
     return vehicles
 
 

@@ -158,7 +158,7 @@ def test_videos_frame_by_frame(tmp_path):
     assert [row["row_id"] for row in rows_of(file, every=3)] == [f"{file}#0", f"{file}#3", f"{file}#6"]
     pictures = Pictures()
     for frame in (0, 1, 4, 2, 6):
-        assert pictures.get(str(file), frame).mean() == pytest.approx(20 + 30 * frame, abs=4)
+        assert pictures.get(str(file), frame)[0].mean() == pytest.approx(20 + 30 * frame, abs=4)
     with pytest.raises(InvalidInputError, match="frame 7"):
         pictures.get(str(file), 7)
 

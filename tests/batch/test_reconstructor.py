@@ -12,7 +12,7 @@ import pytest
 
 import fgrecon
 from fgrecon.batch import Reconstructor, reconstruction_of, result_schema
-from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.errors import AssumedCameraWarning, InvalidInputError
 from fgrecon.io.images import read_image, write_png
 from tests.batch.support import instances, untimed
 from tests.cli.conftest import K
@@ -175,7 +175,7 @@ def test_images_give_a_row_for_each_car(street, tmp_path):
     empty = write_png(tmp_path / "empty.png", np.full((120, 200, 3), 90, np.uint8))
     tasks = [{"row_id": "street", "image": str(image)}, {"row_id": "empty", "image": str(empty)}]
     rows = Reconstructor(camera=K, threads=1)(table_of(tasks)).to_pylist()
-    found = fgrecon.reconstruct_image(image, K, together=False)
+    found = fgrecon.reconstruct_image(image, K)
     seen = [row for row in rows if row["row_id"] == "street"]
     assert len(seen) == len(found) > 0
     for number, (row, vehicle) in enumerate(zip(seen, found, strict=True)):
@@ -184,6 +184,18 @@ def test_images_give_a_row_for_each_car(street, tmp_path):
         assert 0.3 <= row["score"] <= 1.0
         assert row["image_size"] == [*reversed(read_image(image).shape[:2])]
     assert [(row["status"], row["vehicle"]) for row in rows if row["row_id"] == "empty"] == [("empty", None)]
+
+
+def test_without_a_camera_the_cars_tell_the_focal_length(street):
+    image = next(iter(sorted(street.glob("*.png"))))
+    boxes = fgrecon.perception.find_boxes(read_image(image))[:2]
+    with pytest.warns(AssumedCameraWarning):
+        found = fgrecon.reconstruct_image(image, boxes=boxes)
+    rows = Reconstructor(threads=1)(table_of([{"image": str(image), "boxes": boxes.tolist()}])).to_pylist()
+    for row, vehicle in zip(rows, found, strict=True):
+        assert row["camera_matrix"] == vehicle.camera.matrix.ravel().tolist()
+        assert 0.0 < row["focal_sigma"] == vehicle.camera.focal_sigma < 0.5
+        assert row["camera_T_object"] == vehicle.result.camera_T_object.ravel().tolist()
 
 
 def test_an_image_may_be_bytes_with_boxes_of_its_own(street):
