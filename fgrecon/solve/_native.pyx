@@ -1,6 +1,7 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 # cython: freethreading_compatible=True
-"""What surrounds the solver and costs, compiled: minima of a quartic, extents of a turned outline, a ray cast.
+"""What surrounds the solver and costs, compiled: minima of a quartic, extents of a turned outline, a ray cast, and the
+acceleration of an iteration.
 
 Each has a numpy version beside the function that calls it, which the tests compare with.
 """
@@ -223,3 +224,45 @@ def nearest_hits(
                 hit = 1.0 / hit if inverse else hit
                 nearest[k] = hit if hit < nearest[k] else nearest[k]
     return np.asarray(nearest)
+
+
+def accelerated(const double[:, ::1] changes, const double[:, ::1] moves, const double[::1] step, double damped):
+    """The step whose change by the mixture of the remembered ones is least (`fgrecon.solve.graph.anderson`).
+
+    Args:
+        changes, moves: (n, D) of the last n <= 4 steps. step: (D,).
+        damped: Added to the normal equations' diagonal, as a share of it.
+
+    Returns:
+        (D,); None where the changes are too nearly one for any mixture.
+    """
+    cdef int n = changes.shape[0], D = changes.shape[1], i, j, d
+    cdef double H[16]
+    cdef double g[4]
+    cdef double share[4]
+    cdef double s
+    if not 1 <= n <= 4 or moves.shape[0] != n or moves.shape[1] != D or step.shape[0] != D:
+        raise ValueError("changes and moves (n, D) with n from 1 to 4, and a step (D,) are wanted")
+    result = np.empty(D)
+    cdef double[::1] further = result
+    with nogil:
+        for i in range(4):
+            g[i] = 0.0
+            for j in range(4):
+                H[4 * i + j] = 1.0 if i == j else 0.0
+        for i in range(n):
+            for d in range(D):
+                g[i] -= changes[i, d] * step[d]
+            for j in range(i + 1):
+                s = 0.0
+                for d in range(D):
+                    s += changes[i, d] * changes[j, d]
+                H[4 * i + j] = H[4 * j + i] = s * (1.0 + damped) if i == j else s
+    if not solve(H, 0.0, g, share):
+        return None
+    with nogil:
+        for d in range(D):
+            further[d] = step[d]
+            for i in range(n):
+                further[d] -= share[i] * (moves[i, d] + changes[i, d])
+    return result

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from factors.mixture import Form
 from fgrecon.core.errors import FactorCallbackError
+from fgrecon.solve.graph.anderson import Anderson
 from fgrecon.solve.graph.graph import Graph, State
 from fgrecon.solve.graph.observation import Weights
 from fgrecon.solve.graph.solver import minimise
@@ -40,12 +41,10 @@ _FOLLOWED = 25  # iterations for which visibility follows the pose
 _WATCHED = 6  # iterations from which on the visibility of an image among others may not change more than two before
 _SWING = 1e-4  # a change of visibility by less is none
 _MOST = 30  # iterations after that
-_REMEMBERED = 4  # steps that the acceleration learns from
 _SHORTER = (0.3, 0.1)  # of a plain step that goes up
 _RESCUE = 20  # iterations of Levenberg-Marquardt in place of a bad step
 _LONGEST = 20.0  # times the plain step that an accelerated one may go
 _RESCUED = 8  # times in a row that it takes over: nothing will determine such a problem any more
-_DAMPED = 1e-10  # of the normal equations' diagonal
 _RISE = 1e-10  # relative rise of the energy that is none: near the end it is too coarse to judge a step by
 _TOLERANCE = 1e-12  # of Levenberg-Marquardt's, relative decrease
 
@@ -103,7 +102,7 @@ class Descent:
         self.weights = self.graph.reweigh(self.values, self.weights, 1.0)
         self.first = self._energy()
         best = self.first, self.values, self.weights
-        steps = _Anderson()
+        steps = Anderson()
         for iteration in range(_FOLLOWED):
             self.converged = self._iterate(steps)
             before = self.weights
@@ -117,7 +116,7 @@ class Descent:
                 best = energy, self.values, self.weights
         if best[0] < self._energy():
             _, self.values, self.weights = best
-        steps = _Anderson()
+        steps = Anderson()
         for _ in range(_MOST):
             self.converged = self._iterate(steps)
             self.weights = self.graph.reweigh(self.values, self.weights, 1.0, hold=True)
@@ -139,7 +138,7 @@ class Descent:
             self.steps.append(Step(self.iterations, 0, self.values, self.weights))
         self.iterations += 1
 
-    def _iterate(self, steps: _Anderson) -> bool:
+    def _iterate(self, steps: Anderson) -> bool:
         """One step; whether it was the last."""
         built = self.graph.build(self.weights, Form.NEWTON)
         try:
@@ -151,17 +150,18 @@ class Descent:
             return self._rescue(built, steps)
         step = newton.vector()
         length = float(np.abs(step).max(initial=0.0))
-        energy = built.error(self.values) * (1.0 + _RISE) + _RISE
+        last = length <= self._steady  # nobody asks what it does to the energy
+        energy = np.inf if last else built.error(self.values) * (1.0 + _RISE) + _RISE
         further = steps.propose(step)
         if further is not None and np.abs(further).max() > _LONGEST * length:
             further = None
         shorter = [share * step for share in _SHORTER]
         for proposed in (step, *shorter) if further is None else (further, step, *shorter):
             moved = self.values.retract(newton if proposed is step else self._by_key(newton, proposed))
-            if built.error(moved) <= energy or length <= self._steady:
+            if last or built.error(moved) <= energy:
                 steps.took(proposed)
                 self.values, self._rescued = moved, 0
-                return length <= self._steady
+                return last
         return self._rescue(built, steps)
 
     def _by_key(self, newton: gtsam.VectorValues, step: Array) -> gtsam.VectorValues:
@@ -175,7 +175,7 @@ class Descent:
             result.insert(key, step[part])
         return result
 
-    def _rescue(self, built: gtsam.NonlinearFactorGraph, steps: _Anderson) -> bool:
+    def _rescue(self, built: gtsam.NonlinearFactorGraph, steps: Anderson) -> bool:
         """A few iterations of Levenberg-Marquardt instead; whether they moved nothing."""
         steps.forget()
         self._rescued += 1
@@ -208,46 +208,3 @@ class _Swinging:
             self.held |= swinging
             self._changes.clear()  # what the others did was its doing too
         return bool(swinging)
-
-
-class _Anderson:
-    """Anderson's acceleration of the iteration x -> x + f(x), from the last steps (Walker and Ni 2011, type II).
-
-    The tangent spaces of successive iterates are taken for one: near the end they are.
-    """
-
-    def __init__(self) -> None:
-        self._changes: Array | None = None  # (n, D) of f, and
-        self._moves: Array | None = None  # what was moved meanwhile
-        self._last: Array | None = None
-        self._moved: Array | None = None
-
-    def propose(self, step: Array) -> Array | None:
-        """Where to go, given the plain step f; None where nothing is known but that."""
-        if self._last is not None and self._moved is not None:
-            self._changes = _remembered(self._changes, step - self._last)
-            self._moves = _remembered(self._moves, self._moved)
-        self._last = step
-        if self._changes is None or self._moves is None:
-            return None
-        changes, moves = self._changes.T, self._moves.T
-        # Normal equations, a little damped: of several changes that are nearly one any mixture will do.
-        squares = changes.T @ changes
-        index = np.arange(len(squares))
-        squares[index, index] *= 1.0 + _DAMPED
-        share = np.linalg.solve(squares, changes.T @ step)
-        further: Array = step - (moves + changes) @ share
-        return further
-
-    def took(self, step: Array) -> None:
-        """Say what step was made."""
-        self._moved = step
-
-    def forget(self) -> None:
-        """Forget what was learnt: the steps were not those of one iteration."""
-        self._changes = self._moves = self._last = self._moved = None
-
-
-def _remembered(rows: Array | None, row: Array) -> Array:
-    """The last few rows (n, D) with one more."""
-    return row[None] if rows is None else np.concatenate([rows[1 - _REMEMBERED :], row[None]])
