@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 from fgrecon.batch.schema import FORMAT, result_schema
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import replacing, write_text
+from fgrecon.io.isolated import Isolated
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.stored import MADE_AGAIN, stored
 
@@ -28,6 +29,9 @@ _AT_ONCE = 512
 
 _ROWS, _SECONDS = 4096, 10.0
 """A part is written when it has so many rows, or so much time has passed since the last one."""
+
+
+_LATE = 600.0  # seconds after which a part that is still being read is damaged
 
 
 class Parts:
@@ -58,9 +62,9 @@ class Parts:
             DamagedFileWarning: A part is damaged, and is put aside.
         """
         found: set[str] = set()
-        for path in self._paths():
-            found.update(stored(path, _row_ids) or ())
-        pa.default_memory_pool().release_unused()  # whoever goes on with a long run would keep it to its end
+        with Isolated(_LATE) as child:  # whoever goes on with a long run would keep what reading takes to its end
+            for path in self._paths():
+                found.update(stored(path, lambda path: child(str(path), _row_ids, path)) or ())
         return found
 
     def rows(self) -> Iterator[dict[str, Any]]:

@@ -7,8 +7,8 @@ import pytest
 
 from fgrecon.solve.graph import newton
 from fgrecon.solve.graph.adjust import start_state
-from fgrecon.solve.graph.graph import Graph, Seen
 from fgrecon.solve.graph.anderson import Anderson
+from fgrecon.solve.graph.graph import Graph, Seen
 from fgrecon.solve.graph.newton import Descent
 from fgrecon.solve.graph.optimise import _Loop
 from tests.solve.graph.support import half_a_car, problem_of
