@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -116,7 +117,12 @@ def ground_plane(ground: Ground | float | None) -> Ground | None:
     """
     if ground is None or isinstance(ground, Ground):
         return ground
-    return Ground.level(float(as_finite("ground", ground, (), "Give a `Ground`, or the camera's height in metres.")))
+    return _level(float(as_finite("ground", ground, (), "Give a `Ground`, or the camera's height in metres.")))
+
+
+@lru_cache(maxsize=16)  # thousands of vehicles stand on one ground
+def _level(height: float) -> Ground:
+    return Ground.level(height)
 
 
 def _initial(initial: Box3D | float | None) -> Box3D | float | None:
