@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -14,6 +14,7 @@ from fgrecon.core.detection import calibrated_facing, facing_probability
 from fgrecon.core.geometry import view_azimuth
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status, rotation_y
+from fgrecon.core.status import Regions
 from fgrecon.solve.graph.adjust import Adjusted
 from fgrecon.solve.graph.covariance import Covariances, factorise, read_covariances
 from fgrecon.solve.graph.graph import Graph, Seen
@@ -23,16 +24,39 @@ from fgrecon.solve.graph.optimise import Optimum
 from fgrecon.solve.graph.structure import graph_factors
 from fgrecon.solve.probable import facing_by_energies, with_probabilities
 from fgrecon.solve.proposals.adjust import PoseEstimate
-from fgrecon.solve.proposals.problem import keypoint_covariances
+from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
 from fgrecon.solve.vehicle.visibility import clearance, occluder, probability
 from fgrecon.solve.weakness import weaknesses
 
-__all__ = ["history_of", "results", "weakened"]
+__all__ = ["Counted", "count", "history_of", "results", "weakened"]
 
 _SURE_FACING = 0.8
 """Less is ambiguous: 80 % of the cars that are turned round on KITTI's video, and 6 % of the others."""
 _ABSURD = 5.0  # times longer, wider or higher than the prior's mean, or as many times less: no such vehicle
 _LOOSE = np.deg2rad(30.0)  # a rotation known no better than this is not determined
+
+
+@dataclass(frozen=True)
+class Counted:
+    """What is known at the end of an optimisation.
+
+    Attributes:
+        values: All variables.
+        weights: Those with which each observation counts for covariances.
+        marginals: Of all variables, sizes counted once; None where a direction is not determined, or there is no end.
+    """
+
+    values: gtsam.Values
+    weights: Sequence[Weights]
+    marginals: gtsam.Marginals | None
+
+
+def count(graph: Graph, optimum: Optimum) -> Counted:
+    """What is known at the end of an optimisation of a graph."""
+    values = graph.values(optimum.state)
+    weights = [_common(part, w) for part, w in zip(graph.observations, optimum.state.weights, strict=True)]
+    marginals = None if optimum.failure is not None else factorise(graph.for_covariances(weights), values)
+    return Counted(values, weights, marginals)
 
 
 def results(
@@ -43,6 +67,7 @@ def results(
     extra: Sequence[gtsam.NonlinearFactor] = (),
     only: Collection[int] | None = None,
     facing: Sequence[float | None] | None = None,
+    counted: Counted | None = None,
 ) -> list[Reconstruction]:
     """The result of each observation.
 
@@ -54,14 +79,13 @@ def results(
         extra: Factors of the caller's own.
         only: Indices of the observations whose results are wanted; None for all.
         facing: How probable the facing of each is where more than its directions tells; None where only they do.
+        counted: What `count` says of the graph, where that is known already.
     """
     graph, optimum = adjusted.graph, adjusted.optimum
     if not seen[0].problem.options.shape.joint:  # covariances count pose and shape together, whichever came last
         graph = Graph(seen, optimum.state, pose_free=True, extra=extra)
     weights = optimum.state.weights
-    values = graph.values(optimum.state)
-    counted = [_common(part, weight) for part, weight in zip(graph.observations, weights, strict=True)]
-    marginals = factorise(graph.for_covariances(counted), values) if optimum.failure is None else None
+    known = count(graph, optimum) if counted is None else counted
     alone = len(seen) == 1
     keep = seen[0].problem.options.keep_history
     structure: Sequence[GraphFactor] = ()
@@ -77,9 +101,9 @@ def results(
         elif alone:
             energies = optimum.energies
         else:
-            energies = part.energies(values, weights[i])
+            energies = part.energies(known.values, weights[i])
         history = history_of(start, adjusted, i, alone=alone) if keep else ()
-        uncertainty = read_covariances(part, counted[i], values, marginals, shapes)
+        uncertainty = read_covariances(part, known.weights[i], known.values, known.marginals, shapes)
         others, told = adjusted.alternatives[i], None if facing is None else facing[i]
         found.append(_result(part, optimum, i, others, told, uncertainty, energies, history, structure, milliseconds))
     return found
@@ -167,8 +191,15 @@ def _result(
         graph_gain=optimum.gain,
         facing_probability=facing,
         size_covariance=None if uncertainty is None else uncertainty.size,
+        regions=_regions(problem),
     )
     return weakened(found, reasons)
+
+
+def _regions(problem: Problem) -> Regions:
+    if problem.observation.covariance is None:
+        return Regions.ASSUMED
+    return Regions.FITTED if problem.options.keypoints.fitted else Regions.SHIPPED
 
 
 def weakened(result: Reconstruction, reasons: Sequence[str]) -> Reconstruction:
