@@ -145,7 +145,7 @@ def _result(
     centre = -camera_T_object[:3, :3].T @ camera_T_object[:3, 3]
     box_size = prior.box_size(coefficients, offsets)
     facing = _facing(part, camera_T_object) if told is None else told
-    relative = box_size / prior.box_size(np.zeros_like(coefficients))
+    relative = box_size / problem.model.dimension_mean
     status, message = _status(
         camera_T_object, box_size, relative, facing, alternatives, uncertainty, problem.options, optimum
     )
