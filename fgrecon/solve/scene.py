@@ -228,41 +228,6 @@ def _result(one: Alone) -> Reconstruction:
     return results([Seen(one.problem)], [one.start], adjusted, {}, one.own(), facing=[one.facing(one.pose)])[0]
 
 
-def ground_evidence(
-    observations: Sequence[Observation],
-    camera: Camera,
-    model: VehicleModel,
-    plane: Ground,
-    options: Options,
-    known: Marginal,
-) -> Marginal | None:
-    """What the vehicles of an image say of the ground, their poses and shapes eliminated.
-
-    Args:
-        observations: The keypoints of each vehicle.
-        camera: The camera, whose focal length is taken as it is.
-        model: The prepared prior.
-        plane: About where the ground is.
-        options: Settings.
-        known: What is known of its change G(0) from there; of the evidence it is no part.
-
-    Returns:
-        The evidence about G(0); None where there are fewer than two vehicles, or they could not be solved.
-    """
-    sure = replace(camera, focal_sigma=0.0)
-    alone = each_alone(observations, sure, model, plane, options)
-    best = _together(alone, [0] * len(observations), sure, plane, options, known)
-    if best is None or not best.standing:
-        return None
-    told, values = gtsam.NonlinearFactorGraph(), best.optimum.values
-    built = best.graph.build(best.optimum.state.weights)
-    for factor in map(built.at, range(built.size())):
-        if list(factor.keys()) != [G(0)]:
-            told.add(factor)
-    found = marginal(told, values, [key for key in values.keys() if key != G(0)])  # noqa: SIM118 - no mapping
-    return found if np.isfinite(found.matrix).all() and np.isfinite(found.right).all() else None
-
-
 def _solved(
     begun: Sequence[Tried], image_of: Sequence[int], known: Camera, plane: Ground | None, options: Options
 ) -> _Told | None:

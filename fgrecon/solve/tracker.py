@@ -33,8 +33,7 @@ from fgrecon.solve.graph.adjust import Adjusted
 from fgrecon.solve.pipeline import ground_plane, observe
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import results
-from fgrecon.solve.road import KnownGround, Road
-from fgrecon.solve.scene import ground_evidence
+from fgrecon.solve.road import KnownGround, Road, ground_evidence
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.time.smooth import smooth
 from fgrecon.solve.time.turned import turned_alternative
@@ -156,23 +155,37 @@ class Tracker:
         seen_by, plane = Camera.of(camera), ground_plane(ground)
         place = None if world_T_camera is None else _pose("world_T_camera", world_T_camera)
         sigma = (0.0, 0.0) if motion_sigma is None else _sigma(motion_sigma)
-        self._time, known = time, None
-        if self._shared and plane is not None:
-            known = self._ground(time, observations, seen_by, plane, place, sigma)
-            plane = known.ground
-        found: dict[int, VehicleEstimate] = {}
+        self._time = time
+        looked: dict[int, tuple[_Track, Frame]] = {}
         refused: dict[int, FgreconError] = {}
-        for name, given in observations.items():
-            track = self._tracks.get(name)
-            try:
-                observation = observe(given, seen_by, self._prior, self._options)
-                problem = Problem.of(observation, seen_by, self._model, plane, self._options)
-                if track is None:
-                    track = _Track(Followed(self._prior.category.motion, self._window, self._own))
-                frame = track.followed.add(problem, time, _step(track, time, place, sigma))
-            except FgreconError as error:
-                refused[name] = error
-                continue
+
+        def look(ground: Ground | None) -> None:
+            for name, given in observations.items():
+                track = self._tracks.get(name)
+                try:
+                    observation = observe(given, seen_by, self._prior, self._options)
+                    problem = Problem.of(observation, seen_by, self._model, ground, self._options)
+                    if track is None:
+                        track = _Track(Followed(self._prior.category.motion, self._window, self._own))
+                    looked[name] = track, track.followed.look(problem, time, _step(track, time, place, sigma))
+                except FgreconError as error:
+                    refused[name] = error
+
+        def says(known: Marginal, ground: Ground) -> Marginal | None:
+            look(ground)
+            assert plane is not None
+            frames = [frame for _, frame in looked.values()]
+            return ground_evidence(frames, [track.followed.shape for track, _ in looked.values()], plane, known)
+
+        known: KnownGround | None = None
+        if self._shared and plane is not None:
+            known = self._road.later(time, plane, place, says, motion_sigma=sigma)
+            plane = known.ground
+        else:
+            look(plane)
+        found: dict[int, VehicleEstimate] = {}
+        for name, (track, frame) in looked.items():
+            track.followed.take(frame, plane)
             self._tracks[name] = track
             track.time, track.world_T_camera = time, place
             track.past.append(_Past(frame, place, known))
@@ -190,23 +203,6 @@ class Tracker:
     def forget(self, vehicle: int) -> None:
         """Let go of a vehicle, and of its past; one that is not there is none to let go of."""
         self._tracks.pop(vehicle, None)
-
-    def _ground(
-        self,
-        time: float,
-        observations: Mapping[int, Observation],
-        camera: Camera,
-        told: Ground,
-        place: gtsam.Pose3 | None,
-        sigma: tuple[float, float],
-    ) -> KnownGround:
-        """By the vehicles of this frame and those before."""
-
-        def says(known: Marginal) -> Marginal | None:
-            given = list(observations.values())
-            return ground_evidence(given, camera, self._model, told, self._options, known)
-
-        return self._road.later(time, told, place, says, motion_sigma=sigma)
 
     def _estimate(self, name: int, track: _Track) -> VehicleEstimate:
         """Of the last frame."""
