@@ -15,7 +15,7 @@ from fgrecon.core.geometry import view_azimuth
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status, rotation_y
 from fgrecon.solve.graph.adjust import Adjusted
-from fgrecon.solve.graph.covariance import Covariances, factorise, read_covariances
+from fgrecon.solve.graph.covariance import Covariances, Spread, factorise, read_covariances
 from fgrecon.solve.graph.graph import Graph, Seen
 from fgrecon.solve.graph.history import iterations
 from fgrecon.solve.graph.observation import ObservationPart, Weights
@@ -43,6 +43,8 @@ def results(
     extra: Sequence[gtsam.NonlinearFactor] = (),
     only: Collection[int] | None = None,
     facing: Sequence[float | None] | None = None,
+    *,
+    at_once: bool = False,
 ) -> list[Reconstruction]:
     """The result of each observation.
 
@@ -54,6 +56,7 @@ def results(
         extra: Factors of the caller's own.
         only: Indices of the observations whose results are wanted; None for all.
         facing: How probable the facing of each is where more than its directions tells; None where only they do.
+        at_once: Whether covariances come from one inverse (`Spread`): quicker for frames of one vehicle.
     """
     graph, optimum = adjusted.graph, adjusted.optimum
     if not seen[0].problem.options.shape.joint:  # covariances count pose and shape together, whichever came last
@@ -61,7 +64,10 @@ def results(
     weights = optimum.state.weights
     values = graph.values(optimum.state)
     counted = [_common(part, weight) for part, weight in zip(graph.observations, weights, strict=True)]
-    marginals = factorise(graph.for_covariances(counted), values) if optimum.failure is None else None
+    marginals: gtsam.Marginals | Spread | None = None
+    if optimum.failure is None:
+        built = graph.for_covariances(counted)
+        marginals = Spread.of(built, values, _asked(graph, only)) if at_once else factorise(built, values)
     alone = len(seen) == 1
     keep = seen[0].problem.options.keep_history
     structure: Sequence[GraphFactor] = ()
@@ -83,6 +89,16 @@ def results(
         others, told = adjusted.alternatives[i], None if facing is None else facing[i]
         found.append(_result(part, optimum, i, others, told, uncertainty, energies, history, structure, milliseconds))
     return found
+
+
+def _asked(graph: Graph, only: Collection[int] | None) -> set[int]:
+    """The variables whose covariances results need: the poses of some observations, and all shapes."""
+    asked = {key for vehicle in graph.vehicles.values() for key in vehicle.shape.keys}
+    return asked | {
+        part.pose_key
+        for i, part in enumerate(graph.observations)
+        if part.pose_key is not None and (only is None or i in only)
+    }
 
 
 def _common(part: ObservationPart, weights: Weights) -> Weights:

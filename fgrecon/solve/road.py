@@ -40,7 +40,7 @@ _LASTS = 12.0  # seconds after which a deviation from what is told has fallen to
 _NEAR, _FAR = 10.0, 40.0  # metres: depths at which the uncertainty is that of the ground's
 _LEAST_KEPT = 1e-6
 _ROUNDS = 3  # of a solve that is nearly linear
-_STEPS = 2  # Newton's, of the vehicles of a frame together: each begins near its minimum
+_STEPS = 1  # Newton's, of the vehicles of a frame together: each begins near its minimum
 _LEAST_HEIGHT = 0.2  # metres; a camera is above the road
 
 Says = Callable[[Marginal, Ground], Marginal | None]

@@ -23,8 +23,7 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from factors.keys import F, G
-from factors.marginals import Marginal, marginal, marginal_factor
+from factors.keys import F
 from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
@@ -50,7 +49,7 @@ from fgrecon.solve.standing import Standing
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.vehicle.model import VehicleModel, prepare
 
-__all__ = ["ground_evidence", "reconstruct_scene", "reconstruct_scenes"]
+__all__ = ["reconstruct_scene", "reconstruct_scenes"]
 
 Array = NDArray[np.float64]
 
@@ -257,7 +256,6 @@ def _together(
     known: Camera,
     plane: Ground | None,
     options: Options,
-    before: Marginal | None = None,
     out: Collection[int] = (),
 ) -> _Joint | None:
     """The joint solve; None where there is nothing to solve together, or it gave up.
@@ -268,7 +266,6 @@ def _together(
         known: What is known of the camera.
         plane: About where the ground is, or None.
         options: Settings.
-        before: What is known of the ground of the one image that there is, in the place of its prior.
         out: Vehicles that are left out.
     """
     solved = {number: one for number, one in alone.solved.items() if number not in out}
@@ -284,12 +281,8 @@ def _together(
     priors: list[gtsam.NonlinearFactor] = []
     others = gtsam.Values()
     for one_ground in standing.values():
-        if before is None:
-            others.insert(one_ground.key, np.zeros(3))
-            priors.append(one_ground.prior)
-        else:
-            others.insert(before.values)
-            priors.append(marginal_factor(before))
+        others.insert(one_ground.key, np.zeros(3))
+        priors.append(one_ground.prior)
     if known.focal_sigma:
         others.insert(F(0), np.zeros(1))
         priors.append(focal_prior(known, alone.camera))

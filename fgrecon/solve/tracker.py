@@ -23,7 +23,7 @@ from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
-from fgrecon.core.reconstruction import rotation_y
+from fgrecon.core.reconstruction import Reconstruction, rotation_y
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as named_size_prior
@@ -38,7 +38,7 @@ from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.time.smooth import smooth
 from fgrecon.solve.time.turned import turned_alternative
 from fgrecon.solve.time.vehicle import Followed
-from fgrecon.solve.time.window import Frame, FrameStep, OwnFactors, WindowSolve, velocity_covariance
+from fgrecon.solve.time.window import Frame, FrameStep, OwnFactors, WindowSolve, velocity_covariances
 from fgrecon.solve.vehicle.model import prepare
 
 __all__ = ["Tracker"]
@@ -206,8 +206,9 @@ class Tracker:
 
     def _estimate(self, name: int, track: _Track) -> VehicleEstimate:
         """Of the last frame."""
-        followed = track.followed
-        return _estimate(name, track.past[-1], followed.solved, len(followed.solved.seen) - 1, followed.count)
+        followed, past = track.followed, track.past[-1]
+        last = len(followed.solved.seen) - 1
+        return _estimates(name, {last: past}, followed.solved, followed.count)[0]
 
     def _smoothed(self, name: int, track: _Track) -> list[VehicleEstimate]:
         pasts = {past.frame.number: past for past in track.past}
@@ -215,30 +216,37 @@ class Tracker:
         frames[0] = replace(frames[0], step=None)
         found = []
         for solved, some, given in smooth(frames, track.followed.shape, track.followed.motion, self._own):
-            for index in given:
-                past = replace(pasts[some[index].number], frame=some[index])
-                found.append(_estimate(name, past, solved, index, len(frames)))
+            wanted = {index: replace(pasts[some[index].number], frame=some[index]) for index in given}
+            found += _estimates(name, wanted, solved, len(frames))
         return found
 
 
-def _estimate(name: int, past: _Past, solved: WindowSolve, index: int, count: int) -> VehicleEstimate:
+def _estimates(name: int, pasts: Mapping[int, _Past], solved: WindowSolve, count: int) -> list[VehicleEstimate]:
+    """Of some frames that were solved together, by their places there."""
+    frames = [past.frame for past in pasts.values()]
+    alone = len(solved.seen) == 1
+    facings = [frame.belief.facing(rotation_y(frame.pose.matrix())) for frame in frames]
+    adjusted = solved.adjusted if alone else _with_alternatives(solved.adjusted, pasts, facings)
+    told = results(solved.seen, solved.starts, adjusted, {}, solved.extra, only=pasts, at_once=not alone)
+    spreads = [None] * len(frames) if alone else velocity_covariances(solved, frames)
+    each = zip(pasts.values(), told, facings, spreads, strict=True)
+    return [_estimate(name, past, result, facing, count, spread, alone=alone) for past, result, facing, spread in each]
+
+
+def _estimate(
+    name: int, past: _Past, result: Reconstruction, facing: float, count: int, spread: Array | None, *, alone: bool
+) -> VehicleEstimate:
     frame, place = past.frame, past.world_T_camera
     pose = frame.pose.matrix()
-    facing = frame.belief.facing(rotation_y(pose))
-    alone = len(solved.seen) == 1
-    adjusted = solved.adjusted if alone else _with_alternative(solved.adjusted, index, pose, facing)
-    (result,) = results(solved.seen, solved.starts, adjusted, {}, solved.extra, only=[index])
     if past.known is not None and result.pose_covariance is not None:
         result = replace(result, pose_covariance=past.known.considered(pose, result.pose_covariance))
     velocity: Array | None = None
-    spread: Array | None = None
     turn_rate: float | None = None
     if not alone:
         axes = pose[:3, :3] if place is None else place.rotation().matrix() @ pose[:3, :3]
         forward, left, turn_rate = frame.velocity.tolist()
         velocity = axes @ np.array([forward, 0.0, left])
-        own = velocity_covariance(solved, frame)
-        spread = None if own is None else axes @ own @ axes.T
+        spread = None if spread is None else axes @ spread @ axes.T
     return VehicleEstimate(
         id=name,
         time=frame.time,
@@ -252,13 +260,11 @@ def _estimate(name: int, past: _Past, solved: WindowSolve, index: int, count: in
     )
 
 
-def _with_alternative(adjusted: Adjusted, index: int, pose: Array, facing: float) -> Adjusted:
-    """With the vehicle turned round as an alternative of a frame, as improbable as it is by the track."""
-    turned = turned_alternative(pose, adjusted.optimum.state.shapes[0][0], facing)
-    if not turned:
-        return adjusted
-    told = list(adjusted.alternatives)
-    told[index] = turned
+def _with_alternatives(adjusted: Adjusted, pasts: Mapping[int, _Past], facings: Sequence[float]) -> Adjusted:
+    """With the vehicle turned round as an alternative of frames, as improbable as it is by the track."""
+    told, shape = list(adjusted.alternatives), adjusted.optimum.state.shapes[0][0]
+    for (index, past), facing in zip(pasts.items(), facings, strict=True):
+        told[index] = turned_alternative(past.frame.pose.matrix(), shape, facing) or told[index]
     return replace(adjusted, alternatives=tuple(told))
 
 

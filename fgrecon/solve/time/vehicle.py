@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from factors.keys import V, X
 from factors.marginals import Marginal, marginal
 from factors.mixture import Form
+from factors.motion import moved
 from fgrecon.core.camera import Ground
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.motion import MotionModel
@@ -46,6 +47,7 @@ _FAST = 60.0  # metres per second: no vehicle is taken to be faster when it is s
 _WAY, _PLACE, _DEPTH = 2.0, 0.3, 0.05
 """Metres that a vehicle must have gone for its way to say where it faces; how exactly its place is known: metres, and
 per metre of depth."""
+_DOUBTFUL = 12.0  # nats: a pose that is worse by more is none that the keypoints allow
 _ALIKE = 3.0  # nats: that keypoints are turned round as a whole, one time in twenty
 
 
@@ -95,7 +97,7 @@ class Followed:
             return frame
         frame.belief = before.belief.later(step.seconds, step.turn).told(frame.evidence)
         changed = face([*self.frames, frame], self.shape)
-        if any(moved is not frame for moved in changed):
+        if any(other is not frame for other in changed):
             self._left = None  # what was left of earlier frames knows another side
         return frame
 
@@ -112,8 +114,8 @@ class Followed:
             self._solve()
 
     def _seen(self, problem: Problem, time: float, step: FrameStep | None, way: Array | None) -> Frame:
-        """A frame by itself, and what it says of the heading: the first is solved, in later ones the search is enough."""
-        start = adjust_pose(problem)
+        """A frame by itself, and what it says of the heading: of later ones than the first the search says enough."""
+        start = adjust_pose(problem, None if step is None else self._foreseen(step))
         here = Alternative(start.camera_T_object, start.coefficients, 0.0)
         weights = Weights(start.weights, start.visibility, np.ones(4), float(start.camera_T_object[2, 3]))
         pose = gtsam.Pose3(start.camera_T_object)
@@ -125,6 +127,11 @@ class Followed:
         if way is not None:
             frame.evidence = frame.evidence + way
         return frame
+
+    def _foreseen(self, step: FrameStep) -> Array:
+        """(4, 4) where the vehicle should be if it goes on as it did."""
+        last, camera = self.frames[-1], gtsam.Pose3() if step.camera is None else step.camera
+        return np.asarray(moved(last.pose, last.velocity, step.seconds, camera).matrix())
 
     def _first(self, frame: Frame, start: PoseEstimate) -> None:
         """Solve a frame as the single image that it is."""
@@ -227,7 +234,9 @@ def face(frames: Sequence[Frame], shape: Held) -> list[Frame]:
 
 def _move(frame: Frame, heading: float, shape: Held) -> None:
     """Start a frame anew, where it faces a heading."""
-    near = [p for p in frame.poses if _apart(rotation_y(p.camera_T_object), heading) <= _ELSEWHERE]
+    near = [
+        p for p in frame.poses if p.excess <= _DOUBTFUL and _apart(rotation_y(p.camera_T_object), heading) <= _ELSEWHERE
+    ]
     if near:
         frame.pose = gtsam.Pose3(min(near, key=lambda p: p.excess).camera_T_object)
         return
