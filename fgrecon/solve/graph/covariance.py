@@ -57,7 +57,7 @@ class Spread:
         covariance: (D, D).
     """
 
-    places: dict[int, Array]
+    places: dict[int, NDArray[np.intp]]
     covariance: Array
 
     @classmethod
@@ -93,7 +93,8 @@ class Spread:
     def joint(self, keys: Sequence[int]) -> Array:
         """Of several variables, in the order of their keys."""
         rows = np.concatenate([self.places[key] for key in keys])
-        return self.covariance[np.ix_(rows, rows)]
+        joint: Array = self.covariance[np.ix_(rows, rows)]
+        return joint
 
 
 def factorise(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Marginals | None:

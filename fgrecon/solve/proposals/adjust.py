@@ -124,13 +124,13 @@ def _starts(problem: Problem, initial: Box3D | float | Array | None) -> Hypothes
     box = view_box(problem.observation)
     if isinstance(initial, int | float):
         return at_azimuths(box, camera, model, ground, float(initial) + _GUESS_SPREAD, relative=False)
-    foreseen = isinstance(initial, np.ndarray)
-    count = max(problem.options.search.azimuths // (_FEWER if foreseen else 1), 1)
+    foreseen = initial if isinstance(initial, np.ndarray) else None
+    count = max(problem.options.search.azimuths // (1 if foreseen is None else _FEWER), 1)
     clock = 2.0 * np.pi * np.arange(count) / count
     parts = [at_azimuths(box, camera, model, ground, clock, relative=True)]
     if isinstance(initial, Box3D):
         parts.append(from_box3d(initial, model, ground))
-    parts.append(from_pose(initial, model.prior.dimension) if foreseen else _from_aspnp(problem))
+    parts.append(_from_aspnp(problem) if foreseen is None else from_pose(foreseen, model.prior.dimension))
     return Hypotheses(
         np.concatenate([p.rotation for p in parts]),
         np.concatenate([p.translation for p in parts]),
