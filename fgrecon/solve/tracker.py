@@ -1,8 +1,8 @@
 """Vehicles over time: keypoints of frame after frame in, poses, shapes and velocities out.
 
-    frame t: keypoints by id, camera ---- each alone ---- facing by all frames ---- graph of a window ---- estimates
-                                                                                          |
-                                                              what left the window: one linear factor
+    frame t: keypoints by id, camera ---- pose search ---- facing by all frames ---- graph of a window ---- estimates
+                                               |                                           |
+                                             ground                   what left the window: one linear factor
 
 A vehicle's first frame gives what `fgrecon.reconstruct` gives.
 """
@@ -93,8 +93,7 @@ class Tracker:
             options: Settings; `joint` must be set.
             window: Frames that are solved together when a new one comes; at least 2.
             shared_ground: Whether the vehicles share one ground that is a variable and changes slowly from frame to
-                frame: it is found first, by solving the vehicles of the frame together as `fgrecon.reconstruct_scene`
-                does, which takes as long as following them.
+                frame: it is found first, by a step of a solve of all vehicles of the frame together.
             past: Frames of each vehicle to keep for `smooth`; None keeps all.
             motion_factors: Makes factors of your own for each step of a vehicle: called with the numbers of its two
                 frames, the seconds between them, and a factor to multiply standard deviations by (frames count by a
