@@ -38,6 +38,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.core.scene_reconstruction import SceneReconstruction
     from fgrecon.core.shape_prior import ShapePrior, Surface
     from fgrecon.core.size_prior import SIZE_PRIORS, SizePrior
+    from fgrecon.core.status import Regions
     from fgrecon.core.track_reconstruction import JointStep, TrackReconstruction
     from fgrecon.core.vehicle_estimate import VehicleEstimate
     from fgrecon.io.catalogue import load_category, load_prior, save_prior
@@ -76,6 +77,7 @@ __all__ = [
     "Options",
     "Reconstruction",
     "RefinedBox",
+    "Regions",
     "RobustStrategy",
     "SceneReconstruction",
     "SearchOptions",

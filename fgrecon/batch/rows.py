@@ -17,6 +17,7 @@ from fgrecon.core.category import Category
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.plain import finite
 from fgrecon.core.reconstruction import Alternative, Reconstruction, Status
+from fgrecon.core.status import Regions
 
 __all__ = [
     "failed_row",
@@ -78,6 +79,7 @@ def solved_row(
         "size_covariance": _flat(result.size_covariance),
         "facing_probability": finite(result.facing_probability),
         "reasons": list(result.reasons),
+        "regions": result.regions.value,
         "camera_matrix": _flat(camera.matrix),
         "focal_sigma": camera.focal_sigma,
         "distortion": _flat(camera.distortion),
@@ -196,6 +198,7 @@ def reconstruction_of(row: Mapping[str, Any], category: Category) -> Reconstruct
         facing_probability=_number(row.get("facing_probability")),
         reasons=tuple(row.get("reasons") or ()),
         size_covariance=square("size_covariance"),
+        regions=Regions(row.get("regions") or Regions.ASSUMED),
     )
 
 

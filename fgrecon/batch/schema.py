@@ -49,6 +49,7 @@ def result_schema() -> Any:
         ("alternatives", pa.list_(_ALTERNATIVE)),
         ("facing_probability", _NUMBER),
         ("reasons", pa.list_(_TEXT)),
+        ("regions", _TEXT),
         *((name, _NUMBERS) for name in ("camera_matrix", "distortion")),
         ("image_size", pa.list_(pa.int32())),
         ("box", _NUMBERS),

@@ -89,7 +89,9 @@ def refine_evaluation_command(
                 np.random.default_rng([seed, number])
                 if boxes is None
                 else {
-                    frame: found.take(np.array([kind == "Car" for kind in found.kind]) & (found.score >= min_score))
+                    frame: found.take(
+                        np.array([kind == "Car" for kind in found.kind], dtype=bool) & (found.score >= min_score)
+                    )
                     for frame, found in read_boxes(boxes, [frame.number for frame in drive.frames]).items()
                 }
             )

@@ -92,7 +92,8 @@ def details(result: Reconstruction | TrackReconstruction | None) -> list[str]:
         return []
     energies = ", ".join(f"{term} {energy:.2f}" for term, energy in result.energies.items())
     times = ", ".join(f"{stage} {ms:.1f}" for stage, ms in result.milliseconds.items())
-    return [f"  energies (nats): {energies}", f"  times (ms): {times}"]
+    regions = f"  regions: {result.regions.value}" if isinstance(result, Reconstruction) else ""
+    return [line for line in (f"  energies (nats): {energies}", f"  times (ms): {times}", regions) if line]
 
 
 def _message(outcome: Outcome) -> str:

@@ -41,4 +41,4 @@ class DetectorCalibration:
 
     def applied(self, options: Options) -> Options:
         """The options with these settings in the place of their own."""
-        return replace(options, keypoints=replace(options.keypoints, **self.numbers))
+        return replace(options, keypoints=replace(options.keypoints, **self.numbers, fitted=True))

@@ -33,6 +33,8 @@ class KeypointOptions:
             KITTI's video, each found by networks that had not learnt from its drive; fitted without a drive and tested
             on it: expected calibration error 0.005. `fgrecon calibrate` fits them to other detectors.
         facing_slope: See there.
+        fitted: Whether the last three were fitted to the keypoints' detector (`DetectorCalibration.applied` sets it);
+            results say so (`Reconstruction.regions`).
     """
 
     sigma_relative: float = number(0.035, least=0.0)
@@ -41,6 +43,7 @@ class KeypointOptions:
     common_factor: float = number(4.0, least=1.0)
     facing_bias: float = number(-0.390, least=-20.0, most=20.0)
     facing_slope: float = number(0.976, least=0.0, most=20.0)
+    fitted: bool = False
 
     def __post_init__(self) -> None:
         """Check the settings (`InvalidInputError`)."""

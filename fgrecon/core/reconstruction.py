@@ -17,7 +17,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.plain import array, indices, numbers, pairs, plain, square
 from fgrecon.core.plotting import DEFAULT_BACKEND, as_html, plotting_backend
-from fgrecon.core.status import Status
+from fgrecon.core.status import Regions, Status
 from fgrecon.core.table import as_arrow, as_pandas
 
 if TYPE_CHECKING:
@@ -144,6 +144,7 @@ class Reconstruction:
             directions, calibrated on real cars; without them by the energies of the poses. NaN where neither tells.
         reasons: Clauses that say what makes the result weak, whatever its status.
         size_covariance: (3, 3) covariance of `box_size`, or None where it is not determined.
+        regions: What the covariances rest on.
     """
 
     status: Status
@@ -178,6 +179,7 @@ class Reconstruction:
     facing_probability: float = float("nan")
     reasons: tuple[str, ...] = ()
     size_covariance: NDArray[np.float64] | None = None
+    regions: Regions = Regions.ASSUMED
 
     @property
     def pose(self) -> gtsam.Pose3:
@@ -293,7 +295,7 @@ class Reconstruction:
             raise InvalidInputError("format", data.get("format"), f"Give a result written as {COMPACT} or {FORMAT}.")
         absent = _LARGE if data["format"] == COMPACT else {}
         # Earlier files have them not.
-        later = ("graph_iterations", "graph_gain", "facing_probability", "reasons", "size_covariance")
+        later = ("graph_iterations", "graph_gain", "facing_probability", "reasons", "size_covariance", "regions")
         names = [f.name for f in fields(cls) if f.name in data or f.name not in (*later, *absent)]
         missing = [name for name in names if name not in data]
         if missing:
@@ -375,6 +377,7 @@ _READERS: Mapping[str, Callable[[Any], Any]] = {
     "graph_gain": float,
     "facing_probability": float,
     "reasons": tuple,
+    "regions": Regions,
     "message": str,
     "category": str,
     "prior": str,

@@ -1,10 +1,10 @@
-"""How a reconstruction ends."""
+"""How a reconstruction ends, and what its covariances rest on."""
 
 from __future__ import annotations
 
 from enum import StrEnum
 
-__all__ = ["Status"]
+__all__ = ["Regions", "Status"]
 
 
 class Status(StrEnum):
@@ -29,3 +29,14 @@ class Status(StrEnum):
     def determined(self) -> bool:
         """Whether the keypoints determine a pose, be it one of several."""
         return self.settled or self is Status.AMBIGUOUS
+
+
+class Regions(StrEnum):
+    """What the covariances of a result rest on."""
+
+    ASSUMED = "assumed"
+    """The keypoints bring none: errors of `KeypointOptions.sigma_relative` and `sigma_pixels` are assumed."""
+    SHIPPED = "shipped"
+    """Those of the keypoints, counted as the shipped networks' are (`KeypointOptions.common_factor`)."""
+    FITTED = "fitted"
+    """Those of the keypoints, counted as `fgrecon calibrate` found for their detector."""

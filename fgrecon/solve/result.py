@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -14,6 +14,7 @@ from fgrecon.core.detection import calibrated_facing, facing_probability
 from fgrecon.core.geometry import view_azimuth
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status, rotation_y
+from fgrecon.core.status import Regions
 from fgrecon.solve.graph.adjust import Adjusted
 from fgrecon.solve.graph.covariance import Covariances, Spread, factorise, read_covariances
 from fgrecon.solve.graph.graph import Graph, Seen
@@ -23,16 +24,56 @@ from fgrecon.solve.graph.optimise import Optimum
 from fgrecon.solve.graph.structure import graph_factors
 from fgrecon.solve.probable import facing_by_energies, with_probabilities
 from fgrecon.solve.proposals.adjust import PoseEstimate
-from fgrecon.solve.proposals.problem import keypoint_covariances
+from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
 from fgrecon.solve.vehicle.visibility import clearance, occluder, probability
 from fgrecon.solve.weakness import weaknesses
 
-__all__ = ["history_of", "results", "weakened"]
+__all__ = ["Counted", "count", "history_of", "results", "weakened"]
 
 _SURE_FACING = 0.8
 """Less is ambiguous: 80 % of the cars that are turned round on KITTI's video, and 6 % of the others."""
 _ABSURD = 5.0  # times longer, wider or higher than the prior's mean, or as many times less: no such vehicle
 _LOOSE = np.deg2rad(30.0)  # a rotation known no better than this is not determined
+
+
+@dataclass(frozen=True)
+class Counted:
+    """What is known at the end of an optimisation.
+
+    Attributes:
+        values: All variables.
+        weights: Those with which each observation counts for covariances.
+        marginals: Of the variables, sizes counted once; None where a direction is not determined, or there is no end.
+    """
+
+    values: gtsam.Values
+    weights: Sequence[Weights]
+    marginals: gtsam.Marginals | Spread | None
+
+
+def count(graph: Graph, optimum: Optimum, at_once: Collection[int] | None = None) -> Counted:
+    """What is known at the end of an optimisation of a graph.
+
+    Args:
+        graph: The graph.
+        optimum: Its end.
+        at_once: Indices of the observations whose covariances are wanted by one factorisation (`Spread`), which is quicker
+            for frames of one vehicle; None for those of all by `gtsam.Marginals`.
+    """
+    values = graph.values(optimum.state)
+    weights = [_common(part, w) for part, w in zip(graph.observations, optimum.state.weights, strict=True)]
+    marginals: gtsam.Marginals | Spread | None = None
+    if optimum.failure is None:
+        built = graph.for_covariances(weights)
+        asked = None if at_once is None else _asked(graph, at_once)
+        marginals = factorise(built, values) if asked is None else Spread.of(built, values, asked)
+    return Counted(values, weights, marginals)
+
+
+def _asked(graph: Graph, some: Collection[int]) -> set[int]:
+    """The variables whose covariances results need: the poses of some observations, and all shapes."""
+    poses = {part.pose_key for i, part in enumerate(graph.observations) if part.pose_key is not None and i in some}
+    return poses | {key for vehicle in graph.vehicles.values() for key in vehicle.shape.keys}
 
 
 def results(
@@ -43,8 +84,7 @@ def results(
     extra: Sequence[gtsam.NonlinearFactor] = (),
     only: Collection[int] | None = None,
     facing: Sequence[float | None] | None = None,
-    *,
-    at_once: bool = False,
+    counted: Counted | None = None,
 ) -> list[Reconstruction]:
     """The result of each observation.
 
@@ -56,18 +96,13 @@ def results(
         extra: Factors of the caller's own.
         only: Indices of the observations whose results are wanted; None for all.
         facing: How probable the facing of each is where more than its directions tells; None where only they do.
-        at_once: Whether covariances come from one inverse (`Spread`): quicker for frames of one vehicle.
+        counted: What `count` says of the graph, where that is known already.
     """
     graph, optimum = adjusted.graph, adjusted.optimum
     if not seen[0].problem.options.shape.joint:  # covariances count pose and shape together, whichever came last
         graph = Graph(seen, optimum.state, pose_free=True, extra=extra)
     weights = optimum.state.weights
-    values = graph.values(optimum.state)
-    counted = [_common(part, weight) for part, weight in zip(graph.observations, weights, strict=True)]
-    marginals: gtsam.Marginals | Spread | None = None
-    if optimum.failure is None:
-        built = graph.for_covariances(counted)
-        marginals = Spread.of(built, values, _asked(graph, only)) if at_once else factorise(built, values)
+    known = count(graph, optimum) if counted is None else counted
     alone = len(seen) == 1
     keep = seen[0].problem.options.keep_history
     structure: Sequence[GraphFactor] = ()
@@ -83,22 +118,12 @@ def results(
         elif alone:
             energies = optimum.energies
         else:
-            energies = part.energies(values, weights[i])
+            energies = part.energies(known.values, weights[i])
         history = history_of(start, adjusted, i, alone=alone) if keep else ()
-        uncertainty = read_covariances(part, counted[i], values, marginals, shapes)
+        uncertainty = read_covariances(part, known.weights[i], known.values, known.marginals, shapes)
         others, told = adjusted.alternatives[i], None if facing is None else facing[i]
         found.append(_result(part, optimum, i, others, told, uncertainty, energies, history, structure, milliseconds))
     return found
-
-
-def _asked(graph: Graph, only: Collection[int] | None) -> set[int]:
-    """The variables whose covariances results need: the poses of some observations, and all shapes."""
-    asked = {key for vehicle in graph.vehicles.values() for key in vehicle.shape.keys}
-    return asked | {
-        part.pose_key
-        for i, part in enumerate(graph.observations)
-        if part.pose_key is not None and (only is None or i in only)
-    }
 
 
 def _common(part: ObservationPart, weights: Weights) -> Weights:
@@ -137,7 +162,7 @@ def _result(
     centre = -camera_T_object[:3, :3].T @ camera_T_object[:3, 3]
     box_size = prior.box_size(coefficients, offsets)
     facing = _facing(part, camera_T_object) if told is None else told
-    relative = box_size / prior.box_size(np.zeros_like(coefficients))
+    relative = box_size / problem.model.dimension_mean
     status, message = _status(
         camera_T_object, box_size, relative, facing, alternatives, uncertainty, problem.options, optimum
     )
@@ -183,8 +208,15 @@ def _result(
         graph_gain=optimum.gain,
         facing_probability=facing,
         size_covariance=None if uncertainty is None else uncertainty.size,
+        regions=_regions(problem),
     )
     return weakened(found, reasons)
+
+
+def _regions(problem: Problem) -> Regions:
+    if problem.observation.covariance is None:
+        return Regions.ASSUMED
+    return Regions.FITTED if problem.options.keypoints.fitted else Regions.SHIPPED
 
 
 def weakened(result: Reconstruction, reasons: Sequence[str]) -> Reconstruction:

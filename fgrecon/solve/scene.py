@@ -39,12 +39,12 @@ from fgrecon.solve.alone import Alone, Tried, each_alone, known_boxes
 from fgrecon.solve.detected import KnownBox
 from fgrecon.solve.focal import candidates, distinct_lengths, energies_of, focal_prior, log_ratio, starts
 from fgrecon.solve.graph.adjust import Adjusted, SolvedStage
-from fgrecon.solve.graph.covariance import covariance_of, factorise, undetermined
+from fgrecon.solve.graph.covariance import covariance_of, undetermined
 from fgrecon.solve.graph.graph import Graph, Seen, State
 from fgrecon.solve.graph.optimise import Optimum, optimise
 from fgrecon.solve.occlusion import with_occlusion
 from fgrecon.solve.pipeline import ground_plane
-from fgrecon.solve.result import history_of, results, weakened
+from fgrecon.solve.result import count, history_of, results, weakened
 from fgrecon.solve.standing import Standing
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.vehicle.model import VehicleModel, prepare
@@ -321,14 +321,15 @@ def _told(best: _Joint, joint: Sequence[_Joint], known: Camera) -> _Told:
             replace(one.start, history=history_of(one.start, one.adjusted, 0, alone=True)) for one in solved.values()
         ]
     facing = [one.facing(pose) for one, pose in zip(solved.values(), poses, strict=True)]
-    each = dict(zip(solved, results(best.seen, starts_, adjusted, {}, best.extra, facing=facing), strict=True))
+    counted = count(best.graph, optimum)
+    found = results(best.seen, starts_, adjusted, {}, best.extra, facing=facing, counted=counted)
+    each = dict(zip(solved, found, strict=True))
     for one_ground in best.standing.values():
         for number, contact in one_ground.contacts.items():
             energies = {**each[number].energies, "ground": float(contact.error(values))}
             each[number] = replace(each[number], energies=energies)
             each[number] = weakened(each[number], one_ground.doubt(each[number], solved[number].problem.ground, values))
-    marginals = factorise(best.graph.build(optimum.state.weights), values)
-    camera = best.alone.camera
+    marginals, camera = counted.marginals, best.alone.camera
     shared: tuple[str, ...] = ()
     lengths: tuple[tuple[float, float], ...] = ()
     grounds = {

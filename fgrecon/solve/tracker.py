@@ -32,7 +32,7 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph.adjust import Adjusted
 from fgrecon.solve.pipeline import ground_plane, observe
 from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.result import results
+from fgrecon.solve.result import count, results
 from fgrecon.solve.road import KnownGround, Road, ground_evidence
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.time.smooth import smooth
@@ -226,7 +226,8 @@ def _estimates(name: int, pasts: Mapping[int, _Past], solved: WindowSolve, count
     alone = len(solved.seen) == 1
     facings = [frame.belief.facing(rotation_y(frame.pose.matrix())) for frame in frames]
     adjusted = solved.adjusted if alone else _with_alternatives(solved.adjusted, pasts, facings)
-    told = results(solved.seen, solved.starts, adjusted, {}, solved.extra, only=pasts, at_once=not alone)
+    counted = None if alone else count(adjusted.graph, adjusted.optimum, at_once=pasts)
+    told = results(solved.seen, solved.starts, adjusted, {}, solved.extra, only=pasts, counted=counted)
     spreads = [None] * len(frames) if alone else velocity_covariances(solved, frames)
     each = zip(pasts.values(), told, facings, spreads, strict=True)
     return [_estimate(name, past, result, facing, count, spread, alone=alone) for past, result, facing, spread in each]

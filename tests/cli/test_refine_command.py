@@ -148,5 +148,11 @@ def test_disturbed_labels_come_nearer(sample, tmp_path):
     assert len(content["vehicles"]) == 3
     boxes = run("evaluate", "refine", root, "--boxes", root / "label_2", "--json", "-")
     assert json.loads(boxes.stdout)["groups"]["all"]["mean_metres"][0] == pytest.approx(0.0, abs=1e-9)
+    for name, ending in (("image_2", "png"), ("calib", "txt"), ("label_2", "txt")):
+        shutil.copy(root / name / f"000000.{ending}", root / name / f"000001.{ending}")
+    shutil.copytree(root / "label_2", tmp_path / "found")
+    (tmp_path / "found" / "000001.txt").write_text("")  # where the detector found nothing there is nothing to refine
+    some = run("evaluate", "refine", root, "--boxes", tmp_path / "found", "--json", "-")
+    assert json.loads(some.stdout)["groups"]["all"]["vehicles"] == 3
     twice = run("evaluate", "refine", root, tmp_path / "object", "--boxes", root / "label_2")
     assert isinstance(twice.exception, InvalidInputError)

@@ -30,6 +30,7 @@ DEFAULTS = {
         "common_factor": 4.0,
         "facing_bias": -0.390,
         "facing_slope": 0.976,
+        "fitted": False,
     },
     "box": {"model": BoxModel.SURFACE, "sigma_relative": 0.02, "sigma_pixels": 1.5},
     "search": {"azimuths": 24, "basis_vectors": 0},

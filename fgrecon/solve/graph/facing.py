@@ -32,7 +32,7 @@ _TURNED = 30.0  # nats that a turn costs at most
 
 def is_turned(first: Array, second: Array) -> bool:
     """Whether two poses (4, 4) are turned by more than a quarter against each other."""
-    return turn_between(first, second) > np.pi / 2.0
+    return float(np.vdot(first[:3, :3], second[:3, :3])) < 1.0  # the trace is 1 + 2 cos
 
 
 def decide(basins: Sequence[Sequence[Alternative]], *, in_order: bool) -> tuple[list[int], list[Array]]:

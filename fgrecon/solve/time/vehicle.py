@@ -1,9 +1,10 @@
 """One vehicle that is followed: each frame by itself first, then which way it faces, then the window's graph.
 
 The first frame is solved alone, as a single image is. Of later ones the pose search is enough, which starts where the
-motion leads as well: the window's graph solves them. The belief of the heading (`heading`) says which of a frame's poses
-is meant, for this and for the other frames of the window; a frame that has none there starts anew, its keypoints turned
-round if that explains them better. Frames that leave the window stay as one linear factor on what they were tied to.
+motion leads as well: the window's graph solves them. The belief of the heading (`heading`) says which of a frame's
+poses is meant, for this and for the other frames of the window; a frame that has none there starts anew, its keypoints
+turned round if that explains them better. Frames that leave the window stay as one linear factor on what they were tied
+to.
 """
 
 from __future__ import annotations
