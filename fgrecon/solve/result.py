@@ -57,8 +57,8 @@ def count(graph: Graph, optimum: Optimum, at_once: Collection[int] | None = None
     Args:
         graph: The graph.
         optimum: Its end.
-        at_once: Indices of the observations whose covariances are wanted by one factorisation (`Spread`), which is quicker
-            for frames of one vehicle; None for those of all by `gtsam.Marginals`.
+        at_once: Indices of the observations whose covariances are wanted by one factorisation (`Spread`), which is
+            quicker for frames of one vehicle; None for those of all by `gtsam.Marginals`.
     """
     values = graph.values(optimum.state)
     weights = [_common(part, w) for part, w in zip(graph.observations, optimum.state.weights, strict=True)]

@@ -220,7 +220,7 @@ class Tracker:
         return found
 
 
-def _estimates(name: int, pasts: Mapping[int, _Past], solved: WindowSolve, count: int) -> list[VehicleEstimate]:
+def _estimates(name: int, pasts: Mapping[int, _Past], solved: WindowSolve, total: int) -> list[VehicleEstimate]:
     """Of some frames that were solved together, by their places there."""
     frames = [past.frame for past in pasts.values()]
     alone = len(solved.seen) == 1
@@ -230,11 +230,11 @@ def _estimates(name: int, pasts: Mapping[int, _Past], solved: WindowSolve, count
     told = results(solved.seen, solved.starts, adjusted, {}, solved.extra, only=pasts, counted=counted)
     spreads = [None] * len(frames) if alone else velocity_covariances(solved, frames)
     each = zip(pasts.values(), told, facings, spreads, strict=True)
-    return [_estimate(name, past, result, facing, count, spread, alone=alone) for past, result, facing, spread in each]
+    return [_estimate(name, past, result, facing, total, spread, alone=alone) for past, result, facing, spread in each]
 
 
 def _estimate(
-    name: int, past: _Past, result: Reconstruction, facing: float, count: int, spread: Array | None, *, alone: bool
+    name: int, past: _Past, result: Reconstruction, facing: float, total: int, spread: Array | None, *, alone: bool
 ) -> VehicleEstimate:
     frame, place = past.frame, past.world_T_camera
     pose = frame.pose.matrix()
@@ -255,7 +255,7 @@ def _estimate(
         turn_rate=turn_rate,
         facing_probability=facing,
         world_T_object=None if place is None else place.matrix() @ result.camera_T_object,
-        frames=count,
+        frames=total,
         velocity_covariance=spread,
     )
 

@@ -107,11 +107,11 @@ def factorise(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.
         return None
 
 
-def covariance_of(marginals: gtsam.Marginals | None, key: int) -> Array | None:
+def covariance_of(marginals: gtsam.Marginals | Spread | None, key: int) -> Array | None:
     """The covariance of a variable; None where there are no marginals, or it is not finite."""
     if marginals is None:
         return None
-    covariance: Array = marginals.marginalCovariance(key)
+    covariance = joint_covariance(marginals, [key])
     return covariance if np.isfinite(covariance).all() else None
 
 
