@@ -236,7 +236,9 @@ def face(frames: Sequence[Frame], shape: Held) -> list[Frame]:
 def _move(frame: Frame, heading: float, shape: Held) -> None:
     """Start a frame anew, where it faces a heading."""
     near = [
-        p for p in frame.poses if p.excess <= _DOUBTFUL and _apart(rotation_y(p.camera_T_object), heading) <= _ELSEWHERE
+        p
+        for p in frame.poses
+        if not p.excess > _DOUBTFUL and _apart(rotation_y(p.camera_T_object), heading) <= _ELSEWHERE
     ]
     if near:
         frame.pose = gtsam.Pose3(min(near, key=lambda p: p.excess).camera_T_object)
