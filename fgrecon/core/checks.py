@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["as_finite", "as_shape"]
+__all__ = ["as_finite", "as_shape", "one_word"]
 
 _NUMBERS = (
     "biufO"  # numpy's kinds; an array of objects may hold numbers, and whether it does shows when it is converted
@@ -48,3 +48,14 @@ def as_finite(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: 
         place = f"[{', '.join(map(str, where))}]" if where else ""
         raise InvalidInputError(field + place, float(array[where]), fix or "Give finite numbers only.")
     return array
+
+
+def one_word(field: str, value: Any) -> str:
+    """The text as it is, which may stand between spaces in a line of a file.
+
+    Raises:
+        InvalidInputError: It is no text, is empty, or has a space in it.
+    """
+    if not isinstance(value, str) or value.split() != [value]:
+        raise InvalidInputError(field, value, "Give one word without spaces.")
+    return value

@@ -38,6 +38,7 @@ from numpy.typing import NDArray
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
+from fgrecon.core.checks import one_word
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.io.json_fields import Fields, numbers, read_json
@@ -59,6 +60,7 @@ _INSTANCE_FIELDS = {
     "image",
     "frame",
     "track",
+    "kind",
 } | _CAMERA_FIELDS
 _FILE_FIELDS = {"instances"} | _CAMERA_FIELDS
 
@@ -80,6 +82,7 @@ class Instance:
         image: Name of the photograph that it is in, as the file has it, or None.
         frame: Number of the frame of a video that it is in, or None.
         track: Id of the vehicle through the frames of a video, or None.
+        kind: What it is, one word such as `Van`, which results of videos repeat; or None.
     """
 
     name: str
@@ -94,6 +97,7 @@ class Instance:
     image: str | None = None
     frame: int | None = None
     track: int | None = None
+    kind: str | None = None
 
     @property
     def observation(self) -> Observation:
@@ -186,6 +190,7 @@ def _instance(fields: Fields, name: str, category: Category, camera: Camera | No
         image=fields.get("image", str) if "image" in fields else None,
         frame=fields.get("frame", int) if "frame" in fields else None,
         track=fields.get("track", int) if "track" in fields else None,
+        kind=one_word(fields.where + "kind", fields.get("kind", str)) if "kind" in fields else None,
     )
 
 

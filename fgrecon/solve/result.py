@@ -16,7 +16,7 @@ from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status, rotation_y
 from fgrecon.core.status import Regions
 from fgrecon.solve.graph.adjust import Adjusted
-from fgrecon.solve.graph.covariance import Covariances, factorise, read_covariances
+from fgrecon.solve.graph.covariance import Covariances, Spread, factorise, read_covariances
 from fgrecon.solve.graph.graph import Graph, Seen
 from fgrecon.solve.graph.history import iterations
 from fgrecon.solve.graph.observation import ObservationPart, Weights
@@ -43,20 +43,37 @@ class Counted:
     Attributes:
         values: All variables.
         weights: Those with which each observation counts for covariances.
-        marginals: Of all variables, sizes counted once; None where a direction is not determined, or there is no end.
+        marginals: Of the variables, sizes counted once; None where a direction is not determined, or there is no end.
     """
 
     values: gtsam.Values
     weights: Sequence[Weights]
-    marginals: gtsam.Marginals | None
+    marginals: gtsam.Marginals | Spread | None
 
 
-def count(graph: Graph, optimum: Optimum) -> Counted:
-    """What is known at the end of an optimisation of a graph."""
+def count(graph: Graph, optimum: Optimum, at_once: Collection[int] | None = None) -> Counted:
+    """What is known at the end of an optimisation of a graph.
+
+    Args:
+        graph: The graph.
+        optimum: Its end.
+        at_once: Indices of the observations whose covariances are wanted by one factorisation (`Spread`), which is
+            quicker for frames of one vehicle; None for those of all by `gtsam.Marginals`.
+    """
     values = graph.values(optimum.state)
     weights = [_common(part, w) for part, w in zip(graph.observations, optimum.state.weights, strict=True)]
-    marginals = None if optimum.failure is not None else factorise(graph.for_covariances(weights), values)
+    marginals: gtsam.Marginals | Spread | None = None
+    if optimum.failure is None:
+        built = graph.for_covariances(weights)
+        asked = None if at_once is None else _asked(graph, at_once)
+        marginals = factorise(built, values) if asked is None else Spread.of(built, values, asked)
     return Counted(values, weights, marginals)
+
+
+def _asked(graph: Graph, some: Collection[int]) -> set[int]:
+    """The variables whose covariances results need: the poses of some observations, and all shapes."""
+    poses = {part.pose_key for i, part in enumerate(graph.observations) if part.pose_key is not None and i in some}
+    return poses | {key for vehicle in graph.vehicles.values() for key in vehicle.shape.keys}
 
 
 def results(

@@ -12,7 +12,7 @@ alike: they count by the time that has passed.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -25,9 +25,13 @@ from factors.marginals import Marginal, marginal, marginal_factor
 from factors.noise import diagonal_noise
 from factors.road import road_factor
 from fgrecon.core.camera import Ground
-from fgrecon.solve.standing import OWN_HEIGHT, OWN_SLOPE
+from fgrecon.solve.graph.graph import Graph, Seen, State
+from fgrecon.solve.graph.optimise import optimise
+from fgrecon.solve.graph.vehicle import Held
+from fgrecon.solve.standing import OWN_HEIGHT, OWN_SLOPE, Standing
+from fgrecon.solve.time.window import Frame
 
-__all__ = ["KnownGround", "Road"]
+__all__ = ["KnownGround", "Road", "ground_evidence"]
 
 Array = NDArray[np.float64]
 
@@ -36,10 +40,11 @@ _LASTS = 12.0  # seconds after which a deviation from what is told has fallen to
 _NEAR, _FAR = 10.0, 40.0  # metres: depths at which the uncertainty is that of the ground's
 _LEAST_KEPT = 1e-6
 _ROUNDS = 3  # of a solve that is nearly linear
+_STEPS = 1  # Newton's, of the vehicles of a frame together: each begins near its minimum
 _LEAST_HEIGHT = 0.2  # metres; a camera is above the road
 
-Says = Callable[[Marginal], Marginal | None]
-"""What a frame's vehicles say of G(0), beside what is known of it."""
+Says = Callable[[Marginal, Ground], Marginal | None]
+"""What a frame's vehicles say of G(0), beside what is known of it and on the ground that this is."""
 
 
 @dataclass(frozen=True)
@@ -118,11 +123,43 @@ class Road:
             seconds = time - past.time
             known = _moved(past, seconds, frame, world_T_camera, spread, motion_sigma)
             weight = min(seconds / _ALIKE, 1.0)
-        said = says(known)
+        said = says(known, _ground(told, frame, known).ground)
         if said is not None:
             known = _both(known, said.scaled(weight))
         self._past = _Past(time, frame, world_T_camera, known)
         return _ground(told, frame, known)
+
+
+def ground_evidence(seen: Sequence[Frame], shapes: Sequence[Held], told: Ground, known: Marginal) -> Marginal | None:
+    """What the vehicles of an image say of the ground, their poses and shapes eliminated.
+
+    Args:
+        seen: The image for each of them, near its minimum.
+        shapes: Of each, as it is known.
+        told: About where the ground is.
+        known: What is known of its change G(0) from there; of the evidence it is no part.
+
+    Returns:
+        The evidence about G(0); None where there are fewer than two vehicles, or they could not be solved.
+    """
+    if len(seen) < 2 or "ground" in seen[0].problem.options.disabled_terms:
+        return None
+    standing = Standing.of(0, {i: one.pose.matrix() for i, one in enumerate(seen)}, told)
+    state = State([one.pose for one in seen], dict(enumerate(shapes)), [one.weights for one in seen], known.values)
+    extra = [*standing.contacts.values(), marginal_factor(known)]
+    graph = Graph(
+        [Seen(one.problem.on(None), vehicle=i) for i, one in enumerate(seen)], state, pose_free=True, extra=extra
+    )
+    optimum = optimise(graph, state, _STEPS)
+    if optimum.failure is not None:
+        return None
+    speaking, values = gtsam.NonlinearFactorGraph(), optimum.values
+    built = graph.build(optimum.state.weights)
+    for factor in map(built.at, range(built.size())):
+        if list(factor.keys()) != [G(0)]:
+            speaking.add(factor)
+    found = marginal(speaking, values, [key for key in values.keys() if key != G(0)])  # noqa: SIM118 - no mapping
+    return found if np.isfinite(found.matrix).all() and np.isfinite(found.right).all() else None
 
 
 def _moved(

@@ -23,8 +23,7 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from factors.keys import F, G
-from factors.marginals import Marginal, marginal, marginal_factor
+from factors.keys import F
 from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
@@ -50,7 +49,7 @@ from fgrecon.solve.standing import Standing
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.vehicle.model import VehicleModel, prepare
 
-__all__ = ["ground_evidence", "reconstruct_scene", "reconstruct_scenes"]
+__all__ = ["reconstruct_scene", "reconstruct_scenes"]
 
 Array = NDArray[np.float64]
 
@@ -228,41 +227,6 @@ def _result(one: Alone) -> Reconstruction:
     return results([Seen(one.problem)], [one.start], adjusted, {}, one.own(), facing=[one.facing(one.pose)])[0]
 
 
-def ground_evidence(
-    observations: Sequence[Observation],
-    camera: Camera,
-    model: VehicleModel,
-    plane: Ground,
-    options: Options,
-    known: Marginal,
-) -> Marginal | None:
-    """What the vehicles of an image say of the ground, their poses and shapes eliminated.
-
-    Args:
-        observations: The keypoints of each vehicle.
-        camera: The camera, whose focal length is taken as it is.
-        model: The prepared prior.
-        plane: About where the ground is.
-        options: Settings.
-        known: What is known of its change G(0) from there; of the evidence it is no part.
-
-    Returns:
-        The evidence about G(0); None where there are fewer than two vehicles, or they could not be solved.
-    """
-    sure = replace(camera, focal_sigma=0.0)
-    alone = each_alone(observations, sure, model, plane, options)
-    best = _together(alone, [0] * len(observations), sure, plane, options, known)
-    if best is None or not best.standing:
-        return None
-    told, values = gtsam.NonlinearFactorGraph(), best.optimum.values
-    built = best.graph.build(best.optimum.state.weights)
-    for factor in map(built.at, range(built.size())):
-        if list(factor.keys()) != [G(0)]:
-            told.add(factor)
-    found = marginal(told, values, [key for key in values.keys() if key != G(0)])  # noqa: SIM118 - no mapping
-    return found if np.isfinite(found.matrix).all() and np.isfinite(found.right).all() else None
-
-
 def _solved(
     begun: Sequence[Tried], image_of: Sequence[int], known: Camera, plane: Ground | None, options: Options
 ) -> _Told | None:
@@ -292,7 +256,6 @@ def _together(
     known: Camera,
     plane: Ground | None,
     options: Options,
-    before: Marginal | None = None,
     out: Collection[int] = (),
 ) -> _Joint | None:
     """The joint solve; None where there is nothing to solve together, or it gave up.
@@ -303,7 +266,6 @@ def _together(
         known: What is known of the camera.
         plane: About where the ground is, or None.
         options: Settings.
-        before: What is known of the ground of the one image that there is, in the place of its prior.
         out: Vehicles that are left out.
     """
     solved = {number: one for number, one in alone.solved.items() if number not in out}
@@ -319,12 +281,8 @@ def _together(
     priors: list[gtsam.NonlinearFactor] = []
     others = gtsam.Values()
     for one_ground in standing.values():
-        if before is None:
-            others.insert(one_ground.key, np.zeros(3))
-            priors.append(one_ground.prior)
-        else:
-            others.insert(before.values)
-            priors.append(marginal_factor(before))
+        others.insert(one_ground.key, np.zeros(3))
+        priors.append(one_ground.prior)
     if known.focal_sigma:
         others.insert(F(0), np.zeros(1))
         priors.append(focal_prior(known, alone.camera))

@@ -1,8 +1,8 @@
 """Vehicles over time: keypoints of frame after frame in, poses, shapes and velocities out.
 
-    frame t: keypoints by id, camera ---- each alone ---- facing by all frames ---- graph of a window ---- estimates
-                                                                                          |
-                                                              what left the window: one linear factor
+    frame t: keypoints by id, camera ---- pose search ---- facing by all frames ---- graph of a window ---- estimates
+                                               |                                           |
+                                             ground                   what left the window: one linear factor
 
 A vehicle's first frame gives what `fgrecon.reconstruct` gives.
 """
@@ -23,7 +23,7 @@ from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
-from fgrecon.core.reconstruction import rotation_y
+from fgrecon.core.reconstruction import Reconstruction, rotation_y
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as named_size_prior
@@ -32,14 +32,13 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph.adjust import Adjusted
 from fgrecon.solve.pipeline import ground_plane, observe
 from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.result import results
-from fgrecon.solve.road import KnownGround, Road
-from fgrecon.solve.scene import ground_evidence
+from fgrecon.solve.result import count, results
+from fgrecon.solve.road import KnownGround, Road, ground_evidence
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.time.smooth import smooth
 from fgrecon.solve.time.turned import turned_alternative
 from fgrecon.solve.time.vehicle import Followed
-from fgrecon.solve.time.window import Frame, FrameStep, OwnFactors, WindowSolve, velocity_covariance
+from fgrecon.solve.time.window import Frame, FrameStep, OwnFactors, WindowSolve, velocity_covariances
 from fgrecon.solve.vehicle.model import prepare
 
 __all__ = ["Tracker"]
@@ -94,8 +93,7 @@ class Tracker:
             options: Settings; `joint` must be set.
             window: Frames that are solved together when a new one comes; at least 2.
             shared_ground: Whether the vehicles share one ground that is a variable and changes slowly from frame to
-                frame: it is found first, by solving the vehicles of the frame together as `fgrecon.reconstruct_scene`
-                does, which takes as long as following them.
+                frame: it is found first, by a step of a solve of all vehicles of the frame together.
             past: Frames of each vehicle to keep for `smooth`; None keeps all.
             motion_factors: Makes factors of your own for each step of a vehicle: called with the numbers of its two
                 frames, the seconds between them, and a factor to multiply standard deviations by (frames count by a
@@ -156,23 +154,37 @@ class Tracker:
         seen_by, plane = Camera.of(camera), ground_plane(ground)
         place = None if world_T_camera is None else _pose("world_T_camera", world_T_camera)
         sigma = (0.0, 0.0) if motion_sigma is None else _sigma(motion_sigma)
-        self._time, known = time, None
-        if self._shared and plane is not None:
-            known = self._ground(time, observations, seen_by, plane, place, sigma)
-            plane = known.ground
-        found: dict[int, VehicleEstimate] = {}
+        self._time = time
+        looked: dict[int, tuple[_Track, Frame]] = {}
         refused: dict[int, FgreconError] = {}
-        for name, given in observations.items():
-            track = self._tracks.get(name)
-            try:
-                observation = observe(given, seen_by, self._prior, self._options)
-                problem = Problem.of(observation, seen_by, self._model, plane, self._options)
-                if track is None:
-                    track = _Track(Followed(self._prior.category.motion, self._window, self._own))
-                frame = track.followed.add(problem, time, _step(track, time, place, sigma))
-            except FgreconError as error:
-                refused[name] = error
-                continue
+
+        def look(ground: Ground | None) -> None:
+            for name, given in observations.items():
+                track = self._tracks.get(name)
+                try:
+                    observation = observe(given, seen_by, self._prior, self._options)
+                    problem = Problem.of(observation, seen_by, self._model, ground, self._options)
+                    if track is None:
+                        track = _Track(Followed(self._prior.category.motion, self._window, self._own))
+                    looked[name] = track, track.followed.look(problem, time, _step(track, time, place, sigma))
+                except FgreconError as error:
+                    refused[name] = error
+
+        def says(known: Marginal, ground: Ground) -> Marginal | None:
+            look(ground)
+            assert plane is not None
+            frames = [frame for _, frame in looked.values()]
+            return ground_evidence(frames, [track.followed.shape for track, _ in looked.values()], plane, known)
+
+        known: KnownGround | None = None
+        if self._shared and plane is not None:
+            known = self._road.later(time, plane, place, says, motion_sigma=sigma)
+            plane = known.ground
+        else:
+            look(plane)
+        found: dict[int, VehicleEstimate] = {}
+        for name, (track, frame) in looked.items():
+            track.followed.take(frame, plane)
             self._tracks[name] = track
             track.time, track.world_T_camera = time, place
             track.past.append(_Past(frame, place, known))
@@ -191,27 +203,11 @@ class Tracker:
         """Let go of a vehicle, and of its past; one that is not there is none to let go of."""
         self._tracks.pop(vehicle, None)
 
-    def _ground(
-        self,
-        time: float,
-        observations: Mapping[int, Observation],
-        camera: Camera,
-        told: Ground,
-        place: gtsam.Pose3 | None,
-        sigma: tuple[float, float],
-    ) -> KnownGround:
-        """By the vehicles of this frame and those before."""
-
-        def says(known: Marginal) -> Marginal | None:
-            given = list(observations.values())
-            return ground_evidence(given, camera, self._model, told, self._options, known)
-
-        return self._road.later(time, told, place, says, motion_sigma=sigma)
-
     def _estimate(self, name: int, track: _Track) -> VehicleEstimate:
         """Of the last frame."""
-        followed = track.followed
-        return _estimate(name, track.past[-1], followed.solved, len(followed.solved.seen) - 1, followed.count)
+        followed, past = track.followed, track.past[-1]
+        last = len(followed.solved.seen) - 1
+        return _estimates(name, {last: past}, followed.solved, followed.count)[0]
 
     def _smoothed(self, name: int, track: _Track) -> list[VehicleEstimate]:
         pasts = {past.frame.number: past for past in track.past}
@@ -219,30 +215,38 @@ class Tracker:
         frames[0] = replace(frames[0], step=None)
         found = []
         for solved, some, given in smooth(frames, track.followed.shape, track.followed.motion, self._own):
-            for index in given:
-                past = replace(pasts[some[index].number], frame=some[index])
-                found.append(_estimate(name, past, solved, index, len(frames)))
+            wanted = {index: replace(pasts[some[index].number], frame=some[index]) for index in given}
+            found += _estimates(name, wanted, solved, len(frames))
         return found
 
 
-def _estimate(name: int, past: _Past, solved: WindowSolve, index: int, count: int) -> VehicleEstimate:
+def _estimates(name: int, pasts: Mapping[int, _Past], solved: WindowSolve, total: int) -> list[VehicleEstimate]:
+    """Of some frames that were solved together, by their places there."""
+    frames = [past.frame for past in pasts.values()]
+    alone = len(solved.seen) == 1
+    facings = [frame.belief.facing(rotation_y(frame.pose.matrix())) for frame in frames]
+    adjusted = solved.adjusted if alone else _with_alternatives(solved.adjusted, pasts, facings)
+    counted = None if alone else count(adjusted.graph, adjusted.optimum, at_once=pasts)
+    told = results(solved.seen, solved.starts, adjusted, {}, solved.extra, only=pasts, counted=counted)
+    spreads = [None] * len(frames) if alone else velocity_covariances(solved, frames)
+    each = zip(pasts.values(), told, facings, spreads, strict=True)
+    return [_estimate(name, past, result, facing, total, spread, alone=alone) for past, result, facing, spread in each]
+
+
+def _estimate(
+    name: int, past: _Past, result: Reconstruction, facing: float, total: int, spread: Array | None, *, alone: bool
+) -> VehicleEstimate:
     frame, place = past.frame, past.world_T_camera
     pose = frame.pose.matrix()
-    facing = frame.belief.facing(rotation_y(pose))
-    alone = len(solved.seen) == 1
-    adjusted = solved.adjusted if alone else _with_alternative(solved.adjusted, index, pose, facing)
-    (result,) = results(solved.seen, solved.starts, adjusted, {}, solved.extra, only=[index])
     if past.known is not None and result.pose_covariance is not None:
         result = replace(result, pose_covariance=past.known.considered(pose, result.pose_covariance))
     velocity: Array | None = None
-    spread: Array | None = None
     turn_rate: float | None = None
     if not alone:
         axes = pose[:3, :3] if place is None else place.rotation().matrix() @ pose[:3, :3]
         forward, left, turn_rate = frame.velocity.tolist()
         velocity = axes @ np.array([forward, 0.0, left])
-        own = velocity_covariance(solved, frame)
-        spread = None if own is None else axes @ own @ axes.T
+        spread = None if spread is None else axes @ spread @ axes.T
     return VehicleEstimate(
         id=name,
         time=frame.time,
@@ -251,18 +255,16 @@ def _estimate(name: int, past: _Past, solved: WindowSolve, index: int, count: in
         turn_rate=turn_rate,
         facing_probability=facing,
         world_T_object=None if place is None else place.matrix() @ result.camera_T_object,
-        frames=count,
+        frames=total,
         velocity_covariance=spread,
     )
 
 
-def _with_alternative(adjusted: Adjusted, index: int, pose: Array, facing: float) -> Adjusted:
-    """With the vehicle turned round as an alternative of a frame, as improbable as it is by the track."""
-    turned = turned_alternative(pose, adjusted.optimum.state.shapes[0][0], facing)
-    if not turned:
-        return adjusted
-    told = list(adjusted.alternatives)
-    told[index] = turned
+def _with_alternatives(adjusted: Adjusted, pasts: Mapping[int, _Past], facings: Sequence[float]) -> Adjusted:
+    """With the vehicle turned round as an alternative of frames, as improbable as it is by the track."""
+    told, shape = list(adjusted.alternatives), adjusted.optimum.state.shapes[0][0]
+    for (index, past), facing in zip(pasts.items(), facings, strict=True):
+        told[index] = turned_alternative(past.frame.pose.matrix(), shape, facing) or told[index]
     return replace(adjusted, alternatives=tuple(told))
 
 

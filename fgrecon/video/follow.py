@@ -7,6 +7,7 @@ record of a frame ---- ids (given, or by association) ---- tracker ---- estimate
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -21,11 +22,14 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.poses import CameraPoses
 from fgrecon.video.association import Association, Candidate, stands_at
-from fgrecon.video.records import FrameRecord
+from fgrecon.video.records import FrameRecord, Sighting
 
-__all__ = ["Follower", "TrackedFrame", "VehicleTracker"]
+__all__ = ["DEFAULT_KIND", "Follower", "TrackedFrame", "VehicleTracker"]
 
 Array = NDArray[np.float64]
+
+DEFAULT_KIND = "Car"
+"""What a vehicle is where nothing says."""
 
 _ANYHOW = (0.02, 0.5)
 """Standard deviations of a motion that was not found, radians and metres."""
@@ -68,6 +72,7 @@ class TrackedFrame:
         world_T_camera: (4, 4) pose of the camera, or None where it is not known.
         boxes: (4,) 2D box by id.
         scores: Of the detection by id.
+        kinds: What each is said to be, by id; `Car` where nothing says.
         observations: Keypoints by id.
         estimates: By id; a vehicle that could not be solved has none.
         refused: Why not, by id.
@@ -80,6 +85,7 @@ class TrackedFrame:
     world_T_camera: Array | None = None
     boxes: Mapping[int, Array] = field(default_factory=dict)
     scores: Mapping[int, float] = field(default_factory=dict)
+    kinds: Mapping[int, str] = field(default_factory=dict)
     observations: Mapping[int, Observation] = field(default_factory=dict)
     estimates: Mapping[int, VehicleEstimate] = field(default_factory=dict)
     refused: Mapping[int, str] = field(default_factory=dict)
@@ -111,6 +117,7 @@ class Follower:
         self.tracker, self.association, self.camera, self.ground = tracker, association, camera, ground
         self._world = _World(poses, moving=moving)
         self._time = -np.inf
+        self._kinds = _Kinds()
         self._seen: dict[int, tuple[float, Array, Array]] = {}  # time, place and velocity of each vehicle
 
     def __call__(self, record: FrameRecord) -> TrackedFrame:
@@ -145,6 +152,7 @@ class Follower:
             world_T_camera=world_T_camera,
             boxes={i: s.box for i, s in sightings.items()},
             scores={i: s.score for i, s in sightings.items()},
+            kinds=self._kinds.of(sightings),
             observations=observations,
             estimates=dict(estimates),
             refused={identity: str(error) for identity, error in self.tracker.refused.items()},
@@ -163,6 +171,20 @@ class Follower:
             velocity = 0.5 * before[2] + 0.5 * (result.location - before[1]) / (estimate.time - before[0])
             self.association.tell(identity, transform(result.camera_T_object, result.wireframe), velocity, self.camera)
         self._seen[identity] = estimate.time, result.location, velocity
+
+
+class _Kinds:
+    """What each vehicle is said to be, by most of its frames so far."""
+
+    def __init__(self) -> None:
+        self._told: dict[int, Counter[str]] = {}
+
+    def of(self, sightings: Mapping[int, Sighting]) -> dict[int, str]:
+        """By id, those of a frame counted in."""
+        for identity, sighting in sightings.items():
+            if sighting.kind is not None:
+                self._told.setdefault(identity, Counter())[sighting.kind] += 1
+        return {i: self._told[i].most_common(1)[0][0] if i in self._told else DEFAULT_KIND for i in sightings}
 
 
 class _World:

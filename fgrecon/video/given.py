@@ -94,7 +94,8 @@ def _boxes(path: Path) -> _Rows:
             if kind in KINDS:
                 score, track = float(found.objects.score[i]), int(found.tracks[i])
                 identity = None if track < 0 else track
-                rows.append((number, Sighting(found.objects.box[i], 1.0 if np.isnan(score) else score, identity, None)))
+                known = 1.0 if np.isnan(score) else score
+                rows.append((number, Sighting(found.objects.box[i], known, identity, None, kind)))
     return rows
 
 
@@ -126,4 +127,4 @@ def _sighting(instance: Instance, path: Path) -> tuple[int, Sighting]:
         raise InvalidInputError(f"{place}: keypoints", "none", "Give at least one, or leave the instance out.")
     around = np.concatenate([points.min(axis=0), points.max(axis=0)])
     box = around if observation.box is None else observation.box
-    return number, Sighting(box, 1.0, instance.track, observation)
+    return number, Sighting(box, 1.0, instance.track, observation, instance.kind)

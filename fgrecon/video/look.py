@@ -87,8 +87,8 @@ class FrameLook:
         else:
             assert self._vehicles is not None
             vehicles = find_vehicles(self._vehicles, image)
-            pairs = zip(vehicles.boxes, vehicles.scores, strict=True)
-            found = [Sighting(box, float(score), None, None) for box, score in pairs if _large(box)]
+            each = zip(vehicles.boxes, vehicles.scores, vehicles.kinds or [None] * len(vehicles), strict=True)
+            found = [Sighting(box, float(score), None, None, kind) for box, score, kind in each if _large(box)]
         limits = np.array([image.shape[1], image.shape[0]] * 2) - 1.0
         bare = [place for place, s in enumerate(found) if s.observation is None and _usable(s.box, image, limits)]
         boxes = np.array([np.clip(found[place].box, 0.0, limits) for place in bare]).reshape(-1, 4)
@@ -97,7 +97,7 @@ class FrameLook:
             seen = find_keypoints(self._keypoints, image, boxes, self.category)
             for place, box, detection in zip(bare, boxes, seen, strict=True):
                 one = found[place]
-                found[place] = Sighting(box, one.score, one.identity, replace(detection.evidence, box=box))
+                found[place] = replace(one, box=box, observation=replace(detection.evidence, box=box))
         return found
 
     def _moved(self, image: NDArray[np.uint8], sightings: Sequence[Sighting]) -> CameraMotion | None:

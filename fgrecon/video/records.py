@@ -20,7 +20,7 @@ __all__ = ["FORMAT", "FrameRecord", "Sighting", "from_row", "record_schema", "to
 
 Array = NDArray[np.float64]
 
-FORMAT = "fgrecon.video/1"
+FORMAT = "fgrecon.video/2"
 
 _NUMBERS = pa.list_(pa.float64())
 _ARRAYS = ("keypoints", "confidence", "covariance", "azimuth")
@@ -35,12 +35,14 @@ class Sighting:
         score: Of the detection, 0 to 1.
         identity: Id that it came with, or None.
         observation: Its keypoints; None where there are none.
+        kind: What it was said to be by what found it, such as `Van`; None where that says nothing.
     """
 
     box: Array
     score: float
     identity: int | None
     observation: Observation | None
+    kind: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +69,7 @@ class FrameRecord:
 def record_schema() -> Any:
     """The columns of the stored records, a row for each frame."""
     sighting = [("box", _NUMBERS), ("score", pa.float64()), ("identity", pa.int64()), ("midpoint", pa.float64())]
-    sighting += [("boxed", pa.bool_())]
+    sighting += [("boxed", pa.bool_()), ("kind", pa.string())]
     fields = [
         *(("row_id", pa.string()), ("frame", pa.int64()), ("time", pa.float64())),
         *(("name", pa.string()), ("problem", pa.string())),
@@ -116,6 +118,7 @@ def _plain(sighting: Sighting) -> dict[str, Any]:
         "identity": sighting.identity,
         "midpoint": None if seen is None else seen.confidence_midpoint,
         "boxed": seen is not None and seen.box is not None,
+        "kind": sighting.kind,
         **arrays,
     }
 
@@ -123,7 +126,7 @@ def _plain(sighting: Sighting) -> dict[str, Any]:
 def _sighting(item: Mapping[str, Any]) -> Sighting:
     box = np.array(item["box"])
     if item["keypoints"] is None:
-        return Sighting(box, item["score"], item["identity"], None)
+        return Sighting(box, item["score"], item["identity"], None, item["kind"])
     covariance, azimuth = item["covariance"], item["azimuth"]
     observation = Observation(
         np.array(item["keypoints"]).reshape(-1, 2),
@@ -133,4 +136,4 @@ def _sighting(item: Mapping[str, Any]) -> Sighting:
         item["midpoint"],
         None if azimuth is None else np.array(azimuth),
     )
-    return Sighting(box, item["score"], item["identity"], observation)
+    return Sighting(box, item["score"], item["identity"], observation, item["kind"])

@@ -15,7 +15,7 @@ from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.kitti_files import Objects
 from fgrecon.io.kitti_tracking import TrackedObjects, format_tracking
-from fgrecon.video.follow import TrackedFrame
+from fgrecon.video.follow import DEFAULT_KIND, TrackedFrame
 
 __all__ = ["FRAME_FORMAT", "frame_lines", "rows_of", "tracking_text"]
 
@@ -48,7 +48,8 @@ def _row(frame: TrackedFrame, identity: int, *, flat: bool) -> dict[str, Any]:
     in_world = estimate.world_T_object
     place = (None, None, None) if in_world is None else in_world[:3, 3].tolist()
     row = row | motion_of(estimate) | dict(zip(("world_x", "world_y", "world_z"), place, strict=True))
-    row |= {"id": identity, "score": frame.scores[identity]}
+    kind = frame.kinds.get(identity, DEFAULT_KIND)
+    row |= {"id": identity, "kind": kind, "score": frame.scores[identity]}
     row |= dict(zip(("x1", "y1", "x2", "y2"), box, strict=True))
     if flat:
         return {name: value for name, value in row.items() if name not in lists}
@@ -87,7 +88,7 @@ def tracking_text(frames: Sequence[TrackedFrame], label_offset: Array | None = N
         if not (ids := sorted(frame.estimates)):
             continue
         lines = [_line(frame, identity, offset) for identity in ids]
-        objects = Objects.of_rows(["Car"] * len(ids), np.array(lines))
+        objects = Objects.of_rows([frame.kinds.get(i, DEFAULT_KIND) for i in ids], np.array(lines))
         found[frame.number] = TrackedObjects(objects, np.array(ids, dtype=np.int64))
     return format_tracking(found)
 
@@ -119,6 +120,7 @@ def frame_lines(frames: Sequence[TrackedFrame]) -> Iterator[str]:
 def _vehicle(frame: TrackedFrame, identity: int) -> Mapping[str, Any]:
     seen = {
         "id": identity,
+        "kind": frame.kinds.get(identity, DEFAULT_KIND),
         "box": frame.boxes[identity].tolist(),
         "score": frame.scores[identity],
     }

@@ -164,6 +164,8 @@ def test_what_is_no_keypoint_detector_is_refused(seen, detector):
         ("yolo", "vehicle_detector"),
         (lambda _: np.zeros((1, 4)), r"vehicle_detector: got a returned ndarray.*Vehicles\(boxes, scores\)"),
         (lambda _: Vehicles([[1, 2, 3]], [1.0]), "vehicles.boxes"),
+        (lambda _: Vehicles([[1, 2, 3, 4]], [1.0], ("delivery van",)), r"vehicles.kinds\[0\]"),
+        (lambda _: Vehicles([[1, 2, 3, 4]], [1.0], ("Van", "Car")), "vehicles.kinds"),
         (lambda _: Vehicles([[1, 2, 30, np.nan]], [1.0]), "vehicles.boxes"),
         (lambda _: Vehicles([[30, 2, 1, 40]], [1.0]), "vehicles.boxes"),
         (lambda _: Vehicles([[1, 2, 30, 40]], [1.0, 2.0]), "vehicles.scores"),

@@ -22,8 +22,8 @@ SURE = np.array([0.01, 0.001, 0.001])
 def saying(change, sigma=SURE):
     """Vehicles that say where the ground is."""
 
-    def says(known):
-        del known
+    def says(known, ground):
+        del known, ground
         values = gtsam.Values()
         values.insert(G(0), np.asarray(change, dtype=float))
         return Marginal((G(0),), (3,), values, np.diag(1.0 / sigma), np.zeros(3))
@@ -31,9 +31,9 @@ def saying(change, sigma=SURE):
     return says
 
 
-def silent(known):
+def silent(known, ground):
     """No vehicles."""
-    del known
+    del known, ground
 
 
 def slope_of(known):

@@ -1,5 +1,6 @@
 """Following vehicles: ids, the camera's place in the world, and what the association is told."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from fgrecon.simulation import KITTI_CAMERA
 from fgrecon.video import Follower, GatedAssociation, SingleImages
 from fgrecon.video.egomotion import CameraMotion
 from fgrecon.video.records import FrameRecord, Sighting
+from fgrecon.video.rows import frame_lines, rows_of, tracking_text
 from tests.video.streets import simulated
 
 
@@ -121,3 +123,20 @@ def test_a_tracker_is_told_how_sure_a_motion_is():
     assert told[0] is None
     assert told[1] == pytest.approx((0.01, 0.01))
     assert told[2][1] > 0.1
+
+
+def test_a_vehicle_is_of_the_kind_that_most_of_its_frames_gave():
+    """In KITTI's lines, tables and JSON alike; one of which nothing is said is a car."""
+    van, car = simulated(3, seeds=(25, 7))
+    follow = follower()
+    kinds = ["Truck", "Van", "Van"]
+    frames = [
+        follow(record(n, Sighting(van[n].box, 1.0, 3, van[n], kind), Sighting(car[n].box, 1.0, 4, car[n])))
+        for n, kind in enumerate(kinds)
+    ]
+    assert [frame.kinds for frame in frames] == [{3: "Truck", 4: "Car"}, {3: "Truck", 4: "Car"}, {3: "Van", 4: "Car"}]
+    last = frames[-1:]
+    assert [line.split()[2] for line in tracking_text(last).splitlines()] == ["Van", "Car"]
+    assert [row["kind"] for row in rows_of(last)] == ["Van", "Car"]
+    (line,) = frame_lines(last)
+    assert [vehicle["kind"] for vehicle in json.loads(line)["vehicles"]] == ["Van", "Car"]

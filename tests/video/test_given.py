@@ -24,6 +24,7 @@ def test_kittis_labels_are_boxes(tmp_path):
     known, unknown = given.vehicles[2]
     assert (known.identity, known.score, known.observation) == (7, 1.0, None)
     assert (unknown.identity, unknown.score) == (None, 0.75)
+    assert (known.kind, unknown.kind) == ("Car", "Van")
     assert known.box.tolist() == [20.0, 30.0, 110.0, 80.0]
     assert (given.cuboids, given.complete, given.largest_id) == (True, False, 7)
     forgotten = read_given(path, CAR14, forget_ids=True)
@@ -33,13 +34,13 @@ def test_kittis_labels_are_boxes(tmp_path):
 
 def test_keypoints_name_their_frames(tmp_path):
     (seen,) = (car[0] for car in simulated(1, seeds=(3,)))
-    named = instance(seen, 12, 4)
-    bare = {key: value for key, value in named.items() if key not in ("frame", "track", "box")}
+    named = instance(seen, 12, 4) | {"kind": "Van"}
+    bare = {key: value for key, value in named.items() if key not in ("frame", "track", "box", "kind")}
     bare |= {"id": "x", "image": "drive/left_000013.png"}
     path = tmp_path / "keypoints.json"
     path.write_text(json.dumps({"intrinsics": [700, 700, 600, 180], "instances": [named, bare]}))
     given = read_given(path, CAR14)
-    assert given.vehicles[12][0].identity == 4
+    assert (given.vehicles[12][0].identity, given.vehicles[12][0].kind) == (4, "Van")
     assert given.vehicles[12][0].observation.keypoints == pytest.approx(seen.keypoints, nan_ok=True)
     around = given.vehicles[13][0]
     points = seen.keypoints[seen.measured]
@@ -66,6 +67,7 @@ def test_a_track_file_is_one_vehicle(tmp_path, scene):
         ({"frame": "x"}, "frame"),
         ({"keypoints": [None] * 14}, "keypoints"),
         ({"confidence": [7.0] * 14}, "confidence"),
+        ({"kind": "delivery van"}, "kind"),
     ],
 )
 def test_an_instance_that_cannot_be_used_is_named(tmp_path, change, match):
@@ -90,7 +92,7 @@ def test_records_are_stored_with_every_bit():
     rng = np.random.default_rng(1)
     (seen,) = (car[0] for car in simulated(1, seeds=(3,)))
     motion = CameraMotion(rng.normal(size=(4, 4)), rng.normal(size=(6, 6)), 77)
-    sightings = Sighting(seen.box, 0.1, 5, seen), Sighting(np.arange(4.0), 1.0, None, None)
+    sightings = Sighting(seen.box, 0.1, 5, seen, "Van"), Sighting(np.arange(4.0), 1.0, None, None)
     record = FrameRecord(3, 0.1 + 0.2, "3.png", None, sightings, motion)
     (row,) = to_table(record).cast(record_schema()).to_pylist()
     back = from_row(row)
@@ -101,6 +103,7 @@ def test_records_are_stored_with_every_bit():
     first, second = back.sightings
     assert (first.box == sightings[0].box).all()
     assert (first.identity, second.identity, second.observation) == (5, None, None)
+    assert (first.kind, second.kind) == ("Van", None)
     for name in ("keypoints", "confidence", "covariance", "azimuth", "confidence_midpoint"):
         stored, given = getattr(first.observation, name), getattr(seen, name)
         assert (stored is None) == (given is None)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.brief import brief_repr
-from fgrecon.core.checks import as_finite
+from fgrecon.core.checks import as_finite, one_word
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.renamed import renamed
 from fgrecon.io.hashes import check_hash, listed
@@ -87,10 +87,12 @@ class Vehicles:
     Attributes:
         boxes: (N, 4) x1, y1, x2, y2 of the cars' outlines, as far as they are in the image, pixels.
         scores: (N,) from 0 to 1; whether they are probabilities is said by what found them.
+        kinds: What each is, one word such as `Van`, which results of videos repeat; empty where that is not told.
     """
 
     boxes: Array
     scores: Array
+    kinds: tuple[str, ...] = ()
 
     __repr__ = brief_repr
 
@@ -107,6 +109,10 @@ class Vehicles:
             raise InvalidInputError("vehicles.boxes", empty[0].tolist(), fix)
         object.__setattr__(self, "boxes", boxes)
         object.__setattr__(self, "scores", as_finite("vehicles.scores", self.scores, (len(boxes),)))
+        kinds = tuple(one_word(f"vehicles.kinds[{i}]", kind) for i, kind in enumerate(self.kinds))
+        if len(kinds) not in (0, len(boxes)):
+            raise InvalidInputError("vehicles.kinds", f"{len(kinds)} for {len(boxes)} boxes", "Give one each, or none.")
+        object.__setattr__(self, "kinds", kinds)
 
     def __len__(self) -> int:
         """Number of cars."""

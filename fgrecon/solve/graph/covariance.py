@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import gtsam
@@ -17,6 +17,7 @@ from fgrecon.solve.graph.observation import ObservationPart, Weights
 
 __all__ = [
     "Covariances",
+    "Spread",
     "covariance_of",
     "factorise",
     "joint_covariance",
@@ -47,6 +48,55 @@ class Covariances:
     size: Array
 
 
+@dataclass(frozen=True)
+class Spread:
+    """The covariance of some variables of a graph by one factorisation: of a small graph, or of many of its variables.
+
+    Attributes:
+        places: Where it has each variable, by key.
+        covariance: (D, D).
+    """
+
+    places: dict[int, NDArray[np.intp]]
+    covariance: Array
+
+    @classmethod
+    def of(
+        cls, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, wanted: Collection[int] | None = None
+    ) -> Spread | None:
+        """That of variables of a graph at its minimum, None for all; None where it does not determine its variables."""
+        keys = list(values.keys())
+        if wanted is not None:
+            keys.sort(key=lambda key: key in wanted)  # the last rows of a triangular factor are the marginal's
+        dims, ordering, places, start, cut = values.zeroVectors(), gtsam.Ordering(), {}, 0, 0
+        for key in keys:
+            ordering.push_back(key)
+            end = start + len(dims.at(key))
+            if wanted is None or key in wanted:
+                places[key] = np.arange(start - cut, end - cut)
+            else:
+                cut = end
+            start = end
+        information, _ = graph.linearize(values).hessian(ordering)
+        scale = np.sqrt(np.diag(information))
+        if not (np.isfinite(scale) & (scale > 0.0)).all():
+            return None
+        try:
+            root = np.linalg.cholesky(information / np.outer(scale, scale))
+        except np.linalg.LinAlgError:
+            return None
+        if not np.diag(root).min(initial=1.0) ** 2 > _NOTHING:
+            return None
+        half = np.linalg.inv(root[cut:, cut:]) / scale[cut:]
+        return cls(places, half.T @ half)
+
+    def joint(self, keys: Sequence[int]) -> Array:
+        """Of several variables, in the order of their keys."""
+        rows = np.concatenate([self.places[key] for key in keys])
+        joint: Array = self.covariance[np.ix_(rows, rows)]
+        return joint
+
+
 def factorise(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Marginals | None:
     """The marginals of a graph at its minimum; None where it does not determine its variables."""
     try:
@@ -57,11 +107,11 @@ def factorise(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.
         return None
 
 
-def covariance_of(marginals: gtsam.Marginals | None, key: int) -> Array | None:
+def covariance_of(marginals: gtsam.Marginals | Spread | None, key: int) -> Array | None:
     """The covariance of a variable; None where there are no marginals, or it is not finite."""
     if marginals is None:
         return None
-    covariance: Array = marginals.marginalCovariance(key)
+    covariance = joint_covariance(marginals, [key])
     return covariance if np.isfinite(covariance).all() else None
 
 
@@ -103,7 +153,7 @@ def read_covariances(
     part: ObservationPart,
     weights: Weights,
     values: gtsam.Values,
-    marginals: gtsam.Marginals | None,
+    marginals: gtsam.Marginals | Spread | None,
     shapes: dict[int, Array] | None = None,
 ) -> Covariances | None:
     """What the marginals say of an observation; None where they are not there, not finite, or cannot be had.
@@ -130,7 +180,7 @@ def read_covariances(
         if part.share < 1.0:
             pose = _given_shape(part, weights, values, joint_covariance(marginals, [part.pose_key, *shape.keys]))
         else:
-            pose = marginals.marginalCovariance(part.pose_key)
+            pose = joint_covariance(marginals, [part.pose_key])
     except FactorCallbackError:
         raise
     except (RuntimeError, np.linalg.LinAlgError):  # the only signs of an indeterminate system
@@ -191,10 +241,12 @@ def _given_shape(part: ObservationPart, weights: Weights, values: gtsam.Values, 
     return covariance
 
 
-def joint_covariance(marginals: gtsam.Marginals, keys: list[int]) -> Array:
+def joint_covariance(marginals: gtsam.Marginals | Spread, keys: list[int]) -> Array:
     """Of several variables, in the order of their keys."""
     if not keys:
         return np.zeros((0, 0))
+    if isinstance(marginals, Spread):
+        return marginals.joint(keys)
     if len(keys) == 1:
         single: Array = marginals.marginalCovariance(keys[0])
         return single

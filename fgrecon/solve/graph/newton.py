@@ -100,7 +100,7 @@ class Descent:
             DegenerateProblemError: The start has an infinite energy, or Levenberg-Marquardt gives up.
         """
         self.weights = self.graph.reweigh(self.values, self.weights, 1.0)
-        self.first = self._energy()
+        self.first = self._energy() if self.most is None else float("inf")
         best = self.first, self.values, self.weights
         steps = Anderson()
         for iteration in range(_FOLLOWED):

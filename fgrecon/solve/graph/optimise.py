@@ -87,7 +87,8 @@ def optimise(graph: Graph, start: State, most: int | None = None) -> Optimum:
     Args:
         graph: The graph; its options say how.
         start: Where to start, every keypoint in front of its camera.
-        most: Make no more of Newton's steps than that: for a start near the minimum, which is to be come closer to.
+        most: Make no more of Newton's steps than that, and tell no energies: for a start near the minimum, which is to
+            be come closer to.
 
     Returns:
         The end. Where the start is behind the camera or a system is singular, the state so far and why.
@@ -99,7 +100,7 @@ def optimise(graph: Graph, start: State, most: int | None = None) -> Optimum:
         loop.run()
     except DegenerateProblemError as error:
         failure = str(error)
-    energies = graph.energies(loop.values, loop.weights) if failure is None else {}
+    energies = graph.energies(loop.values, loop.weights) if failure is None and most is None else {}
     return Optimum(
         state=graph.read(loop.values, loop.weights),
         values=loop.values,
@@ -107,7 +108,7 @@ def optimise(graph: Graph, start: State, most: int | None = None) -> Optimum:
         steps=tuple(loop.steps),
         iterations=loop.iterations,
         gain=loop.first - sum(energies.values())
-        if failure is None and graph.options.strategy.descends
+        if failure is None and most is None and graph.options.strategy.descends
         else float("nan"),
         failure=failure,
         unfinished=None if loop.converged else f"after {loop.iterations} iterations",

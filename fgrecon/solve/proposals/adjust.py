@@ -33,6 +33,7 @@ _ITERATIONS = 4
 _KEEP = {1: 10, 3: 4}  # hypotheses that go on from these iterations: losers show early
 DISTINCT = np.deg2rad(20.0)
 """Poses that are turned by less against each other are one."""
+_FEWER = 2  # times fewer azimuths where a pose is foreseen: they are there for what else the keypoints allow
 _GUESS_SPREAD = np.deg2rad([-30.0, 0.0, 30.0])
 
 
@@ -59,12 +60,13 @@ class PoseEstimate:
     history: Sequence[Iteration]
 
 
-def adjust_pose(problem: Problem, initial: Box3D | float | None = None) -> PoseEstimate:
+def adjust_pose(problem: Problem, initial: Box3D | float | Array | None = None) -> PoseEstimate:
     """Estimate the pose.
 
     Args:
         problem: What is to be solved.
-        initial: A 3D box to start from as well, or a guess of rotation_y in radians to trust within 45 degrees.
+        initial: A 3D box to start from as well; or a guess of rotation_y in radians to trust within 45 degrees; or the
+            pose (4, 4) where the vehicle should be by what went before, which takes the place of ASPnP's.
 
     Raises:
         DegenerateProblemError: No start ends in front of the camera, or the weights leave the pose undetermined.
@@ -96,7 +98,7 @@ def _padded_history(history: Sequence[Iteration], pad: Callable[[Array], Array])
     return Deferred(lambda: [replace(step, coefficients=pad(step.coefficients)) for step in history])
 
 
-def _adjusted(problem: Problem, initial: Box3D | float | None) -> PoseEstimate:
+def _adjusted(problem: Problem, initial: Box3D | float | Array | None) -> PoseEstimate:
     if problem.options.strategy.is_paper:
         return _by_algorithm1(problem)
     result = search(problem.energy, _starts(problem, initial), _ITERATIONS, _KEEP)
@@ -117,17 +119,18 @@ def _adjusted(problem: Problem, initial: Box3D | float | None) -> PoseEstimate:
     )
 
 
-def _starts(problem: Problem, initial: Box3D | float | None) -> Hypotheses:
+def _starts(problem: Problem, initial: Box3D | float | Array | None) -> Hypotheses:
     camera, model, ground = problem.camera, problem.model, problem.ground
     box = view_box(problem.observation)
     if isinstance(initial, int | float):
         return at_azimuths(box, camera, model, ground, float(initial) + _GUESS_SPREAD, relative=False)
-    count = problem.options.search.azimuths
+    foreseen = initial if isinstance(initial, np.ndarray) else None
+    count = max(problem.options.search.azimuths // (1 if foreseen is None else _FEWER), 1)
     clock = 2.0 * np.pi * np.arange(count) / count
     parts = [at_azimuths(box, camera, model, ground, clock, relative=True)]
     if isinstance(initial, Box3D):
         parts.append(from_box3d(initial, model, ground))
-    parts.append(_from_aspnp(problem))
+    parts.append(_from_aspnp(problem) if foreseen is None else from_pose(foreseen, model.prior.dimension))
     return Hypotheses(
         np.concatenate([p.rotation for p in parts]),
         np.concatenate([p.translation for p in parts]),

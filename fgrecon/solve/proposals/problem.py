@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +59,11 @@ class Problem:
         """
         _check_points(observation)
         return cls(observation, camera, model, ground, options, _energy(observation, camera, model, ground, options))
+
+    def on(self, ground: Ground | None) -> Problem:
+        """The same on another ground, or on none."""
+        told = None if ground is None or "ground" in self.options.disabled_terms else GroundTerm(ground)
+        return replace(self, ground=ground, energy=replace(self.energy, ground=told))
 
 
 def _check_points(observation: Observation) -> None:

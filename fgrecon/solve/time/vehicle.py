@@ -1,6 +1,7 @@
-"""One vehicle that is followed: each frame alone first, then which way it faces, then the window's graph.
+"""One vehicle that is followed: each frame by itself first, then which way it faces, then the window's graph.
 
-Every frame is first solved alone, as a single image is. The belief of the heading (`heading`) then says which of its
+The first frame is solved alone, as a single image is. Of later ones the pose search is enough, which starts where the
+motion leads as well: the window's graph solves them. The belief of the heading (`heading`) says which of a frame's
 poses is meant, for this and for the other frames of the window; a frame that has none there starts anew, its keypoints
 turned round if that explains them better. Frames that leave the window stay as one linear factor on what they were tied
 to.
@@ -9,6 +10,7 @@ to.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -17,6 +19,8 @@ from numpy.typing import NDArray
 from factors.keys import V, X
 from factors.marginals import Marginal, marginal
 from factors.mixture import Form
+from factors.motion import moved
+from fgrecon.core.camera import Ground
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.motion import MotionModel
 from fgrecon.core.observation import Observation
@@ -25,7 +29,7 @@ from fgrecon.solve.graph.graph import Graph, Seen, State
 from fgrecon.solve.graph.observation import Weights
 from fgrecon.solve.graph.optimise import Optimum, optimise
 from fgrecon.solve.graph.vehicle import Held
-from fgrecon.solve.proposals.adjust import adjust_pose
+from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
 from fgrecon.solve.proposals.direction import direction_penalty
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.time.heading import Belief, backward, combined, directions_say, motion_says, poses_say, weight_of
@@ -44,6 +48,7 @@ _FAST = 60.0  # metres per second: no vehicle is taken to be faster when it is s
 _WAY, _PLACE, _DEPTH = 2.0, 0.3, 0.05
 """Metres that a vehicle must have gone for its way to say where it faces; how exactly its place is known: metres, and
 per metre of depth."""
+_DOUBTFUL = 12.0  # nats: a pose that is worse by more is none that the keypoints allow
 _ALIKE = 3.0  # nats: that keypoints are turned round as a whole, one time in twenty
 
 
@@ -74,8 +79,8 @@ class Followed:
         self._left: Marginal | None = None  # as if every image counted whole
         self._way = _Way()
 
-    def add(self, problem: Problem, time: float, step: FrameStep | None) -> Frame:
-        """Take a frame, and solve the window.
+    def look(self, problem: Problem, time: float, step: FrameStep | None) -> Frame:
+        """Look at a frame, and decide which way the vehicle faces in it; `take` is to follow.
 
         Args:
             problem: What the frame shows.
@@ -87,33 +92,55 @@ class Followed:
         """
         before = self.frames[-1] if self.frames else None
         way = None if before is None or step is None else self._way.follow(before.pose, step)
-        frame = self._alone(problem, time, step, way)
-        self.frames.append(frame)
-        self.count += 1
+        frame = self._seen(problem, time, step, way)
         if before is None or step is None:
             frame.belief = Belief.none().told(frame.evidence)
             return frame
         frame.belief = before.belief.later(step.seconds, step.turn).told(frame.evidence)
-        changed = face(self.frames, self.shape)
-        if any(moved is not frame for moved in changed):
+        changed = face([*self.frames, frame], self.shape)
+        if any(other is not frame for other in changed):
             self._left = None  # what was left of earlier frames knows another side
-        self._start_velocity()
-        self._solve()
         return frame
 
-    def _alone(self, problem: Problem, time: float, step: FrameStep | None, way: Array | None) -> Frame:
-        """The frame as a single image, and what it says of the heading."""
-        start = adjust_pose(problem)
-        solved = solve_alone(problem, start, self.count)
-        alone, state = solved.adjusted, solved.adjusted.optimum.state
+    def take(self, frame: Frame, ground: Ground | None) -> None:
+        """Take a frame that was looked at, on a ground that may have been found meanwhile, and solve the window."""
+        if frame.problem.ground is not ground:
+            frame.problem = frame.problem.on(ground)
+            if frame.step is None:
+                self._first(frame, _from(frame))
+        self.frames.append(frame)
+        self.count += 1
+        if frame.step is not None:
+            self._start_velocity()
+            self._solve()
+
+    def _seen(self, problem: Problem, time: float, step: FrameStep | None, way: Array | None) -> Frame:
+        """A frame by itself, and what it says of the heading: of later ones than the first the search says enough."""
+        start = adjust_pose(problem, None if step is None else self._foreseen(step))
+        here = Alternative(start.camera_T_object, start.coefficients, 0.0)
+        weights = Weights(start.weights, start.visibility, np.ones(4), float(start.camera_T_object[2, 3]))
+        pose = gtsam.Pose3(start.camera_T_object)
+        frame = Frame(self.count, time, problem, start, (here, *start.alternatives), np.zeros(0), step, pose, weights)
         if step is None:
-            self.solved, self.shape = solved, state.shapes[0]
-        poses = (Alternative(state.poses[0].matrix(), state.shapes[0][0], 0.0), *alone.alternatives[0])
-        evidence = image_says(problem.observation, poses)
-        evidence = evidence * weight_of(None if step is None else step.seconds, _height(problem.observation))
+            self._first(frame, start)
+        evidence = image_says(problem.observation, frame.poses)
+        frame.evidence = evidence * weight_of(None if step is None else step.seconds, _height(problem.observation))
         if way is not None:
-            evidence = evidence + way
-        return Frame(self.count, time, problem, start, poses, evidence, step, state.poses[0], state.weights[0])
+            frame.evidence = frame.evidence + way
+        return frame
+
+    def _foreseen(self, step: FrameStep) -> Array:
+        """(4, 4) where the vehicle should be if it goes on as it did."""
+        last, camera = self.frames[-1], gtsam.Pose3() if step.camera is None else step.camera
+        return np.asarray(moved(last.pose, last.velocity, step.seconds, camera).matrix())
+
+    def _first(self, frame: Frame, start: PoseEstimate) -> None:
+        """Solve a frame as the single image that it is."""
+        self.solved = solve_alone(frame.problem, start, frame.number)
+        state = self.solved.adjusted.optimum.state
+        self.shape, frame.pose, frame.weights = state.shapes[0], state.poses[0], state.weights[0]
+        here = Alternative(frame.pose.matrix(), self.shape[0], 0.0)
+        frame.poses = (here, *self.solved.adjusted.alternatives[0])
 
     def _start_velocity(self) -> None:
         """A new frame goes on as the one before did; the second tells how both do."""
@@ -165,6 +192,19 @@ class Followed:
         self.shape, last.pose, last.weights = state.shapes[0], state.poses[0], state.weights[0]
 
 
+def _from(frame: Frame) -> PoseEstimate:
+    """The poses that a frame was brought to, as proposals."""
+    here, *others = frame.poses
+    return replace(
+        frame.start,
+        camera_T_object=here.camera_T_object,
+        coefficients=here.coefficients,
+        weights=frame.weights.keypoints,
+        visibility=frame.weights.visibility,
+        alternatives=tuple(others),
+    )
+
+
 def image_says(observation: Observation, poses: Sequence[Alternative]) -> Array:
     """(B,) logarithms of what an image says of the heading.
 
@@ -195,7 +235,11 @@ def face(frames: Sequence[Frame], shape: Held) -> list[Frame]:
 
 def _move(frame: Frame, heading: float, shape: Held) -> None:
     """Start a frame anew, where it faces a heading."""
-    near = [p for p in frame.poses if _apart(rotation_y(p.camera_T_object), heading) <= _ELSEWHERE]
+    near = [
+        p
+        for p in frame.poses
+        if not p.excess > _DOUBTFUL and _apart(rotation_y(p.camera_T_object), heading) <= _ELSEWHERE
+    ]
     if near:
         frame.pose = gtsam.Pose3(min(near, key=lambda p: p.excess).camera_T_object)
         return

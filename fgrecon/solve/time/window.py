@@ -21,11 +21,10 @@ from numpy.typing import NDArray
 
 from factors.keys import V, X
 from factors.marginals import Marginal, marginal_factor
-from fgrecon.core.errors import FactorCallbackError
 from fgrecon.core.motion import MotionModel
 from fgrecon.core.reconstruction import Alternative
 from fgrecon.solve.graph.adjust import Adjusted, SolvedStage, adjust
-from fgrecon.solve.graph.covariance import factorise, joint_covariance
+from fgrecon.solve.graph.covariance import Spread
 from fgrecon.solve.graph.graph import Graph, Seen, State, common_share
 from fgrecon.solve.graph.observation import Weights
 from fgrecon.solve.graph.optimise import optimise
@@ -35,7 +34,7 @@ from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.time.heading import Belief
 from fgrecon.solve.time.motion import link, velocity_terms
 
-__all__ = ["Frame", "FrameStep", "OwnFactors", "WindowSolve", "solve_alone", "solve_window", "velocity_covariance"]
+__all__ = ["Frame", "FrameStep", "OwnFactors", "WindowSolve", "solve_alone", "solve_window", "velocity_covariances"]
 
 Array = NDArray[np.float64]
 
@@ -184,28 +183,25 @@ def solve_window(
     return WindowSolve(seen, tuple(f.start for f in frames), adjusted, tuple(extra), share)
 
 
-def velocity_covariance(solved: WindowSolve, frame: Frame) -> Array | None:
-    """(3, 3) covariance of a frame's velocity along the vehicle's own axes; None where it cannot be had.
+def velocity_covariances(solved: WindowSolve, frames: Sequence[Frame]) -> list[Array | None]:
+    """(3, 3) covariance of each frame's velocity along the vehicle's own axes; None where it cannot be had.
 
     The axes are unsure as well: turned by w, a velocity changes by w x v. What images have wrong alike, for which they
     count by a share, leaves a velocity alone: of it they are as sure as if each counted whole.
     """
     graph, optimum = solved.adjusted.graph, solved.adjusted.optimum
-    marginals = factorise(graph.build(optimum.state.weights), optimum.values)
-    if marginals is None:
-        return None
-    pose, velocity = X(0, frame.number), V(0, frame.number)
-    try:
-        joint = joint_covariance(marginals, [pose, velocity])
-    except FactorCallbackError:
-        raise
-    except RuntimeError:  # GTSAM's only sign of an indeterminate system
-        return None
+    asked = {key(0, frame.number) for frame in frames for key in (X, V)}
+    spread = Spread.of(graph.build(optimum.state.weights), optimum.values, asked)
+    return [None if spread is None else _velocity_covariance(spread, frame, solved.share) for frame in frames]
+
+
+def _velocity_covariance(spread: Spread, frame: Frame, share: float) -> Array | None:
+    joint = spread.joint([X(0, frame.number), V(0, frame.number)])
     forward, left, _ = frame.velocity
     by_both = np.zeros((3, 9))
     by_both[:, :3] = -np.array([[0.0, -left, 0.0], [left, 0.0, -forward], [0.0, forward, 0.0]])
     by_both[0, 6] = by_both[2, 7] = 1.0
-    covariance: Array = solved.share * by_both @ joint @ by_both.T
+    covariance: Array = share * by_both @ joint @ by_both.T
     return covariance if np.isfinite(covariance).all() else None
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.graph.covariance import factorise, projected_covariances, read_covariances
+from fgrecon.solve.graph.covariance import Spread, factorise, projected_covariances, read_covariances
 from fgrecon.solve.graph.observation import Weights
 from fgrecon.solve.pipeline import reconstruct
 from tests.solve.graph.support import energy_of, graph_at, problem_of, solved, state_of, unsymmetric, vector
@@ -136,3 +136,28 @@ def test_covariances_of_projections_are_those_of_samples(settings):
     np.testing.assert_allclose(found, sampled, rtol=0.0, atol=0.1 * np.abs(found).max(axis=(1, 2)).max())
     for one, other in zip(found, sampled, strict=True):
         np.testing.assert_allclose(one, other, rtol=0.0, atol=0.12 * np.trace(one))
+
+
+def test_one_factorisation_gives_what_gtsam_gives():
+    """Of all variables, and of some of them, in the order that is asked for."""
+    result, graph, values, _ = at_result()
+    built = graph.build([result.weights])
+    marginals, keys = factorise(built, values), list(values.keys())
+    assert len(keys) > 1
+    for wanted in (None, {keys[0]}):
+        spread = Spread.of(built, values, wanted)
+        for key in keys if wanted is None else wanted:
+            expected = marginals.marginalCovariance(key)
+            np.testing.assert_allclose(spread.joint([key]), expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
+    turned = Spread.of(built, values).joint(keys[::-1])
+    own = len(marginals.marginalCovariance(keys[-1]))
+    np.testing.assert_allclose(turned[:own, :own], marginals.marginalCovariance(keys[-1]), rtol=1e-6, atol=1e-9)
+
+
+def test_one_factorisation_of_an_open_problem_is_none():
+    values = gtsam.Values()
+    for key in (0, 1):
+        values.insert(key, np.zeros(2))
+    graph = gtsam.NonlinearFactorGraph()
+    graph.add(gtsam.BetweenFactorVector(0, 1, np.zeros(2), gtsam.noiseModel.Unit.Create(2)))
+    assert Spread.of(graph, values) is None

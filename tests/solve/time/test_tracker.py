@@ -107,14 +107,29 @@ def test_velocity_is_over_the_world_where_it_is_known():
 
 
 def test_a_velocity_whose_spread_cannot_be_had_has_none(monkeypatch):
-    def indeterminate(marginals, keys):
-        raise RuntimeError("Indeterminant linear system")
-
-    monkeypatch.setattr("fgrecon.solve.time.window.joint_covariance", indeterminate)
+    monkeypatch.setattr("fgrecon.solve.time.window.Spread.of", lambda *_: None)
     rng = np.random.default_rng(9)
     online, _ = follow([(0.1 * t, seen(pose, rng), None) for t, pose in enumerate(approaching(3))])
     assert online[-1].velocity is not None
     assert online[-1].velocity_covariance is None
+
+
+def test_a_shared_ground_is_found_by_the_frame_that_shows_it():
+    """Two vehicles on a slope: their first frame stands on it already, and agrees with a scene of both."""
+    rng = np.random.default_rng(12)
+    slope = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, -0.02], [0.0, 0.02, 1.0]])
+    lifted = {}
+    for name, pose in enumerate([upright(0.3, [-3.0, GROUND, 12.0]), upright(1.4, [3.0, GROUND, 25.0])]):
+        tilted = pose.copy()
+        tilted[:3, 3] = slope @ pose[:3, 3]
+        lifted[name] = seen(tilted, rng)
+    tracker = fgrecon.Tracker(size_prior="kitti", shared_ground=True)
+    found = tracker.update(0.0, lifted, camera=CAMERA, ground=GROUND)
+    scene = fgrecon.reconstruct_scene(list(lifted.values()), CAMERA, ground=GROUND, size_prior="kitti")
+    for name, result in zip(scene.numbers, scene.vehicles, strict=True):
+        place = found[name].reconstruction.location
+        assert np.linalg.norm(place - result.location) < 0.3
+        assert result.location[1] < GROUND
 
 
 def test_it_is_better_than_single_images():
