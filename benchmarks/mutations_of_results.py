@@ -284,7 +284,7 @@ WRONG_ANSWERS = (
         "aspnp-starts-dropped",
         "the search does not start from the minima of ASPnP",
         PROPOSALS,
-        (("    parts.append(_from_aspnp(problem))\n", ""),),
+        (("        parts.append(_from_aspnp(problem))\n", "        pass\n"),),
         (TEST_PROPOSALS,),
     ),
     Mutation(
@@ -314,8 +314,8 @@ WRONG_ANSWERS = (
         COVARIANCE,
         (
             (
-                "pose = marginals.marginalCovariance(part.pose_key)",
-                "pose = np.roll(marginals.marginalCovariance(part.pose_key), 3, (0, 1))",
+                "pose = joint_covariance(marginals, [part.pose_key])",
+                "pose = np.roll(joint_covariance(marginals, [part.pose_key]), 3, (0, 1))",
             ),
         ),
         (TEST_COVARIANCE,),

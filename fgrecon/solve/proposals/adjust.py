@@ -130,7 +130,10 @@ def _starts(problem: Problem, initial: Box3D | float | Array | None) -> Hypothes
     parts = [at_azimuths(box, camera, model, ground, clock, relative=True)]
     if isinstance(initial, Box3D):
         parts.append(from_box3d(initial, model, ground))
-    parts.append(_from_aspnp(problem) if foreseen is None else from_pose(foreseen, model.prior.dimension))
+    if foreseen is not None:
+        parts.append(from_pose(foreseen, model.prior.dimension))
+    else:
+        parts.append(_from_aspnp(problem))
     return Hypotheses(
         np.concatenate([p.rotation for p in parts]),
         np.concatenate([p.translation for p in parts]),
