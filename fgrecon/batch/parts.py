@@ -68,11 +68,14 @@ class Parts:
         return found
 
     def rows(self) -> Iterator[dict[str, Any]]:
-        """The rows of all parts, as plain values."""
+        """The rows of all parts, as plain values.
+
+        Raises:
+            InvalidInputError: A part is damaged; names it.
+        """
         for path in self._paths():
-            with pq.ParquetFile(path) as part:
-                for batch in part.iter_batches(_AT_ONCE):
-                    yield from batch.to_pylist()
+            for batch in _batches(path):
+                yield from batch.to_pylist()
 
     def rows_in_order(self) -> list[dict[str, Any]]:
         """The rows of all parts before the first that is missing or damaged; those after it are to be computed again.
@@ -80,15 +83,15 @@ class Parts:
         Warns:
             DamagedFileWarning: A part is damaged, and is put aside.
         """
-        self.done()  # puts damaged parts aside
         rows: list[dict[str, Any]] = []
         self._next = 0
         for path in self._paths():
-            if path.stem == f"part-{self._next:06d}":
-                rows += pq.read_table(path).to_pylist()
-                self._next += 1
+            whole = stored(path, _rows) if path.stem == f"part-{self._next:06d}" else None
+            if whole is None:
+                path.unlink(missing_ok=True)  # a damaged one is aside
             else:
-                path.unlink()
+                rows += whole
+                self._next += 1
         return rows
 
     def add(self, table: Any) -> None:
@@ -113,15 +116,31 @@ def _row_ids(path: Path) -> list[str]:
     Raises:
         InvalidInputError: It is damaged, or none of ours.
     """
+    return [name for batch in _batches(path) for name in batch.column("row_id").to_pylist()]
+
+
+def _rows(path: Path) -> list[dict[str, Any]]:
+    return [row for batch in _batches(path) for row in batch.to_pylist()]
+
+
+def _batches(path: Path) -> Iterator[Any]:
+    """The rows of a part, some at a time.
+
+    Raises:
+        InvalidInputError: It is damaged, or none of ours; perhaps after rows that are good.
+    """
     try:
-        ids: list[str] = []
         with pq.ParquetFile(path, page_checksum_verification=True) as part:
+            left = part.metadata.num_rows
             for batch in part.iter_batches(_AT_ONCE):
                 batch.validate(full=True)
-                ids += batch.column("row_id").to_pylist()
+                batch.column("row_id")
+                left -= len(batch)
+                yield batch
+        if left:  # a column that is too short ends pyarrow's batches without a word
+            raise pa.ArrowInvalid(f"{left} rows are missing")
     except (pa.ArrowException, OSError, KeyError, ValueError) as error:  # ValueError: names that are no text
         raise InvalidInputError(str(path), str(error), MADE_AGAIN) from error
-    return ids
 
 
 def begin(folder: Path, settings: Mapping[str, Any], run_format: str = FORMAT) -> None:

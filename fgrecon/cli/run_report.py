@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from fgrecon.cli.common import about_camera
 from fgrecon.cli.deliver import Viewer
 from fgrecon.cli.options import SceneOptions
 from fgrecon.cli.run_film import Showing, film, recorded, still
 from fgrecon.cli.run_options import FrameOptions, MotionOptions
 from fgrecon.cli.settings import CameraSource, Settings, plain_camera, plain_settings
 from fgrecon.cli.terminal import Screen
-from fgrecon.core.camera import DEFAULT_FIELD_OF_VIEW, Camera
+from fgrecon.core.camera import DEFAULT_FIELD_OF_VIEW, Camera, Ground
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import Options
@@ -38,6 +39,7 @@ from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.vehicles.detect import NanodetVehicleDetector
 from fgrecon.solve.tracker import Tracker
 from fgrecon.video import Follower, FrameLook, GatedAssociation, SingleImages, VideoRun, read_given, run_video
+from fgrecon.video.focal import found_camera
 from fgrecon.video.follow import TrackedFrame
 from fgrecon.video.given import Given
 from fgrecon.video.rows import frame_lines, rows_of, tracking_text
@@ -164,7 +166,7 @@ def prepare(ask: Request, screen: Screen) -> Job:
         fix = "Give --camera-height or --ground: the ground tells how far the camera goes."
         raise InvalidInputError("estimate_motion", "no ground", fix)
     poses = None if motion.poses is None else read_poses(motion.poses)
-    camera, offset = _camera(ask, source, given, screen)
+    camera, offset = _camera(ask, source, given, settings, screen)
     return Job(ask, source, camera, offset, settings, given, poses)
 
 
@@ -181,7 +183,7 @@ def _given(ask: Request, settings: Settings) -> Given | None:
 
 
 def _camera(
-    ask: Request, source: FrameSource, given: Given | None, screen: Screen
+    ask: Request, source: FrameSource, given: Given | None, settings: Settings, screen: Screen
 ) -> tuple[Camera, NDArray[np.float64] | None]:
     """The camera, with the size of the first image that can be read, and the offset of KITTI's labels."""
     image = next((frame.image for frame in source.read() if frame.image is not None), None)
@@ -196,16 +198,47 @@ def _camera(
     whole = None if camera is not None or size is None else ask.camera.whole(size)
     if whole is not None and isinstance(source, ImageFrames):
         camera = read_photograph(source.first_file, whole)[1]  # by its EXIF data
+    told = camera is not None
     if camera is None and whole is not None:
-        camera = Camera.of_field_of_view(*whole)
-        screen.warn(
-            f"No camera is given: a horizontal field of view of {DEFAULT_FIELD_OF_VIEW:g} degrees is assumed, and "
-            "distances are rough. Give --camera or --intrinsics."
-        )
+        camera = Camera.of_unknown(*whole)
     if camera is None:
         raise InvalidInputError("camera", "none", "Give --camera or --intrinsics.")
-    camera = replace(ask.camera.complete(camera, declared=False), focal_sigma=0.0)  # one focal length for all frames
-    return (camera if size is None else replace(camera, image_size=size)), offset
+    camera = ask.camera.complete(camera, declared=False)
+    if size is not None:
+        camera = replace(camera, image_size=size)
+    if not told:
+        camera = _found(ask, source, given, settings, camera, screen)
+    return replace(camera, focal_sigma=0.0), offset  # one focal length for all frames
+
+
+def _found(
+    ask: Request, source: FrameSource, given: Given | None, settings: Settings, unknown: Camera, screen: Screen
+) -> Camera:
+    """The camera that the vehicles of some frames tell, or one with a usual field of view."""
+    arguments = {"prior": settings.prior, "size_prior": settings.size_prior, "options": settings.options}
+    look = _look(ask, settings, given)
+    found = found_camera(source, look, unknown, ground=settings.ground, **arguments)
+    if found is None:
+        screen.warn(
+            f"No camera is given, and no car tells: a horizontal field of view of {DEFAULT_FIELD_OF_VIEW:g} degrees is "
+            "assumed, and distances are rough. Give --camera or --intrinsics."
+        )
+        return unknown
+    screen.warn(about_camera(found.camera, None, f"{found.vehicles} cars of {found.images} frames"))
+    return found.camera
+
+
+def _look(
+    ask: Request, settings: Settings, given: Given | None, moving: tuple[Camera, Ground] | None = None
+) -> FrameLook:
+    """What looks at the frames."""
+    return FrameLook(
+        settings.prior.category,
+        vehicle_detector=NanodetVehicleDetector() if given is None else None,
+        keypoint_detector=None if given is not None and given.complete else KeypointCascade(ask.weights),
+        given=None if given is None else given.vehicles,
+        moving=moving,
+    )
 
 
 def perform(job: Job, viewer: Viewer, screen: Screen) -> VideoRun:
@@ -220,13 +253,8 @@ def perform(job: Job, viewer: Viewer, screen: Screen) -> VideoRun:
     association = GatedAssociation(first=0 if given is None else given.largest_id + 1)
     moving = ask.motion.estimate_motion
     follower = Follower(tracker, association, job.camera, ground=settings.ground, poses=job.poses, moving=moving)
-    look = FrameLook(
-        settings.prior.category,
-        vehicle_detector=NanodetVehicleDetector() if given is None else None,
-        keypoint_detector=None if given is not None and given.complete else KeypointCascade(ask.weights),
-        given=None if given is None else given.vehicles,
-        moving=(job.camera, settings.ground) if moving and settings.ground is not None else None,
-    )
+    seen_from = (job.camera, settings.ground) if moving and settings.ground is not None else None
+    look = _look(ask, settings, given, seen_from)
     ask.out.mkdir(parents=True, exist_ok=True)
     with screen.bar() as advance, _on_interrupt() as stopped, _live(job, viewer) as show:
 

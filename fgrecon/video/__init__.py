@@ -3,7 +3,7 @@
 `run_video` does what `fgrecon run` does: a `FrameLook` finds vehicles and keypoints in each frame and stores them, a
 `Follower` gives ids (`GatedAssociation`, or any `Association`) and lets a tracker estimate (`fgrecon.Tracker`, or any
 `VehicleTracker`). `camera_motion` estimates how the camera itself has moved; `read_given` reads vehicles that others
-have found.
+have found; `found_camera` finds a focal length that nobody knows.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.video.alone import SingleImages
     from fgrecon.video.association import Association, AssociationSettings, Candidate, GatedAssociation
     from fgrecon.video.egomotion import CameraMotion, camera_motion
+    from fgrecon.video.focal import FoundCamera, found_camera
     from fgrecon.video.follow import Follower, TrackedFrame, VehicleTracker
     from fgrecon.video.given import Given, read_given
     from fgrecon.video.look import FrameLook
@@ -33,6 +34,7 @@ __all__ = [
     "CameraPoses",
     "Candidate",
     "Follower",
+    "FoundCamera",
     "FrameLook",
     "FrameRecord",
     "GatedAssociation",
@@ -44,6 +46,7 @@ __all__ = [
     "VehicleTracker",
     "VideoRun",
     "camera_motion",
+    "found_camera",
     "frame_lines",
     "open_frames",
     "read_given",

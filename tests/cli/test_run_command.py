@@ -267,3 +267,18 @@ def test_no_car_is_exit_code_1(drive, tmp_path):
     done = run(drive[0], "--tracks", labels, "--out", tmp_path / "out", "--fps", 10, "--end", 0.2)
     assert done.exit_code == 1
     assert (tmp_path / "out" / "tracks.txt").read_text() == ""
+
+
+def test_without_a_camera_the_cars_tell_the_focal_length(drive, tmp_path):
+    images, file = drive
+    content = json.loads(file.read_text())
+    true = content.pop("K")[0][0]
+    bare = tmp_path / "keypoints.json"
+    bare.write_text(json.dumps(content))
+    done = run(
+        images, "--tracks", bare, "--fps", 1, "--out", tmp_path / "out", "--json", tmp_path / "run.json", "--online"
+    )
+    assert done.exit_code == 0, done.output
+    assert "from what 16 cars of 8 frames look like" in " ".join(done.stderr.split())
+    told = json.loads((tmp_path / "run.json").read_text())["settings"]["camera"]["matrix"][0][0]
+    assert told == pytest.approx(true, rel=0.35)
