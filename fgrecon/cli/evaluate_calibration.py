@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
 
     from fgrecon.evaluation.calibration import Calibration
 
-__all__ = ["calibration_command"]
+__all__ = ["calibration_command", "regions_table", "status_table"]
 
 _SIMULATION = "simulation"
 
@@ -81,7 +81,7 @@ def calibration_command(
                 advance("Simulated cars", done, simulated)
         found[_SIMULATION] = calibrate(judged)
     for method, one in found.items():
-        screen.print(_regions_table(method, one), _status_table(method, one), _in_words(one))
+        screen.print(regions_table(method, one), status_table(method, one), _in_words(one))
     documents = [calibration_document(one, {"method": method, **given}) for method, one in found.items()]
     screen.write_json(json.dumps(documents, indent=1, allow_nan=False) + "\n")
     first = next(iter(found.values()))
@@ -95,7 +95,8 @@ def calibration_command(
         raise typer.Exit(1)
 
 
-def _regions_table(method: str, found: Calibration) -> Table:
+def regions_table(method: str, found: Calibration) -> Table:
+    """Shares inside the regions of each quantity, and their radii."""
     from fgrecon.core.coverage import SIGMAS
 
     kinds = ("claimed", "scaled", "constant")
@@ -113,7 +114,8 @@ def _regions_table(method: str, found: Calibration) -> Table:
     return table
 
 
-def _status_table(method: str, found: Calibration) -> Table:
+def status_table(method: str, found: Calibration) -> Table:
+    """How many results of each status are wrong."""
     table = headed_table(f"{method}: status", "results", "turned round", "wrong", "wrong %")
     for one in found.statuses:
         table.add_row(one.status, str(one.count), str(one.turned), str(one.wrong), f"{100 * one.wrong / one.count:.1f}")

@@ -21,7 +21,7 @@ from fgrecon.core.reliability import reliability
 from fgrecon.evaluation.calibration import calibrate_boxes
 from fgrecon.evaluation.video_images import SYSTEM, TURNED_ROUND, VideoBox
 
-__all__ = ["FACTORS", "FittedDetector", "fit_detector"]
+__all__ = ["FACTORS", "FittedDetector", "fit_detector", "holding"]
 
 FACTORS = (1.0, 2.0, 4.0, 8.0, 16.0)
 """The common factors that vehicles are reconstructed with; what is fitted lies between them."""
@@ -114,9 +114,19 @@ def _at(curve: Array, factor: float) -> float:
 
 def _factor(scored: Mapping[float, Sequence[VideoBox]]) -> float:
     """Where the regions hold as much as they claim, on the mean over quantities and levels."""
-    mean = np.mean(list(_curves(scored).values()), axis=0)
+    return holding(FACTORS, list(_curves(scored).values()))
+
+
+def holding(settings: Sequence[float], inside: Sequence[Array]) -> float:
+    """The setting at which regions hold as much as they claim, on the mean over what is judged.
+
+    Args:
+        settings: F settings above zero, rising, with which regions grow.
+        inside: Shares (F,) inside the regions at each of them; of each of `SIGMAS` as many.
+    """
+    mean = np.mean(inside, axis=0)
     rising = np.maximum.accumulate(mean) + 1e-9 * np.arange(len(mean))
-    return float(np.exp(np.interp(np.mean(SIGMAS), rising, np.log(FACTORS))))
+    return float(np.exp(np.interp(np.mean(SIGMAS), rising, np.log(settings))))
 
 
 def _chosen(boxes: Sequence[VideoBox]) -> tuple[Array, NDArray[np.bool_]]:

@@ -23,7 +23,7 @@ from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate_many
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.vehicle.model import prepare
 
-__all__ = ["judge_simulated", "keypoint_regions"]
+__all__ = ["judge_known", "judge_simulated", "keypoint_regions"]
 
 _GROUPS = 10  # that are left out of their own baselines in turn
 
@@ -49,7 +49,7 @@ def judge_simulated(
         noise: The keypoint network's mistakes.
         seed: Of everything random.
     """
-    nowhere, model, rng = np.zeros(3), prepare(prior, size_prior, None), np.random.default_rng(seed)
+    model, rng = prepare(prior, size_prior, None), np.random.default_rng(seed)
     for number in range(count):
         shape = rng.multivariate_normal(np.zeros(prior.dimension), model.fleet_spread, method="cholesky")
         ((seen, truth),) = simulate_many([Vehicle.of_prior(model.prior, shape)], 1, rng, noise)
@@ -58,13 +58,32 @@ def judge_simulated(
         except FgreconError:
             yield None
             continue
-        pose, group = truth.camera_T_object, str(number % _GROUPS)
-        yaw = float(np.arctan2(-pose[2, 0], pose[0, 0]))
         size = model.prior.box_size(shape)
-        off = outcome(found, GroundTruth(pose[:3, 3], yaw), size, nowhere)
-        one = judged(off, group, float(np.linalg.norm(pose[:3, 3])), found.status.value)
-        extra = () if one.turned else keypoint_regions(found, truth.vehicle.keypoints, group)
-        yield Judged(one.status, one.turned, one.wrong, one.facing, (*one.regions, *extra))
+        yield judge_known(found, truth.camera_T_object, size, truth.vehicle.keypoints, str(number % _GROUPS))
+
+
+def judge_known(
+    result: Reconstruction,
+    camera_T_object: NDArray[np.float64],
+    size: NDArray[np.float64],
+    keypoints: NDArray[np.float64],
+    group: str,
+) -> Judged:
+    """What a result says of itself, beside pose and shape that are known.
+
+    Args:
+        result: The result.
+        camera_T_object: (4, 4) true pose.
+        size: (3,) true length, width and height, metres.
+        keypoints: (K, 3) true keypoints in the object's frame; NaN rows are not known.
+        group: What its regions are left out of the baselines with.
+    """
+    place = camera_T_object[:3, 3]
+    yaw = float(np.arctan2(-camera_T_object[2, 0], camera_T_object[0, 0]))
+    off = outcome(result, GroundTruth(place, yaw), size, np.zeros(3))
+    one = judged(off, group, float(np.linalg.norm(place)), result.status.value)
+    extra = () if one.turned else keypoint_regions(result, keypoints, group)
+    return Judged(one.status, one.turned, one.wrong, one.facing, (*one.regions, *extra))
 
 
 def keypoint_regions(result: Reconstruction, keypoints: NDArray[np.float64], group: str) -> tuple[Region, ...]:
