@@ -8,12 +8,13 @@ takes the iteration to where they would lead: ten iterations where forty of re-w
 A step that does not lower the energy, visibility held, is given up for the plain one, that for shorter ones, and those
 for a few of Levenberg-Marquardt's. Visibility is no force of the solver's and can swing between two views of a car for
 ever: where the steps have not ended after `_FOLLOWED` of them, it is held at the best state and the iteration goes on
-from there. Of many images one may swing and keep all from ending: it is held as soon as it is seen to.
+from there. Of many images one may swing and keep all from ending: it is held as soon as it is seen to, and its pose
+goes alone to where that leads, which is a long way if it is across a plateau.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import gtsam
@@ -21,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.mixture import Form
-from fgrecon.core.errors import FactorCallbackError
+from fgrecon.core.errors import DegenerateProblemError, FactorCallbackError
 from fgrecon.solve.graph.anderson import Anderson
 from fgrecon.solve.graph.graph import Graph, State
 from fgrecon.solve.graph.observation import Weights
@@ -91,6 +92,7 @@ class Descent:
         self._slices: dict[int, slice] = {}  # where a step has each variable
         self._rescued = 0
         self._swinging = _Swinging(len(start.weights))
+        self._shared = not start.others.empty()
         self._steady = STEADY if len(start.weights) == 1 else STEADY_TOGETHER
 
     def run(self) -> None:
@@ -107,7 +109,8 @@ class Descent:
             self.converged = self._iterate(steps)
             before = self.weights
             self.weights = self.graph.reweigh(self.values, before, 1.0, held=self._swinging.held)
-            if self._swinging.watch(before, self.weights):
+            if swinging := self._swinging.watch(before, self.weights):
+                self._settle_apart(swinging)
                 steps.forget()
             self._record()
             if self.converged or self._rescued >= _RESCUED or self.iterations == self.most:
@@ -116,6 +119,10 @@ class Descent:
                 best = energy, self.values, self.weights
         if best[0] < self._energy():
             _, self.values, self.weights = best
+        self._settle()
+
+    def _settle(self) -> None:
+        """Go to a minimum with visibility held."""
         steps = Anderson()
         for _ in range(_MOST):
             self.converged = self._iterate(steps)
@@ -129,6 +136,23 @@ class Descent:
         self.values, self.converged = solution.values, solution.converged
         self.weights = self.graph.reweigh(self.values, self.weights, 1.0, hold=True)
         self._record()
+
+    def _settle_apart(self, images: Collection[int]) -> None:
+        """Bring the poses of images to where they come to rest with everything else held.
+
+        Where a ground or a camera is a variable it is as much theirs, and they go with it.
+        """
+        if self._shared:
+            return
+        self.values = gtsam.Values(self.values)  # those until now are in the history
+        for index in images:
+            loop = Descent(*self.graph.alone(index, self.values, self.weights))
+            try:
+                loop._settle()
+            except DegenerateProblemError:  # not alone, then
+                continue
+            self.values.update(loop.values)
+            self.weights[index] = loop.weights[0]
 
     def _energy(self) -> float:
         return sum(self.graph.energies(self.values, self.weights).values())
@@ -193,18 +217,18 @@ class _Swinging:
         self._several = images > 1
         self._changes: list[Array] = []
 
-    def watch(self, before: Sequence[Weights], after: Sequence[Weights]) -> bool:
-        """Take note of an iteration; whether one more image swings."""
+    def watch(self, before: Sequence[Weights], after: Sequence[Weights]) -> set[int]:
+        """Take note of an iteration; the images that are now seen to swing."""
         if not self._several:
-            return False
+            return set()
         pairs = zip(before, after, strict=True)
         self._changes.append(np.array([np.abs(b.visibility - a.visibility).max() for a, b in pairs]))
         if len(self._changes) <= (2 if self.held else _WATCHED):
-            return False
+            return set()
         now, earlier = self._changes[-1], self._changes[-3]
         worst = np.maximum(_SWING, 0.5 * now.max())  # the others may change because of those
         swinging = set(np.flatnonzero((now > worst) & (now >= earlier)).tolist())
         if swinging:
             self.held |= swinging
             self._changes.clear()  # what the others did was its doing too
-        return bool(swinging)
+        return swinging

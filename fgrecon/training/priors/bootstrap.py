@@ -7,6 +7,7 @@ vehicles have alike (habits of annotators, the cameras' model) moves no draw and
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -47,6 +48,7 @@ def bootstrapped_means(
     draws: int,
     dof: float | None,
     rng: np.random.Generator,
+    progress: Callable[[int, float], None] = lambda _draw, _bound: None,
 ) -> Array:
     """Mean shapes of other draws of the vehicles.
 
@@ -58,15 +60,17 @@ def bootstrapped_means(
         draws: How many.
         dof: Degrees of freedom of the noise, or None for Gaussian noise.
         rng: Source of the draws.
+        progress: Told after each draw its number, from 1, and its log likelihood per keypoint, nats.
 
     Returns:
         (draws, K, 3) each moved, turned and scaled to fit the learnt mean best, in its frame.
     """
     means = []
-    for _ in range(draws):
+    for draw in range(1, draws + 1):
         weight = rng.exponential(size=int(vehicle.max()) + 1)[vehicle]
         drawn = replace(data, importance=data.importance * weight / np.average(weight, weights=data.importance))
         start = start_state(drawn, state.model, state.cameras, dof, state.posterior.weight)
         end, _, _ = em(drawn, start, subspace, dof=dof, iterations=_ITERATIONS, tolerance=_TOLERANCE)
         means.append(align(end.model.mean, state.model.mean)[0])
+        progress(draw, end.bound / float(drawn.importance @ drawn.seen.sum(axis=1)))
     return np.array(means).reshape(draws, *state.model.mean.shape)

@@ -37,6 +37,7 @@ Array = NDArray[np.float64]
 _FACTORISATIONS = 4
 _START_NOISE = 0.05
 _START_BASIS = 0.03
+_LEARNING = 0.5  # share of the work that is done when the draws of other vehicles begin, roughly
 _VANISHED = 1e-3
 _NEARNESS_ROUNDS = 8
 _STRAIGHTENINGS = 3
@@ -122,11 +123,18 @@ def fit_nrsfm(
     points = as_shape("keypoints", keypoints, (None, category.size, 2))
     used, data, centre, size = _prepare(category, points, options, views)
     subspace = SymmetricSubspace.of(category.size, category.symmetric_pairs, options.symmetric)
-    learner = _Learner(category, subspace, options, progress or (lambda _: None))
+    tell, draws = progress or (lambda _: None), options.bootstrap
+    share = _LEARNING if draws else 1.0
+    learner = _Learner(category, subspace, options, lambda step: tell(replace(step, fraction=share * step.fraction)))
     learnt = learner.learn(data)
-    rng = np.random.default_rng([options.seed, options.bootstrap])
     number = vehicle_numbers(vehicles, used)
-    drawn = bootstrapped_means(learnt.data, learnt.state, subspace, number, options.bootstrap, options.dof, rng)
+
+    def drew(draw: int, bound: float) -> None:
+        done = share + (1.0 - share) * draw / draws
+        tell(NrsfmProgress(f"other vehicles, draw {draw} of {draws}", done, draw, bound))
+
+    rng = np.random.default_rng([options.seed, draws])
+    drawn = bootstrapped_means(learnt.data, learnt.state, subspace, number, draws, options.dof, rng, progress=drew)
     return _result(category, subspace, learnt, (used, centre, size), drawn)
 
 

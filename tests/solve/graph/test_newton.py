@@ -131,6 +131,26 @@ def test_one_image_that_swings_is_held_and_the_others_follow_their_poses(monkeyp
         np.testing.assert_allclose(again.visibility, weights.visibility, atol=1e-8)
 
 
+def test_a_pose_settles_apart_at_the_minimum_of_its_own_image():
+    """As an optimisation of that image alone ends; the other image, the shape and what was before stay as they are."""
+    found = [problem_of(seed) for seed in (1, 2)]
+    seen = [Seen(problem, image=i) for i, (problem, _) in enumerate(found)]
+    state = start_state(seen, [start for _, start in found])
+    descent = Descent(Graph(seen, state, pose_free=True), state)
+    before = descent.values
+    descent._settle_apart({1})
+    alone, there = descent.graph.alone(1, before, state.weights)
+    settled = _Loop(alone, there)
+    settled.settle()
+    key = descent.graph.observations[1].pose_key
+    expected, pose = settled.values.atPose3(key), descent.values.atPose3(key)
+    np.testing.assert_allclose(pose.matrix(), expected.matrix(), atol=1e-6)
+    assert not pose.equals(before.atPose3(key), 1e-4)
+    changed = before.localCoordinates(descent.values)
+    others = [changed.at(each) for each in descent.values.keys() if each != key]  # noqa: SIM118
+    np.testing.assert_allclose(np.concatenate(others), 0.0, atol=1e-12)
+
+
 def test_a_look_after_an_energy_with_another_visibility_is_a_look():
     """What the kernel made of a state is kept, but not what it made of it with a visibility that was held."""
     problem, start = problem_of(1)

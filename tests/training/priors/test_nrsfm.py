@@ -239,6 +239,8 @@ def test_progress_is_told_and_may_stop_the_work():
     fractions = [step.fraction for step in steps]
     assert fractions == sorted(fractions)
     assert 0 < fractions[0] <= fractions[-1] <= 1
+    assert steps[-1].iteration == GAUSSIAN.bootstrap  # the draws of other vehicles are work too
+    assert fractions[-1] == 1
 
     def stop(_):
         raise KeyboardInterrupt
