@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.checks import as_shape
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["Interval", "mean_interval", "resampled", "statistic_interval"]
+__all__ = ["Interval", "mean_interval", "median_interval", "resampled", "statistic_interval"]
 
 _SAMPLES = 1000
 _LEVEL = 0.95
@@ -40,9 +40,21 @@ def mean_interval(values: ArrayLike, groups: ArrayLike | None = None, seed: int 
     """
     numbers = _checked(values)
     sums, counts = _per_group(numbers, groups)
-    weights = np.random.default_rng(seed).multinomial(len(sums), np.full(len(sums), 1.0 / len(sums)), _SAMPLES)
+    weights = _draws(len(sums), seed)
     means = weights @ sums / (weights @ counts)
     return _interval(float(numbers.mean()), means)
+
+
+def median_interval(values: ArrayLike, groups: ArrayLike | None = None, seed: int = 0) -> Interval:
+    """Median of values (M,) with its interval; arguments and errors are those of `mean_interval`."""
+    numbers = _checked(values)
+    sums, _ = _per_group(numbers, groups)
+    member = np.arange(len(numbers)) if groups is None else np.unique(np.asarray(groups), return_inverse=True)[1]
+    order = np.argsort(numbers)
+    below = np.cumsum(_draws(len(sums), seed)[:, member[order]], axis=1)  # (S, M) how many of a sample are up to each
+    half = 0.5 * below[:, -1:]
+    lower, upper = (below < half).sum(axis=1), (below <= half).sum(axis=1)  # the two in the middle, or twice the one
+    return _interval(float(np.median(numbers)), 0.5 * (numbers[order][lower] + numbers[order][upper]))
 
 
 def statistic_interval(values: ArrayLike, statistic: Callable[[NDArray[np.float64]], float], seed: int = 0) -> Interval:
@@ -56,6 +68,11 @@ def resampled(values: NDArray[np.float64], seed: int = 0) -> NDArray[np.float64]
     rng = np.random.default_rng(seed)
     drawn: NDArray[np.float64] = values[rng.integers(len(values), size=(_SAMPLES, len(values)))]
     return drawn
+
+
+def _draws(groups: int, seed: int) -> NDArray[np.int64]:
+    """(S, G) how often each group is in each sample."""
+    return np.random.default_rng(seed).multinomial(groups, np.full(groups, 1.0 / groups), _SAMPLES)
 
 
 def _checked(values: ArrayLike) -> NDArray[np.float64]:

@@ -22,7 +22,8 @@ def markdown(boxes: Sequence[VideoBox]) -> str:
     """A table with a row for each method on the cars, and on all boxes.
 
     NEES are squared errors by their covariances: the mean by dimension and the median over that of the chi-square
-    distribution, both 1 where covariances are right, and the percent within the 95 % region.
+    distribution, both 1 where covariances are right, and the percent within the 95 % region. In brackets are 95 %
+    intervals by bootstrap over tracks.
     """
     lines = [_line(_HEADINGS), _line(["---"] * 2 + ["---:"] * (len(_HEADINGS) - 2))]
     regimes = group_boxes(boxes)["regime"]
@@ -38,16 +39,25 @@ def _cells(score: BoxSummary) -> list[str]:
     found = [
         f"{score.turned_round.value:.2f}",
         f"{score.mean_degrees.value:.2f}",
-        f"{score.median_metres:.3f}",
-        f"{score.mean_metres:.3f}",
-        _number(score.mean_absolute_size_error, 100.0, ".1f"),
+        _within(score, "median_metres", 1.0, ".3f"),
+        _within(score, "mean_metres", 1.0, ".3f"),
+        _within(score, "mean_absolute_size_error", 100.0, ".1f"),
         _number(score.jitter_degrees, 1.0, ".2f"),
         _number(score.jitter_metres, 1.0, ".3f"),
     ]
     for name in DIMENSIONS:
         one = score.consistency.get(name)
         found.append("-" if one is None else f"{one.mean:.1f} / {one.median:.2f} / {one.inside:.0f} %")
-    return [*found, _number(score.median_velocity, 1.0, ".2f")]
+    return [*found, _within(score, "median_velocity", 1.0, ".2f")]
+
+
+def _within(score: BoxSummary, name: str, factor: float, digits: str) -> str:
+    """A number and, where there are several tracks, its 95 % interval."""
+    one = score.intervals.get(name)
+    if one is None or score.tracks < 2:
+        return _number(None if one is None else one.value, factor, digits)
+    value, low, high = (format(factor * number, digits) for number in (one.value, one.low, one.high))
+    return f"{value} ({low}-{high})"
 
 
 def _number(value: float | None, factor: float, digits: str) -> str:

@@ -16,7 +16,7 @@ from fgrecon.core.metrics import THRESHOLDS, wrap_angle
 from fgrecon.core.plain import finite
 from fgrecon.core.reconstruction import Status
 from fgrecon.core.reliability import Reliability, reliability
-from fgrecon.evaluation.bootstrap import Interval, mean_interval
+from fgrecon.evaluation.bootstrap import Interval, mean_interval, median_interval
 from fgrecon.evaluation.consistency import Consistency, consistency
 from fgrecon.evaluation.regions import DIMENSIONS
 from fgrecon.evaluation.video_images import SYSTEM, TURNED_ROUND, VideoBox, View
@@ -53,6 +53,7 @@ _UNITS = {
     "median_velocity": "metres per second over the ground, estimated minus labelled; labels within 0.2 s make a line",
     "consistency": "normalised squared errors by dimension (NEES): mean, its 95 % bounds for as many draws as tracks, "
     "median over that of the chi-square distribution, percent within the 95 % region; boxes turned round are left out",
+    "intervals": "of the numbers of the same names",
     "interval": "95 % by bootstrap over tracks; null where there is one track",
     "facing": "probability of the directions within 90 degrees of the labelled one; the bins, of equally many boxes, "
     "compare the probability of the more probable half, this one or the other, with how often it is the labelled one",
@@ -81,6 +82,7 @@ class BoxSummary:
         jitter_metres: The same of the position error.
         median_velocity: Median velocity error, metres per second; None where none is known.
         consistency: Of what has covariances, by its name (`DIMENSIONS`).
+        intervals: Of the numbers above without one, by their names: position, size and velocity, where they are known.
     """
 
     boxes: int
@@ -99,6 +101,7 @@ class BoxSummary:
     jitter_metres: float | None = None
     median_velocity: float | None = None
     consistency: Mapping[str, Consistency] = field(default_factory=dict)
+    intervals: Mapping[str, Interval] = field(default_factory=dict)
 
 
 def methods_of(boxes: Sequence[VideoBox]) -> tuple[str, ...]:
@@ -163,11 +166,23 @@ def summarise_boxes(boxes: Sequence[VideoBox], method: str) -> BoxSummary:
 
     turned = [one.degrees > TURNED_ROUND for one in found]
     silent = [off and one.status == Status.CONVERGED.value for off, one in zip(turned, found, strict=True)]
-    metres = np.array([one.metres for one in found if np.isfinite(one.metres)])
+    metres = np.array([one.metres if np.isfinite(one.metres) else np.nan for one in found])
     sizes = [one.size for one in found if one.size is not None]
+    absolute = np.array([np.nan if one.size is None else float(np.mean(np.abs(one.size))) for one in found])
     length, width, height = np.mean(sizes, axis=0).tolist() if sizes else (np.nan,) * 3
     facing = [box.facing for box in boxes if box.facing is not None]
-    velocities = [one.velocity for one in found if one.velocity is not None]
+    velocities = np.array([np.nan if one.velocity is None else one.velocity for one in found])
+    intervals = {
+        name: interval(numbers[known], tracks[known])
+        for name, numbers, interval in (
+            ("median_metres", metres, median_interval),
+            ("mean_metres", metres, mean_interval),
+            ("mean_absolute_size_error", absolute, mean_interval),
+            ("median_velocity", velocities, median_interval),
+        )
+        if (known := np.isfinite(numbers)).any()
+    }
+    number = {name: one.value for name, one in intervals.items()}
     return BoxSummary(
         boxes=len(boxes),
         tracks=len(numbers),
@@ -176,14 +191,15 @@ def summarise_boxes(boxes: Sequence[VideoBox], method: str) -> BoxSummary:
         turned_round=share(turned),
         silent=share(silent) if method == SYSTEM else None,
         network_turned_round=share([value <= 0.5 for value in facing]) if len(facing) == len(boxes) else None,
-        median_metres=float(np.median(metres)) if len(metres) else np.nan,
-        mean_metres=float(np.mean(metres)) if len(metres) else np.nan,
+        median_metres=number.get("median_metres", np.nan),
+        mean_metres=number.get("mean_metres", np.nan),
         mean_size_error=(length, width, height) if sizes else None,
         refused=sum(one.failure is not None for one in found),
-        mean_absolute_size_error=float(np.mean(np.abs(sizes))) if sizes else None,
+        mean_absolute_size_error=number.get("mean_absolute_size_error"),
         **_jitter(boxes, method),
-        median_velocity=float(np.median(velocities)) if velocities else None,
+        median_velocity=number.get("median_velocity"),
         consistency=_consistency(boxes, method),
+        intervals=intervals,
     )
 
 
@@ -302,4 +318,5 @@ def _plain(summary: BoxSummary) -> dict[str, Any]:
         "jitter_metres": summary.jitter_metres,
         "median_velocity": summary.median_velocity,
         "consistency": {name: asdict(one) for name, one in summary.consistency.items()},
+        "intervals": {name: interval(one) for name, one in summary.intervals.items()},
     }

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.evaluation.bootstrap import mean_interval, resampled, statistic_interval
+from fgrecon.evaluation.bootstrap import mean_interval, median_interval, resampled, statistic_interval
 
 
 def test_a_mean_has_the_interval_of_the_central_limit():
@@ -38,6 +38,28 @@ def test_a_median_with_its_interval_and_failures():
     assert found.value == 2.0
     assert found.low == 1.0
     assert found.high == np.inf
+
+
+@pytest.mark.parametrize("count", [40, 41])
+def test_a_median_of_groups_is_that_of_the_groups_drawn_one_by_one(count):
+    rng = np.random.default_rng(5)
+    values, groups = rng.normal(size=count), rng.integers(9, size=count)
+    names = np.unique(groups)
+    draws = np.random.default_rng(0).multinomial(len(names), np.full(len(names), 1 / len(names)), 1000)
+    samples = [
+        np.median(np.concatenate([np.tile(values[groups == name], n) for name, n in zip(names, draw, strict=True)]))
+        for draw in draws
+    ]
+    found = median_interval(values, groups)
+    expected = np.percentile(samples, [2.5, 97.5], method="nearest")
+    assert (found.value, found.low, found.high) == pytest.approx((np.median(values), *expected), abs=1e-12)
+
+
+def test_a_median_of_single_values_has_the_interval_of_order_statistics():
+    values = np.arange(1000.0)
+    found = median_interval(values)
+    half = 1.96 * np.sqrt(1000) / 2  # the binomial's, in ranks
+    assert (found.low, found.high) == pytest.approx((499.5 - half, 499.5 + half), abs=6)
 
 
 def test_the_same_seed_gives_the_same_samples():

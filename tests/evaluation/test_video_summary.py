@@ -71,6 +71,14 @@ def test_intervals_draw_whole_tracks():
     assert 30.0 < shares[1].low < 40.0
     assert 60.0 < shares[1].high < 70.0
     assert (shares[2].low, shares[2].high) == (0.0, 100.0)
+    places = [
+        summarise_boxes([box(metres=1.0 + n % 2, track=t(n)) for n in range(40)], SYSTEM)
+        for t in (int, lambda n: n % 2)
+    ]
+    for found, low, high in zip(places, (1.3, 1.0), (1.7, 2.0), strict=True):
+        one = found.intervals["mean_metres"]
+        assert (one.low, one.value, one.high) == pytest.approx((low, 1.5, high), abs=0.1)
+        assert found.intervals["median_metres"].value == found.median_metres == 1.5
 
 
 def test_a_rival_has_no_status_and_a_group_may_lack_every_pose():
