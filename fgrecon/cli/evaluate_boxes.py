@@ -17,7 +17,6 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
 
     from rich.table import Table
 
-    from fgrecon.evaluation.bootstrap import Interval
     from fgrecon.evaluation.boxes3d import LabelledBox, Precision
 
 __all__ = ["boxes_command"]
@@ -101,8 +100,8 @@ def _groups(scored: Mapping[str, Sequence[LabelledBox]]) -> Table:
                 name,
                 str(one.vehicles),
                 str(one.found),
-                *(_interval(share, 0) for share in (*one.right, *one.within)),
-                "-" if one.mean_metres is None else _interval(one.mean_metres, 2),
+                *(share.shown(0) for share in (*one.right, *one.within)),
+                "-" if one.mean_metres is None else one.mean_metres.shown(2),
                 f"{one.median_metres:.2f}",
                 f"{one.depth:+.1f}",
                 f"{one.turned:.1f}",
@@ -123,7 +122,3 @@ def _curves(curves: Mapping[str, Sequence[Precision]]) -> Table:
             shares = [f"{share:.1f}" for share in (*one.ground, *one.volume)]
             table.add_row(f"cars, {one.regime}", name, str(one.labels), f"{one.image:.1f}", angle, *shares)
     return table
-
-
-def _interval(value: Interval, digits: int) -> str:
-    return f"{value.value:.{digits}f} ({value.low:.{digits}f}-{value.high:.{digits}f})"

@@ -25,6 +25,11 @@ class Interval:
     low: float
     high: float
 
+    def shown(self, digits: int, factor: float = 1.0) -> str:
+        """`value (low-high)` with so many digits, in another unit where a factor is given."""
+        value, low, high = (f"{factor * number:.{digits}f}" for number in (self.value, self.low, self.high))
+        return f"{value} ({low}-{high})"
+
 
 def mean_interval(values: ArrayLike, groups: ArrayLike | None = None, seed: int = 0) -> Interval:
     """Mean of values (M,) with its interval.
@@ -39,7 +44,8 @@ def mean_interval(values: ArrayLike, groups: ArrayLike | None = None, seed: int 
         InvalidInputError: There is no value, or the lengths differ.
     """
     numbers = _checked(values)
-    sums, counts = _per_group(numbers, groups)
+    member = _members(numbers, groups)
+    sums, counts = np.bincount(member, numbers), np.bincount(member)
     weights = _draws(len(sums), seed)
     means = weights @ sums / (weights @ counts)
     return _interval(float(numbers.mean()), means)
@@ -48,10 +54,9 @@ def mean_interval(values: ArrayLike, groups: ArrayLike | None = None, seed: int 
 def median_interval(values: ArrayLike, groups: ArrayLike | None = None, seed: int = 0) -> Interval:
     """Median of values (M,) with its interval; arguments and errors are those of `mean_interval`."""
     numbers = _checked(values)
-    sums, _ = _per_group(numbers, groups)
-    member = np.arange(len(numbers)) if groups is None else np.unique(np.asarray(groups), return_inverse=True)[1]
-    order = np.argsort(numbers)
-    below = np.cumsum(_draws(len(sums), seed)[:, member[order]], axis=1)  # (S, M) how many of a sample are up to each
+    member, order = _members(numbers, groups), np.argsort(numbers)
+    draws = _draws(int(member.max()) + 1, seed)
+    below = np.cumsum(draws[:, member[order]], axis=1)  # (S, M) how many of a sample are up to each
     half = 0.5 * below[:, -1:]
     lower, upper = (below < half).sum(axis=1), (below <= half).sum(axis=1)  # the two in the middle, or twice the one
     return _interval(float(np.median(numbers)), 0.5 * (numbers[order][lower] + numbers[order][upper]))
@@ -82,16 +87,14 @@ def _checked(values: ArrayLike) -> NDArray[np.float64]:
     return numbers
 
 
-def _per_group(
-    values: NDArray[np.float64], groups: ArrayLike | None
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _members(values: NDArray[np.float64], groups: ArrayLike | None) -> NDArray[np.intp]:
+    """(M,) number of the group of each value, from 0."""
     if groups is None:
-        return values, np.ones(len(values))
+        return np.arange(len(values))
     labels = np.asarray(groups)
     if labels.shape != values.shape:
         raise InvalidInputError("groups", f"shape {labels.shape}", f"Give {len(values)} numbers.")
-    _, index = np.unique(labels, return_inverse=True)
-    return np.bincount(index, values).astype(np.float64), np.bincount(index).astype(np.float64)
+    return np.asarray(np.unique(labels, return_inverse=True)[1])
 
 
 def _interval(value: float, samples: NDArray[np.float64]) -> Interval:

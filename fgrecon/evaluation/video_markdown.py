@@ -39,25 +39,24 @@ def _cells(score: BoxSummary) -> list[str]:
     found = [
         f"{score.turned_round.value:.2f}",
         f"{score.mean_degrees.value:.2f}",
-        _within(score, "median_metres", 1.0, ".3f"),
-        _within(score, "mean_metres", 1.0, ".3f"),
-        _within(score, "mean_absolute_size_error", 100.0, ".1f"),
+        _within(score, "median_metres", 3),
+        _within(score, "mean_metres", 3),
+        _within(score, "mean_absolute_size_error", 1, 100.0),
         _number(score.jitter_degrees, 1.0, ".2f"),
         _number(score.jitter_metres, 1.0, ".3f"),
     ]
     for name in DIMENSIONS:
         one = score.consistency.get(name)
         found.append("-" if one is None else f"{one.mean:.1f} / {one.median:.2f} / {one.inside:.0f} %")
-    return [*found, _within(score, "median_velocity", 1.0, ".2f")]
+    return [*found, _within(score, "median_velocity", 2)]
 
 
-def _within(score: BoxSummary, name: str, factor: float, digits: str) -> str:
+def _within(score: BoxSummary, name: str, digits: int, factor: float = 1.0) -> str:
     """A number and, where there are several tracks, its 95 % interval."""
     one = score.intervals.get(name)
-    if one is None or score.tracks < 2:
-        return _number(None if one is None else one.value, factor, digits)
-    value, low, high = (format(factor * number, digits) for number in (one.value, one.low, one.high))
-    return f"{value} ({low}-{high})"
+    if one is None:
+        return "-"
+    return f"{factor * one.value:.{digits}f}" if score.tracks < 2 else one.shown(digits, factor)
 
 
 def _number(value: float | None, factor: float, digits: str) -> str:

@@ -166,23 +166,23 @@ def summarise_boxes(boxes: Sequence[VideoBox], method: str) -> BoxSummary:
 
     turned = [one.degrees > TURNED_ROUND for one in found]
     silent = [off and one.status == Status.CONVERGED.value for off, one in zip(turned, found, strict=True)]
-    metres = np.array([one.metres if np.isfinite(one.metres) else np.nan for one in found])
+    metres = np.array([one.metres for one in found])
     sizes = [one.size for one in found if one.size is not None]
     absolute = np.array([np.nan if one.size is None else float(np.mean(np.abs(one.size))) for one in found])
     length, width, height = np.mean(sizes, axis=0).tolist() if sizes else (np.nan,) * 3
     facing = [box.facing for box in boxes if box.facing is not None]
     velocities = np.array([np.nan if one.velocity is None else one.velocity for one in found])
     intervals = {
-        name: interval(numbers[known], tracks[known])
-        for name, numbers, interval in (
+        name: interval(errors[known], tracks[known])
+        for name, errors, interval in (
             ("median_metres", metres, median_interval),
             ("mean_metres", metres, mean_interval),
             ("mean_absolute_size_error", absolute, mean_interval),
             ("median_velocity", velocities, median_interval),
         )
-        if (known := np.isfinite(numbers)).any()
+        if (known := np.isfinite(errors)).any()
     }
-    number = {name: one.value for name, one in intervals.items()}
+    values = {name: one.value for name, one in intervals.items()}
     return BoxSummary(
         boxes=len(boxes),
         tracks=len(numbers),
@@ -191,13 +191,13 @@ def summarise_boxes(boxes: Sequence[VideoBox], method: str) -> BoxSummary:
         turned_round=share(turned),
         silent=share(silent) if method == SYSTEM else None,
         network_turned_round=share([value <= 0.5 for value in facing]) if len(facing) == len(boxes) else None,
-        median_metres=number.get("median_metres", np.nan),
-        mean_metres=number.get("mean_metres", np.nan),
+        median_metres=values.get("median_metres", np.nan),
+        mean_metres=values.get("mean_metres", np.nan),
         mean_size_error=(length, width, height) if sizes else None,
         refused=sum(one.failure is not None for one in found),
-        mean_absolute_size_error=number.get("mean_absolute_size_error"),
+        mean_absolute_size_error=values.get("mean_absolute_size_error"),
         **_jitter(boxes, method),
-        median_velocity=number.get("median_velocity"),
+        median_velocity=values.get("median_velocity"),
         consistency=_consistency(boxes, method),
         intervals=intervals,
     )

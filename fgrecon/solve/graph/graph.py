@@ -73,8 +73,7 @@ class Graph:
     """Builds the factors for given weights; everything that does not depend on them is built once.
 
     Attributes:
-        seen: The observations, and
-        observations: a part for each.
+        observations: A part for each observation.
         vehicles: A part for each vehicle, by number.
         extra: The caller's own factors.
         options: Settings.
@@ -103,7 +102,6 @@ class Graph:
         Raises:
             InvalidInputError: A factor of the caller's own has a key of no variable.
         """
-        self.seen = tuple(seen)
         self.options: Options = seen[0].problem.options
         self._built: gtsam.NonlinearFactorGraph | None = None
         self.vehicles: dict[int, VehiclePart] = {}
@@ -161,9 +159,10 @@ class Graph:
 
     def alone(self, index: int, values: gtsam.Values, weights: Sequence[Weights]) -> tuple[Graph, State]:
         """The graph of one observation's pose with everything else held at the values, and its state there."""
-        one, part = self.seen[index], self.observations[index]
-        shape = self.vehicles[one.vehicle].read(values)
-        state = State([part.pose(values)], {one.vehicle: shape}, [weights[index]])
+        part = self.observations[index]
+        number = part.vehicle.number
+        state = State([part.pose(values)], {number: part.vehicle.read(values)}, [weights[index]])
+        one = Seen(part.problem, number, part.image)
         return Graph([one], state, pose_free=True, hold_shape=True, extra=self.extra), state
 
     def check_in_front(self, values: gtsam.Values) -> None:

@@ -72,5 +72,5 @@ def bootstrapped_means(
         start = start_state(drawn, state.model, state.cameras, dof, state.posterior.weight)
         end, _, _ = em(drawn, start, subspace, dof=dof, iterations=_ITERATIONS, tolerance=_TOLERANCE)
         means.append(align(end.model.mean, state.model.mean)[0])
-        progress(draw, end.bound / float(drawn.importance @ drawn.seen.sum(axis=1)))
+        progress(draw, end.bound / drawn.keypoints)
     return np.array(means).reshape(draws, *state.model.mean.shape)

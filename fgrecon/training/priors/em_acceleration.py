@@ -92,7 +92,7 @@ def em(
         The last state, the bound at the start and after each pair of iterations (never falling), and whether it
         converged.
     """
-    keypoints = float(data.importance @ data.seen.sum(axis=1))
+    keypoints = data.keypoints
     history, longest = [state.bound], _FIRST_STEP
     for iteration in range(2, iterations + 1, 2):
         first = _iterate(data, state, subspace, dof)

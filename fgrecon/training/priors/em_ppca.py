@@ -69,6 +69,11 @@ class Data:
     importance: Array
     freedom: float = 6.0
 
+    @property
+    def keypoints(self) -> float:
+        """How many keypoints are annotated, each image counting by its importance."""
+        return float(self.importance @ self.seen.sum(axis=1))
+
 
 @dataclass(frozen=True)
 class ShapeModel:

@@ -220,7 +220,7 @@ class _Learner:
             self._restart(part, generator, number, share * number / options.restarts, share / options.restarts)
             for number, generator in enumerate(rng.spawn(options.restarts))
         ]
-        bounds = tuple(state.bound / float(part.importance @ part.seen.sum(axis=1)) for state, _, _ in ends)
+        bounds = tuple(state.bound / part.keypoints for state, _, _ in ends)
         state, history, converged = ends[int(np.argmax(bounds))]
         if partial:
             state = self._extend(data, chosen, state, rng)
@@ -352,7 +352,7 @@ def _result(
     signs = np.array([np.sign(row[np.abs(row).argmax()]) or 1.0 for row in change])
     weighted = ((posterior.weight * posterior.squared).T @ data.importance) / (data.seen.T @ data.importance)
     total = float((posterior.weight * posterior.squared).sum(axis=1) @ data.importance)
-    share = total / float(data.importance @ data.seen.sum(axis=1))
+    share = total / data.keypoints
     inverse_scale = cameras.inverse_scale / size
     return NrsfmResult(
         mean=subspace.project(model.mean @ axes),
