@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
+from functools import cache
 from typing import Any, ClassVar
 
 from fgrecon.core.choices import BoxModel, StrategyName
@@ -239,10 +240,16 @@ class Options:
         check_settings(self, "options")
 
 
+@cache
+def _defaults(kind: type) -> Any:
+    """A group's defaults, which nobody can change."""
+    return kind()
+
+
 def _group(name: str, value: Any) -> Any:
     kind = _KINDS[name]
     if value is None:
-        return kind()
+        return _defaults(kind)
     if kind is BoxOptions and isinstance(value, str):
         return BoxOptions(model=one_of(BoxModel, "options.box", value))
     if not isinstance(value, kind):

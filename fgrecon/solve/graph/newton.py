@@ -33,7 +33,7 @@ __all__ = ["STEADY", "STEADY_TOGETHER", "Descent", "Step"]
 Array = NDArray[np.float64]
 
 STEADY = 1e-8
-"""A step that moves no variable by more (radians, metres, standard deviations of lambda) is the last."""
+"""A step is the last if the next will move no variable by more (radians, metres, standard deviations of lambda)."""
 
 STEADY_TOGETHER = 1e-6
 """The same where several images or vehicles are solved together: a micrometre, at two thirds of the iterations."""
@@ -90,6 +90,8 @@ class Descent:
         self.first = float("nan")
         self.converged = False
         self._slices: dict[int, slice] = {}  # where a step has each variable
+        self._ordering: gtsam.Ordering | None = None  # of elimination, the same for every step
+        self._lengths = (np.inf, np.inf)  # of the last two steps
         self._rescued = 0
         self._swinging = _Swinging(len(start.weights))
         self._shared = not start.others.empty()
@@ -167,14 +169,16 @@ class Descent:
         built = self.graph.build(self.weights, Form.NEWTON)
         try:
             linear = built.linearize(self.values)
-            newton = linear.optimize()
+            if self._ordering is None:
+                self._ordering = gtsam.Ordering.ColamdGaussianFactorGraph(linear)
+            newton = linear.optimize(self._ordering)
         except FactorCallbackError:
             raise
         except RuntimeError:  # GTSAM's only sign of a direction that nothing determines
             return self._rescue(built, steps)
         step = newton.vector()
         length = float(np.abs(step).max(initial=0.0))
-        last = length <= self._steady  # nobody asks what it does to the energy
+        last = self._is_last(length)  # nobody asks what it does to the energy
         energy = np.inf if last else built.error(self.values) * (1.0 + _RISE) + _RISE
         further = steps.propose(step)
         if further is not None and np.abs(further).max() > _LONGEST * length:
@@ -187,6 +191,13 @@ class Descent:
                 self.values, self._rescued = moved, 0
                 return last
         return self._rescue(built, steps)
+
+    def _is_last(self, length: float) -> bool:
+        """Whether the step after one of this length will be `STEADY`, as the slower of the last two rates foretells."""
+        earlier, before = self._lengths
+        self._lengths = before, length
+        rate = max(before / earlier, length / before) if 0.0 < before < earlier < np.inf else 1.0
+        return min(rate, 1.0) * length <= self._steady
 
     def _by_key(self, newton: gtsam.VectorValues, step: Array) -> gtsam.VectorValues:
         """A step (D,) as values by key, which are in ascending order."""
