@@ -58,7 +58,7 @@ ROOMS = {
     },
     "evaluation": {
         *("core", "io", "io/export", "solve", "solve/vehicle", "solve/proposals", "perception", "perception/keypoints"),
-        *("annotation", "simulation"),
+        *("annotation", "simulation", "video"),
     },
     "training/priors": {"core", "io", "io/annotations", "io/keypoints", "solve/vehicle"},
     "training": {"factors", "training/priors"},

@@ -58,6 +58,15 @@ def video_command(
             "score velocities, and covariances against errors.",
         ),
     ] = False,
+    forget_ids: Annotated[
+        bool, typer.Option("--forget-ids", help="Follow without the labelled ids, as `fgrecon run` associates.")
+    ] = False,
+    detect: Annotated[
+        bool,
+        typer.Option(
+            "--detect", help="Look at the boxes of the shipped vehicle detector instead of the labelled ones."
+        ),
+    ] = False,
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE", help=f"Contact sheet of the {_WORST} worst tracks' worst boxes.")
     ] = None,
@@ -80,18 +89,26 @@ def video_command(
     as 180 degrees and stays in. Intervals are of 95 %, by bootstrap over tracks. For a picture the worst images are
     solved once more after they were scored. --verbose tells every box.
 
+    With --detect a labelled box is scored by the detected one that overlaps it most, by more than half; labelled boxes
+    without one are counted, and in none of the shares. All frames of a drive are looked at, and followed without ids.
+
     Exit code 1: no box could be reconstructed.
     """
+    from fgrecon.core.errors import InvalidInputError
     from fgrecon.evaluation.video_markdown import markdown as side_by_side
     from fgrecon.evaluation.video_summary import document, facing_reliability, methods_of
     from fgrecon.io.export.files import TABLE_FORMATS, export_rows
     from fgrecon.io.files import check_ending
 
     check_outputs(json_out, picture, table, markdown)
+    if forget_ids and not track:
+        raise InvalidInputError("forget_ids", "true", "Give --track as well: single images have no ids.")
     if table is not None:
         check_ending(table, TABLE_FORMATS)
     screen = terminal.screen(json_out)
-    scored = how.score(folders, labelled, screen, rivals=rival or [_RIVAL], track=track)
+    scored = how.score(
+        folders, labelled, screen, rivals=rival or [_RIVAL], track=track, detect=detect, forget_ids=forget_ids
+    )
     boxes = scored.boxes
 
     screen.print(scored.in_words())
@@ -113,6 +130,9 @@ def video_command(
         "box_model": how.box_model.value,
         "together": how.together,
         "track": track,
+        "ids": "associated" if forget_ids or detect else "labelled",
+        "boxes": "detected" if detect else "labelled",
+        "missed": scored.missed,
     }
     screen.write_json(json.dumps(document(boxes, given, scored.networks()), indent=1, allow_nan=False) + "\n")
     if results is not None:
@@ -226,7 +246,7 @@ def _in_words(facing: Reliability) -> str:
 
 def _sights(scored: ScoredDrives) -> list[Sight]:
     """The worst boxes with their photographs and labels, worst first; their frames are solved once more."""
-    from fgrecon.evaluation.video_images import reconstruct_frame, wanted
+    from fgrecon.evaluation.video_frames import reconstruct_frame
     from fgrecon.evaluation.video_summary import worst_boxes
     from fgrecon.simulation.vehicles import yaw_pose
     from fgrecon.viz import Sight
@@ -237,8 +257,8 @@ def _sights(scored: ScoredDrives) -> list[Sight]:
     for box in worst_boxes(scored.boxes, _WORST):
         drive = by_name[box.drive]
         frame = next(frame for frame in drive.frames if frame.number == box.frame)
-        image, found = reconstruct_frame(drive.calibration, frame, scored.setups[box.drive])
-        one = found[wanted(frame).tolist().index(box.index)]
+        image, looks = reconstruct_frame(frame, scored.setups[box.drive])
+        one = next(look.found for look in looks if look.label == box.index)
         if one.result is None:
             continue
         labels, offset = frame.objects, drive.calibration.label_offset

@@ -46,8 +46,9 @@ class ScoredDrives:
         setups: What each was reconstructed with, by its name.
         scene: What was told.
         ground: In words where the ground comes from.
-        images: How many images have a box that counts.
-        boxes: Those boxes.
+        images: How many images were looked at: those with a box that counts, or all where vehicles were detected.
+        boxes: Those boxes, as far as they were found.
+        missed: How many were not.
     """
 
     drives: list[Drive]
@@ -57,10 +58,12 @@ class ScoredDrives:
     ground: str
     images: int
     boxes: list[VideoBox]
+    missed: int = 0
 
     def in_words(self) -> str:
         """How much it is, and on which ground."""
-        return f"{len(self.drives)} drives, {self.images} images, {len(self.boxes)} boxes; {self.ground}."
+        missed = f", {self.missed} more not found" if self.missed else ""
+        return f"{len(self.drives)} drives, {self.images} images, {len(self.boxes)} boxes{missed}; {self.ground}."
 
     def networks(self) -> list[dict[str, Any]]:
         """Of each network its file, the drives that it scored, and what it has learnt from."""
@@ -96,6 +99,8 @@ class DriveOptions:
         rivals: Sequence[str],
         track: bool,
         keypoints: KeypointOptions | None = None,
+        detect: bool = False,
+        forget_ids: bool = False,
     ) -> ScoredDrives:
         """Reconstruct the labelled boxes that count, and score them.
 
@@ -104,32 +109,42 @@ class DriveOptions:
             labelled: What is told.
             screen: Where progress is shown.
             rivals: Methods that get the same keypoints.
-            track: Whether the vehicles are followed by their labelled ids as well.
+            track: Whether the vehicles are followed as well.
             keypoints: What is assumed of the detector; None for the default.
+            detect: Whether the boxes are the shipped vehicle detector's instead of the labelled ones.
+            forget_ids: Whether the vehicles that are followed are given ids anew; detected ones have none.
 
         Raises:
-            InvalidInputError: A folder is no drive, no box counts, or a network is given for none of the drives.
+            InvalidInputError: A folder is no drive, no box counts or is found, or a network is given for none of the
+                drives.
         """
         from fgrecon.core.errors import InvalidInputError
         from fgrecon.core.options import Options
-        from fgrecon.evaluation.video_images import score_drives, wanted
+        from fgrecon.evaluation.video_frames import looks_at, score_frames
+        from fgrecon.evaluation.video_images import wanted
         from fgrecon.evaluation.video_tracks import follow_boxes
         from fgrecon.io.kitti_drives import read_drive
 
         drives = [read_drive(folder.absolute()) for folder in folders]
         files = read_folds(self.fold or (), [drive.name for drive in drives], self.weights)
-        images = sum(len(wanted(frame)) > 0 for drive in drives for frame in drive.frames)
-        if not images:
+        if not any(len(wanted(frame)) for drive in drives for frame in drive.frames):
             fix = "Give drives with labelled cars or vans of at least 25 pixels."
             raise InvalidInputError("drives", ", ".join(drive.name for drive in drives), fix)
         scene, (_, ground) = labelled.scene(), labelled.plane()
-        setups = _setups(files, scene, Options(box=self.box_model, keypoints=keypoints), together=self.together)
+        options = Options(box=self.box_model, keypoints=keypoints)
+        setups = _setups(files, scene, options, together=self.together, detect=detect)
+        images = sum(len(looks_at(drive, setups[drive.name])) for drive in drives)
         with screen.bar() as advance:
             watched = counting(advance, "Images", images)
-            boxes = score_drives(drives, setups, scene, rivals=rivals, jobs=self.jobs, advance=watched)
+            frames = score_frames(drives, setups, scene, rivals=rivals, jobs=self.jobs, advance=watched)
+            boxes = [box for frame in frames for box in frame.boxes]
+            if not boxes:
+                raise InvalidInputError(
+                    "drives", ", ".join(setups), "The detector found none of the labelled vehicles."
+                )
             if track:
-                boxes = follow_boxes(boxes, drives, setups)
-        return ScoredDrives(drives, files, setups, scene, ground, images, boxes)
+                boxes = follow_boxes(frames, drives, setups, forget_ids=forget_ids or detect)
+        return ScoredDrives(drives, files, setups, scene, ground, images, boxes, sum(frame.missed for frame in frames))
 
 
 def read_folds(folds: Sequence[str], drives: Sequence[str], weights: Path | None) -> dict[str, Path | None]:
@@ -162,11 +177,15 @@ def read_folds(folds: Sequence[str], drives: Sequence[str], weights: Path | None
     return {name: found.get(name, weights) for name in drives}
 
 
-def _setups(files: dict[str, Path | None], scene: SceneKnowledge, options: Any, *, together: bool) -> dict[str, Setup]:
+def _setups(
+    files: dict[str, Path | None], scene: SceneKnowledge, options: Any, *, together: bool, detect: bool
+) -> dict[str, Setup]:
     """What each drive is reconstructed with, by its name; each network is loaded once."""
     from fgrecon.evaluation.kitti_images import Setup
     from fgrecon.perception.keypoints.detect import KeypointCascade
+    from fgrecon.perception.vehicles import NanodetVehicleDetector
 
+    vehicles = NanodetVehicleDetector() if detect else None
     made = {
         file: Setup(
             detector=KeypointCascade(file),
@@ -175,6 +194,7 @@ def _setups(files: dict[str, Path | None], scene: SceneKnowledge, options: Any, 
             size_prior=scene.size,
             options=options,
             together=together,
+            vehicles=vehicles,
         )
         for file in dict.fromkeys(files.values())
     }

@@ -29,6 +29,7 @@ from fgrecon.io.kitti_calibration import KittiCalibration, read_calibration
 from fgrecon.io.kitti_files import Fault, Objects, read_detections, read_labels
 from fgrecon.perception.from_image import FromImage, reconstruct_image
 from fgrecon.perception.keypoints.detect import KeypointCascade
+from fgrecon.perception.protocols import VehicleDetector
 
 __all__ = [
     "Car",
@@ -76,6 +77,7 @@ class Setup:
         options: Settings.
         overlap: From which overlap on a detected box is a labelled car's.
         together: Whether the vehicles of an image share one ground (`fgrecon.reconstruct_scene`).
+        vehicles: Finds the vehicles in frames of drives; None where the labelled boxes are the input.
     """
 
     detector: KeypointCascade
@@ -85,6 +87,7 @@ class Setup:
     options: Options
     overlap: float = MINIMUM_OVERLAP["Car"]
     together: bool = True
+    vehicles: VehicleDetector | None = None
 
 
 @dataclass(frozen=True)

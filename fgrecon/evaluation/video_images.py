@@ -1,4 +1,4 @@
-"""Labelled boxes of video drives, taken as single images: from pixels to a pose, and how far that is off.
+"""Labelled boxes of video drives, and how far what was found in them is off.
 
 Cars and vans count that are at least 25 px high, largely occluded at most, and at most half outside the image, in the
 frames where nothing is drawn over them. Every box has one outcome by method: `SYSTEM` is the whole way from pixels to
@@ -8,36 +8,21 @@ counts as 180 degrees.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import ExitStack
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.annotation.wanted import Wanted
-from fgrecon.core.detection import facing_probability
-from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import view_azimuth, yaw_rotation
-from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error, translation_error, wrap_angle
-from fgrecon.core.observation import Observation
-from fgrecon.core.processes import single_threaded
+from fgrecon.core.metrics import orientation_error, translation_error, wrap_angle
 from fgrecon.core.reconstruction import Reconstruction
-from fgrecon.evaluation.kitti_images import Setup, reconstruct_boxes
-from fgrecon.evaluation.methods import SceneKnowledge, Solver, select
 from fgrecon.evaluation.regions import DIMENSIONS, claimed
-from fgrecon.evaluation.run import score_pose
-from fgrecon.io.export.kitti import kitti_text
-from fgrecon.io.export.results import NamedResult
-from fgrecon.io.images import read_image
-from fgrecon.io.kitti_calibration import KittiCalibration
-from fgrecon.io.kitti_drives import Drive, DriveFrame
-from fgrecon.io.track_file import GroundTruth, TrackFrame
-from fgrecon.perception.from_image import FromImage
+from fgrecon.io.kitti_drives import DriveFrame
+from fgrecon.io.track_file import GroundTruth
 
 __all__ = [
     "SYSTEM",
@@ -47,8 +32,6 @@ __all__ = [
     "View",
     "labelled_azimuth",
     "outcome",
-    "reconstruct_frame",
-    "score_drives",
     "view_of",
     "wanted",
 ]
@@ -121,7 +104,6 @@ class VideoBox:
             gives no directions.
         outcomes: What each method found, by its name.
         line: What the whole system found, as a line of KITTI's results; empty where it found nothing.
-        observation: What the network found.
     """
 
     drive: str
@@ -137,7 +119,6 @@ class VideoBox:
     facing: float | None
     outcomes: Mapping[str, BoxOutcome]
     line: str = ""
-    observation: Observation | None = field(default=None, compare=False, repr=False)
 
     @property
     def view(self) -> View:
@@ -202,141 +183,6 @@ def view_of(azimuth: float) -> View:
     """Front, rear or side by the direction from the vehicle to the camera, radians."""
     off = abs(np.degrees(wrap_angle(azimuth)))
     return View.FRONT if off <= 45.0 else View.REAR if off >= 135.0 else View.SIDE
-
-
-def reconstruct_frame(
-    calibration: KittiCalibration, frame: DriveFrame, setup: Setup
-) -> tuple[NDArray[np.uint8], list[FromImage]]:
-    """The frame's image (H, W, 3), and what is found in each box that counts.
-
-    Raises:
-        InvalidInputError: The image cannot be read, or a box is outside it; names the image.
-    """
-    image = read_image(frame.image)
-    camera = calibration.camera.with_size_of(image)
-    try:
-        return image, reconstruct_boxes(image, camera, list(frame.objects.box[wanted(frame)]), setup)
-    except InvalidInputError as error:
-        raise InvalidInputError(f"{frame.image}: {error.field}", error.value, error.fix) from error
-
-
-def score_drives(
-    drives: Sequence[Drive],
-    setups: Mapping[str, Setup],
-    scene: SceneKnowledge,
-    *,
-    rivals: Sequence[str] = (),
-    jobs: int = 1,
-    advance: Callable[[str], None] = lambda _: None,
-) -> list[VideoBox]:
-    """Score every box that counts.
-
-    Args:
-        drives: What to score.
-        setups: What each drive is reconstructed with, by its name.
-        scene: What the rivals are told, each as far as its name says.
-        rivals: Names of methods that get the same keypoints.
-        jobs: Number of processes; 1 uses this one. Each of several uses one thread, and the results do not depend on
-            how many they are.
-        advance: Called with the drive's name after each of its frames that count (`wanted`).
-
-    Raises:
-        InvalidInputError: There is no rival of a name, or an image or box cannot be used.
-    """
-    select(rivals)  # refuse before the work
-    tasks = [
-        (drive.name, drive.calibration, frame) for drive in drives for frame in drive.frames if len(wanted(frame)) > 0
-    ]
-    scored: list[VideoBox] = []
-    with ExitStack() as stack:
-        if jobs > 1:
-            stack.enter_context(single_threaded())
-            pool = ProcessPoolExecutor(jobs, get_context("spawn"), _start, (setups, scene, tuple(rivals)))
-            found: Iterator[list[VideoBox]] = stack.enter_context(pool).map(_run, tasks)
-        else:
-            found = map(_Worker(setups, scene, rivals), tasks)
-        for (name, _, _), boxes in zip(tasks, found, strict=True):
-            scored += boxes
-            advance(name)
-    return scored
-
-
-_Task = tuple[str, KittiCalibration, DriveFrame]
-
-
-class _Worker:
-    """What a process keeps between frames."""
-
-    def __init__(self, setups: Mapping[str, Setup], scene: SceneKnowledge, rivals: Sequence[str]) -> None:
-        self.setups = setups
-        self.solvers = {method.name: method.bind(scene) for method in select(rivals)}
-
-    def __call__(self, task: _Task) -> list[VideoBox]:
-        drive, calibration, frame = task
-        return _score_frame(drive, calibration, frame, self.setups[drive], self.solvers)
-
-
-_worker: _Worker | None = None
-
-
-def _start(setups: Mapping[str, Setup], scene: SceneKnowledge, rivals: Sequence[str]) -> None:
-    global _worker  # noqa: PLW0603 - a process pool has no other place for what its processes keep
-    _worker = _Worker(setups, scene, rivals)
-
-
-def _run(task: _Task) -> list[VideoBox]:
-    assert _worker is not None
-    return _worker(task)
-
-
-def _score_frame(
-    drive: str, calibration: KittiCalibration, frame: DriveFrame, setup: Setup, rivals: Mapping[str, Solver]
-) -> list[VideoBox]:
-    image, found = reconstruct_frame(calibration, frame, setup)
-    camera = calibration.camera.with_size_of(image)
-    labels, offset = frame.objects, calibration.label_offset
-    boxes = []
-    for index, one in zip(wanted(frame).tolist(), found, strict=True):
-        location, yaw = labels.location[index], float(labels.rotation_y[index])
-        azimuth = labelled_azimuth(yaw, location + offset)
-        truth = TrackFrame(f"{drive}:{frame.number}", one.detection.observation, GroundTruth(location, yaw))
-        outcomes = {SYSTEM: _outcome(one, truth.truth, labels.size[index], offset)}
-        for name, solver in rivals.items():
-            scored = score_pose(solver, camera, truth, offset)
-            outcomes[name] = BoxOutcome(scored.orientation_error, scored.translation_error, None, None, scored.failure)
-        directions = one.detection.azimuth
-        boxes.append(
-            VideoBox(
-                drive=drive,
-                frame=frame.number,
-                index=index,
-                track=int(frame.tracks[index]),
-                kind=labels.kind[index],
-                truncation=float(labels.truncation[index]),
-                occlusion=int(labels.occlusion[index]),
-                height=float(labels.box[index, 3] - labels.box[index, 1]),
-                distance=float(np.linalg.norm(location)),
-                azimuth=azimuth,
-                facing=None if directions is None else facing_probability(directions, azimuth),
-                outcomes=outcomes,
-                line=_line(one, labels.box[index], offset),
-                observation=one.detection.evidence,
-            )
-        )
-    return boxes
-
-
-def _line(found: FromImage, box: Array, offset: Array) -> str:
-    if found.result is None:
-        return ""
-    return kitti_text([NamedResult("", found.result, box, offset)])
-
-
-def _outcome(found: FromImage, truth: GroundTruth, size: Array, offset: Array) -> BoxOutcome:
-    """The whole system's outcome; truth and size (3,) are the label's."""
-    if found.result is None:
-        return BoxOutcome(FAILURE_DEGREES, float("inf"), None, None, str(found.error))
-    return outcome(found.result, truth, size, offset)
 
 
 def outcome(result: Reconstruction, truth: GroundTruth, size: Array, offset: Array) -> BoxOutcome:

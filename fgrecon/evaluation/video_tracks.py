@@ -1,4 +1,4 @@
-"""Labelled boxes of video drives over time: the keypoints that single images gave, followed by their labelled ids.
+"""Boxes of video drives over time: the keypoints that single images gave, followed by labelled ids or without any.
 
 `ONLINE` is what `fgrecon.Tracker` says after each frame, by that one and those before; `BATCH` what it says at the end,
 by all. Both get what the single images got, and nothing else: the camera's own motion is not given, and velocities are
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +18,15 @@ from fgrecon.core.metrics import FAILURE_DEGREES
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.evaluation.consistency import normalised_squared_error
 from fgrecon.evaluation.kitti_images import Setup
+from fgrecon.evaluation.video_frames import ScoredFrame
 from fgrecon.evaluation.video_images import TURNED_ROUND, BoxOutcome, VideoBox, outcome
 from fgrecon.io.kitti_drives import Drive, DriveFrame
 from fgrecon.io.track_file import GroundTruth
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.tracker import Tracker
+from fgrecon.video.association import GatedAssociation
+from fgrecon.video.follow import Follower
+from fgrecon.video.records import FrameRecord, Sighting
 
 __all__ = ["ALONE", "BATCH", "ONLINE", "follow_boxes", "labelled_velocities"]
 
@@ -41,50 +44,61 @@ _OVER_GROUND = [0, 2]  # axes of the camera
 _ABOUT, _FEWEST = 2, 4  # a labelled velocity is of labels at most so many frames away, and of so many labels
 
 
-def follow_boxes(boxes: Sequence[VideoBox], drives: Sequence[Drive], setups: Mapping[str, Setup]) -> list[VideoBox]:
+def follow_boxes(
+    frames: Sequence[ScoredFrame], drives: Sequence[Drive], setups: Mapping[str, Setup], *, forget_ids: bool = False
+) -> list[VideoBox]:
     """The boxes with outcomes of `ALONE` (where all were solved together), `ONLINE` and `BATCH` beside their own.
 
     Args:
-        boxes: Those of `fgrecon.evaluation.video_images.score_drives`, in its order.
+        frames: Those of `fgrecon.evaluation.video_frames.score_frames`.
         drives: The drives that they are of.
         setups: What each drive is reconstructed with, by its name.
+        forget_ids: Whether the vehicles are given ids anew, by association.
     """
     found: list[VideoBox] = []
     for drive in drives:
-        found += _follow([box for box in boxes if box.drive == drive.name], drive, setups[drive.name])
+        own = [frame for frame in frames if frame.drive == drive.name]
+        found += _follow(own, drive, setups[drive.name], forget_ids=forget_ids)
     return found
 
 
-def _follow(boxes: Sequence[VideoBox], drive: Drive, setup: Setup) -> list[VideoBox]:
+def _follow(seen: Sequence[ScoredFrame], drive: Drive, setup: Setup, *, forget_ids: bool) -> list[VideoBox]:
     tracker = Tracker(
         prior=setup.prior, size_prior=setup.size_prior, options=setup.options, shared_ground=setup.together, past=None
     )
     frames = {frame.number: frame for frame in drive.frames}
+    largest = max((int(frame.tracks.max(initial=-1)) for frame in drive.frames), default=-1)
+    follower = Follower(tracker, GatedAssociation(first=largest + 1), drive.calibration.camera, ground=setup.ground)
     online: dict[tuple[int, int], VehicleEstimate] = {}
-    for number, some in groupby(boxes, key=lambda box: box.frame):
-        camera = frames[number].calibration.camera
-        seen = {box.track: box.observation for box in some if box.observation is not None}
-        estimates = tracker.update(number / _RATE, seen, camera=camera, ground=setup.ground)
-        online |= {(number, track): estimate for track, estimate in estimates.items()}
-    times = {key: estimate.time for key, estimate in online.items()}
-    smoothed = {(track, one.time): one for track, past in tracker.smooth().items() for one in past}
-    batch = {key: smoothed.get((key[1], time)) for key, time in times.items()}
+    named: dict[tuple[int, int], int] = {}  # the vehicle that each label was taken for
+    for frame in seen:
+        sightings = [replace(one, identity=None) for one in frame.sightings] if forget_ids else frame.sightings
+        name = frames[frame.number].image.name
+        tracked = follower(FrameRecord(frame.number, frame.number / _RATE, name, None, tuple(sightings)))
+        online |= {(frame.number, identity): estimate for identity, estimate in tracked.estimates.items()}
+        for box, one in zip(frame.boxes, sightings, strict=False):  # the first are the labelled ones
+            identity = next((i for i, place in tracked.boxes.items() if place is one.box), None)
+            if identity is not None:
+                named[box.frame, box.index] = identity
+    smoothed = {(identity, one.time): one for identity, past in tracker.smooth().items() for one in past}
+    batch = {key: smoothed.get((key[1], one.time)) for key, one in online.items()}
     velocities = labelled_velocities(drive)
     scored = []
-    for box in boxes:
-        frame, key = frames[box.frame], (box.frame, box.track)
-        objects, offset = frame.objects, frame.calibration.label_offset
-        truth = GroundTruth(objects.location[box.index], float(objects.rotation_y[box.index]))
-        size, velocity = objects.size[box.index], velocities.get(key)
-        more: dict[str, BoxOutcome] = {}
-        if setup.together:
-            more[ALONE] = _alone(box, frame, setup, truth)
-        for name, estimate in ((ONLINE, online.get(key)), (BATCH, batch.get(key))):
-            if estimate is None:
-                more[name] = BoxOutcome(FAILURE_DEGREES, float("inf"), None, None, "no estimate")
-            else:
-                more[name] = _moving(outcome(estimate.reconstruction, truth, size, offset), estimate, velocity)
-        scored.append(replace(box, outcomes={**box.outcomes, **more}))
+    for frame in seen:
+        for box, one in zip(frame.boxes, frame.sightings, strict=False):
+            labelled, key = frames[box.frame], (box.frame, named.get((box.frame, box.index), -1))
+            objects, offset = labelled.objects, labelled.calibration.label_offset
+            truth = GroundTruth(objects.location[box.index], float(objects.rotation_y[box.index]))
+            size, velocity = objects.size[box.index], velocities.get((box.frame, box.track))
+            more: dict[str, BoxOutcome] = {}
+            if setup.together:
+                more[ALONE] = _alone(box, one, labelled, setup, truth)
+            for name, estimate in ((ONLINE, online.get(key)), (BATCH, batch.get(key))):
+                if estimate is None:
+                    more[name] = BoxOutcome(FAILURE_DEGREES, float("inf"), None, None, "no estimate")
+                else:
+                    more[name] = _moving(outcome(estimate.reconstruction, truth, size, offset), estimate, velocity)
+            scored.append(replace(box, outcomes={**box.outcomes, **more}))
     return scored
 
 
@@ -108,13 +122,13 @@ def labelled_velocities(drive: Drive) -> dict[tuple[int, int], Array]:
     return found
 
 
-def _alone(box: VideoBox, frame: DriveFrame, setup: Setup, truth: GroundTruth) -> BoxOutcome:
+def _alone(box: VideoBox, seen: Sighting, frame: DriveFrame, setup: Setup, truth: GroundTruth) -> BoxOutcome:
     calibration = frame.calibration
-    if box.observation is None:
+    if seen.observation is None:
         return BoxOutcome(FAILURE_DEGREES, float("inf"), None, None, "no keypoints")
     try:
         result = reconstruct(
-            box.observation,
+            seen.observation,
             calibration.camera,
             prior=setup.prior,
             ground=setup.ground,

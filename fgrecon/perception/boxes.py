@@ -16,9 +16,9 @@ from fgrecon.core.options import BoxModel
 from fgrecon.io.boxes import NamedBox, read_boxes
 from fgrecon.perception.keypoints.detect import SMALLEST_BOX
 from fgrecon.perception.protocols import VehicleDetector, find_vehicles
-from fgrecon.perception.vehicles.detect import NanodetVehicleDetector
+from fgrecon.perception.vehicles.detect import NanodetVehicleDetector, Vehicles
 
-__all__ = ["boxes_of", "detected_boxes", "find_boxes"]
+__all__ = ["boxes_of", "detected_boxes", "find_boxes", "large_vehicles"]
 
 
 def boxes_of(
@@ -73,9 +73,7 @@ def detected_boxes(image: NDArray[Any], least_score: float | None = None) -> lis
 
 
 def find_boxes(image: NDArray[np.uint8], detector: VehicleDetector | None = None) -> NDArray[np.float64]:
-    """(N, 4) boxes of the vehicles in an image (H, W, 3), in the detector's order.
-
-    Those under 8 pixels, in which there are no keypoints to be found, are left out.
+    """(N, 4) boxes of `large_vehicles`, by a detector or by that of the package.
 
     Args:
         image: (H, W, 3) RGB.
@@ -84,6 +82,17 @@ def find_boxes(image: NDArray[np.uint8], detector: VehicleDetector | None = None
     Raises:
         InvalidInputError: The image is none, the detector returns something else, or this installation has none.
     """
-    boxes = find_vehicles(NanodetVehicleDetector() if detector is None else detector, image).boxes
-    large: NDArray[np.bool_] = (boxes[:, 2:] - boxes[:, :2]).max(axis=1) >= SMALLEST_BOX
-    return boxes[large]
+    return large_vehicles(image, NanodetVehicleDetector() if detector is None else detector).boxes
+
+
+def large_vehicles(image: NDArray[np.uint8], detector: VehicleDetector) -> Vehicles:
+    """The vehicles that a detector finds in an image (H, W, 3), in its order.
+
+    Those under 8 pixels, in which there are no keypoints to be found, are left out.
+
+    Raises:
+        InvalidInputError: The image is none, or the detector returns something else.
+    """
+    found = find_vehicles(detector, image)
+    large = np.flatnonzero((found.boxes[:, 2:] - found.boxes[:, :2]).max(axis=1) >= SMALLEST_BOX)
+    return Vehicles(found.boxes[large], found.scores[large], tuple(found.kinds[i] for i in large if found.kinds))

@@ -107,8 +107,26 @@ def test_drives_without_a_box_that_counts_and_tables_of_another_kind_are_refused
     assert "csv, parquet" in done.exception.fix
 
 
+def test_ids_are_forgotten_only_where_vehicles_are_followed(drives, weights, tmp_path):
+    done = run(drives[0], "--weights", weights, "--forget-ids")
+    assert isinstance(done.exception, InvalidInputError)
+    assert done.exception.field == "forget_ids"
+    out = tmp_path / "r.json"
+    done = run(drives[0], "--weights", weights, "--forget-ids", "--track", "--json", out)
+    assert done.exit_code == 0, done.output
+    given = json.loads(out.read_text())["given"]
+    assert (given["ids"], given["boxes"], given["missed"]) == ("associated", "labelled", 0)
+
+
+def test_a_detector_that_finds_nothing_of_what_is_labelled_is_told(drives, weights):
+    done = run(drives[0], "--weights", weights, "--detect")
+    assert isinstance(done.exception, InvalidInputError)
+    assert (done.exception.field, done.exception.value) == ("drives", "one")
+
+
 @pytest.mark.data
-def test_the_shipped_network_on_real_images(data, tmp_path):
+@pytest.mark.parametrize("how", [(), ("--detect",)])
+def test_the_shipped_network_on_real_images(data, tmp_path, how):
     source, drive = data / "kitti_video" / "kitti_tracking_0003", tmp_path / "kitti_tracking_0003"
     if not source.is_dir():
         pytest.skip("the drives are absent")
@@ -117,7 +135,7 @@ def test_the_shipped_network_on_real_images(data, tmp_path):
         shutil.copy(source / name, drive)
     for number in (44, 46):
         shutil.copy(source / "image_02" / f"{number:06d}.jpg", drive / "image_02")
-    done = run(drive, "--json", "-")
+    done = run(drive, "--json", "-", *how)
     assert done.exit_code == 0, done.output
     made = json.loads(done.stdout)
     assert made["networks"][0]["file"] == "shipped"

@@ -12,11 +12,11 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.evaluation.kitti_images import Setup
+from fgrecon.evaluation.video_frames import score_frames
 from fgrecon.evaluation.video_images import (
     SYSTEM,
     View,
     labelled_azimuth,
-    score_drives,
     view_of,
     wanted,
 )
@@ -87,6 +87,11 @@ def folder(tmp_path):
     return drive
 
 
+def score_drives(*arguments, **named):
+    """The boxes of all frames."""
+    return [box for frame in score_frames(*arguments, **named) for box in frame.boxes]
+
+
 @pytest.fixture
 def setup(scene):
     return Setup(ExactDetector(), scene.prior, Ground.level(1.65), None, Options(box="off", keep_history=False))
@@ -101,9 +106,10 @@ def test_labels_count_that_are_large_visible_and_not_drawn_over(folder):
 
 def test_a_box_is_scored_in_the_labels_frame_on_the_full_circle(folder, setup, scene):
     seen = []
-    right, turned, refused = score_drives(
+    (frame,) = score_frames(
         [read_drive(folder)], {"drive": setup}, scene, rivals=["sqpnp_confident"], advance=seen.append
     )
+    right, turned, refused = frame.boxes
     assert seen == ["drive"]
     assert [box.track for box in (right, turned, refused)] == [0, 1, 2]
     assert (turned.drive, turned.frame, turned.index, turned.kind) == ("drive", 0, 2, "Van")

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fgrecon.evaluation.video_images import SYSTEM, score_drives
+from fgrecon.evaluation.video_frames import score_frames
+from fgrecon.evaluation.video_images import SYSTEM
 from fgrecon.evaluation.video_summary import document, summarise_boxes
 from fgrecon.evaluation.video_tracks import ALONE, BATCH, ONLINE, follow_boxes, labelled_velocities
 from fgrecon.io.kitti_drives import read_drive
@@ -16,8 +17,9 @@ from tests.evaluation.test_video_images import folder, setup  # noqa: F401  # fi
 
 def test_a_track_of_one_box_is_a_single_image(folder, setup, scene):  # noqa: F811
     setup, drives = replace(setup, together=False), [read_drive(folder)]
-    boxes = score_drives(drives, {"drive": setup}, scene)
-    followed = follow_boxes(boxes, drives, {"drive": setup})
+    frames = score_frames(drives, {"drive": setup}, scene)
+    boxes = [box for frame in frames for box in frame.boxes]
+    followed = follow_boxes(frames, drives, {"drive": setup})
     for box, before in zip(followed, boxes, strict=True):
         alone = before.outcomes[SYSTEM]
         for method in (ONLINE, BATCH):
@@ -38,7 +40,7 @@ def test_several_images_and_how_much_errors_change(folder, setup, scene):  # noq
     clean = json.loads((folder / "clean_tracks.json").read_text())
     (folder / "clean_tracks.json").write_text(json.dumps({name: [0, 1, 2, 6] for name in clean}))
     drives = [read_drive(folder)]
-    boxes = follow_boxes(score_drives(drives, {"drive": setup}, scene), drives, {"drive": setup})
+    boxes = follow_boxes(score_frames(drives, {"drive": setup}, scene), drives, {"drive": setup})
     first = [box for box in boxes if box.track == 0]
     assert len(first) == 4
     for method in (ONLINE, BATCH):
@@ -81,7 +83,7 @@ def test_labels_make_velocities(folder, setup, scene):  # noqa: F811
     assert sorted(velocities) == [(n, track) for n in (1, 2, 3, 4)]  # ahead of the first and behind the last are none
     for velocity in velocities.values():
         np.testing.assert_allclose(velocity, [5.0, 0.0, 0.0], atol=1e-9)
-    boxes = follow_boxes(score_drives([drive], {"drive": setup}, scene), [drive], {"drive": setup})
+    boxes = follow_boxes(score_frames([drive], {"drive": setup}, scene), [drive], {"drive": setup})
     errors = [box.outcomes[BATCH].velocity for box in boxes]
     assert [error is None for error in errors] == [True, False, False, False, False, True]
     assert errors[2] == pytest.approx(5.0, abs=0.3)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -143,7 +144,7 @@ class NetworkDetector:
         import cv2
 
         self.runtime = chosen_runtime(runtime, "opencv", packages=["onnxruntime"])
-        path = Path(weights)
+        self._path = path = Path(weights)
         fix = "Give an ONNX file that `fgrecon vehicles convert` wrote."
         if not path.is_file():
             raise InvalidInputError("weights", str(path), fix)
@@ -163,6 +164,10 @@ class NetworkDetector:
             raise InvalidInputError(
                 "weights", f"{path} with maps of {channels} numbers", f"Give {type(self).__name__} its own."
             )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """How another process makes it: from the file, which must still be there."""
+        return partial(type(self), runtime=self.runtime), (self._path,)
 
     def __call__(self, image: NDArray[Any], *, least_score: float | None = None) -> Vehicles:
         """The cars in an image.
