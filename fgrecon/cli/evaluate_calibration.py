@@ -81,7 +81,7 @@ def calibration_command(
                 advance("Simulated cars", done, simulated)
         found[_SIMULATION] = calibrate(judged)
     for method, one in found.items():
-        screen.print(regions_table(method, one), status_table(method, one), _in_words(one))
+        screen.print(regions_table(method, one), status_table(method, one), doubt_table(method, one), _in_words(one))
     documents = [calibration_document(one, {"method": method, **given}) for method, one in found.items()]
     screen.write_json(json.dumps(documents, indent=1, allow_nan=False) + "\n")
     first = next(iter(found.values()))
@@ -119,6 +119,20 @@ def status_table(method: str, found: Calibration) -> Table:
     table = headed_table(f"{method}: status", "results", "turned round", "wrong", "wrong %")
     for one in found.statuses:
         table.add_row(one.status, str(one.count), str(one.turned), str(one.wrong), f"{100 * one.wrong / one.count:.1f}")
+    return table
+
+
+def doubt_table(method: str, found: Calibration) -> Table:
+    """What it costs and brings to take settled results alone whose facing has some probability at least."""
+    table = headed_table(f"{method}: facing at least", "turned, refused", "right, refused", "converged", "turned round")
+    for one in found.doubts:
+        table.add_row(
+            f"{one.least:g}",
+            f"{one.turned_refused} of {one.turned}",
+            f"{one.right_refused} of {one.right} ({100 * one.right_refused / max(one.right, 1):.1f} %)",
+            str(one.sure),
+            f"{one.sure_turned} ({100 * one.sure_turned / max(one.sure, 1):.1f} %)",
+        )
     return table
 
 

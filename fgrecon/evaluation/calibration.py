@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from fgrecon.core.coverage import LEVELS, Coverage, Region, coverage
 from fgrecon.core.plain import finite
+from fgrecon.core.reconstruction import Status
 from fgrecon.core.reliability import Reliability, reliability
 from fgrecon.evaluation.regions import DIMENSIONS
 from fgrecon.evaluation.video_images import TURNED_ROUND, BoxOutcome, VideoBox
@@ -17,6 +18,7 @@ from fgrecon.evaluation.video_images import TURNED_ROUND, BoxOutcome, VideoBox
 __all__ = [
     "WRONG",
     "Calibration",
+    "Doubt",
     "Judged",
     "StatusCount",
     "calibrate",
@@ -28,6 +30,8 @@ __all__ = [
 FORMAT = "fgrecon.calibration/1"
 WRONG = (15.0, 0.2)
 """A result is wrong beyond so many degrees of yaw, or parts of the distance."""
+
+_LEAST = (0.9, 0.95, 0.99)
 
 
 @dataclass(frozen=True)
@@ -48,18 +52,43 @@ class StatusCount:
 
 
 @dataclass(frozen=True)
+class Doubt:
+    """Who takes only results that are settled and whose facing has at least some probability, and what that costs.
+
+    Attributes:
+        least: That probability.
+        turned: Number of results that are turned round.
+        turned_refused: Of these refused.
+        right: Number of the other results.
+        right_refused: Of these refused.
+        sure: Number of results that are `converged` and not refused.
+        sure_turned: Of these turned round.
+    """
+
+    least: float
+    turned: int
+    turned_refused: int
+    right: int
+    right_refused: int
+    sure: int
+    sure_turned: int
+
+
+@dataclass(frozen=True)
 class Calibration:
     """What results of one method say, beside what is so.
 
     Attributes:
         regions: Of each quantity; vehicles turned round are left out, which the facing's probability is about.
         facing: Of the facing's probability; without a bin where there is none.
-        statuses: In the order in which they come.
+        statuses: By their names.
+        doubts: By the least probability of the facing.
     """
 
     regions: tuple[Coverage, ...]
     facing: Reliability
     statuses: tuple[StatusCount, ...]
+    doubts: tuple[Doubt, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -123,7 +152,17 @@ def calibrate(results: Sequence[Judged]) -> Calibration:
         for status, some in sorted(counts.items())
     ]
     facing = reliability([sure for sure, _ in faced], [right for _, right in faced])
-    return Calibration(tuple(coverage(regions)), facing, tuple(statuses))
+    doubts = tuple(_doubt(results, least) for least in _LEAST)
+    return Calibration(tuple(coverage(regions)), facing, tuple(statuses), doubts)
+
+
+def _doubt(results: Sequence[Judged], least: float) -> Doubt:
+    refused = [not Status(one.status).settled or (one.facing is not None and one.facing < least) for one in results]
+    turned = [no for one, no in zip(results, refused, strict=True) if one.turned]
+    right = [no for one, no in zip(results, refused, strict=True) if not one.turned]
+    pairs = zip(results, refused, strict=True)
+    sure = [one.turned for one, no in pairs if not no and one.status == Status.CONVERGED.value]
+    return Doubt(least, len(turned), sum(turned), len(right), sum(right), len(sure), sum(sure))
 
 
 def calibration_document(found: Calibration, given: dict[str, Any]) -> dict[str, Any]:
@@ -152,4 +191,5 @@ def calibration_document(found: Calibration, given: dict[str, Any]) -> dict[str,
             {"status": one.status, "count": one.count, "turned_round": one.turned, "wrong": one.wrong}
             for one in found.statuses
         ],
+        "doubts": [asdict(one) for one in found.doubts],
     }

@@ -42,6 +42,15 @@ def test_statuses_facings_and_regions():
     assert position.width[0.95]["claimed"] == pytest.approx(0.3 * 7.81**0.5, rel=1e-3)
 
 
+def test_what_it_costs_to_take_sure_facings_alone():
+    found = calibrate_boxes([*BOXES, box(170.0, 0.5, facing=0.97), box(1.0, 0.5, facing=1.0)], "system")
+    told = [(one.least, one.turned_refused, one.right_refused, one.sure, one.sure_turned) for one in found.doubts]
+    assert told == [(0.9, 1, 0, 4, 1), (0.95, 1, 2, 2, 1), (0.99, 2, 2, 1, 0)]
+    assert {(one.turned, one.right) for one in found.doubts} == {(2, 4)}
+    document = json.loads(json.dumps(calibration_document(found, {}), allow_nan=False))
+    assert document["doubts"][0]["sure_turned"] == 1
+
+
 def test_the_document_is_json_and_the_picture_is_drawn(tmp_path):
     found = calibrate_boxes(BOXES[:1], "system")  # one drive: no baseline
     told = json.loads(json.dumps(calibration_document(found, {"method": "system"}), allow_nan=False))
