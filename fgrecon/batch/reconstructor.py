@@ -28,6 +28,7 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.io.keypoint_file import Instance
 from fgrecon.io.keypoints.names import Names, NamesLike, parse_names
 from fgrecon.io.keypoints.reader import parse_any_keypoints
+from fgrecon.perception.boxes import for_detected
 from fgrecon.perception.keypoints.detect import SMALLEST_BOX, KeypointCascade, check_box, shipped_cascade
 from fgrecon.perception.protocols import find_keypoints
 from fgrecon.perception.vehicles.detect import NanodetVehicleDetector, Vehicles
@@ -189,7 +190,7 @@ class Reconstructor:
             prior=self.prior,
             ground=self._ground,
             size_prior=self._size_prior,
-            options=self._options,
+            options=for_detected(self._options) if given is None else self._options,
         )
         for vehicle, one in enumerate(vehicles):
             name = f"{origin['row_id']}:{vehicle}"

@@ -127,7 +127,7 @@ def video_command(
         "prior": scored.scene.prior.describe(),
         "ground": scored.ground,
         "size_prior": labelled.size_prior,
-        "box_model": how.box_model.value,
+        "box_model": how.encloses(detect=detect).value,
         "together": how.together,
         "track": track,
         "ids": "associated" if forget_ids or detect else "labelled",

@@ -86,9 +86,15 @@ class DriveOptions:
 
     weights: WeightsOption = None
     fold: FoldOption = None
-    box_model: Annotated[BoxModel, typer.Option(help="What the 2D boxes enclose.")] = BoxModel.CUBOID
+    box_model: Annotated[
+        BoxModel | None, typer.Option(help="What the 2D boxes enclose.", show_default="cuboid; detected for --detect")
+    ] = None
     together: TogetherOption = True
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1
+
+    def encloses(self, *, detect: bool = False) -> BoxModel:
+        """What the labelled or detected boxes enclose."""
+        return self.box_model or (BoxModel.DETECTED if detect else BoxModel.CUBOID)
 
     def score(
         self,
@@ -131,7 +137,7 @@ class DriveOptions:
             fix = "Give drives with labelled cars or vans of at least 25 pixels."
             raise InvalidInputError("drives", ", ".join(drive.name for drive in drives), fix)
         scene, (_, ground) = labelled.scene(), labelled.plane()
-        options = Options(box=self.box_model, keypoints=keypoints)
+        options = Options(box=self.encloses(detect=detect), keypoints=keypoints)
         setups = _setups(files, scene, options, together=self.together, detect=detect)
         images = sum(len(looks_at(drive, setups[drive.name])) for drive in drives)
         with screen.bar() as advance:

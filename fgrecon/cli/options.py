@@ -45,7 +45,10 @@ __all__ = [
 KITTI_CAMERA_HEIGHT = 1.65
 """Height of KITTI's cameras above the road, metres."""
 
-BOX_MODEL_HELP = "What 2D boxes enclose: the outline or the 3D box; off: they are no evidence."
+BOX_MODEL_HELP = (
+    "What 2D boxes enclose: the outline, exactly or as the shipped detector draws it, or the 3D box; off: they are no "
+    "evidence."
+)
 
 
 def fitting_names(names: Callable[[], list[str]]) -> Callable[[str], list[str]]:

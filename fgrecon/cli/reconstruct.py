@@ -43,7 +43,8 @@ class Solving:
     """How the vehicles are solved."""
 
     box_model: Annotated[
-        BoxModel | None, typer.Option(help=BOX_MODEL_HELP, show_default="surface; cuboid for KITTI's boxes")
+        BoxModel | None,
+        typer.Option(help=BOX_MODEL_HELP, show_default="surface; cuboid for KITTI's boxes; detected for --detect"),
     ] = None
     joint: Annotated[bool, typer.Option("--joint/--no-joint", help="Let pose and shape move together.")] = True
     free_offsets: Annotated[

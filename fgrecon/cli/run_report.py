@@ -158,7 +158,8 @@ def prepare(ask: Request, screen: Screen) -> Job:
         source = open_frames(ask.source, **times)
     if source.assumed_rate:
         screen.warn(f"No --fps is given: {DEFAULT_RATE:g} frames per second are assumed; speeds go with it.")
-    model = ask.box_model or (BoxModel.CUBOID if given is not None and given.cuboids else BoxModel.SURFACE)
+    source_has = BoxModel.DETECTED if given is None else BoxModel.CUBOID if given.cuboids else BoxModel.SURFACE
+    model = ask.box_model or source_has
     settings = replace(settings, options=replace(settings.options, box=replace(settings.options.box, model=model)))
     if motion.poses is not None and motion.estimate_motion:
         raise InvalidInputError("poses", str(motion.poses), "Give either --poses or --estimate-motion.")

@@ -14,6 +14,8 @@ class BoxModel(StrEnum):
     """The vehicle's outline, as detectors draw it (the prior's surface; without one, its 3D box)."""
     CUBOID = "cuboid"
     """The projected corners of the vehicle's 3D box, as KITTI's labels and detectors trained on them have it."""
+    DETECTED = "detected"
+    """The outline, as the package's own vehicle detector draws it: wider than it is, and lower at the top."""
     OFF = "off"
     """The box places the start and scales the noise, but is no evidence."""
 

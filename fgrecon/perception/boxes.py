@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,13 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.options import BoxModel
+from fgrecon.core.options import BoxModel, Options
 from fgrecon.io.boxes import NamedBox, read_boxes
 from fgrecon.perception.keypoints.detect import SMALLEST_BOX
 from fgrecon.perception.protocols import VehicleDetector, find_vehicles
 from fgrecon.perception.vehicles.detect import NanodetVehicleDetector, Vehicles
 
-__all__ = ["boxes_of", "detected_boxes", "find_boxes", "large_vehicles"]
+__all__ = ["boxes_of", "detected_boxes", "find_boxes", "for_detected", "large_vehicles"]
 
 
 def boxes_of(
@@ -69,7 +70,15 @@ def detected_boxes(image: NDArray[Any], least_score: float | None = None) -> lis
         InvalidInputError: The image is none, or this installation has no detector.
     """
     detector = None if least_score is None else partial(NanodetVehicleDetector(), least_score=least_score)
-    return [NamedBox(str(number), box, BoxModel.SURFACE) for number, box in enumerate(find_boxes(image, detector))]
+    return [NamedBox(str(number), box, BoxModel.DETECTED) for number, box in enumerate(find_boxes(image, detector))]
+
+
+def for_detected(options: Options | None) -> Options:
+    """Settings for boxes that the package's detector found: an outline is one as it draws it."""
+    options = Options() if options is None else options
+    if options.box.model is not BoxModel.SURFACE:
+        return options
+    return replace(options, box=replace(options.box, model=BoxModel.DETECTED))
 
 
 def find_boxes(image: NDArray[np.uint8], detector: VehicleDetector | None = None) -> NDArray[np.float64]:

@@ -22,7 +22,7 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.images import read_photograph
-from fgrecon.perception.boxes import find_boxes
+from fgrecon.perception.boxes import find_boxes, for_detected
 from fgrecon.perception.keypoints.detect import as_rgb8, shipped_cascade
 from fgrecon.perception.protocols import KeypointDetector, VehicleDetector, find_keypoints
 from fgrecon.solve.pipeline import reconstruct
@@ -154,7 +154,7 @@ def reconstruct_image(
         prior: Shape prior, or its name, or the path of its file; of the category of the keypoint detector.
         ground: Ground plane; a number is the height in metres of a level camera; None assumes nothing.
         size_prior: Fleet (`kitti`, `apollo79`), or a size prior; None takes sizes from the shape prior.
-        options: Settings.
+        options: Settings. Where the package's detector finds the boxes, `surface` is `detected`.
         together: Whether the vehicles share one ground that is a variable (`fgrecon.reconstruct_scene`); else, and
             where the pose is not to move with the shape (`joint=False`), each is solved alone. Where the focal length
             is not known they are solved together in any case.
@@ -175,6 +175,8 @@ def reconstruct_image(
     pixels, told = read_photograph(image) if isinstance(image, str | Path) else (as_rgb8(image), None)
     sized = _camera(told if camera is None else camera, pixels)
     corners = find_boxes(pixels, vehicle_detector) if boxes is None else _boxes(boxes)
+    if boxes is None and vehicle_detector is None:
+        options = for_detected(options)
     networks = shipped_cascade() if keypoint_detector is None else keypoint_detector
     detections = find_keypoints(networks, pixels, corners, shape_prior.category)
     vehicles = reconstruct_detections(

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.options import BoxModel
+from fgrecon.core.options import BoxModel, BoxOptions, Options
 from fgrecon.io.boxes import read_boxes
 from fgrecon.perception import boxes as module
-from fgrecon.perception.boxes import boxes_of, detected_boxes
+from fgrecon.perception.boxes import boxes_of, detected_boxes, for_detected
 from fgrecon.perception.vehicles import Vehicles
 
 LABEL = "0.00 0 1.5 10.0 20.0 30.0 40.0 1.5 1.6 4.0 1 2 20 1.5"
@@ -31,8 +31,16 @@ def test_detected_cars_are_outlines_and_large_enough_for_keypoints(monkeypatch):
     boxes = np.array([[10.0, 10, 90, 60], [5, 5, 12, 10], [0, 0, 8, 6]])
     monkeypatch.setattr(module, "NanodetVehicleDetector", lambda: lambda image: Vehicles(boxes, np.ones(3)))
     found = detected_boxes(np.zeros((100, 100, 3), np.uint8))
-    assert [(box.name, box.model) for box in found] == [("0", BoxModel.SURFACE), ("1", BoxModel.SURFACE)]
+    assert [(box.name, box.model) for box in found] == [("0", BoxModel.DETECTED), ("1", BoxModel.DETECTED)]
     np.testing.assert_array_equal([box.corners for box in found], boxes[[0, 2]])
+
+
+def test_only_outlines_become_those_of_the_packages_detector():
+    assert for_detected(None).box.model is BoxModel.DETECTED
+    told = Options(box=BoxOptions(sigma_pixels=3.0), ambiguity_margin=5.0)
+    assert for_detected(told) == Options(box=BoxOptions(BoxModel.DETECTED, sigma_pixels=3.0), ambiguity_margin=5.0)
+    cuboid = Options(box="cuboid")
+    assert for_detected(cuboid) is cuboid
 
 
 def test_boxes_of_low_score_are_left_out_where_asked(tmp_path, monkeypatch):

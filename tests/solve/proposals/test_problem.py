@@ -113,6 +113,18 @@ def test_box_models(prior, seen):
     assert term.sigma == pytest.approx(np.hypot(0.02 * seen.extent, 1.5))
 
 
+def test_an_outline_as_the_detector_draws_it_reaches_further_than_it_is(prior, seen):
+    model = prepare(prior)
+    exact = box_term(seen, CAMERA, model, BoxOptions(BoxModel.SURFACE))
+    drawn = box_term(seen, CAMERA, model, BoxOptions(BoxModel.DETECTED))
+    np.testing.assert_array_equal(drawn.mean, exact.mean)
+    width, height = seen.box[2:] - seen.box[:2]
+    left, top, right, bottom = drawn.edges - exact.edges
+    assert left == pytest.approx(-right) == pytest.approx(0.034 * width)
+    assert (top, bottom) == (pytest.approx(-0.014 * height), pytest.approx(-0.01 * height))
+    np.testing.assert_array_equal(drawn.used, exact.used)
+
+
 @pytest.mark.parametrize(
     ("box", "used"),
     [
