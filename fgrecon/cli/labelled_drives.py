@@ -145,9 +145,8 @@ class DriveOptions:
             frames = score_frames(drives, setups, scene, rivals=rivals, jobs=self.jobs, advance=watched)
             boxes = [box for frame in frames for box in frame.boxes]
             if not boxes:
-                raise InvalidInputError(
-                    "drives", ", ".join(setups), "The detector found none of the labelled vehicles."
-                )
+                fix = "Give drives with vehicles that the detector finds."
+                raise InvalidInputError("drives", ", ".join(setups), fix)
             if track:
                 boxes = follow_boxes(frames, drives, setups, forget_ids=forget_ids or detect)
         return ScoredDrives(drives, files, setups, scene, ground, images, boxes, sum(frame.missed for frame in frames))
