@@ -50,8 +50,9 @@ def judge_simulated(
         seed: Of everything random.
     """
     model, rng = prepare(prior, size_prior, None), np.random.default_rng(seed)
+    spread = np.eye(prior.dimension) if size_prior is None else model.spread_of(np.diag(size_prior.sigma**2))
     for number in range(count):
-        shape = rng.multivariate_normal(np.zeros(prior.dimension), model.fleet_spread, method="cholesky")
+        shape = rng.multivariate_normal(np.zeros(prior.dimension), spread, method="cholesky")
         ((seen, truth),) = simulate_many([Vehicle.of_prior(model.prior, shape)], 1, rng, noise)
         try:
             found = reconstruct(seen, KITTI_CAMERA, prior=prior, ground=ground, size_prior=size_prior, options=options)

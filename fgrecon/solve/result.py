@@ -128,9 +128,7 @@ def results(
 
 def _common(part: ObservationPart, weights: Weights) -> Weights:
     """The weights with which keypoints and box count for covariances: a detector's errors go together."""
-    if part.problem.observation.covariance is None:
-        return weights
-    factor = part.problem.options.keypoints.common_factor
+    factor = part.problem.common_factor
     return replace(weights, keypoints=weights.keypoints / factor, box=weights.box / factor)
 
 

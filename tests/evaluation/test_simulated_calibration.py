@@ -11,15 +11,17 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.vehicle.model import prepare
 
 
-def test_the_fleet_has_its_spread():
-    prior, fleet = load_prior("car14"), size_prior("kitti")
+@pytest.mark.parametrize("name", ["kitti", "apollo79"])
+def test_sizes_have_the_spread_of_the_traffic(name):
+    prior, fleet = load_prior("car14"), size_prior(name)
+    assert (fleet.traffic is not None) == (name == "kitti")
     model = prepare(prior, fleet)
-    spread, basis = model.fleet_spread, model.dimension_basis
-    np.testing.assert_allclose(basis @ spread @ basis.T, np.diag(fleet.sigma**2), atol=1e-12)
+    spread, basis = model.traffic_spread, model.dimension_basis
+    np.testing.assert_allclose(basis @ spread @ basis.T, fleet.spread, atol=1e-12)
     assert np.linalg.eigvalsh(spread).min() > 0.0
     others = np.linalg.svd(basis)[2][3:]  # directions in which no size changes
     np.testing.assert_allclose(others @ spread @ others.T, np.eye(len(others)), atol=1e-12)
-    np.testing.assert_array_equal(prepare(prior).fleet_spread, np.eye(prior.dimension))
+    np.testing.assert_array_equal(prepare(prior).traffic_spread, np.eye(prior.dimension))
 
 
 @pytest.mark.slow

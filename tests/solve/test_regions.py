@@ -8,6 +8,7 @@ import pytest
 import fgrecon
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import KeypointOptions, Options
+from fgrecon.core.size_prior import SizePrior, size_prior
 from fgrecon.io.catalogue import load_prior
 from tests.cars import CAMERA, observe, yaw_pose
 
@@ -39,3 +40,30 @@ def test_the_default_is_for_detectors_that_give_covariances():
     )
     with pytest.raises(InvalidInputError, match="common_factor"):
         KeypointOptions(common_factor=0.5)
+
+
+def test_frames_that_left_a_window_count_as_those_in_it():
+    given = observe(load_prior("car14"), yaw_pose(0.6), noise=0.5)
+    detected = replace(given, covariance=np.tile(4.0 * np.eye(2), (14, 1, 1)))
+    tracker, spread = fgrecon.Tracker(size_prior="kitti", window=2), []  # of two frames one leaves at each step
+    for time in range(12):
+        (estimate,) = tracker.update(0.1 * time, {0: detected}, camera=CAMERA, ground=1.65).values()
+        spread.append(np.sqrt(np.diag(estimate.reconstruction.size_covariance)))
+    assert (np.array(spread) > 0.95 * spread[0]).all()  # the same image again says no more
+    assert (np.array(spread) < 1.2 * spread[0]).all()
+
+
+def test_sizes_are_as_uncertain_as_those_of_the_traffic():
+    given, fleet = observe(load_prior("car14"), yaw_pose(0.6), noise=0.5), size_prior("kitti")
+    cars = SizePrior("cars", fleet.mean, fleet.sigma)
+    np.testing.assert_array_equal(cars.spread, np.diag(cars.sigma**2))
+    with_vans, alone = (fgrecon.reconstruct(given, CAMERA, size_prior=size) for size in (fleet, cars))
+    np.testing.assert_array_equal(with_vans.camera_T_object, alone.camera_T_object)
+    assert (np.diag(with_vans.size_covariance) > np.diag(alone.size_covariance)).all()
+    assert np.trace(with_vans.pose_covariance[3:, 3:]) > np.trace(alone.pose_covariance[3:, 3:])
+
+
+@pytest.mark.parametrize("traffic", [np.eye(2), -np.eye(3), [[1.0, 0.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]])
+def test_traffic_is_a_covariance(traffic):
+    with pytest.raises(InvalidInputError, match=r"size_prior\.traffic"):
+        SizePrior("some", np.ones(3), np.ones(3), traffic)

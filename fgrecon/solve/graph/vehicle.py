@@ -127,16 +127,16 @@ class VehiclePart:
 
     @cached_property
     def counted_once(self) -> Sequence[gtsam.NonlinearFactor]:
-        """The same factors for covariances, where the vehicle's size is as uncertain as the fleet's and no less.
+        """The same factors for covariances, where the vehicle's size is as uncertain as the traffic's and no less.
 
         The prior on lambda tells sizes and so does the fleet, and the minimum is nearer the truth with both. But the
-        spread of the fleet is that of real vehicles, which the two together make too small. So lambda has the prior
-        that gives sizes the fleet's spread, and is as it was where sizes do not depend on it.
+        spread of the traffic is that of real vehicles, which the two together make too small. So lambda has the prior
+        that gives sizes this spread, and is as it was where sizes do not depend on it.
         """
         key = self.shape.coefficients_key
         if key is None or not {"coefficients", "dimensions"} <= self._makers.keys():
             return self._solved
-        spread = self.model.fleet_spread
+        spread = self.model.traffic_spread
         stack = self._stacked(sized=False)
         slices: Collection[str] = () if stack is None else stack.slices
         names = [name for name in self._makers if name not in {"coefficients", "dimensions", *slices}]

@@ -64,6 +64,11 @@ class Problem:
         _check_points(observation)
         return cls(observation, camera, model, ground, options, _energy(observation, camera, model, ground, options))
 
+    @property
+    def common_factor(self) -> float:
+        """By how much a detector's errors, which go together, make its keypoints and box say less; 1 for a person's."""
+        return 1.0 if self.observation.covariance is None else self.options.keypoints.common_factor
+
     def on(self, ground: Ground | None) -> Problem:
         """The same on another ground, or on none."""
         told = None if ground is None or "ground" in self.options.disabled_terms else GroundTerm(ground)

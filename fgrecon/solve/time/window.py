@@ -165,13 +165,15 @@ def solve_window(
             if frame.step is not None
             for factor in own(number, frame.number, frame.step.seconds, share**-0.5)
         ]
+    counted = list(extra)
     if left is not None:
         extra.append(marginal_factor(left.scaled(share)))
+        counted.append(marginal_factor(left.scaled(share / frames[-1].problem.common_factor)))
     others = gtsam.Values()
     for frame in frames:
         others.insert(V(0, frame.number), frame.velocity)
     state = State([f.pose for f in frames], {0: shape}, [f.weights for f in frames], others)
-    graph = Graph(seen, state, pose_free=True, extra=extra, earlier=earlier)
+    graph = Graph(seen, state, pose_free=True, extra=extra, counted=counted, earlier=earlier)
     optimum = optimise(graph, state, most)
     if optimum.failure is None:
         if most is not None:

@@ -63,12 +63,15 @@ class VehicleModel:
         return self.corners if box_model is BoxModel.CUBOID else self.outline
 
     @cached_property
-    def fleet_spread(self) -> Array:
-        """(N, N) covariance of lambda that gives sizes the fleet's spread, and else is that of the prior, I."""
-        if self.size is None or not self.prior.dimension:
-            return np.eye(self.prior.dimension)
-        basis, by_size = self.dimension_basis, np.linalg.pinv(self.dimension_basis)
-        spread: Array = np.eye(basis.shape[1]) + by_size @ (np.diag(self.size.sigma**2) - basis @ basis.T) @ by_size.T
+    def traffic_spread(self) -> Array:
+        """(N, N) covariance of lambda that gives sizes the spread of the traffic, and else is that of the prior, I."""
+        return np.eye(self.prior.dimension) if self.size is None else self.spread_of(self.size.spread)
+
+    def spread_of(self, sizes: Array) -> Array:
+        """(N, N) covariance of lambda that gives sizes the covariance (3, 3), and else is that of the prior, I."""
+        basis = self.dimension_basis
+        by_size = np.linalg.pinv(basis)
+        spread: Array = np.eye(basis.shape[1]) + by_size @ (sizes - basis @ basis.T) @ by_size.T
         return spread
 
     def truncated(self, dimension: int) -> VehicleModel:

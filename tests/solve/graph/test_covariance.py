@@ -88,7 +88,7 @@ def test_the_frame_is_the_objects_own():
 def test_what_is_told_is_that_of_the_weighted_keypoints(strategy):
     """End to end, also where the graph holds an m-estimator: each keypoint counts by its final weight, and once.
 
-    So do sizes: the prior on lambda and the fleet's are one that gives them the fleet's spread.
+    So do sizes: the prior on lambda and the fleet's are one that gives them the spread of the traffic.
     """
     problem, _ = problem_of(4, strategy=strategy, box_model="off")
     told = reconstruct(
@@ -104,7 +104,7 @@ def test_what_is_told_is_that_of_the_weighted_keypoints(strategy):
     sizes = np.tensordot(model.prior.category.dimension_operator, shape.derivative, axes=2)
     own = slice(6, 6 + sizes.shape[1])
     information[own, own] -= sizes.T @ np.diag(model.size.sigma**-2.0) @ sizes
-    information[6:11, 6:11] += np.linalg.inv(model.fleet_spread) - np.eye(5)
+    information[6:11, 6:11] += np.linalg.inv(model.traffic_spread) - np.eye(5)
     whole = np.linalg.inv(information)
     np.testing.assert_allclose(told.pose_covariance, whole[:6, :6], atol=0.02 * np.abs(whole[:6, :6]).max())
     np.testing.assert_allclose(told.coefficients_covariance, whole[6:11, 6:11], atol=0.02)
