@@ -7,7 +7,8 @@
 A camera nods, and the road bends; both change slowly, and in the long run the ground is as near to what is told as that
 says (`Ground`). Each frame is one step: what its vehicles say, with poses and shapes eliminated
 (`fgrecon.solve.scene`), one factor from the ground before, and what is left of that. Vehicles that are seen again err
-alike: they count by the time that has passed.
+alike: they count by the time that has passed. How sure the ground is goes by a second chain, in which they count as
+their keypoints do for covariances.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from fgrecon.solve.graph.vehicle import Held
 from fgrecon.solve.standing import OWN_HEIGHT, OWN_SLOPE, Standing
 from fgrecon.solve.time.window import Frame
 
-__all__ = ["KnownGround", "Road", "ground_evidence"]
+__all__ = ["Evidence", "KnownGround", "Road", "ground_evidence"]
 
 Array = NDArray[np.float64]
 
@@ -43,8 +44,22 @@ _ROUNDS = 3  # of a solve that is nearly linear
 _STEPS = 1  # Newton's, of the vehicles of a frame together: each begins near its minimum
 _LEAST_HEIGHT = 0.2  # metres; a camera is above the road
 
-Says = Callable[[Marginal, Ground], Marginal | None]
-"""What a frame's vehicles say of G(0), beside what is known of it and on the ground that this is."""
+
+@dataclass(frozen=True)
+class Evidence:
+    """What the vehicles of a frame say of G(0).
+
+    Attributes:
+        said: For where it is.
+        common_factor: By how much less it says of how sure that is, see `Problem.common_factor`.
+    """
+
+    said: Marginal
+    common_factor: float
+
+
+Says = Callable[[Marginal, Ground], Evidence | None]
+"""What a frame's vehicles say, beside what is known of G(0) and on the ground that this is."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +69,18 @@ class _Past:
     time: float
     frame: GroundFrame
     world_T_camera: gtsam.Pose3 | None
-    left: Marginal  # on G(0)
+    known: _Known
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What is known of G(0): where it is, and how sure that is."""
+
+    where: Marginal
+    counted: Marginal
+
+    def each(self, change: Callable[[Marginal], Marginal]) -> _Known:
+        return _Known(change(self.where), change(self.counted))
 
 
 @dataclass(frozen=True)
@@ -118,19 +144,21 @@ class Road:
         if past is None:
             values = gtsam.Values()
             values.insert(G(0), np.zeros(3))
-            known = Marginal((G(0),), (3,), values, np.diag(1.0 / spread), np.zeros(3))
+            first = Marginal((G(0),), (3,), values, np.diag(1.0 / spread), np.zeros(3))
+            known = _Known(first, first)
         else:
             seconds = time - past.time
-            known = _moved(past, seconds, frame, world_T_camera, spread, motion_sigma)
+            known = past.known.each(_Moved(past, seconds, frame, world_T_camera, spread, motion_sigma))
             weight = min(seconds / _ALIKE, 1.0)
-        said = says(known, _ground(told, frame, known).ground)
-        if said is not None:
-            known = _both(known, said.scaled(weight))
+        told_by = says(known.where, _ground(told, frame, known).ground)
+        if told_by is not None:
+            said = told_by.said.scaled(weight)
+            known = _Known(_both(known.where, said), _both(known.counted, said.scaled(1.0 / told_by.common_factor)))
         self._past = _Past(time, frame, world_T_camera, known)
         return _ground(told, frame, known)
 
 
-def ground_evidence(seen: Sequence[Frame], shapes: Sequence[Held], told: Ground, known: Marginal) -> Marginal | None:
+def ground_evidence(seen: Sequence[Frame], shapes: Sequence[Held], told: Ground, known: Marginal) -> Evidence | None:
     """What the vehicles of an image say of the ground, their poses and shapes eliminated.
 
     Args:
@@ -159,29 +187,35 @@ def ground_evidence(seen: Sequence[Frame], shapes: Sequence[Held], told: Ground,
         if list(factor.keys()) != [G(0)]:
             speaking.add(factor)
     found = marginal(speaking, values, [key for key in values.keys() if key != G(0)])  # noqa: SIM118 - no mapping
-    return found if np.isfinite(found.matrix).all() and np.isfinite(found.right).all() else None
+    if not (np.isfinite(found.matrix).all() and np.isfinite(found.right).all()):
+        return None
+    return Evidence(found, max(one.problem.common_factor for one in seen))
 
 
-def _moved(
-    past: _Past,
-    seconds: float,
-    frame: GroundFrame,
-    world_T_camera: gtsam.Pose3 | None,
-    spread: Array,
-    motion_sigma: tuple[float, float],
-) -> Marginal:
+@dataclass(frozen=True)
+class _Moved:
     """What is known of a frame's ground by those before."""
-    motion = None
-    if past.world_T_camera is not None and world_T_camera is not None:
-        motion = past.world_T_camera.between(world_T_camera)
-    turn, way = (0.0, 0.0) if motion is None else motion_sigma
-    kept = max(float(np.exp(-seconds / _LASTS)), _LEAST_KEPT)
-    sigma = np.hypot(np.sqrt(1.0 - kept**2) * spread, np.array([way, turn, turn]))
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values(past.left.values)
-    graph.add(marginal_factor(past.left))
-    graph.add(road_factor(G(0), G(1), (past.frame, frame), diagonal_noise("road", sigma), motion, kept))
-    values.insert(G(1), np.zeros(3))
-    return _on_first(marginal(graph, _solved(graph, values), [G(0)]))
+
+    past: _Past
+    seconds: float
+    frame: GroundFrame
+    world_T_camera: gtsam.Pose3 | None
+    spread: Array
+    motion_sigma: tuple[float, float]
+
+    def __call__(self, left: Marginal) -> Marginal:
+        """From what is known of the ground before."""
+        before, here = self.past.world_T_camera, self.world_T_camera
+        motion = None if before is None or here is None else before.between(here)
+        turn, way = (0.0, 0.0) if motion is None else self.motion_sigma
+        kept = max(float(np.exp(-self.seconds / _LASTS)), _LEAST_KEPT)
+        sigma = np.hypot(np.sqrt(1.0 - kept**2) * self.spread, np.array([way, turn, turn]))
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values(left.values)
+        graph.add(marginal_factor(left))
+        frames, noise = (self.past.frame, self.frame), diagonal_noise("road", sigma)
+        graph.add(road_factor(G(0), G(1), frames, noise, motion, kept))
+        values.insert(G(1), np.zeros(3))
+        return _on_first(marginal(graph, _solved(graph, values), [G(0)]))
 
 
 def _both(known: Marginal, said: Marginal) -> Marginal:
@@ -206,10 +240,10 @@ def _on_first(left: Marginal) -> Marginal:
     return Marginal((G(0),), left.dims, values, left.matrix, left.right)
 
 
-def _ground(told: Ground, frame: GroundFrame, known: Marginal) -> KnownGround:
+def _ground(told: Ground, frame: GroundFrame, known: _Known) -> KnownGround:
     """The plane, and how far a vehicle's origin may lie off it: as far as is told where nothing is known."""
-    normal, distance = frame.plane(known.values.atVector(G(0)))
-    covariance: Array = np.linalg.inv(known.matrix.T @ known.matrix).astype(np.float64)
+    normal, distance = frame.plane(known.where.values.atVector(G(0)))
+    covariance = _covariance(known.where)
 
     def variance(depth: float) -> float:
         across = np.array([-1.0, depth, 0.0])
@@ -227,7 +261,12 @@ def _ground(told: Ground, frame: GroundFrame, known: Marginal) -> KnownGround:
         height_sigma=float(np.sqrt(height)),
         slope_sigma=float(np.sqrt(slope)),
     )
-    return KnownGround(ground, told, covariance)
+    return KnownGround(ground, told, _covariance(known.counted))
+
+
+def _covariance(known: Marginal) -> Array:
+    covariance: Array = np.linalg.inv(known.matrix.T @ known.matrix).astype(np.float64)
+    return covariance
 
 
 def _own_variance(told: Ground, depth: float) -> float:

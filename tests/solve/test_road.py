@@ -9,7 +9,7 @@ from factors.contact import GroundFrame
 from factors.keys import G
 from factors.marginals import Marginal
 from fgrecon.core.camera import Ground
-from fgrecon.solve.road import Road
+from fgrecon.solve.road import Evidence, Road
 from tests.solve.time.streets import CAMERA, seen, upright
 
 GROUND = 1.65
@@ -19,14 +19,14 @@ SLOPE = np.array([0.05, 0.02, 0.0])  # the camera is 5 cm higher than told, and 
 SURE = np.array([0.01, 0.001, 0.001])
 
 
-def saying(change, sigma=SURE):
+def saying(change, sigma=SURE, common_factor=1.0):
     """Vehicles that say where the ground is."""
 
     def says(known, ground):
         del known, ground
         values = gtsam.Values()
         values.insert(G(0), np.asarray(change, dtype=float))
-        return Marginal((G(0),), (3,), values, np.diag(1.0 / sigma), np.zeros(3))
+        return Evidence(Marginal((G(0),), (3,), values, np.diag(1.0 / sigma), np.zeros(3)), common_factor)
 
     return says
 
@@ -123,6 +123,16 @@ def test_a_pose_is_as_unsure_as_the_ground_that_decides_it():
     assert down @ found[3:, 3:] @ down == pytest.approx(own + across @ known.covariance @ across, rel=0.05)
     assert down @ found[3:, 3:] @ down > 1.2 * used
     np.testing.assert_allclose(known.considered(pose, 1e-9 * np.eye(6)), 1e-9 * np.eye(6), atol=1e-12)
+
+
+def test_vehicles_whose_errors_go_together_leave_the_ground_less_sure_and_in_place():
+    apart, common = Road(), Road()
+    for time in (0.0, 0.1, 0.2):
+        known = [road.later(time, TOLD, None, saying(SLOPE, 3.0 * SURE, f)) for road, f in ((apart, 1.0), (common, 4.0))]
+    np.testing.assert_array_equal(known[0].ground.normal, known[1].ground.normal)
+    assert known[0].ground.slope_sigma == known[1].ground.slope_sigma
+    grown = np.diag(known[1].covariance) / np.diag(known[0].covariance)
+    assert ((grown > 2.5) & (grown < 4.0)).all()  # what is told and what is forgotten count as they did
 
 
 @pytest.mark.parametrize("slope", [0.03, -0.03])
