@@ -126,9 +126,9 @@ def test_a_pose_is_as_unsure_as_the_ground_that_decides_it():
 
 
 def test_vehicles_whose_errors_go_together_leave_the_ground_less_sure_and_in_place():
-    apart, common = Road(), Road()
+    pairs = [(Road(), 1.0), (Road(), 4.0)]
     for time in (0.0, 0.1, 0.2):
-        known = [road.later(time, TOLD, None, saying(SLOPE, 3.0 * SURE, f)) for road, f in ((apart, 1.0), (common, 4.0))]
+        known = [road.later(time, TOLD, None, saying(SLOPE, 3.0 * SURE, f)) for road, f in pairs]
     np.testing.assert_array_equal(known[0].ground.normal, known[1].ground.normal)
     assert known[0].ground.slope_sigma == known[1].ground.slope_sigma
     grown = np.diag(known[1].covariance) / np.diag(known[0].covariance)
