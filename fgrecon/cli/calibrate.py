@@ -21,15 +21,25 @@ def calibrate_command(
     terminal: Terminal,
     how: DriveOptions,
     out: Annotated[Path, typer.Option(metavar="FILE", help="Where to write it (JSON), for --calibration.")],
+    detect: Annotated[
+        bool,
+        typer.Option("--detect", help="In boxes of the shipped vehicle detector, whose edges are fitted as well."),
+    ] = False,
 ) -> None:
     """Fit what results say of themselves to a keypoint network: how far its errors go together, and its facings.
 
     The network should not have learnt from the drives: --weights names it, --fold one for some of the drives. All boxes
     are reconstructed five times, with regions of five widths. Told is how well what is fitted without a drive holds
     there. --verbose tells each width's shares.
+
+    With --detect it is fitted to vehicles in detected boxes, and so is where the edges of these lie beside the
+    outlines, by the cars that are visible as a whole.
     """
+    from dataclasses import asdict, replace
+
     from fgrecon.core.coverage import SIGMAS
     from fgrecon.core.options import KeypointOptions
+    from fgrecon.evaluation.box_fit import fit_boxes, seen_boxes
     from fgrecon.evaluation.calibration import calibrate_boxes
     from fgrecon.evaluation.detector_fit import FACTORS, fit_detector
     from fgrecon.evaluation.video_images import SYSTEM
@@ -39,9 +49,8 @@ def calibrate_command(
     screen = terminal.screen()
     scored = {}
     for factor in FACTORS:
-        done = how.score(
-            folders, labelled, screen, rivals=(), track=False, keypoints=KeypointOptions(common_factor=factor)
-        )
+        assumed = KeypointOptions(common_factor=factor)
+        done = how.score(folders, labelled, screen, rivals=(), track=False, keypoints=assumed, detect=detect)
         scored[factor] = done.boxes
         for one in calibrate_boxes(done.boxes, SYSTEM).regions:
             shares = ", ".join(f"{100 * one.inside[level]['claimed']:.0f} in {100 * level:.0f} %" for level in SIGMAS)
@@ -51,12 +60,20 @@ def calibrate_command(
         "networks": [{"file": one["file"], "drives": one["drives"]} for one in done.networks()],
         "ground": done.ground,
         "size_prior": labelled.size_prior,
+        "boxes": "detected" if detect else "labelled",
     }
     found = fit_detector(scored, told)
+    calibration = found.calibration
+    if detect:
+        seen = list(seen_boxes(done.drives, done.frames, done.scene.prior))
+        source = fit_boxes(seen)
+        calibration = replace(calibration, boxes=source, provenance={**calibration.provenance, "outlines": len(seen)})
     screen.print(done.in_words())
     table = headed_table("fitted", "value")
-    for name, value in found.calibration.numbers.items():
+    for name, value in calibration.numbers.items():
         table.add_row(name, f"{value:.3f}")
+    for name, value in {} if calibration.boxes is None else asdict(calibration.boxes).items():
+        table.add_row(f"boxes.{name}", f"{value:.3f}")
     screen.print(table)
     if len(done.drives) > 1:
         held = headed_table("on drives left out of the fit", *(f"inside {100 * level:.0f} %" for level in SIGMAS))
@@ -65,4 +82,4 @@ def calibrate_command(
         screen.print(held, f"The facing's expected calibration error there is {found.facing_error:.3f}.")
     if found.turned == 0:
         screen.print("No vehicle is turned round: the facing's numbers are the default ones.")
-    screen.wrote(save_calibration(found.calibration, out))
+    screen.wrote(save_calibration(calibration, out))

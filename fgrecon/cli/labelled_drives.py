@@ -18,6 +18,7 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
     from fgrecon.core.options import KeypointOptions
     from fgrecon.evaluation.kitti_images import Setup
     from fgrecon.evaluation.methods import SceneKnowledge
+    from fgrecon.evaluation.video_frames import ScoredFrame
     from fgrecon.evaluation.video_images import VideoBox
     from fgrecon.io.kitti_drives import Drive
 
@@ -49,6 +50,7 @@ class ScoredDrives:
         images: How many images were looked at: those with a box that counts, or all where vehicles were detected.
         boxes: Those boxes, as far as they were found.
         missed: How many were not.
+        frames: What was looked at in each image.
     """
 
     drives: list[Drive]
@@ -59,6 +61,7 @@ class ScoredDrives:
     images: int
     boxes: list[VideoBox]
     missed: int = 0
+    frames: Sequence[ScoredFrame] = ()
 
     def in_words(self) -> str:
         """How much it is, and on which ground."""
@@ -149,7 +152,8 @@ class DriveOptions:
                 raise InvalidInputError("drives", ", ".join(setups), fix)
             if track:
                 boxes = follow_boxes(frames, drives, setups, forget_ids=forget_ids or detect)
-        return ScoredDrives(drives, files, setups, scene, ground, images, boxes, sum(frame.missed for frame in frames))
+        missed = sum(frame.missed for frame in frames)
+        return ScoredDrives(drives, files, setups, scene, ground, images, boxes, missed, frames)
 
 
 def read_folds(folds: Sequence[str], drives: Sequence[str], weights: Path | None) -> dict[str, Path | None]:

@@ -6,12 +6,41 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
-from fgrecon.core.options import KeypointOptions, Options
+from fgrecon.core.options import BoxOptions, KeypointOptions, Options
 from fgrecon.core.settings import check_settings, number
 
-__all__ = ["DetectorCalibration"]
+__all__ = ["BoxSource", "DetectorCalibration"]
 
 _DEFAULT = KeypointOptions()
+
+
+@dataclass(frozen=True)
+class BoxSource:
+    """Where the edges of a vehicle detector's boxes lie, beside those of the outlines (`fgrecon.BoxOptions`).
+
+    Attributes:
+        left: By how much the left edge lies further right, as a fraction of the width.
+        upper: By how much the upper edge lies lower, as a fraction of the height.
+        right: The right edge, as the left one.
+        lower: The lower edge, as the upper one.
+        spread: How far edges vary about that (1 sigma), as a fraction of the longer side. It is told and changes
+            nothing: boxes count by `BoxOptions.sigma_relative`.
+    """
+
+    left: float = number(BoxOptions().left, least=-0.5, most=0.5)
+    upper: float = number(BoxOptions().upper, least=-0.5, most=0.5)
+    right: float = number(BoxOptions().right, least=-0.5, most=0.5)
+    lower: float = number(BoxOptions().lower, least=-0.5, most=0.5)
+    spread: float = number(0.035, least=0.0)
+
+    def __post_init__(self) -> None:
+        """Check the numbers (`InvalidInputError`)."""
+        check_settings(self, "calibration.boxes")
+
+    def applied(self, options: Options) -> Options:
+        """The options with these edges for boxes that are `detected`."""
+        edges = {name: getattr(self, name) for name in ("left", "upper", "right", "lower")}
+        return replace(options, box=replace(options.box, **edges))
 
 
 @dataclass(frozen=True)
@@ -23,12 +52,14 @@ class DetectorCalibration:
         facing_bias: Of the log odds of a facing.
         facing_slope: What the detector's own log odds count.
         provenance: What it was fitted to, and how well it holds; plain values.
+        boxes: Where the edges of the boxes lie that the keypoints were found in; None where that was not fitted.
     """
 
     common_factor: float = number(_DEFAULT.common_factor, least=1.0)
     facing_bias: float = number(_DEFAULT.facing_bias, least=-20.0, most=20.0)
     facing_slope: float = number(_DEFAULT.facing_slope, least=0.0, most=20.0)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    boxes: BoxSource | None = None
 
     def __post_init__(self) -> None:
         """Check the numbers (`InvalidInputError`)."""
@@ -37,8 +68,10 @@ class DetectorCalibration:
     @property
     def numbers(self) -> dict[str, float]:
         """The settings by name."""
-        return {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name != "provenance"}
+        told = ("provenance", "boxes")
+        return {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name not in told}
 
     def applied(self, options: Options) -> Options:
         """The options with these settings in the place of their own."""
-        return replace(options, keypoints=replace(options.keypoints, **self.numbers, fitted=True))
+        told = options if self.boxes is None else self.boxes.applied(options)
+        return replace(told, keypoints=replace(told.keypoints, **self.numbers, fitted=True))

@@ -16,6 +16,8 @@ from fgrecon.core.settings import check_settings, choice, count, flag, number, o
 
 __all__ = ["BoxModel", "BoxOptions", "KeypointOptions", "Options", "SearchOptions", "ShapeOptions"]
 
+_HALF = 0.5  # of a box: an edge that is further off is none of it
+
 
 @dataclass(frozen=True)
 class KeypointOptions:
@@ -59,15 +61,30 @@ class BoxOptions:
         model: What it encloses.
         sigma_relative: Standard deviation of an edge as a fraction of the longer side.
         sigma_pixels: The same in pixels, added in quadrature.
+        left: By how much the left edge of a `detected` box lies further right than the outline's, as a fraction of its
+            width. The defaults are those of the package's detector on KITTI's video; what `fgrecon calibrate --detect`
+            finds there is as good (docs/history.md).
+        upper: By how much its upper edge lies lower, as a fraction of its height.
+        right: The right edge, as the left one.
+        lower: The lower edge, as the upper one.
     """
 
     model: BoxModel = choice(BoxModel.SURFACE)
     sigma_relative: float = number(0.02, least=0.0)
     sigma_pixels: float = number(1.5, least=1e-3)
+    left: float = number(-0.034, least=-_HALF, most=_HALF)
+    upper: float = number(0.014, least=-_HALF, most=_HALF)
+    right: float = number(0.034, least=-_HALF, most=_HALF)
+    lower: float = number(0.010, least=-_HALF, most=_HALF)
 
     def __post_init__(self) -> None:
         """Check the settings (`InvalidInputError`)."""
         check_settings(self, "options.box")
+
+    @property
+    def edges(self) -> tuple[float, float, float, float]:
+        """`left`, `upper`, `right`, `lower`."""
+        return self.left, self.upper, self.right, self.lower
 
 
 @dataclass(frozen=True)

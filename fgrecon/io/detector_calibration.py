@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict, fields
 from pathlib import Path
 
-from fgrecon.core.detector_calibration import DetectorCalibration
+from fgrecon.core.detector_calibration import BoxSource, DetectorCalibration
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import write_text
 from fgrecon.io.json_fields import Fields, read_json
@@ -28,8 +29,13 @@ def load_calibration(path: str | Path) -> DetectorCalibration:
     if told != DETECTOR_FORMAT:
         raise InvalidInputError(f"{where}format", told, f"Give a file of {DETECTOR_FORMAT}: `fgrecon calibrate`.")
     numbers = {name: float(data.numbers(name, ())) for name in DetectorCalibration().numbers}
+    edges: dict[str, float] | None = None
+    if "boxes" in data:
+        told_of_boxes = Fields(data.get("boxes", dict), f"{where}boxes.")
+        edges = {entry.name: float(told_of_boxes.numbers(entry.name, ())) for entry in fields(BoxSource)}
     try:
-        return DetectorCalibration(**numbers, provenance=data.get("provenance", dict))
+        source = None if edges is None else BoxSource(**edges)
+        return DetectorCalibration(**numbers, provenance=data.get("provenance", dict), boxes=source)
     except InvalidInputError as error:
         raise InvalidInputError(f"{where}{error.field}", error.value, error.fix) from error
 
@@ -41,4 +47,6 @@ def save_calibration(calibration: DetectorCalibration, path: str | Path) -> Path
         InvalidInputError: The file cannot be written.
     """
     told = {"format": DETECTOR_FORMAT, **calibration.numbers, "provenance": dict(calibration.provenance)}
+    if calibration.boxes is not None:
+        told["boxes"] = asdict(calibration.boxes)
     return write_text(Path(path), json.dumps(told, indent=1, allow_nan=False) + "\n")

@@ -32,7 +32,15 @@ DEFAULTS = {
         "facing_slope": 0.976,
         "fitted": False,
     },
-    "box": {"model": BoxModel.SURFACE, "sigma_relative": 0.02, "sigma_pixels": 1.5},
+    "box": {
+        "model": BoxModel.SURFACE,
+        "sigma_relative": 0.02,
+        "sigma_pixels": 1.5,
+        "left": -0.034,
+        "upper": 0.014,
+        "right": 0.034,
+        "lower": 0.010,
+    },
     "search": {"azimuths": 24, "basis_vectors": 0},
     "shape": {
         "joint": True,

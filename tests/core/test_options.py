@@ -17,7 +17,8 @@ NUMBERS = [
     if field.type.startswith("float")
 ]
 SIGNED = "facing_bias"
-MAY_BE_ZERO = "relative", "common_error", "confidence", SIGNED, "facing_slope"
+EDGES = "left", "upper", "right", "lower"
+MAY_BE_ZERO = "relative", "common_error", "confidence", SIGNED, "facing_slope", *EDGES
 POSITIVE = [entry for entry in NUMBERS if not entry[2].endswith(MAY_BE_ZERO)]
 
 

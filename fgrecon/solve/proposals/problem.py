@@ -22,10 +22,6 @@ __all__ = ["Problem", "box_term", "keypoint_covariances"]
 Array = NDArray[np.float64]
 
 _SURE = 0.99  # no detector is surer than that
-_DETECTED = np.array([-0.034, 0.014, 0.034, 0.010])
-"""By how much the edges of the package's detector lie further right or down than the outline's, parts of width and
-height: medians over 466 fully visible cars of KITTI's video, outlines of the mean shape at labelled poses and sizes."""
-
 _BORDER = 2.0  # pixels from the image's border within which a box edge says nothing
 _SOFT = 0.5  # softness of a box's extents per sigma: with 0.2 the solver zigzags over creases of the outline
 _FEWEST = 3  # points that a pose needs
@@ -153,7 +149,7 @@ def box_term(observation: Observation, camera: Camera, model: VehicleModel, opti
         used[2:] = observation.box[2:] < np.array([width, height]) - 1.0 - _BORDER
     edges = observation.box
     if options.model is BoxModel.DETECTED:
-        edges = edges - _DETECTED * np.tile(edges[2:] - edges[:2], 2)
+        edges = edges - np.array(options.edges) * np.tile(edges[2:] - edges[:2], 2)
     return BoxTerm(points.mean, points.basis, camera.matrix, edges, used, sigma, float(outlier), _SOFT * sigma)
 
 

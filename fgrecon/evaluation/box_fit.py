@@ -1,0 +1,80 @@
+"""Where the edges of a vehicle detector's boxes lie, beside those of the outlines: fitted to labelled vehicles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.detector_calibration import BoxSource
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import yaw_rotation
+from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.evaluation.video_frames import ScoredFrame
+from fgrecon.io.kitti_drives import Drive, DriveFrame
+from fgrecon.solve.vehicle.model import VehicleModel, prepare
+
+__all__ = ["SeenBox", "fit_boxes", "seen_boxes"]
+
+Array = NDArray[np.float64]
+
+_FEWEST = 30  # vehicles
+_MAD = 1.4826  # from the median absolute deviation to a normal standard deviation
+
+
+@dataclass(frozen=True)
+class SeenBox:
+    """A detected box of a vehicle that can be seen as a whole.
+
+    Attributes:
+        detected: (4,) x1, y1, x2, y2, pixels.
+        outline: (4,) the same of the outline of the mean shape, scaled to the labelled size, in the labelled pose.
+    """
+
+    detected: Array
+    outline: Array
+
+
+def seen_boxes(drives: Sequence[Drive], frames: Iterable[ScoredFrame], prior: ShapePrior) -> Iterator[SeenBox]:
+    """The detected boxes of labelled cars that nothing hides and that are in the image as a whole.
+
+    Args:
+        drives: The labelled drives.
+        frames: What was detected in their frames.
+        prior: Shape prior.
+    """
+    plain = prepare(prior)
+    labelled = {(drive.name, frame.number): frame for drive in drives for frame in drive.frames}
+    for frame in frames:
+        for box, seen in zip(frame.boxes, frame.sightings, strict=False):  # the first are those of the labelled boxes
+            if box.kind == "Car" and box.occlusion == 0 and box.truncation <= 0.0:
+                label = labelled[frame.drive, frame.number]
+                yield SeenBox(np.asarray(seen.box, dtype=np.float64), _outline(label, box.index, plain))
+
+
+def _outline(frame: DriveFrame, index: int, plain: VehicleModel) -> Array:
+    objects = frame.objects
+    points = plain.outline.mean * (objects.size[index] / plain.dimension_mean)[[0, 2, 1]]
+    place = objects.location[index] + frame.calibration.label_offset
+    pixels = frame.calibration.camera.project(points @ yaw_rotation(float(objects.rotation_y[index])).T + place)
+    return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
+
+
+def fit_boxes(seen: Sequence[SeenBox]) -> BoxSource:
+    """The medians of the edges' deviations, and how far edges vary about them.
+
+    Raises:
+        InvalidInputError: There are too few boxes.
+    """
+    if len(seen) < _FEWEST:
+        fix = f"Give drives with at least {_FEWEST} cars that are visible as a whole and detected."
+        raise InvalidInputError("drives", f"{len(seen)} such cars", fix)
+    detected, outline = (np.array([getattr(one, name) for one in seen]) for name in ("detected", "outline"))
+    extent = detected[:, 2:] - detected[:, :2]
+    off = (detected - outline) / np.tile(extent, 2)
+    middle = np.median(off, axis=0)
+    varying = (off - middle) * np.tile(extent, 2) / extent.max(axis=1, keepdims=True)
+    left, upper, right, lower = middle.tolist()
+    return BoxSource(left, upper, right, lower, _MAD * float(np.median(np.abs(varying))))
