@@ -60,6 +60,8 @@ def with_probabilities(
     if not any(turned) and 1.0 - facing >= _WORTH:
         others += turned_alternative(camera_T_object, coefficients, facing)
         turned += [True] * (len(others) - len(turned))
+    if not others:
+        return ()
     odds = np.exp(-_TEMPER * np.array([other.excess for other in others]))
     there = np.array(turned, dtype=bool)
     share = np.where(there, (1.0 - facing) / max(odds[there].sum(), 1e-300), facing / (1.0 + odds[~there].sum()))

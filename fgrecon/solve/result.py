@@ -160,13 +160,13 @@ def _result(
     surface = occluder(prior)
     vertices = surface.vertices(coefficients)
     centre = -camera_T_object[:3, :3].T @ camera_T_object[:3, 3]
-    box_size = prior.box_size(coefficients, offsets)
+    box_size = prior.category.box_size(wireframe)
     facing = _facing(part, camera_T_object) if told is None else told
     relative = box_size / problem.model.dimension_mean
     status, message = _status(
         camera_T_object, box_size, relative, facing, alternatives, uncertainty, problem.options, optimum
     )
-    if np.isnan(facing) and part.share == 1.0 and np.isfinite([*camera_T_object.ravel(), optimum.gain]).all():
+    if np.isnan(facing) and part.share == 1.0 and np.isfinite(camera_T_object).all() and np.isfinite(optimum.gain):
         facing = facing_by_energies(camera_T_object, alternatives)
     others = with_probabilities(camera_T_object, coefficients, alternatives, facing)
     reasons: tuple[str, ...] = ()

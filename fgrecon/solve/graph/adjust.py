@@ -241,6 +241,8 @@ def _held(
 
 def _distinct(pose: gtsam.Pose3, others: Sequence[Alternative]) -> tuple[Alternative, ...]:
     """Those that are turned against the pose and against each other, best first."""
+    if not others:
+        return ()
     best_first = sorted(others, key=lambda one: one.excess)
     kept = distinct([pose.matrix(), *(other.camera_T_object for other in best_first)])
     return tuple(best_first[i - 1] for i in kept[1:])

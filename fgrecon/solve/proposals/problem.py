@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -84,8 +85,10 @@ def _check_points(observation: Observation) -> None:
     if len(points) < _FEWEST:
         fix = f"Give at least {_FEWEST} keypoints with a confidence above zero."
         raise DegenerateProblemError("keypoints", f"{len(points)} usable points", fix)
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    if spread[1] < 1e-3 * max(spread[0], 1.0):
+    centred = points - points.sum(axis=0) / len(points)
+    (along, both), (_, across) = (centred.T @ centred).tolist()
+    middle, apart = (along + across) / 2.0, math.hypot((along - across) / 2.0, both)  # squares of the spreads
+    if middle - apart < 1e-6 * max(middle + apart, 1.0):
         raise DegenerateProblemError("keypoints", "all points on one line", "Give keypoints that span an area.")
 
 
