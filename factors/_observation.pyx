@@ -234,6 +234,19 @@ cdef class Observation:
                 + f * ((1.0 - e) * self.table[k, i + 1, j] + e * self.table[k, i + 1, j + 1])
             )
 
+    def visible_from(self, const double[:, :] pose):
+        """(K,) visibility of the keypoints from a pose (4, 4)."""
+        cdef double R[9]
+        cdef double t[3]
+        cdef double[::1] visibility = np.empty(self.keypoints)
+        if not self.is_bound:
+            raise ValueError("bind the observation by `search_by` first")
+        if pose.shape[0] != 4 or pose.shape[1] != 4:
+            raise ValueError("a pose (4, 4) is wanted")
+        unpack(pose, R, t)
+        self.visible(R, t, &visibility[0])
+        return np.asarray(visibility)
+
     cdef void densities(self, int k, double visibility, double *right, double *wrong) noexcept nogil:
         """Densities of a right and of a wrong point k (`fgrecon.core.robust.RobustStrategy.densities`)."""
         cdef double seen, hidden, unsure

@@ -251,5 +251,4 @@ def joint_covariance(marginals: gtsam.Marginals | Spread, keys: list[int]) -> Ar
         single: Array = marginals.marginalCovariance(keys[0])
         return single
     joint = marginals.jointMarginalCovariance(gtsam.KeyVector(keys))
-    rows: Array = np.block([[joint.at(a, b) for b in keys] for a in keys])
-    return rows
+    return np.concatenate([np.concatenate([joint.at(a, b) for b in keys], axis=1) for a in keys])

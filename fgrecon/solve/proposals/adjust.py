@@ -109,7 +109,7 @@ def _adjusted(problem: Problem, initial: Box3D | float | Array | None) -> PoseEs
         camera_T_object=best[0],
         coefficients=result.hypotheses.coefficients[0],
         weights=result.weights[0],
-        visibility=problem.energy.visibility(best[:1])[0],
+        visibility=problem.energy.visible_from(best[0]),
         energy=float(result.energy[0]),
         alternatives=tuple(
             Alternative(best[i], result.hypotheses.coefficients[i], float(result.energy[i] - result.energy[0]))
