@@ -261,8 +261,8 @@ def _status(
         return Status.DEGENERATE, f"No vehicle measures {length:.2f} x {width:.2f} x {height:.2f} m."
     if camera_T_object[2, 3] <= 0.0:
         return Status.DEGENERATE, f"The vehicle's origin is behind the camera ({camera_T_object[2, 3]:.2f} m)."
-    turn = float(np.sqrt(np.linalg.eigvalsh(uncertainty.pose[:3, :3])[-1]))
-    if turn > _LOOSE:
+    turned = uncertainty.pose[:3, :3]
+    if np.trace(turned) > _LOOSE**2 and (turn := float(np.sqrt(np.linalg.eigvalsh(turned)[-1]))) > _LOOSE:
         return Status.DEGENERATE, f"The orientation is known to {np.rad2deg(turn):.0f} degrees only (1 sigma)."
     close = [a for a in alternatives if a.excess <= options.ambiguity_margin]
     if close:

@@ -186,7 +186,7 @@ def turn_between(first: Array, second: Array) -> float:
 
 def distinct(poses: Sequence[Array] | Array) -> list[int]:
     """Indices of poses (4, 4) that are not within `DISTINCT` of an earlier one."""
-    flat = np.reshape([pose[:3, :3] for pose in poses], (-1, 9))
+    flat = np.asarray(poses)[:, :3, :3].reshape(-1, 9)
     alike = ((flat @ flat.T - 1.0) / 2.0 >= np.cos(DISTINCT)).tolist()
     kept: list[int] = []
     for i, row in enumerate(alike):

@@ -98,12 +98,14 @@ def keypoint_covariances(observation: Observation, options: KeypointOptions) -> 
     Where the detector gives a covariance, a pixel's and a tenth of the general noise is added for what no shape of the
     prior can meet; else the noise is isotropic with the general standard deviation.
     """
-    identity = np.eye(2)
     spread = options.sigma_relative * observation.extent
     if observation.covariance is None:
-        variance = spread**2 + options.sigma_pixels**2
-        return np.broadcast_to(variance * identity, (len(observation.keypoints), 2, 2))
-    return observation.covariance + (0.1 * spread**2 + options.sigma_pixels**2) * identity
+        covariance, added = np.zeros((len(observation.keypoints), 2, 2)), spread**2 + options.sigma_pixels**2
+    else:
+        covariance, added = observation.covariance.copy(), 0.1 * spread**2 + options.sigma_pixels**2
+    covariance[:, 0, 0] += added
+    covariance[:, 1, 1] += added
+    return covariance
 
 
 def _energy(
@@ -156,7 +158,7 @@ def box_term(observation: Observation, camera: Camera, model: VehicleModel, opti
 
 
 def _evidence(observation: Observation, covariance: Array) -> Evidence:
-    right = np.clip(observation.right, 1.0 - _SURE, _SURE)
+    right = np.minimum(np.maximum(observation.right, 1.0 - _SURE), _SURE)
     box = observation.box
     area = observation.extent**2 if box is None else (box[2] - box[0]) * (box[3] - box[1])
     # Below 1, so that a wrong point never explains a keypoint better than a right one.
