@@ -168,7 +168,8 @@ class Camera:
     def rays(self, pixels: ArrayLike) -> NDArray[np.float64]:
         """Directions (..., 3) with z = 1 of undistorted pixels (..., 2)."""
         pixels = np.asarray(pixels, dtype=np.float64)
-        homogeneous = np.concatenate([pixels, np.ones_like(pixels[..., :1])], axis=-1)
+        homogeneous = np.ones((*pixels.shape[:-1], 3))
+        homogeneous[..., :2] = pixels
         directions: NDArray[np.float64] = homogeneous @ self._inverse.T
         return directions
 

@@ -90,6 +90,11 @@ class VehiclePart:
             self._enclosed = mean, basis, LinearShape(mean, basis, self.coefficients)
         return self._enclosed[2]
 
+    @cached_property
+    def size_derivative(self) -> Array:
+        """(3, D) derivative of the box's length, width and height by lambda and offsets, as far as they are variables."""
+        return np.tensordot(self.model.prior.category.dimension_operator, self.shape.derivative, axes=2)
+
     @property
     def terms(self) -> Terms:
         """Factors by energy term: one for each thing that is said, as they are shown and tested."""

@@ -116,7 +116,8 @@ def aspnp(
     for i in kept[rms[kept] <= limit]:
         pose = np.eye(4)
         pose[:3, :3] = r[i].reshape(3, 3) / squared_length[i]
-        ray = np.append((w * relative_depth[i]) @ image_points, 1.0)
+        ray = np.ones(3)
+        ray[:2] = (w * relative_depth[i]) @ image_points
         pose[:3, 3] = ray * (scale / squared_length[i]) - pose[:3, :3] @ centroid
         solutions.append(PnPSolution(pose, total * float(rms[i]) ** 2, float(rms[i]), float(weight_in_front[i])))
     return tuple(solutions)
