@@ -175,7 +175,7 @@ class Camera:
 
     @cached_property
     def _inverse(self) -> NDArray[np.float64]:
-        return np.linalg.inv(self.matrix)
+        return np.asarray(np.linalg.inv(self.matrix), dtype=np.float64)
 
     def undistort(self, pixels: ArrayLike) -> NDArray[np.float64]:
         """Pixels (M, 2) as the ideal pinhole camera with the same K sees them; NaN rows stay NaN."""

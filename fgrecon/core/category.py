@@ -121,7 +121,8 @@ class Category:
     def box_size(self, keypoints: NDArray[np.float64]) -> NDArray[np.float64]:
         """(3,) length, width and height of the box of a vehicle with these keypoints (K, 3), in metres."""
         operator = self.dimension_operator
-        return operator.reshape(3, -1).dot(keypoints.reshape(-1, 1))[:, 0]
+        size: NDArray[np.float64] = operator.reshape(3, -1).dot(keypoints.reshape(-1, 1))
+        return size[:, 0]
 
     def index(self, keypoint: str, field: str = "keypoint") -> int:
         """Index of a keypoint by its name.

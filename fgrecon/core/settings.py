@@ -93,7 +93,7 @@ def check_settings(settings: Any, name: str) -> None:
     Raises:
         InvalidInputError: A field has the wrong type or is out of range.
     """
-    for field_name, full_name, check in _checks(type(settings), name):
+    for field_name, full_name, check in _checks(settings.__class__, name):
         object.__setattr__(settings, field_name, check(full_name, getattr(settings, field_name)))
 
 

@@ -220,7 +220,7 @@ class Descent:
 
 
 def _tries(step: Array, further: Array | None) -> Iterator[Array]:
-    """Steps in the order in which they are tried: an accelerated one where there is one, the plain one, shorter ones."""
+    """Steps in the order in which they are tried: an accelerated one if there is one, the plain one, shorter ones."""
     if further is not None:
         yield further
     yield step

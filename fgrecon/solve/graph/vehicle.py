@@ -92,7 +92,7 @@ class VehiclePart:
 
     @cached_property
     def size_derivative(self) -> Array:
-        """(3, D) derivative of the box's length, width and height by lambda and offsets, as far as they are variables."""
+        """(3, D) derivative of the box's length, width and height by the shape's variables."""
         return np.tensordot(self.model.prior.category.dimension_operator, self.shape.derivative, axes=2)
 
     @property
@@ -310,7 +310,7 @@ def _middle(category: Category) -> NDArray[np.intp]:
 
 @lru_cache(maxsize=16)
 def _medial_plane(key: int) -> gtsam.Values:
-    """The plane z = 0 of the object frame, by its key: values are taken over quickly, while a plane's type is sought."""
+    """The plane z = 0 of the object frame as values, which GTSAM takes over without looking for their type."""
     values = gtsam.Values()
     values.insert(key, gtsam.OrientedPlane3(np.array([0.0, 0.0, 1.0, 0.0])))
     return values
