@@ -115,12 +115,16 @@ def _energy(
     if extent < 1.0:
         raise DegenerateProblemError("keypoints", f"extent {extent:.3g} px", "Give keypoints that are not all one.")
     covariance = keypoint_covariances(observation, options.keypoints)
+    if observation.covariance is None:  # isotropic, which needs no linear algebra
+        whitener = np.eye(2) / np.sqrt(covariance[:, :1, :1])
+    else:
+        whitener = np.linalg.inv(np.linalg.cholesky(covariance))
     keypoints = KeypointTerm(
         mean=model.prior.mean,
         basis=model.prior.basis,
         matrix=camera.matrix,
         pixels=np.where(observation.measured[:, None], observation.keypoints, 0.0),
-        whitener=np.linalg.inv(np.linalg.cholesky(covariance)),
+        whitener=whitener,
         evidence=_evidence(observation, covariance),
         strategy=options.strategy,
     )
