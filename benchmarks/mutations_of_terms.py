@@ -198,7 +198,7 @@ WRONG_WEIGHTS = (
         "keypoint-covariances-ignored",
         "the graph takes every keypoint's noise for isotropic",
         OBSERVATION,
-        (("self._covariances = None if isotropic else covariances", "self._covariances = None"),),
+        (("None if isotropic else covariances", "None"),),
         (TEST_GRAPH, TEST_COVARIANCE),
     ),
     Mutation(

@@ -137,46 +137,54 @@ cdef class Observation:
     ) noexcept nogil:
         """Whitened residuals (4,) of the box's edges, and where J is given their derivatives (4, 6 + N) by a turn about
         the object's axes, a shift along the camera's, and the coefficients; the least depth."""
-        cdef int e, p, n, a, b, N = self.coefficients, P = self.points, D = 6 + self.coefficients
-        cdef double *U = work  # (2, P) pixels, (P, 6) their derivatives, (P, 3) object points, (P,) shares
+        cdef int e, i, p, n, a, b, count, N = self.coefficients, P = self.points, D = 6 + self.coefficients
+        cdef double *U = work  # (2, P) pixels, (P, 6) their derivatives, (P, 3) object points
         cdef double *G = U + 2 * P
         cdef double *X = G + 6 * P
-        cdef double *share = X + 3 * P
+        cdef double *share = X + 3 * P  # of the points that have a share in an extent; how far they are
+        cdef double *away = share + P  # from the outermost one, in softnesses; and which they are
+        cdef int *which = <int *> (away + P)
+        cdef double extreme[4]
         cdef double uv[2]
         cdef double g[3]
         cdef double h[3]
         cdef double moment[9]
-        cdef double sign, outermost, total, mean, away, depth, nearest = INFINITY
+        cdef double sign, total, mean, depth, behind, farthest = -FARTHEST * self.softness, nearest = INFINITY
+        for e in range(4):
+            extreme[e] = -INFINITY
         for p in range(P):
             shaped(&self.outline[0, 0], self.outline_basis, p, x, NULL, X + 3 * p)
             depth = project(&self.camera[0, 0], R, t, X + 3 * p, least, uv, G + 6 * p)
             nearest = depth if depth < nearest else nearest
-            U[p], U[P + p] = uv[0], uv[1]
+            for a in range(2):
+                U[a * P + p] = uv[a]
+                extreme[a] = -uv[a] if -uv[a] > extreme[a] else extreme[a]
+                extreme[2 + a] = uv[a] if uv[a] > extreme[2 + a] else extreme[2 + a]
         for e in range(4):
             sign = -1.0 if e < 2 else 1.0
-            outermost = -INFINITY
+            count = 0
             for p in range(P):
-                away = sign * U[(e % 2) * P + p]
-                outermost = away if away > outermost else outermost
+                behind = sign * U[(e % 2) * P + p] - extreme[e]
+                if behind > farthest:
+                    away[count], which[count] = behind, p
+                    count += 1
             total = mean = 0.0
-            for p in range(P):
-                away = (sign * U[(e % 2) * P + p] - outermost) / self.softness
-                share[p] = exp(away) if away > -FARTHEST else 0.0
-                total += share[p]
-                mean += share[p] * away
+            for i in range(count):
+                away[i] /= self.softness
+                share[i] = exp(away[i])
+                total += share[i]
+                mean += share[i] * away[i]
             mean /= total
-            r[e] = (sign * (outermost + self.softness * mean) - self.edges[e]) / self.box_sigma
+            r[e] = (sign * (extreme[e] + self.softness * mean) - self.edges[e]) / self.box_sigma
             if J == NULL:
                 continue
             memset(J + e * D, 0, D * sizeof(double))
             memset(moment, 0, 9 * sizeof(double))
-            for p in range(P):
-                if share[p] == 0.0:
-                    continue
-                away = (sign * U[(e % 2) * P + p] - outermost) / self.softness
-                share[p] *= (1.0 + away - mean) / (total * self.box_sigma)
+            for i in range(count):
+                p = which[i]
+                share[i] *= (1.0 + away[i] - mean) / (total * self.box_sigma)
                 for a in range(3):
-                    g[a] = share[p] * G[6 * p + 3 * (e % 2) + a]
+                    g[a] = share[i] * G[6 * p + 3 * (e % 2) + a]
                     J[e * D + 3 + a] += g[a]
                     for b in range(3):
                         moment[3 * b + a] += X[3 * p + b] * g[a]
@@ -234,6 +242,19 @@ cdef class Observation:
                 + f * ((1.0 - e) * self.table[k, i + 1, j] + e * self.table[k, i + 1, j + 1])
             )
 
+    def visible_from(self, const double[:, :] pose):
+        """(K,) visibility of the keypoints from a pose (4, 4)."""
+        cdef double R[9]
+        cdef double t[3]
+        cdef double[::1] visibility = np.empty(self.keypoints)
+        if not self.is_bound:
+            raise ValueError("bind the observation by `search_by` first")
+        if pose.shape[0] != 4 or pose.shape[1] != 4:
+            raise ValueError("a pose (4, 4) is wanted")
+        unpack(pose, R, t)
+        self.visible(R, t, &visibility[0])
+        return np.asarray(visibility)
+
     cdef void densities(self, int k, double visibility, double *right, double *wrong) noexcept nogil:
         """Densities of a right and of a wrong point k (`fgrecon.core.robust.RobustStrategy.densities`)."""
         cdef double seen, hidden, unsure
@@ -278,8 +299,8 @@ cdef class Observation:
         cdef double depth, nearest = INFINITY, s, weight, loss, stretch, bend, p
         cdef const double *o = NULL
         cdef double *J
-        cdef double[::1] work = np.empty(12 * self.points + 4 * D)
-        cdef double *box = &work[0] + 12 * self.points if jacobian is not None else NULL
+        cdef double[::1] work = np.empty(14 * self.points + 4 * D)
+        cdef double *box = &work[0] + 14 * self.points if jacobian is not None else NULL
         if x.shape[0] != N or right.shape[0] != K or wrong.shape[0] != K or residual.shape[0] != self.rows:
             raise ValueError("arrays of another number of keypoints or coefficients")
         if edges.shape[0] != 4 or pose.shape[0] != 4 or pose.shape[1] != 4:
@@ -369,7 +390,7 @@ cdef class Observation:
         cdef double camera[6]
         cdef double body[6]
         cdef double weight, loss, inlier, keypoint_energy = 0.0, box_energy = 0.0
-        cdef double[::1] work = np.empty(12 * self.points + 1)
+        cdef double[::1] work = np.empty(14 * self.points + 1)
         cdef double[::1] weights = np.zeros(K), right = np.empty(K), wrong = np.empty(K), edges = np.zeros(4)
         cdef const double *o = NULL
         if not self.is_bound:

@@ -19,7 +19,7 @@ cdef double evaluate(
 ) noexcept nogil:
     """Robust energy of a hypothesis; gradient g (D,), lower triangle of M (D, D), and weights (K,)."""
     cdef int K = terms.keypoints, N = terms.coefficients, D = 6 + terms.coefficients, A, a, i, k, n
-    cdef double *J = work + 12 * terms.points  # (4, D)
+    cdef double *J = work + 14 * terms.points  # (4, D)
     cdef double *visibility = J + 4 * D
     cdef double r[4]
     cdef double X[3]
@@ -132,7 +132,7 @@ def search(
     cdef double[:, ::1] M = np.empty((H, D * D))
     cdef double[::1] trial_g = np.empty(D), trial_M = np.empty(D * D), trial = np.empty(size)
     cdef double[::1] step = np.empty(D), L = np.empty(D * D)
-    cdef double[::1] work = np.empty(12 * terms.points + 4 * D + K)
+    cdef double[::1] work = np.empty(14 * terms.points + 4 * D + K)
     cdef Py_ssize_t[::1] alive = np.arange(H, dtype=np.intp), order
     cdef double *state
     for h in range(H):

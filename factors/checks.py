@@ -16,16 +16,23 @@ def finite_array(field: str, value: ArrayLike, shape: tuple[int | None, ...]) ->
     Raises:
         InvalidInputError: It is not numeric, has another shape, or holds NaN or infinite elements.
     """
-    wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
     try:
         array = np.array(value, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
-        raise InvalidInputError(field, value, f"Give numbers in an array of shape {wanted}.") from error
-    if array.ndim != len(shape) or any(w not in (None, n) for n, w in zip(array.shape, shape, strict=True)):
-        raise InvalidInputError(field, f"shape {array.shape}", f"Give an array of shape {wanted}.")
+        raise InvalidInputError(field, value, f"Give numbers in an array of shape {_words(shape)}.") from error
+    if array.shape != shape and not _matches(array.shape, shape):
+        raise InvalidInputError(field, f"shape {array.shape}", f"Give an array of shape {_words(shape)}.")
     if not np.isfinite(array).all():
         raise InvalidInputError(field, array[~np.isfinite(array)][0], "Give finite numbers only.")
     return array
+
+
+def _matches(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
+    return len(shape) == len(wanted) and all(w in (None, n) for n, w in zip(shape, wanted, strict=True))
+
+
+def _words(shape: tuple[int | None, ...]) -> str:
+    return "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
 
 
 def index_array(field: str, value: ArrayLike, size: int, at_least: int = 1) -> NDArray[np.intp]:

@@ -37,7 +37,8 @@ def check_in_front(kernel: ProjectionKernel, values: gtsam.Values, min_depth: fl
     Raises:
         DegenerateProblemError: A keypoint is not deeper than `min_depth`, or a depth is NaN.
     """
-    depths = kernel.evaluate(values).depths
+    pose = kernel.pose(values)
+    depths = kernel.shape.points(values) @ pose[2, :3] + pose[2, 3]  # of the whole projection nothing else is wanted
     if not depths.min() > min_depth:
         raise DegenerateProblemError(
             "start",

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fgrecon.core.checks import as_finite
+from fgrecon.core.checks import as_finite, as_shape
 from fgrecon.core.errors import InvalidInputError
 
 __all__ = ["ANY_FOCAL_SIGMA", "DEFAULT_FIELD_OF_VIEW", "MIN_DEPTH", "Camera", "Ground"]
@@ -60,7 +61,7 @@ class Camera:
             raise InvalidInputError(
                 "intrinsics", matrix.tolist(), f"Give pixels, from {1 / _LARGEST:g} to {_LARGEST:g}."
             )
-        if np.any(matrix[[1, 2, 2], [0, 0, 1]] != 0) or matrix[2, 2] != 1:
+        if matrix[1, 0] != 0 or matrix[2].tolist() != [0.0, 0.0, 1.0]:
             raise InvalidInputError("intrinsics", matrix.tolist(), "Give [[fx, s, cx], [0, fy, cy], [0, 0, 1]].")
         object.__setattr__(self, "matrix", matrix)
         if self.distortion is not None:
@@ -91,7 +92,7 @@ class Camera:
             fx, fy, cx, cy = as_finite("intrinsics", intrinsics, (4,))
             return cls(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), coefficients)
         fix = "Give the 3x3 camera matrix K, or fx, fy, cx, cy."
-        return cls(as_finite("intrinsics", intrinsics, (3, 3), fix), coefficients)
+        return cls(as_shape("intrinsics", intrinsics, (3, 3), fix), coefficients)
 
     @classmethod
     def of_field_of_view(cls, width: int, height: int, degrees: float = DEFAULT_FIELD_OF_VIEW) -> Camera:
@@ -167,9 +168,14 @@ class Camera:
     def rays(self, pixels: ArrayLike) -> NDArray[np.float64]:
         """Directions (..., 3) with z = 1 of undistorted pixels (..., 2)."""
         pixels = np.asarray(pixels, dtype=np.float64)
-        homogeneous = np.concatenate([pixels, np.ones_like(pixels[..., :1])], axis=-1)
-        directions: NDArray[np.float64] = homogeneous @ np.linalg.inv(self.matrix).T
+        homogeneous = np.ones((*pixels.shape[:-1], 3))
+        homogeneous[..., :2] = pixels
+        directions: NDArray[np.float64] = homogeneous @ self._inverse.T
         return directions
+
+    @cached_property
+    def _inverse(self) -> NDArray[np.float64]:
+        return np.asarray(np.linalg.inv(self.matrix), dtype=np.float64)
 
     def undistort(self, pixels: ArrayLike) -> NDArray[np.float64]:
         """Pixels (M, 2) as the ideal pinhole camera with the same K sees them; NaN rows stay NaN."""
@@ -245,6 +251,14 @@ class Ground:
             if not _NARROWEST <= value <= _FARTHEST:
                 fix = f"Give a number from {_NARROWEST:g} to {_FARTHEST:g}."
                 raise InvalidInputError(f"ground.{field}", value, fix)
+
+    @cached_property
+    def upright(self) -> NDArray[np.float64]:
+        """(3, 3) smallest rotation that turns the camera's y axis onto the normal."""
+        x, cosine, z = self.normal
+        skew = np.array([[0.0, x, 0.0], [-x, 0.0, -z], [0.0, z, 0.0]])  # of the axis (z, 0, -x) = y x normal
+        rotation: NDArray[np.float64] = np.eye(3) + skew + skew @ skew / (1.0 + cosine)
+        return rotation
 
     def height_sigma_at(self, depth: NDArray[np.float64]) -> NDArray[np.float64]:
         """Standard deviation in metres of an origin's height over the plane at depths (...,) in metres."""

@@ -118,6 +118,12 @@ class Category:
             operator[row, list(dimension.minus)] -= direction / len(dimension.minus)
         return operator
 
+    def box_size(self, keypoints: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(3,) length, width and height of the box of a vehicle with these keypoints (K, 3), in metres."""
+        operator = self.dimension_operator
+        size: NDArray[np.float64] = operator.reshape(3, -1).dot(keypoints.reshape(-1, 1))
+        return size[:, 0]
+
     def index(self, keypoint: str, field: str = "keypoint") -> int:
         """Index of a keypoint by its name.
 

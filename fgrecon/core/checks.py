@@ -22,18 +22,24 @@ def as_shape(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: s
     Raises:
         InvalidInputError: `value` is not numeric or has another shape.
     """
-    wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
     try:
         given = np.asarray(value)
         if given.dtype.kind not in _NUMBERS:  # text, bytes, dates; complex numbers would lose a part
             raise TypeError(f"{given.dtype}")
         array = given.astype(np.float64, copy=False)
     except (TypeError, ValueError, OverflowError) as error:
-        raise InvalidInputError(field, value, fix or f"Give numbers in an array of shape {wanted}.") from error
-    matches = array.ndim == len(shape) and all(w is None or n == w for n, w in zip(array.shape, shape, strict=True))
-    if not matches:
-        raise InvalidInputError(field, f"shape {array.shape}", fix or f"Give an array of shape {wanted}.")
+        raise InvalidInputError(field, value, fix or f"Give numbers in an array of shape {_words(shape)}.") from error
+    if array.shape != shape and not _matches(array.shape, shape):
+        raise InvalidInputError(field, f"shape {array.shape}", fix or f"Give an array of shape {_words(shape)}.")
     return array
+
+
+def _matches(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
+    return len(shape) == len(wanted) and all(w is None or n == w for n, w in zip(shape, wanted, strict=True))
+
+
+def _words(shape: tuple[int | None, ...]) -> str:
+    return "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
 
 
 def as_finite(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: str = "") -> NDArray[np.float64]:

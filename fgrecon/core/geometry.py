@@ -39,9 +39,11 @@ def yaw_rotation(yaw: ArrayLike) -> Array:
     """(..., 3, 3) rotations about the camera's y axis by angles (...), radians."""
     angle = np.asarray(yaw, dtype=np.float64)
     cosine, sine = np.cos(angle), np.sin(angle)
-    zero, one = np.zeros_like(angle), np.ones_like(angle)
-    rows = np.stack([cosine, zero, sine, zero, one, zero, -sine, zero, cosine], axis=-1)
-    return rows.reshape(*angle.shape, 3, 3)
+    rotation = np.zeros((*angle.shape, 3, 3))
+    rotation[..., 0, 0] = rotation[..., 2, 2] = cosine
+    rotation[..., 0, 2], rotation[..., 2, 0] = sine, -sine
+    rotation[..., 1, 1] = 1.0
+    return rotation
 
 
 def view_azimuth(rotation: Array, translation: Array) -> Array:

@@ -56,14 +56,15 @@ class Observation:
         set_ = object.__setattr__
         keypoints = as_shape("keypoints", self.keypoints, (None, 2))
         missing: NDArray[np.bool_] = np.any(np.isnan(keypoints), axis=1)
-        if np.isinf(keypoints).any():
-            raise InvalidInputError("keypoints", "an infinite pixel", "Give finite pixels, or NaN where not measured.")
-        _check_size("keypoints", keypoints[~missing])
+        if (np.abs(keypoints) > _LARGEST).any():
+            if np.isinf(keypoints).any():
+                fix = "Give finite pixels, or NaN where not measured."
+                raise InvalidInputError("keypoints", "an infinite pixel", fix)
+            _check_size("keypoints", keypoints[~missing])
         confidence = as_shape("confidence", self.confidence, (len(keypoints),))
-        given = confidence[~missing]
-        outside = given[~((given >= 0) & (given <= 1))]
-        if len(outside):
-            raise InvalidInputError("confidence", float(outside[0]), "Give numbers from 0 to 1.")
+        wrong = ~(((confidence >= 0) & (confidence <= 1)) | missing)
+        if wrong.any():
+            raise InvalidInputError("confidence", float(confidence[wrong][0]), "Give numbers from 0 to 1.")
         midpoint = float(
             as_finite("confidence_midpoint", self.confidence_midpoint, (), "Give a number above 0, up to 1.")
         )

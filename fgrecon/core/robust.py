@@ -24,6 +24,7 @@ The strategies:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -207,4 +208,10 @@ def strategy(value: RobustStrategy | StrategyName | str) -> RobustStrategy:
     Raises:
         InvalidInputError: There is no strategy of that name.
     """
-    return value if isinstance(value, RobustStrategy) else RobustStrategy(one_of(StrategyName, "strategy", value))
+    return value if isinstance(value, RobustStrategy) else _by_name(one_of(StrategyName, "strategy", value))
+
+
+@cache
+def _by_name(name: StrategyName) -> RobustStrategy:
+    """With the default parameters; one for all, which nobody can change."""
+    return RobustStrategy(name)

@@ -15,6 +15,7 @@ import math
 from collections.abc import Callable
 from dataclasses import field, fields
 from enum import StrEnum
+from functools import cache
 from numbers import Integral, Real
 from typing import Any, TypeVar
 
@@ -92,10 +93,15 @@ def check_settings(settings: Any, name: str) -> None:
     Raises:
         InvalidInputError: A field has the wrong type or is out of range.
     """
-    for entry in fields(settings):
-        check = entry.metadata.get(_CHECK)
-        if check is not None:
-            object.__setattr__(settings, entry.name, check(f"{name}.{entry.name}", getattr(settings, entry.name)))
+    for field_name, full_name, check in _checks(settings.__class__, name):
+        object.__setattr__(settings, field_name, check(full_name, getattr(settings, field_name)))
+
+
+@cache
+def _checks(kind: type, name: str) -> list[tuple[str, str, Check]]:
+    """Name, name in errors and check of every field that has one."""
+    entries = [(entry.name, entry.metadata.get(_CHECK)) for entry in fields(kind)]
+    return [(entry, f"{name}.{entry}", check) for entry, check in entries if check is not None]
 
 
 def _is(value: Any, kind: type) -> bool:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,7 +59,10 @@ def with_probabilities(
     if not any(turned) and 1.0 - facing >= _WORTH:
         others += turned_alternative(camera_T_object, coefficients, facing)
         turned += [True] * (len(others) - len(turned))
+    if not others:
+        return ()
     odds = np.exp(-_TEMPER * np.array([other.excess for other in others]))
     there = np.array(turned, dtype=bool)
     share = np.where(there, (1.0 - facing) / max(odds[there].sum(), 1e-300), facing / (1.0 + odds[~there].sum()))
-    return tuple(replace(one, probability=float(p)) for one, p in zip(others, share * odds, strict=True))
+    pairs = zip(others, (share * odds).tolist(), strict=True)
+    return tuple(Alternative(one.camera_T_object, one.coefficients, one.excess, p) for one, p in pairs)

@@ -158,13 +158,13 @@ def _result(
     surface = occluder(prior)
     vertices = surface.vertices(coefficients)
     centre = -camera_T_object[:3, :3].T @ camera_T_object[:3, 3]
-    box_size = prior.box_size(coefficients, offsets)
+    box_size = prior.category.box_size(wireframe)
     facing = _facing(part, camera_T_object) if told is None else told
     relative = box_size / problem.model.dimension_mean
     status, message = _status(
         camera_T_object, box_size, relative, facing, alternatives, uncertainty, problem.options, optimum
     )
-    if np.isnan(facing) and part.share == 1.0 and np.isfinite([*camera_T_object.ravel(), optimum.gain]).all():
+    if np.isnan(facing) and part.share == 1.0 and np.isfinite(camera_T_object).all() and np.isfinite(optimum.gain):
         facing = facing_by_energies(camera_T_object, alternatives)
     others = with_probabilities(camera_T_object, coefficients, alternatives, facing)
     reasons: tuple[str, ...] = ()
@@ -259,8 +259,8 @@ def _status(
         return Status.DEGENERATE, f"No vehicle measures {length:.2f} x {width:.2f} x {height:.2f} m."
     if camera_T_object[2, 3] <= 0.0:
         return Status.DEGENERATE, f"The vehicle's origin is behind the camera ({camera_T_object[2, 3]:.2f} m)."
-    turn = float(np.sqrt(np.linalg.eigvalsh(uncertainty.pose[:3, :3])[-1]))
-    if turn > _LOOSE:
+    turned = uncertainty.pose[:3, :3]
+    if np.trace(turned) > _LOOSE**2 and (turn := float(np.sqrt(np.linalg.eigvalsh(turned)[-1]))) > _LOOSE:
         return Status.DEGENERATE, f"The orientation is known to {np.rad2deg(turn):.0f} degrees only (1 sigma)."
     close = [a for a in alternatives if a.excess <= options.ambiguity_margin]
     if close:

@@ -134,6 +134,13 @@ def test_ground_is_normalised():
     assert Ground.level(1.5).distance == 1.5
 
 
+def test_upright_turns_the_cameras_y_axis_onto_the_normal():
+    ground = Ground(np.array([0.1, 2.0, -0.2]), 1.65)
+    np.testing.assert_allclose(ground.upright[:, 1], ground.normal, atol=1e-15)
+    np.testing.assert_allclose(ground.upright @ ground.upright.T, np.eye(3), atol=1e-15)
+    np.testing.assert_array_equal(Ground.level(1.65).upright, np.eye(3))
+
+
 def test_height_sigma_grows_with_the_depth():
     ground = Ground.level(1.65)
     np.testing.assert_allclose(ground.height_sigma_at(np.array([0.0, 40.0])), [0.1, np.hypot(0.1, 0.5)])

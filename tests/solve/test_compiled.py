@@ -13,6 +13,7 @@ from fgrecon.core.options import Options, SearchOptions, ShapeOptions
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.proposals import _polynomial
+from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.starts import _extents
 from fgrecon.solve.track import reconstruct_track
 from fgrecon.solve.vehicle.model import prepare
@@ -117,6 +118,15 @@ def test_extents_and_rays_are_numpys(monkeypatch):
     monkeypatch.setenv("FGRECON_KERNEL", "numpy")
     for one, other in zip(compiled, all_of_it(), strict=True):
         np.testing.assert_allclose(one, other, atol=1e-12)
+
+
+def test_visibility_from_a_pose_is_the_tables():
+    model = prepare(load_prior("car14"))
+    problem = Problem.of(car(0), CAMERA, model, None, Options())
+    assert problem.energy.compiled is not None
+    for angle in np.arange(-3.0, 3.0, 0.4):
+        pose = yaw_pose(angle)
+        np.testing.assert_allclose(problem.energy.visible_from(pose), model.visibility.lookup(pose), atol=1e-12)
 
 
 def test_the_kernel_is_left_alone_where_it_is_not_wanted():

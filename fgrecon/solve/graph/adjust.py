@@ -100,7 +100,7 @@ def start_state(seen: Sequence[Seen], starts: Sequence[PoseEstimate]) -> State:
     shapes = {}
     for number in dict.fromkeys(one.vehicle for one in seen):
         own = [start.coefficients for one, start in zip(seen, starts, strict=True) if one.vehicle == number]
-        shapes[number] = (np.mean(own, axis=0), np.zeros((len(starts[0].weights), 3)))
+        shapes[number] = (sum(own[1:], own[0]) / len(own), np.zeros((len(starts[0].weights), 3)))
     poses = [gtsam.Pose3(start.camera_T_object) for start in starts]
     return State(poses, shapes, [_weights(start) for start in starts])
 
@@ -241,6 +241,8 @@ def _held(
 
 def _distinct(pose: gtsam.Pose3, others: Sequence[Alternative]) -> tuple[Alternative, ...]:
     """Those that are turned against the pose and against each other, best first."""
+    if not others:
+        return ()
     best_first = sorted(others, key=lambda one: one.excess)
     kept = distinct([pose.matrix(), *(other.camera_T_object for other in best_first)])
     return tuple(best_first[i - 1] for i in kept[1:])

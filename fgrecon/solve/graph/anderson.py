@@ -23,6 +23,7 @@ class Anderson:
 
     def __init__(self) -> None:
         """Nothing is known yet."""
+        self._kernel = native("fgrecon.solve._native")
         self._changes: Array | None = None  # (n, D) of f, and
         self._moves: Array | None = None  # what was moved meanwhile
         self._last: Array | None = None
@@ -36,9 +37,8 @@ class Anderson:
         self._last = step
         if self._changes is None or self._moves is None:
             return None
-        kernel = native("fgrecon.solve._native")
-        if kernel is not None:
-            mixed: Array | None = kernel.accelerated(self._changes, self._moves, step, _DAMPED)
+        if self._kernel is not None:
+            mixed: Array | None = self._kernel.accelerated(self._changes, self._moves, step, _DAMPED)
             return mixed
         return _accelerated(self._changes, self._moves, step)
 

@@ -188,7 +188,7 @@ def read_covariances(
     keypoints = shape.derivative @ variables @ shape.derivative.transpose(0, 2, 1)
     if not (np.isfinite(pose).all() and np.isfinite(keypoints).all()):
         return None
-    by_variables = np.tensordot(part.vehicle.model.prior.category.dimension_operator, shape.derivative, axes=2)
+    by_variables = part.vehicle.size_derivative
     count = shape.dims[0] if shape.coefficients_key is not None else 0
     return Covariances(pose, variables[:count, :count], keypoints, by_variables @ variables @ by_variables.T)
 
@@ -251,5 +251,4 @@ def joint_covariance(marginals: gtsam.Marginals | Spread, keys: list[int]) -> Ar
         single: Array = marginals.marginalCovariance(keys[0])
         return single
     joint = marginals.jointMarginalCovariance(gtsam.KeyVector(keys))
-    rows: Array = np.block([[joint.at(a, b) for b in keys] for a in keys])
-    return rows
+    return np.concatenate([np.concatenate([joint.at(a, b) for b in keys], axis=1) for a in keys])

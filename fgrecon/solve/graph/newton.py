@@ -14,7 +14,7 @@ goes alone to where that leads, which is a long way if it is across a plateau.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import gtsam
@@ -183,8 +183,7 @@ class Descent:
         further = steps.propose(step)
         if further is not None and np.abs(further).max() > _LONGEST * length:
             further = None
-        shorter = [share * step for share in _SHORTER]
-        for proposed in (step, *shorter) if further is None else (further, step, *shorter):
+        for proposed in _tries(step, further):
             moved = self.values.retract(newton if proposed is step else self._by_key(newton, proposed))
             if last or built.error(moved) <= energy:
                 steps.took(proposed)
@@ -218,6 +217,15 @@ class Descent:
         moved = self.values.localCoordinates(solution.values).vector()
         self.values = solution.values
         return bool(np.abs(moved).max(initial=0.0) <= self._steady)
+
+
+def _tries(step: Array, further: Array | None) -> Iterator[Array]:
+    """Steps in the order in which they are tried: an accelerated one if there is one, the plain one, shorter ones."""
+    if further is not None:
+        yield further
+    yield step
+    for share in _SHORTER:
+        yield share * step
 
 
 class _Swinging:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import gtsam
 import numpy as np
@@ -126,10 +127,6 @@ class ObservationPart:
         focal = F(image) if focal_free else None
         self.kernel = ProjectionKernel(vehicle.shape, problem.camera.matrix, bound, focal)
         self.compiled = problem.energy.compiled if focal is None else None
-        covariances = keypoint_covariances(problem.observation, problem.options.keypoints)
-        isotropic = problem.observation.covariance is None
-        self._covariances = None if isotropic else covariances
-        self._sigma = float(np.sqrt(covariances[0, 0, 0]))
         self._box_kernel = None
         self._factor: gtsam.CustomFactor | None = None
         self._last: _Assessed | None = None
@@ -139,6 +136,13 @@ class ObservationPart:
                 vehicle.enclosed(box.mean, box.basis), problem.camera.matrix, bound, focal
             )
         self.stacked = self._stacked()
+
+    @cached_property
+    def _noise(self) -> tuple[float, Array | None]:
+        """Standard deviation of the keypoints, pixels, and where they are not isotropic their covariances (K, 2, 2)."""
+        covariances = keypoint_covariances(self.problem.observation, self.problem.options.keypoints)
+        isotropic = self.problem.observation.covariance is None
+        return float(np.sqrt(covariances[0, 0, 0])), None if isotropic else covariances
 
     @property
     def is_robust(self) -> bool:
@@ -301,12 +305,13 @@ class ObservationPart:
 
     def _reprojection(self, weights: Array) -> list[gtsam.NonlinearFactor]:
         pixels = self.problem.observation.keypoints
+        sigma, covariances = self._noise
         if self.problem.options.strategy.loss is not None:
             noises = [
                 factors.keypoint_noise(
                     weight,
-                    self._sigma,
-                    covariance=None if self._covariances is None else self._covariances[i],
+                    sigma,
+                    covariance=None if covariances is None else covariances[i],
                     robust=self._loss(weight),
                 )
                 for i, weight in enumerate(weights.tolist())
@@ -314,8 +319,7 @@ class ObservationPart:
             return list(factors.reprojection_factors(self.kernel, pixels, noises))
         if not (self.problem.observation.measured & (weights >= SMALLEST_WEIGHT)).any():
             return []
-        args = (self.kernel, pixels, weights, self._sigma)
-        return [factors.stacked_reprojection_factor(*args, covariances=self._covariances)]
+        return [factors.stacked_reprojection_factor(self.kernel, pixels, weights, sigma, covariances=covariances)]
 
     def _loss(self, weight: float) -> RobustLoss | None:
         """The m-estimator of a keypoint, with the energy w rho(d) of the proposals.

@@ -90,6 +90,11 @@ class VehiclePart:
             self._enclosed = mean, basis, LinearShape(mean, basis, self.coefficients)
         return self._enclosed[2]
 
+    @cached_property
+    def size_derivative(self) -> Array:
+        """(3, D) derivative of the box's length, width and height by the shape's variables."""
+        return np.tensordot(self.model.prior.category.dimension_operator, self.shape.derivative, axes=2)
+
     @property
     def terms(self) -> Terms:
         """Factors by energy term: one for each thing that is said, as they are shown and tested."""
@@ -107,8 +112,11 @@ class VehiclePart:
         if self.shape.offsets_key is not None:
             values.insert(self.shape.offsets_key, offsets.ravel())
         for key, keypoints in self._planes.items():
-            plane = _medial_plane() if keypoints is None else factors.fit_plane(self.shape.points(values)[keypoints])
-            free = keypoints is not None and self.options.shape.plane_penalty is not None
+            if keypoints is None:
+                values.insert(_medial_plane(key))
+                continue
+            plane = factors.fit_plane(self.shape.points(values)[keypoints])
+            free = self.options.shape.plane_penalty is not None
             values.insert(key, plane.planeCoefficients() if free else plane)
 
     def read(self, values: gtsam.Values) -> Held:
@@ -300,6 +308,9 @@ def _middle(category: Category) -> NDArray[np.intp]:
     return np.flatnonzero(category.mirror == np.arange(category.size))
 
 
-def _medial_plane() -> gtsam.OrientedPlane3:
-    """The plane z = 0 of the object frame."""
-    return gtsam.OrientedPlane3(np.array([0.0, 0.0, 1.0, 0.0]))
+@lru_cache(maxsize=16)
+def _medial_plane(key: int) -> gtsam.Values:
+    """The plane z = 0 of the object frame as values, which GTSAM takes over without looking for their type."""
+    values = gtsam.Values()
+    values.insert(key, gtsam.OrientedPlane3(np.array([0.0, 0.0, 1.0, 0.0])))
+    return values

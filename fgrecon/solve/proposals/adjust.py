@@ -109,7 +109,7 @@ def _adjusted(problem: Problem, initial: Box3D | float | Array | None) -> PoseEs
         camera_T_object=best[0],
         coefficients=result.hypotheses.coefficients[0],
         weights=result.weights[0],
-        visibility=problem.energy.visibility(best[:1])[0],
+        visibility=problem.energy.visible_from(best[0]),
         energy=float(result.energy[0]),
         alternatives=tuple(
             Alternative(best[i], result.hypotheses.coefficients[i], float(result.energy[i] - result.energy[0]))
@@ -186,11 +186,11 @@ def turn_between(first: Array, second: Array) -> float:
 
 def distinct(poses: Sequence[Array] | Array) -> list[int]:
     """Indices of poses (4, 4) that are not within `DISTINCT` of an earlier one."""
-    flat = np.reshape([pose[:3, :3] for pose in poses], (-1, 9))
-    alike = (flat @ flat.T - 1.0) / 2.0 >= np.cos(DISTINCT)
+    flat = np.asarray(poses)[:, :3, :3].reshape(-1, 9)
+    alike = ((flat @ flat.T - 1.0) / 2.0 >= np.cos(DISTINCT)).tolist()
     kept: list[int] = []
-    for i in range(len(flat)):
-        if not alike[i, kept].any():
+    for i, row in enumerate(alike):
+        if not any(row[j] for j in kept):
             kept.append(i)
     return kept
 

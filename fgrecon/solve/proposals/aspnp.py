@@ -97,7 +97,8 @@ def aspnp(
     centroid = w @ points
     X, scale = _scaled(points - centroid, w)
     A, b = _residuals(X, image_points, w)
-    found = _polynomial.minima(_ROWS.T @ (A.T @ A) @ _ROWS, np.tensordot(-2 * b @ A, _FORMS, axes=1), every=every)
+    linear = (-2 * b @ A)[None].dot(_FORMS.reshape(9, 16)).reshape(4, 4)
+    found = _polynomial.minima(_ROWS.T @ (A.T @ A) @ _ROWS, linear, every=every)
 
     squared_length = (found.q * found.q).sum(axis=1)
     r = _polynomial.products(found.q) @ _ROWS.T
@@ -115,7 +116,8 @@ def aspnp(
     for i in kept[rms[kept] <= limit]:
         pose = np.eye(4)
         pose[:3, :3] = r[i].reshape(3, 3) / squared_length[i]
-        ray = np.append((w * relative_depth[i]) @ image_points, 1.0)
+        ray = np.ones(3)
+        ray[:2] = (w * relative_depth[i]) @ image_points
         pose[:3, 3] = ray * (scale / squared_length[i]) - pose[:3, :3] @ centroid
         solutions.append(PnPSolution(pose, total * float(rms[i]) ** 2, float(rms[i]), float(weight_in_front[i])))
     return tuple(solutions)
@@ -154,11 +156,14 @@ def _checked(points: ArrayLike, image_points: ArrayLike, weights: ArrayLike | No
     if (weights < 0).any():
         raise InvalidInputError("weights", float(weights.min()), "Give weights that are not negative.")
     used = weights > 0
-    if np.count_nonzero(used) < 3:
-        found = f"{np.count_nonzero(used)} of {len(points)} above zero"
+    count = np.count_nonzero(used)
+    if count < 3:
+        found = f"{count} of {len(points)} above zero"
         raise DegenerateProblemError("weights", found, "Give at least three points a positive weight.")
-    as_finite("points", np.where(used[:, None], points, 0.0), (None, 3))
-    as_finite("image_points", np.where(used[:, None], image_points, 0.0), (None, 2))
+    if count < len(points):  # whatever the others hold
+        points, image_points = np.where(used[:, None], points, 0.0), np.where(used[:, None], image_points, 0.0)
+    as_finite("points", points, (None, 3))
+    as_finite("image_points", image_points, (None, 2))
     return points[used], image_points[used], weights[used]
 
 

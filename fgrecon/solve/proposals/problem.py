@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -85,8 +86,10 @@ def _check_points(observation: Observation) -> None:
     if len(points) < _FEWEST:
         fix = f"Give at least {_FEWEST} keypoints with a confidence above zero."
         raise DegenerateProblemError("keypoints", f"{len(points)} usable points", fix)
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    if spread[1] < 1e-3 * max(spread[0], 1.0):
+    centred = points - points.sum(axis=0) / len(points)
+    (along, both), (_, across) = (centred.T @ centred).tolist()
+    middle, apart = (along + across) / 2.0, math.hypot((along - across) / 2.0, both)  # squares of the spreads
+    if middle - apart < 1e-6 * max(middle + apart, 1.0):
         raise DegenerateProblemError("keypoints", "all points on one line", "Give keypoints that span an area.")
 
 
@@ -96,12 +99,14 @@ def keypoint_covariances(observation: Observation, options: KeypointOptions) -> 
     Where the detector gives a covariance, a pixel's and a tenth of the general noise is added for what no shape of the
     prior can meet; else the noise is isotropic with the general standard deviation.
     """
-    identity = np.eye(2)
     spread = options.sigma_relative * observation.extent
     if observation.covariance is None:
-        variance = spread**2 + options.sigma_pixels**2
-        return np.broadcast_to(variance * identity, (len(observation.keypoints), 2, 2))
-    return observation.covariance + (0.1 * spread**2 + options.sigma_pixels**2) * identity
+        covariance, added = np.zeros((len(observation.keypoints), 2, 2)), spread**2 + options.sigma_pixels**2
+    else:
+        covariance, added = observation.covariance.copy(), 0.1 * spread**2 + options.sigma_pixels**2
+    covariance[:, 0, 0] += added
+    covariance[:, 1, 1] += added
+    return covariance
 
 
 def _energy(
@@ -111,12 +116,16 @@ def _energy(
     if extent < 1.0:
         raise DegenerateProblemError("keypoints", f"extent {extent:.3g} px", "Give keypoints that are not all one.")
     covariance = keypoint_covariances(observation, options.keypoints)
+    if observation.covariance is None:  # isotropic, which needs no linear algebra
+        whitener = np.eye(2) / np.sqrt(covariance[:, :1, :1])
+    else:
+        whitener = np.linalg.inv(np.linalg.cholesky(covariance))
     keypoints = KeypointTerm(
         mean=model.prior.mean,
         basis=model.prior.basis,
         matrix=camera.matrix,
         pixels=np.where(observation.measured[:, None], observation.keypoints, 0.0),
-        whitener=np.linalg.inv(np.linalg.cholesky(covariance)),
+        whitener=whitener,
         evidence=_evidence(observation, covariance),
         strategy=options.strategy,
     )
@@ -154,7 +163,7 @@ def box_term(observation: Observation, camera: Camera, model: VehicleModel, opti
 
 
 def _evidence(observation: Observation, covariance: Array) -> Evidence:
-    right = np.clip(observation.right, 1.0 - _SURE, _SURE)
+    right = np.minimum(np.maximum(observation.right, 1.0 - _SURE), _SURE)
     box = observation.box
     area = observation.extent**2 if box is None else (box[2] - box[0]) * (box[3] - box[1])
     # Below 1, so that a wrong point never explains a keypoint better than a right one.

@@ -61,6 +61,14 @@ class PoseEnergy:
         """The same energy compiled (`factors._observation.Observation`); None where that cannot evaluate it."""
         return _compile(self)
 
+    def visible_from(self, camera_T_object: Array) -> Array:
+        """(K,) visibility of the keypoints from a pose (4, 4)."""
+        if self.compiled is not None:
+            compiled: Array = self.compiled.visible_from(camera_T_object)
+            return compiled
+        visible: Array = self.visibility(camera_T_object[None])[0]
+        return visible
+
     def evaluate(self, h: Hypotheses, progress: float = 1.0) -> tuple[Quadratic, Array]:
         """Energy, gradient and Gauss-Newton matrix at the hypotheses, and the keypoints' weights (H, K)."""
         total = Quadratic(len(h), 6 + h.coefficients.shape[1])

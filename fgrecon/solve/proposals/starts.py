@@ -55,7 +55,7 @@ def at_azimuths(
         angles = angles + np.arctan2(ray[0], ray[2])
     rotation = yaw_rotation(angles)
     if ground is not None:
-        rotation = _align(ground.normal) @ rotation
+        rotation = ground.upright @ rotation
     low, high, nearest = _extents(model.outline.mean, rotation, ray)
     width, height = (high - low)[:, 0], (high - low)[:, 1]
     # The mean of what width and height say about the depth: a shape unlike the mean errs less so.
@@ -86,7 +86,7 @@ def from_box3d(box: Box3D, model: VehicleModel, ground: Ground | None) -> Hypoth
     """One start at a 3D box, with the coefficients whose box comes closest to its size."""
     rotation = yaw_rotation([box.rotation_y])
     if ground is not None:
-        rotation = _align(ground.normal) @ rotation
+        rotation = ground.upright @ rotation
     coefficients = np.zeros(model.prior.dimension)
     if box.size is not None and len(coefficients):
         basis = model.dimension_basis
@@ -100,11 +100,3 @@ def from_pose(camera_T_object: ArrayLike, dimension: int) -> Hypotheses:
     """Starts at known poses (H, 4, 4) with the mean shape."""
     poses = np.asarray(camera_T_object, dtype=np.float64).reshape(-1, 4, 4)
     return Hypotheses(poses[:, :3, :3].copy(), poses[:, :3, 3].copy(), np.zeros((len(poses), dimension)))
-
-
-def _align(normal: Array) -> Array:
-    """(3, 3) smallest rotation that turns the camera's y axis onto the normal."""
-    x, cosine, z = normal
-    skew = np.array([[0.0, x, 0.0], [-x, 0.0, -z], [0.0, z, 0.0]])  # of the axis (z, 0, -x) = y x normal
-    result: Array = np.eye(3) + skew + skew @ skew / (1.0 + cosine)
-    return result

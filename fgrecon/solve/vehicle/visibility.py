@@ -69,7 +69,7 @@ def clearance(
         (K,) metres from the first hit of the ray from the camera to the keypoint; 0 where nothing lies before it.
     """
     rays = keypoints - camera_centre
-    frame = _view_frame(rays.mean(axis=0))
+    frame = _view_frame(rays.sum(axis=0) / len(rays))
     u, v, z = frame @ (vertices - camera_centre).T
     if z.min() <= 0.0:
         faces = faces[(z > 0.0)[faces].all(axis=1)]
