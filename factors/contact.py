@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from factors.checks import finite_array, unit_vector
-from factors.ground import ground_rows
 from factors.guard import Evaluation, guarded_factor
 from factors.noise import Noise
 
@@ -61,13 +60,14 @@ class GroundFrame:
 
     def turned(self, change: Array) -> tuple[Array, float]:
         """Normal (3,) at a change (3,), and the length that it was divided by."""
-        turned = self.normal + change[1:] @ self.across
-        length = math.sqrt(turned @ turned)
+        turned = self.normal + change[1:].dot(self.across)
+        length = math.sqrt(turned.dot(turned))
         return turned / length, length
 
     def by_turn(self, normal: Array, length: float) -> Array:
         """(3, 2) derivative of the normal by a and b, where `turned` gives this normal and length."""
-        derivative: Array = (np.eye(3) - np.outer(normal, normal)) @ self.across.T / length
+        across = self.across.T / length
+        derivative: Array = across - normal[:, None] * normal.dot(across)
         return derivative
 
 
@@ -96,15 +96,18 @@ class _Contact:
     def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
         pose, change = values.atPose3(self.pose_key).matrix(), values.atVector(self.ground_key)
         normal, length = self.frame.turned(change)
-        distance = self.frame.distance + float(change[0])
-        residual, by_turn = ground_rows(normal, distance, pose[:3, :3], pose[:3, 3])
+        rotation, place = pose[:3, :3], pose[:3, 3]
+        residual = np.empty(4)  # as `ground_rows` has it
+        residual[0] = place.dot(normal) - self.frame.distance - change[0]
+        residual[1:] = rotation[:, 1] - normal
         if not want_jacobian:
             return residual, None
         jacobian = np.zeros((4, 9))
-        jacobian[:, :3] = by_turn
-        jacobian[0, 3:6] = normal @ pose[:3, :3]
-        by_ab = self.frame.by_turn(normal, length)
+        jacobian[1:, 0] = rotation[:, 2]
+        jacobian[1:, 2] = -rotation[:, 0]
+        jacobian[0, 3:6] = normal.dot(rotation)
         jacobian[0, 6] = -1.0
-        jacobian[0, 7:] = pose[:3, 3] @ by_ab
+        by_ab = self.frame.by_turn(normal, length)
+        jacobian[0, 7:] = place.dot(by_ab)
         jacobian[1:, 7:] = -by_ab
         return residual, jacobian

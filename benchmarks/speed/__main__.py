@@ -96,6 +96,10 @@ class Run:
         """Tracks of growing length."""
         return [sections.tracks(self.folder, (15, 50) if self.quick else (15, 50, 200), 1 if self.quick else 2)]
 
+    def scenes(self) -> list[Table]:
+        """Images of several cars."""
+        return [sections.scenes((2, 5, 10), 4 if self.quick else 20, self.repeats)]
+
     def results(self) -> list[Table]:
         """How far results are from converged."""
         count, prior = 2 if self.quick else 10, load_prior("car14")
@@ -114,6 +118,7 @@ PARTS: dict[str, Callable[[Run], list[Table]]] = {
     "versions": Run.versions,
     "large": Run.large,
     "tracks": Run.tracks,
+    "scenes": Run.scenes,
     "results": Run.results,
     "steady": Run.steady,
 }

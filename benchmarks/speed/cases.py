@@ -103,6 +103,26 @@ def marked_cars(count: int) -> list[Case]:
     return [Case(one, cars.camera, size="apollo79", ground=None, box_model="surface") for one in seen]
 
 
+def streets(cars: int, count: int) -> list[list[Case]]:
+    """Images of so many simulated cars on one road, which goes up or down by a degree or so from the camera."""
+    fleet, rng = load_prior("car14").for_fleet(SIZE_PRIORS[SIZE]), np.random.default_rng(cars)
+    found: list[list[Case]] = []
+    for _ in range(count):
+        pitch, street = np.radians(rng.normal(0.0, 1.0)), list[Case]()
+        turn = np.eye(4)
+        turn[1:3, 1:3] = [[np.cos(pitch), -np.sin(pitch)], [np.sin(pitch), np.cos(pitch)]]
+        while len(street) < cars:
+            place = np.array([rng.uniform(-8.0, 8.0), GROUND_HEIGHT, rng.uniform(8.0, 40.0)])
+            pose = turn @ yaw_pose(rng.uniform(-np.pi, np.pi), place)
+            try:
+                observation, _ = simulate(Vehicle.sample(fleet, rng), KITTI_CAMERA, pose, rng, HARD)
+            except FgreconError:
+                continue
+            street.append(Case(observation, KITTI_CAMERA, box_model="surface"))
+        found.append(street)
+    return found
+
+
 def drive(images: int) -> list[Case]:
     """One car for as many images as wanted: it swerves ahead of the camera, nearer and farther."""
     fleet, rng = load_prior("car14").for_fleet(SIZE_PRIORS[SIZE]), np.random.default_rng(1)

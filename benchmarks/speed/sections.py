@@ -8,11 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.speed.arms import NUMPY
-from benchmarks.speed.cases import Case, drive, write_cases
-from benchmarks.speed.measure import Arm, Table, interleaved, timing_rows
+from benchmarks.speed.cases import Case, drive, streets, write_cases
+from benchmarks.speed.measure import Arm, Clock, Table, clock, interleaved, timing_rows
 from benchmarks.speed.stages import Car, solvers, stages
+from fgrecon.core.options import Options
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.paper.icra2017_release import import_icra2017, load_icra2017_example
+from fgrecon.solve.pipeline import reconstruct
+from fgrecon.solve.scene import reconstruct_scene
 
 PEERS = ("sqpnp_confident", "poselib_ransac", "aspnp")
 
@@ -72,6 +75,36 @@ def tracks(folder: Path, lengths: Sequence[int], repeats: int) -> Table:
         table.rows.append([str(length), *row])
     table.notes.append("Memory: the most that the process took during the track over what it had after one image.")
     return table
+
+
+def scenes(counts: Sequence[int], images: int, repeats: int) -> Table:
+    """Whether cars on one ground cost about what they cost one by one."""
+    columns = ("cars in the image", "images", "CPU ms: median", "p95", "one by one: median", "in cars, median", "p95")
+    table = Table("Scenes: cars of one image on one ground", columns)
+    for count in counts:
+        streets_ = streets(count, images)
+        rows = {
+            name: [_scene(street, together=name == "together") for street in streets_] for name in ("alone", "together")
+        }
+        for run in [run for calls in rows.values() for run in calls[:2]]:
+            run()  # which warms every cache
+        taken = {name: times.min(axis=1)[:, 0] for name, times in interleaved(rows, repeats).items()}
+        p50, p95 = np.percentile(taken["together"], (50, 95))
+        in_cars = np.percentile(count * taken["together"] / taken["alone"], (50, 95))
+        table.rows.append([str(count), str(images), *map(float, (p50, p95, np.median(taken["alone"]), *in_cars))])
+    table.notes.append(
+        "In cars: CPU time of `reconstruct_scene` over that of `reconstruct` for one car, the mean of the image's."
+    )
+    return table
+
+
+def _scene(street: Sequence[Case], *, together: bool) -> Clock:
+    first, seen = street[0], [case.observation for case in street]
+    settings = {"ground": first.ground, "size_prior": first.size, "prior": first.prior}
+    options = Options(keep_history=False)
+    if together:
+        return clock(lambda: reconstruct_scene(seen, first.camera, options=options, **settings))
+    return clock(lambda: [reconstruct(one, first.camera, options=options, **settings) for one in seen])
 
 
 def equal(kinds: dict[str, Sequence[Car]]) -> Table:

@@ -117,6 +117,8 @@ def each_alone(
     plane: Ground | None,
     options: Options,
     known: Sequence[KnownBox | None] | None = None,
+    *,
+    steady: float | None = None,
 ) -> Tried:
     """Solve vehicles one by one.
 
@@ -127,6 +129,7 @@ def each_alone(
         plane: The ground, or None.
         options: Settings.
         known: What a detector's box says of each, whose size takes the place of the fleet's; or None.
+        steady: Where the solves end, as `optimise` has it.
     """
     alone: dict[int, Alone] = {}
     refused: dict[int, FgreconError] = {}
@@ -142,7 +145,7 @@ def each_alone(
         except FgreconError as error:
             refused[number] = error
             continue
-        alone[number] = Alone(problem, start, adjust([Seen(problem)], [start]))
+        alone[number] = Alone(problem, start, adjust([Seen(problem)], [start], steady=steady))
     return Tried(camera, alone, refused)
 
 

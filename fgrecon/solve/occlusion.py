@@ -23,34 +23,42 @@ Array = NDArray[np.float64]
 
 def with_occlusion(results: Sequence[Reconstruction]) -> tuple[Reconstruction, ...]:
     """The vehicles of one image, whose keypoints are as visible as the nearer of them leave them."""
+    if len(results) < 2:
+        return tuple(results)
     placed = [_placed(result) for result in results]
     told = []
     for here, result in enumerate(results):
         points = result.wireframe @ result.camera_T_object[:3, :3].T + result.camera_T_object[:3, 3]
-        seen = result.visibility
-        for there, (other, vertices) in enumerate(zip(results, placed, strict=True)):
-            if there == here or vertices is None or not other.location[2] < result.location[2]:
+        pixels, depth, seen = _projected(points), result.location[2], result.visibility
+        for there, (other, front) in enumerate(zip(results, placed, strict=True)):
+            if there == here or front is None or pixels is None or not other.location[2] < depth:
                 continue
-            if not _overlap(points, vertices):
-                continue
+            vertices, (low, high) = front
+            if not ((pixels >= low) & (pixels <= high)).all(axis=1).any():
+                continue  # the rectangle around its image covers none
             assert other.surface_faces is not None
             seen = seen * probability(clearance(vertices, other.surface_faces, points, np.zeros(3)))
         told.append(result if seen is result.visibility else replace(result, visibility=seen))
     return tuple(told)
 
 
-def _placed(result: Reconstruction) -> Array | None:
-    """(V, 3) surface in the camera's frame; None where there is none, or not wholly in front of the camera."""
+def _placed(result: Reconstruction) -> tuple[Array, tuple[Array, Array]] | None:
+    """(V, 3) surface in the camera's frame, and the corners (2,) of the rectangle around its image.
+
+    None where there is none, or it is not wholly in front of the camera.
+    """
     if result.surface_vertices is None or not np.isfinite(result.camera_T_object).all():
         return None
     vertices: Array = result.surface_vertices @ result.camera_T_object[:3, :3].T + result.camera_T_object[:3, 3]
-    return vertices if vertices[:, 2].min() > MIN_DEPTH else None
+    if not vertices[:, 2].min() > MIN_DEPTH:
+        return None
+    around = vertices[:, :2] / vertices[:, 2:]
+    return vertices, (around.min(axis=0), around.max(axis=0))
 
 
-def _overlap(points: Array, vertices: Array) -> bool:
-    """Whether a surface (V, 3) may cover some of points (K, 3), by the rectangle around its image."""
+def _projected(points: Array) -> Array | None:
+    """(K, 2) where points (K, 3) are seen at a focal length of 1; None where they are not all before the camera."""
     if not (np.isfinite(points).all() and points[:, 2].min() > 0.0):
-        return False
-    seen, around = points[:, :2] / points[:, 2:], vertices[:, :2] / vertices[:, 2:]
-    inside = (seen >= around.min(axis=0)) & (seen <= around.max(axis=0))
-    return bool(inside.all(axis=1).any())
+        return None
+    seen: Array = points[:, :2] / points[:, 2:]
+    return seen

@@ -4,7 +4,7 @@
     F(0) keypoints, box --- X(2,0) --- contact --- G(0) --- prior (what is known of the mount)
     +--- keypoints, box --- X(3,0) --- contact ---+
 
-Every vehicle is first solved alone; `fgrecon.solve.standing` is about the ground.
+Every vehicle is first solved alone, nearly to the end; `fgrecon.solve.standing` is about the ground.
 
 Where the focal length is not known it is the variable F(0) of all keypoints and boxes (`fgrecon.solve.focal`), also of
 several images that one camera took, each with a ground of its own. Vehicles of which another detector has a 3D box have
@@ -52,6 +52,14 @@ from fgrecon.solve.vehicle.model import VehicleModel, prepare
 __all__ = ["reconstruct_scene", "reconstruct_scenes"]
 
 Array = NDArray[np.float64]
+
+_STEADY_ALONE = 1e-4
+"""Where vehicles that are about to be solved together end alone, as `optimise` has it: near enough for the same basins.
+
+Where they end much earlier (1e-3) other visibilities are held where those swing, and one box in a hundred moves by more
+than a centimetre."""
+_STEADY = 3e-6
+"""The same of the scene: some micrometres."""
 
 
 @single_threaded
@@ -156,7 +164,8 @@ def _reconstruct(
     image_of = [image for image, some in enumerate(images) for _ in some]
     observations = [one for some in images for one in some]
     started = perf_counter()
-    tried = [each_alone(observations, one, model, plane, options, boxed) for one in candidates(known)]
+    steady = _STEADY_ALONE if len(observations) > 1 or known.focal_sigma else None
+    tried = [each_alone(observations, one, model, plane, options, boxed, steady=steady) for one in candidates(known)]
     energies = energies_of(tried, known)
     found = perf_counter()
     told = _solved([tried[i] for i in starts(energies)], image_of, known, plane, options)
@@ -164,8 +173,12 @@ def _reconstruct(
         alone = tried[min(range(len(tried)), key=lambda i: (energies[i], abs(log_ratio(tried[i].camera, known))))]
         told = _Told({}, {}, known, (), (), alone)
     alone = told.alone
-    each = {number: _result(one) for number, one in alone.vehicles.items() if number not in told.results}
-    each |= told.results
+    each = dict(told.results)
+    left = [number for number in alone.vehicles if number not in each]
+    if left:  # these are solved alone after all, to the end
+        known_of = None if boxed is None else [boxed[number] for number in left]
+        ended = each_alone([observations[number] for number in left], alone.camera, model, plane, options, known_of)
+        each |= {left[i]: _result(one) for i, one in ended.vehicles.items()}
     milliseconds = {"alone": (found - started) * 1e3, "together": (perf_counter() - found) * 1e3}
     scenes, first = [], 0
     for image, some in enumerate(images):
@@ -299,7 +312,7 @@ def _together(
     )
     extra = [*(contact for one in standing.values() for contact in one.contacts.values()), *priors]
     graph = Graph(seen, state, pose_free=True, extra=extra)
-    optimum = optimise(graph, state)
+    optimum = optimise(graph, state, steady=_STEADY)
     if optimum.failure is not None:
         return None
     return _Joint(alone, seen, graph, optimum, extra, standing)

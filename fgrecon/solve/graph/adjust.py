@@ -70,6 +70,7 @@ def adjust(
     extra: Sequence[gtsam.NonlinearFactor] = (),
     *,
     in_order: bool = False,
+    steady: float | None = None,
 ) -> Adjusted:
     """Minimise the full energy from the proposals.
 
@@ -79,6 +80,7 @@ def adjust(
         extra: Factors of the caller's own.
         in_order: Whether the images of a vehicle were taken one after the other, so that it is seldom turned round from
             one to the next.
+        steady: Where the solves end, as `optimise` has it.
 
     Returns:
         The result. Where the start is behind the camera or a system is singular, the state so far and why.
@@ -89,9 +91,9 @@ def adjust(
     start = start_state(seen, starts)
     if extra:  # refuses those on variables that there are not, whatever the stages hold
         Graph(seen, start, pose_free=True, extra=extra)
-    best = _run(seen, start, extra)
+    best = _run(seen, start, extra, steady)
     if len(seen) == 1:
-        return _decide(seen, best, starts[0], extra)
+        return _decide(seen, best, starts[0], extra, steady)
     return _change_over(seen, best, starts, extra, in_order=in_order)
 
 
@@ -115,13 +117,15 @@ def _stage_names(options: Options) -> tuple[str, ...]:
     return ("shape", "joint") if options.strategy.is_paper else ("joint",)
 
 
-def _run(seen: Sequence[Seen], start: State, extra: Sequence[gtsam.NonlinearFactor]) -> Adjusted:
+def _run(
+    seen: Sequence[Seen], start: State, extra: Sequence[gtsam.NonlinearFactor], steady: float | None = None
+) -> Adjusted:
     """All stages from one state."""
     stages: list[SolvedStage] = []
     iterations, gain, state = 0, 0.0, start
     for name in _stage_names(seen[0].problem.options):
         graph = Graph(seen, state, pose_free=name == "joint", extra=extra)
-        optimum = optimise(graph, state)
+        optimum = optimise(graph, state, steady=steady)
         stages.append(SolvedStage(name, graph, optimum.steps))
         iterations, gain, state = iterations + optimum.iterations, gain + optimum.gain, optimum.state
         if optimum.failure is not None:
@@ -135,13 +139,17 @@ def _matter(start: PoseEstimate) -> list[Alternative]:
 
 
 def _decide(
-    seen: Sequence[Seen], first: Adjusted, start: PoseEstimate, extra: Sequence[gtsam.NonlinearFactor]
+    seen: Sequence[Seen],
+    first: Adjusted,
+    start: PoseEstimate,
+    extra: Sequence[gtsam.NonlinearFactor],
+    steady: float | None,
 ) -> Adjusted:
     """One car in one image: refine the other proposals, and take the one of least energy."""
     refined = [first]
     for other in _matter(start):
         moved = replace(start, camera_T_object=other.camera_T_object, coefficients=other.coefficients)
-        refined.append(_run(seen, start_state(seen, [moved]), extra))
+        refined.append(_run(seen, start_state(seen, [moved]), extra, steady))
     solved = [one for one in refined if one.optimum.failure is None]
     if not solved:
         return first

@@ -45,6 +45,7 @@ _MOST = 30  # iterations after that
 _SHORTER = (0.3, 0.1)  # of a plain step that goes up
 _RESCUE = 20  # iterations of Levenberg-Marquardt in place of a bad step
 _LONGEST = 20.0  # times the plain step that an accelerated one may go
+_SMALL = 1e-4  # a step of a scene that is smaller, and smaller than the one before, is not judged by the energy
 _RESCUED = 8  # times in a row that it takes over: nothing will determine such a problem any more
 _RISE = 1e-10  # relative rise of the energy that is none: near the end it is too coarse to judge a step by
 _TOLERANCE = 1e-12  # of Levenberg-Marquardt's, relative decrease
@@ -79,8 +80,8 @@ class Descent:
         converged: Whether the last step was `STEADY`, or where steps leap over a crease of the energy, gained nothing.
     """
 
-    def __init__(self, graph: Graph, start: State, most: int | None = None) -> None:
-        """Begin at a state of a graph that `is_robust`; `most` steps are made where a number is given."""
+    def __init__(self, graph: Graph, start: State, most: int | None = None, steady: float | None = None) -> None:
+        """Begin at a state of a graph that `is_robust`; `most` and `steady` are as `optimise` has them."""
         self.most = most
         self.graph = graph
         self.values = graph.values(start)
@@ -95,7 +96,7 @@ class Descent:
         self._rescued = 0
         self._swinging = _Swinging(len(start.weights))
         self._shared = not start.others.empty()
-        self._steady = STEADY if len(start.weights) == 1 else STEADY_TOGETHER
+        self._steady = (STEADY if len(start.weights) == 1 else STEADY_TOGETHER) if steady is None else steady
 
     def run(self) -> None:
         """Go to a minimum.
@@ -105,7 +106,7 @@ class Descent:
         """
         self.weights = self.graph.reweigh(self.values, self.weights, 1.0)
         self.first = self._energy() if self.most is None else float("inf")
-        best = self.first, self.values, self.weights
+        states = [(self.values, self.weights)]
         steps = Anderson()
         for iteration in range(_FOLLOWED):
             self.converged = self._iterate(steps)
@@ -117,10 +118,11 @@ class Descent:
             self._record()
             if self.converged or self._rescued >= _RESCUED or self.iterations == self.most:
                 return
-            if iteration >= _FOLLOWED // 2 and (energy := self._energy()) < best[0]:
-                best = energy, self.values, self.weights
-        if best[0] < self._energy():
-            _, self.values, self.weights = best
+            if iteration >= _FOLLOWED // 2:
+                states.append((self.values, self.weights))  # most end before their energies are asked for
+        energies = [self.first, *(self._energy_at(*state) for state in states[1:])]
+        if (least := min(energies)) < energies[-1]:
+            self.values, self.weights = states[energies.index(least)]
         self._settle()
 
     def _settle(self) -> None:
@@ -157,7 +159,10 @@ class Descent:
             self.weights[index] = loop.weights[0]
 
     def _energy(self) -> float:
-        return sum(self.graph.energies(self.values, self.weights).values())
+        return self._energy_at(self.values, self.weights)
+
+    def _energy_at(self, values: gtsam.Values, weights: Sequence[Weights]) -> float:
+        return sum(self.graph.energies(values, weights).values())
 
     def _record(self) -> None:
         if self.graph.options.keep_history:
@@ -178,14 +183,16 @@ class Descent:
             return self._rescue(built, steps)
         step = newton.vector()
         length = float(np.abs(step).max(initial=0.0))
-        last = self._is_last(length)  # nobody asks what it does to the energy
-        energy = np.inf if last else built.error(self.values) * (1.0 + _RISE) + _RISE
+        before = self._lengths[1]
+        last = self._is_last(length)
+        trusted = last or (self._shared and length < min(_SMALL, before))  # nobody asks what it does to the energy
+        energy = np.inf if trusted else built.error(self.values) * (1.0 + _RISE) + _RISE
         further = steps.propose(step)
         if further is not None and np.abs(further).max() > _LONGEST * length:
             further = None
         for proposed in _tries(step, further):
             moved = self.values.retract(newton if proposed is step else self._by_key(newton, proposed))
-            if last or built.error(moved) <= energy:
+            if trusted or built.error(moved) <= energy:
                 steps.took(proposed)
                 self.values, self._rescued = moved, 0
                 return last

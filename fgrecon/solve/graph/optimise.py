@@ -81,7 +81,7 @@ class Optimum:
         return sum(self.energies.values())
 
 
-def optimise(graph: Graph, start: State, most: int | None = None) -> Optimum:
+def optimise(graph: Graph, start: State, most: int | None = None, steady: float | None = None) -> Optimum:
     """Minimise a graph's energy from a state.
 
     Args:
@@ -89,11 +89,13 @@ def optimise(graph: Graph, start: State, most: int | None = None) -> Optimum:
         start: Where to start, every keypoint in front of its camera.
         most: Make no more of Newton's steps than that, and tell no energies: for a start near the minimum, which is to
             be come closer to.
+        steady: End where the next of Newton's steps will move no variable by more: for an end from which another graph
+            goes on. None for the minimum itself.
 
     Returns:
         The end. Where the start is behind the camera or a system is singular, the state so far and why.
     """
-    loop = Descent(graph, start, most) if graph.is_robust else _Loop(graph, start)
+    loop = Descent(graph, start, most, steady) if graph.is_robust else _Loop(graph, start)
     failure = None
     try:
         graph.check_in_front(loop.values)

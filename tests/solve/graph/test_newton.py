@@ -10,7 +10,7 @@ from fgrecon.solve.graph.adjust import start_state
 from fgrecon.solve.graph.anderson import Anderson
 from fgrecon.solve.graph.graph import Graph, Seen
 from fgrecon.solve.graph.newton import Descent
-from fgrecon.solve.graph.optimise import _Loop
+from fgrecon.solve.graph.optimise import _Loop, optimise
 from tests.solve.graph.support import half_a_car, problem_of
 
 
@@ -43,6 +43,16 @@ def test_the_end_is_where_re_weighting_stays(seed, settings):
     assert loop.energy() == pytest.approx(energy, abs=1e-8)
     (again,) = graph.reweigh(descent.values, descent.weights, 1.0)
     np.testing.assert_allclose(again.visibility, descent.weights[0].visibility, atol=1e-9)  # followed to the end
+
+
+def test_an_end_before_the_minimum_is_near_it_and_takes_fewer_steps():
+    problem, proposal = problem_of(0)
+    start = start_state([Seen(problem)], [proposal])
+    near, end = (
+        optimise(Graph([Seen(problem)], start, pose_free=True), start, steady=steady) for steady in (1e-2, None)
+    )
+    assert near.iterations < end.iterations
+    assert 0.0 <= near.energy - end.energy < 0.05
 
 
 def test_the_energy_is_lower_than_at_the_start_and_every_iterate_is_kept():
