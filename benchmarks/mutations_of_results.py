@@ -199,14 +199,6 @@ DISCARDED = (
         red=5,
     ),
     Mutation(
-        "searched-on-for-nothing",
-        "what is found from a result that rests on few keypoints is not taken",
-        ADJUST,
-        (("        best = lowest\n", "        pass\n"),),
-        (TEST_WIDER,),
-        red=4,
-    ),
-    Mutation(
         "worst-proposal-wins",
         "of the refined proposals the one with the highest energy is the result",
         ADJUST,

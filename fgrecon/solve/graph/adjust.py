@@ -35,9 +35,10 @@ __all__ = ["Adjusted", "SolvedStage", "adjust", "start_state"]
 _MATTERS = 12.0
 """Nats: a proposal that is worse by more is not refined. Refinement changes differences by 3 nats at most, mostly by
 less than one."""
-_FEW = 5.0  # keypoints' weight: a pose has six unknowns, which leaves four equations for the shape
+_FEW = 4.0  # keypoints' weight: a pose has six unknowns, which leaves two equations for the shape
 _FEW_OF_SOME = 7.0  # the same where not even `_MOST_MEASURED` of the keypoints were: fewer could contradict the pose
 _MOST_MEASURED = 0.75
+_NOTHING = 0.3  # keypoints that the detector holds right, in all: with less there is nothing to find
 _AGAIN = 3  # searches from there at most, each from a better pose than the one before
 _BETTER = 0.5  # nats: what is lower by less is no other result
 _ROUNDS = 3  # of images that change over to another proposal
@@ -209,6 +210,8 @@ def _rests_on_few(problem: Problem, optimum: Optimum) -> bool:
     options = problem.options
     if options.strategy.name is not StrategyName.MIXTURE or not options.shape.joint:
         return False  # weights are no probabilities, or the pose is the proposal's
+    if float(problem.energy.keypoints.evidence.right.sum()) < _NOTHING:
+        return False
     most = float(problem.observation.measured.mean()) > _MOST_MEASURED
     return float(optimum.state.weights[0].keypoints.sum()) < (_FEW if most else _FEW_OF_SOME)
 

@@ -6,7 +6,7 @@ a minimum faces the same way as the one that was found, and the mean shape has n
 keypoints is known only at its end.
 
 A keypoint that the result takes for wrong pulls at nothing, so that no start comes to where it is right unless it is
-close by. Each that may be right is therefore taken for right as well, whatever that costs, and the search goes on from
+close by. Each of those that may be right is therefore taken for right, whatever that costs, and the search goes on from
 there with the true energy.
 """
 
@@ -34,6 +34,7 @@ _TOLD, _TOLD_KEEP = 6, {3: 6}  # the same for each keypoint that is taken for ri
 _EACH = 12  # starts in the box and about the pose for each of them
 _LAST = 8  # iterations of all that are left
 _WRONG, _PERHAPS = 0.5, 0.1  # less weight is wrong; what is less probably right is not taken for it
+_MOST_TOLD = 4  # keypoints, the most probable ones
 _NEVER = 1e-200  # density of a wrong point that leaves no other explanation, and a logarithm
 _MOST = 3  # poses that are told
 _LOWER = 0.3  # nats: the graph, which has more freedom, lowers the energy by as much in the same place
@@ -65,7 +66,8 @@ def lower_poses(problem: Problem, camera_T_object: Array, coefficients: Array, a
     left = [search(problem.energy, starts(_ALL_ROUND, _ABOUT), _FIRST, _KEEP).hypotheses]
     each = starts(_EACH, _EACH)
     right = problem.energy.keypoints.evidence.right
-    for keypoint in np.flatnonzero((weights[0] < _WRONG) & (right > _PERHAPS)).tolist():
+    wrong = np.flatnonzero((weights[0] < _WRONG) & (right > _PERHAPS))
+    for keypoint in wrong[np.argsort(-right[wrong], kind="stable")][:_MOST_TOLD].tolist():
         told = _taken_for_right(problem.energy, keypoint)
         left.append(search(told, each, _TOLD, _TOLD_KEEP).hypotheses)
     found = search(problem.energy, _joined(left), _LAST, {})

@@ -15,6 +15,7 @@ from fgrecon.solve.graph import adjust as module
 from fgrecon.solve.graph.adjust import adjust
 from fgrecon.solve.graph.graph import Seen
 from fgrecon.solve.proposals.adjust import adjust_pose, turn_between
+from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.terms import Hypotheses
 from fgrecon.solve.proposals.wider import lower_poses
 from tests.solve.graph.support import problem_of
@@ -56,13 +57,16 @@ def test_results_that_many_keypoints_carry_are_what_they_were(monkeypatch):
         assert found.optimum.state.weights[0].keypoints.sum() > 5.0
 
 
-@pytest.mark.parametrize("why", ["nothing", "strategy", "joint", "guess", "factors"])
+@pytest.mark.parametrize("why", ["nothing", "strategy", "joint", "guess", "factors", "no belief"])
 def test_it_is_not_searched_on_where_that_is_not_meant(monkeypatch, why):
     called = []
     monkeypatch.setattr(module, "lower_poses", lambda *_: called.append(1) or [])
     one = few(5, "nothing", "hard", 33, strategy="huber" if why == "strategy" else "mixture")
     if why == "joint":
         one = replace(one, options=replace(one.options, shape=ShapeOptions(joint=False)))
+    if why == "no belief":
+        unsure = replace(one.observation, confidence=np.full(14, 0.02))
+        one = Problem.of(unsure, one.camera, one.model, one.ground, one.options)
     start = adjust_pose(one, 0.3 if why == "guess" else None)
     extra = [gtsam.PriorFactorVector(L(0), np.zeros(5), gtsam.noiseModel.Unit.Create(5))] if why == "factors" else []
     adjust([Seen(one)], [start], extra)
