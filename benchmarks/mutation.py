@@ -36,6 +36,7 @@ __all__ = [
     "TEST_TRACK",
     "TEST_VISIBILITY",
     "TEST_WEIGHTS",
+    "TEST_WIDER",
     "VEHICLE",
     "VISIBILITY",
     "Mutation",
@@ -87,6 +88,7 @@ TEST_ADJUST = "tests/solve/graph/test_adjust.py"
 TEST_WEIGHTS = "tests/solve/graph/test_weights.py"
 TEST_OPTIMISE = "tests/solve/graph/test_optimise.py"
 TEST_BASINS = "tests/solve/graph/test_basins.py"
+TEST_WIDER = "tests/solve/graph/test_wider.py"
 TEST_FACING = "tests/solve/graph/test_facing.py"
 TEST_COVARIANCE = "tests/solve/graph/test_covariance.py"
 TEST_EXTRA = "tests/solve/test_extra_factors.py"

@@ -25,6 +25,7 @@ from benchmarks.mutation import (
     TEST_STATUS,
     TEST_TRACK,
     TEST_WEIGHTS,
+    TEST_WIDER,
     VEHICLE,
     Mutation,
 )
@@ -182,12 +183,20 @@ DISCARDED = (
         ADJUST,
         (
             (
-                "    refined = [first]\n    for other in _matter(start):",
-                "    refined = [first]\n    for other in _matter(start)[:0]:",
+                "for one in [first, *map(refine, _matter(start))]",
+                "for one in [first, *map(refine, _matter(start)[:0])]",
             ),
         ),
         (TEST_BASINS, TEST_EXTRA),
         red=2,
+    ),
+    Mutation(
+        "never-searched-on",
+        "a result that rests on few keypoints is taken as it is",
+        ADJUST,
+        (("        if not _rests_on_few(", "        if True or not _rests_on_few("),),
+        (TEST_WIDER,),
+        red=5,
     ),
     Mutation(
         "worst-proposal-wins",
@@ -241,7 +250,12 @@ DISCARDED = (
         "extra-factors-not-in-alternatives",
         "the other proposals are refined without the caller's factors",
         ADJUST,
-        (("start_state(seen, [moved]), extra))", "start_state(seen, [moved]), ()))"),),
+        (
+            (
+                "return _run(seen, start_state(seen, [moved]), extra, steady)",
+                "return _run(seen, start_state(seen, [moved]), (), steady)",
+            ),
+        ),
         (TEST_EXTRA,),
     ),
     Mutation(

@@ -1,6 +1,7 @@
 """From proposals to the minimum: every basin that matters is refined in the graph, and the full energy decides.
 
 One car in one image: each proposal that came close is refined with a shape of its own, and the lowest energy wins.
+Where that rests on few keypoints, it is searched once more from there (`fgrecon.solve.proposals.wider`).
 Where a vehicle is seen in several images, its shape is everybody's: the best proposals are solved together; then every
 image's other proposals are refined with that shape held, a discrete graph over the images decides between them
 (`fgrecon.solve.graph.facing`), and where an image changes over everything is solved once more.
@@ -11,7 +12,7 @@ of the paper solve at the fixed pose first (section III-C).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -20,17 +21,26 @@ from numpy.typing import NDArray
 
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Alternative
+from fgrecon.core.robust import StrategyName
 from fgrecon.solve.graph.facing import decide, is_turned
 from fgrecon.solve.graph.graph import Graph, Seen, State
 from fgrecon.solve.graph.observation import Weights
 from fgrecon.solve.graph.optimise import Optimum, Step, optimise
 from fgrecon.solve.proposals.adjust import DISTINCT, PoseEstimate, distinct, turn_between
+from fgrecon.solve.proposals.problem import Problem
+from fgrecon.solve.proposals.wider import lower_poses
 
 __all__ = ["Adjusted", "SolvedStage", "adjust", "start_state"]
 
 _MATTERS = 12.0
 """Nats: a proposal that is worse by more is not refined. Refinement changes differences by 3 nats at most, mostly by
 less than one."""
+_FEW = 4.0  # keypoints' weight: a pose has six unknowns, which leaves two equations for the shape
+_FEW_OF_SOME = 7.0  # the same where not even `_MOST_MEASURED` of the keypoints were: fewer could contradict the pose
+_MOST_MEASURED = 0.75
+_NOTHING = 0.3  # keypoints that the detector holds right, in all: with less there is nothing to find
+_AGAIN = 3  # searches from there at most, each from a better pose than the one before
+_BETTER = 0.5  # nats: what is lower by less is no other result
 _ROUNDS = 3  # of images that change over to another proposal
 _HALF_TURN = np.diag([-1.0, 1.0, -1.0, 1.0])  # about the object's own y axis
 
@@ -62,6 +72,17 @@ class Adjusted:
     def graph(self) -> Graph:
         """The graph of the last stage."""
         return self.stages[-1].graph
+
+    @property
+    def settled_energy(self) -> float:
+        """Energy at the visibility of the end's own poses, nats.
+
+        That of `optimum` is at the visibility that it was held at. Where visibility swings this belongs to other
+        poses, and ends of different starts cannot be compared by it.
+        """
+        values = self.optimum.values
+        weights = self.graph.reweigh(values, self.optimum.state.weights, 1.0)
+        return sum(self.graph.energies(values, weights).values())
 
 
 def adjust(
@@ -146,25 +167,61 @@ def _decide(
     steady: float | None,
 ) -> Adjusted:
     """One car in one image: refine the other proposals, and take the one of least energy."""
-    refined = [first]
-    for other in _matter(start):
+
+    def refine(other: Alternative) -> Adjusted:
         moved = replace(start, camera_T_object=other.camera_T_object, coefficients=other.coefficients)
-        refined.append(_run(seen, start_state(seen, [moved]), extra, steady))
-    solved = [one for one in refined if one.optimum.failure is None]
+        return _run(seen, start_state(seen, [moved]), extra, steady)
+
+    solved = [one for one in [first, *map(refine, _matter(start))] if one.optimum.failure is None]
     if not solved:
         return first
     best = min(solved, key=lambda one: one.optimum.energy)
+    least = -np.inf
+    if start.everywhere and not extra:  # of which the search knows nothing
+        best, more = _searched_on(seen[0], best, refine)
+        solved += more
+        least = 0.0 if more else least  # what is lower by so little that it is no other result
     others = [
         Alternative(
             one.optimum.state.poses[0].matrix(),
             one.optimum.state.shapes[seen[0].vehicle][0],
-            one.optimum.energy - best.optimum.energy,
+            max(one.optimum.energy - best.optimum.energy, least),
         )
         for one in solved
         if one is not best
     ]
     left = [other for other in start.alternatives if not other.excess <= _MATTERS]
     return replace(best, alternatives=(_distinct(best.optimum.state.poses[0], [*others, *left]),))
+
+
+def _searched_on(
+    one: Seen, best: Adjusted, refine: Callable[[Alternative], Adjusted]
+) -> tuple[Adjusted, list[Adjusted]]:
+    """A result that rests on few keypoints, or a better one that is found from there; and all that was refined."""
+    tried: list[Adjusted] = []
+    for again in range(_AGAIN):
+        if not _rests_on_few(one.problem, best.optimum):
+            break
+        state = best.optimum.state
+        lower = lower_poses(one.problem, state.poses[0].matrix(), state.shapes[one.vehicle][0], again)
+        refined = [other for other in map(refine, lower) if other.optimum.failure is None]
+        tried += refined
+        lowest = min(refined, key=lambda other: other.settled_energy, default=best)
+        if not lowest.settled_energy < best.settled_energy - _BETTER:
+            break
+        best = lowest
+    return best, tried
+
+
+def _rests_on_few(problem: Problem, optimum: Optimum) -> bool:
+    """Whether so few keypoints carry a result that other shapes allow other poses."""
+    options = problem.options
+    if options.strategy.name is not StrategyName.MIXTURE or not options.shape.joint:
+        return False  # weights are no probabilities, or the pose is the proposal's
+    if float(problem.energy.keypoints.evidence.right.sum()) < _NOTHING:
+        return False
+    most = float(problem.observation.measured.mean()) > _MOST_MEASURED
+    return float(optimum.state.weights[0].keypoints.sum()) < (_FEW if most else _FEW_OF_SOME)
 
 
 def _change_over(

@@ -49,6 +49,7 @@ class PoseEstimate:
         energy: Energy in nats.
         alternatives: Distinct other poses, best first.
         history: Every iteration.
+        everywhere: Whether it was searched all round, and may be again.
     """
 
     camera_T_object: Array
@@ -58,6 +59,7 @@ class PoseEstimate:
     energy: float
     alternatives: tuple[Alternative, ...]
     history: Sequence[Iteration]
+    everywhere: bool = False
 
 
 def adjust_pose(problem: Problem, initial: Box3D | float | Array | None = None) -> PoseEstimate:
@@ -116,6 +118,7 @@ def _adjusted(problem: Problem, initial: Box3D | float | Array | None) -> PoseEs
             for i in distinct(best)[1:]
         ),
         history=_history(problem, result.path, result.path_weights),
+        everywhere=not isinstance(initial, int | float),
     )
 
 

@@ -54,6 +54,7 @@ def test_alternatives_are_refined_sorted_and_distinct(which):
     problem = constant(problem, start.visibility)  # then the end does not depend on the path
     near = replace(start.alternatives[0], camera_T_object=start.camera_T_object, excess=1.0)  # no other pose at all
     close = tuple(replace(other, excess=2.0) for other in start.alternatives)
+    start = replace(start, everywhere=False)  # not searched on from a basin to a better one
     result = solve(problem, replace(start, alternatives=(near, *close)))
     assert result.alternatives
     excesses = [other.excess for other in result.alternatives]

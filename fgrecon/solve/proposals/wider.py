@@ -1,0 +1,134 @@
+"""A second search where a pose rests on few keypoints: all round and about the pose, with a shape that moves.
+
+The first search moves the mean shape, which is quick, and enough wherever many keypoints hold the vehicle. Where three
+or four do, another shape meets one keypoint more, or the same ones from metres further away or with another tilt. Such
+a minimum faces the same way as the one that was found, and the mean shape has none there. Whether a pose rests on few
+keypoints is known only at its end.
+
+A keypoint that the result takes for wrong pulls at nothing, so that no start comes to where it is right unless it is
+close by. Each of those that may be right is therefore taken for right, whatever that costs, and the search goes on from
+there with the true energy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.geometry import exponential
+from fgrecon.core.reconstruction import Alternative
+from fgrecon.solve.proposals.problem import Problem
+from fgrecon.solve.proposals.search import PoseEnergy, search
+from fgrecon.solve.proposals.starts import at_azimuths, view_box
+from fgrecon.solve.proposals.terms import Hypotheses
+
+__all__ = ["lower_poses"]
+
+Array = NDArray[np.float64]
+
+_ALL_ROUND, _ABOUT = 48, 24  # starts in the 2D box, and about the pose
+_FIRST, _KEEP = 4, {3: 24}  # their iterations, and how many go on
+_TOLD, _TOLD_KEEP = 6, {3: 6}  # the same for each keypoint that is taken for right
+_EACH = 12  # starts in the box and about the pose for each of them
+_LAST = 8  # iterations of all that are left
+_WRONG, _PERHAPS = 0.5, 0.1  # less weight is wrong; what is less probably right is not taken for it
+_MOST_TOLD = 4  # keypoints, the most probable ones
+_NEVER = 1e-200  # density of a wrong point that leaves no other explanation, and a logarithm
+_MOST = 3  # poses that are told
+_LOWER = 0.3  # nats: the graph, which has more freedom, lowers the energy by as much in the same place
+_TURNED, _MOVED = np.deg2rad(4.0), 0.15  # radians, metres: poses that are nearer in both are one
+_DEPTH, _TILT = 0.5, 0.2  # spread of the starts in the box: of the logarithm of depth, and radians
+_ABOUT_DEPTH, _ABOUT_TILT, _ABOUT_TURN = 0.3, 0.15, 0.5  # of those about the pose
+_OTHERS = 3  # searches before the azimuths come again
+
+
+def lower_poses(problem: Problem, camera_T_object: Array, coefficients: Array, again: int = 0) -> list[Alternative]:
+    """Poses and shapes of less energy than that of a pose and shape.
+
+    Args:
+        problem: What is to be solved.
+        camera_T_object: (4, 4) the pose.
+        coefficients: (N,) the shape.
+        again: How often it was searched before: the starts are others each time.
+
+    Returns:
+        At most three, best first, each near a minimum of the energy. Their excess is negative.
+    """
+    here = Hypotheses(camera_T_object[None, :3, :3], camera_T_object[None, :3, 3], coefficients[None])
+    total, weights = problem.energy.evaluate(here)
+    energy = float(total.energy[0])
+
+    def starts(all_round: int, about: int) -> Hypotheses:
+        return _joined([_all_round(problem, all_round, again), _about(camera_T_object, coefficients, about, again)])
+
+    left = [search(problem.energy, starts(_ALL_ROUND, _ABOUT), _FIRST, _KEEP).hypotheses]
+    each = starts(_EACH, _EACH)
+    right = problem.energy.keypoints.evidence.right
+    wrong = np.flatnonzero((weights[0] < _WRONG) & (right > _PERHAPS))
+    for keypoint in wrong[np.argsort(-right[wrong], kind="stable")][:_MOST_TOLD].tolist():
+        told = _taken_for_right(problem.energy, keypoint)
+        left.append(search(told, each, _TOLD, _TOLD_KEEP).hypotheses)
+    found = search(problem.energy, _joined(left), _LAST, {})
+    poses, kept = found.hypotheses.matrices(), [camera_T_object]
+    lower: list[Alternative] = []
+    for i in np.flatnonzero(found.energy < energy - _LOWER).tolist():
+        if not _is_one_of(poses[i], kept):
+            kept.append(poses[i])
+            lower.append(Alternative(poses[i], found.hypotheses.coefficients[i], float(found.energy[i]) - energy))
+            if len(lower) == _MOST:
+                break
+    return lower
+
+
+def _joined(parts: list[Hypotheses]) -> Hypotheses:
+    return Hypotheses(
+        np.concatenate([part.rotation for part in parts]),
+        np.concatenate([part.translation for part in parts]),
+        np.concatenate([part.coefficients for part in parts]),
+    )
+
+
+def _taken_for_right(energy: PoseEnergy, keypoint: int) -> PoseEnergy:
+    """The energy with a measured keypoint that cannot be wrong."""
+    term = energy.keypoints
+    right, outlier = term.evidence.right.copy(), term.evidence.outlier.copy()
+    right[keypoint], outlier[keypoint] = 1.0, _NEVER
+    return replace(energy, keypoints=replace(term, evidence=replace(term.evidence, right=right, outlier=outlier)))
+
+
+def _is_one_of(pose: Array, known: list[Array]) -> bool:
+    poses = np.array(known)
+    cosine = ((poses[:, :3, :3] * pose[:3, :3]).sum(axis=(1, 2)) - 1.0) / 2.0
+    near = np.linalg.norm(poses[:, :3, 3] - pose[:3, 3], axis=1) < _MOVED
+    return bool((near & (cosine > np.cos(_TURNED))).any())
+
+
+def _all_round(problem: Problem, count: int, again: int) -> Hypotheses:
+    """The mean shape at all azimuths, tilted, nearer and farther than where it fills the box."""
+    azimuths = 2.0 * np.pi * (np.arange(count) + again / _OTHERS) / count
+    box = view_box(problem.observation)
+    h = at_azimuths(box, problem.camera, problem.model, problem.ground, azimuths, relative=True)
+    farther, roll, pitch = _spread(count, 3, again).T
+    tilt = exponential(_TILT * np.stack([roll, np.zeros(count), pitch], axis=1))
+    return Hypotheses(h.rotation @ tilt, h.translation * np.exp(_DEPTH * farther)[:, None], h.coefficients)
+
+
+def _about(camera_T_object: Array, coefficients: Array, count: int, again: int) -> Hypotheses:
+    """The pose turned, tilted, nearer and farther, with shapes of the prior."""
+    spread = _spread(count, 4 + len(coefficients), again)
+    turn, roll, pitch, farther = spread[:, :4].T
+    rotation = exponential(np.stack([_ABOUT_TILT * roll, _ABOUT_TURN * turn, _ABOUT_TILT * pitch], axis=1))
+    translation = camera_T_object[:3, 3] * np.exp(_ABOUT_DEPTH * farther)[:, None]
+    return Hypotheses(camera_T_object[:3, :3] @ rotation, translation, spread[:, 4:])
+
+
+def _spread(count: int, dimension: int, again: int) -> Array:
+    """(count, dimension) points that fill the cube from -1 to 1 evenly (Roberts' sequence), others each time."""
+    ratio = 2.0
+    for _ in range(50):  # to the root of x^(dimension + 1) = x + 1
+        ratio = (1.0 + ratio) ** (1.0 / (dimension + 1))
+    index = np.arange(1, count + 1) + again * count
+    points: Array = 2.0 * ((0.5 + np.outer(index, ratio ** -np.arange(1.0, dimension + 1))) % 1.0) - 1.0
+    return points
