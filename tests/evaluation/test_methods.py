@@ -60,7 +60,7 @@ def test_rows_name_their_prior(scene):
     assert METHODS["sqpnp"].prior_name(scene) == "mean shape of car14"
     assert METHODS["sqpnp+size"].prior_name(scene) == "mean shape of car14 scaled to kitti"
     assert METHODS["fgrecon"].prior_name(scene) == "car14"
-    assert METHODS["fgrecon+ground+size"].prior_name(scene) == "car14 scaled to kitti"
+    assert METHODS["fgrecon+ground+size"].prior_name(scene) == "car14 of kitti"
 
 
 def test_confident_points_alone_are_used_while_there_are_four(scene):

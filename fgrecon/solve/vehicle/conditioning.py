@@ -1,10 +1,10 @@
-"""A shape prior of one vehicle whose size is known.
+"""A shape prior brought to a size: of one vehicle whose size is known, or of a fleet.
 
-Scaling a prior to a size (`ShapePrior.for_fleet`) stretches every part of the mean car alike, which suits a fleet whose
-cars are of another size than those that the prior was learnt from. Of one vehicle the size tells more: long, tall cars
-are vans and SUVs, whose parts lie elsewhere than those of a stretched saloon. With each of the 79 car models left out
-of the shipped kind of prior in turn, the mean keypoint distance of the mean shape, about its centroid, is 13.4 cm as it
-is, 10.4 cm scaled to the true size, and 7.6 cm conditioned on it (medians).
+Scaling a prior to a size (`ShapePrior.for_fleet`) stretches every part of the mean car alike. The size tells more:
+long, tall cars are vans and SUVs, whose parts lie elsewhere than those of a stretched saloon, and small cars have short
+overhangs. With each of the 79 car models left out of the shipped kind of prior in turn, the mean keypoint distance of
+the mean shape, about its centroid, is 13.4 cm as it is, 10.4 cm scaled to the true size, and 7.6 cm conditioned on it
+(medians). So the mean shape of a fleet is the one that its sizes make probable.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior, Surface
 from fgrecon.core.size_prior import SizePrior
 
-__all__ = ["SizeRelation", "express", "given_size", "is_one_vehicle", "learn_size_relation"]
+__all__ = ["SizeRelation", "express", "given_size", "is_one_vehicle", "learn_size_relation", "of_fleet"]
 
 Array = NDArray[np.float64]
 
@@ -117,6 +117,23 @@ def given_size(prior: ShapePrior, size: SizePrior, relation: SizeRelation | None
         surface=surface,
         name=f"{prior.name} given {size.name}",
     )
+
+
+def of_fleet(prior: ShapePrior, size: SizePrior) -> ShapePrior:
+    """The prior of a fleet: its mean is the shape that the fleet's size makes probable, its spread as it was.
+
+    What then is left of the fleet's mean size is scaled per axis, as `ShapePrior.for_fleet` does.
+    """
+    relation = SizeRelation.by_ratios(prior)
+    by_size = relation.jacobian
+    away = size.mean - relation.mean
+    coefficients = by_size.T @ np.linalg.solve(by_size @ by_size.T + np.diag(size.sigma**2), away)
+    coefficients *= min(1.0, _PLAUSIBLE / max(float(np.linalg.norm(coefficients)), 1e-12))
+    surface = prior.surface
+    if surface is not None:
+        surface = Surface(surface.vertices(coefficients), surface.basis, surface.faces)
+    moved = replace(prior, mean=prior.keypoints(coefficients), surface=surface)
+    return replace(moved.for_fleet(size), name=f"{prior.name} of {size.name}")
 
 
 def express(prior: ShapePrior, shapes: ArrayLike) -> tuple[Array, Array]:

@@ -13,7 +13,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import BoxModel
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
-from fgrecon.solve.vehicle.conditioning import given_size, is_one_vehicle
+from fgrecon.solve.vehicle.conditioning import given_size, is_one_vehicle, of_fleet
 from fgrecon.solve.vehicle.visibility import VisibilityTable
 
 __all__ = ["LinearPoints", "VehicleModel", "prepare", "sized"]
@@ -40,7 +40,7 @@ class VehicleModel:
     """What solving needs of a category and its prior, computed once.
 
     Attributes:
-        prior: The prior; where a size was given scaled to the fleet, or conditioned on the size of the one vehicle
+        prior: The prior; where a size was given that of the fleet, or conditioned on the size of the one vehicle
             (`fgrecon.solve.vehicle.conditioning.is_one_vehicle` decides).
         size: The fleet's size prior; None where none was given, and where the prior holds it already.
         visibility: How visible each keypoint of the mean shape is from everywhere.
@@ -125,7 +125,7 @@ def _brought_to(prior: ShapePrior, size: SizePrior | None) -> tuple[ShapePrior, 
         return prior, None
     if is_one_vehicle(prior, size):
         return given_size(prior, size), None
-    return prior.for_fleet(size), size
+    return of_fleet(prior, size), size
 
 
 def _model(prior: ShapePrior, size: SizePrior | None, visibility: VisibilityTable) -> VehicleModel:

@@ -29,7 +29,7 @@ NO_OFFSETS = np.zeros((14, 3))
 PRIOR = load_prior("car14")
 SCENES = {
     "symmetric": {},
-    "covariances": {"seed": 1, "covariance": True},
+    "covariances": {"seed": 2, "covariance": True},
     "neither ground nor size": {"seed": 2, "ground": False, "size": False},
     "cuboid": {"seed": 3, "box_model": "cuboid"},
     "no box": {"seed": 4, "box_model": "off"},

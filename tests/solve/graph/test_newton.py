@@ -46,7 +46,7 @@ def test_the_end_is_where_re_weighting_stays(seed, settings):
 
 
 def test_an_end_before_the_minimum_is_near_it_and_takes_fewer_steps():
-    problem, proposal = problem_of(0)
+    problem, proposal = problem_of(1)
     start = start_state([Seen(problem)], [proposal])
     near, end = (
         optimise(Graph([Seen(problem)], start, pose_free=True), start, steady=steady) for steady in (1e-2, None)

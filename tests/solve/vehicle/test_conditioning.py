@@ -8,7 +8,7 @@ import pytest
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.vehicle.conditioning import given_size, is_one_vehicle, learn_size_relation
+from fgrecon.solve.vehicle.conditioning import given_size, is_one_vehicle, learn_size_relation, of_fleet
 from fgrecon.training.priors.apollo79 import apollo79_prior, load_apollo79
 
 
@@ -103,3 +103,19 @@ def test_a_known_size_is_worth_more_than_a_stretch(data):
         errors.append([np.linalg.norm(a, axis=1).mean() for a in away])
     stretched, conditioned = np.median(errors, axis=0)
     assert conditioned < 0.85 * stretched
+
+
+def test_a_fleet_has_its_mean_size_and_the_shape_that_goes_with_it(prior):
+    small = SizePrior("small", np.array([3.89, 1.62, 1.53]), np.array([0.44, 0.11, 0.14]))
+    found, stretched = of_fleet(prior, small), prior.for_fleet(small)
+    np.testing.assert_allclose(found.box_size(np.zeros(5)), small.mean, atol=1e-9)
+    surface = found.surface.mean
+    np.testing.assert_allclose(np.ptp(surface, axis=0), np.ptp(stretched.surface.mean, axis=0), rtol=0.03)
+    wheels = [abs(np.diff(one.mean[[0, 2], 0]).item()) for one in (found, stretched)]
+    assert wheels[0] > wheels[1] + 0.02  # small cars have short overhangs
+    unknown = replace(small, sigma=np.full(3, 1e6))
+    np.testing.assert_allclose(of_fleet(prior, unknown).mean, stretched.mean, atol=1e-6)
+    lorry = SizePrior("lorry", np.array([10.0, 2.6, 3.2]), np.array([1.0, 0.2, 0.3]))
+    np.testing.assert_allclose(of_fleet(prior, lorry).box_size(np.zeros(5)), lorry.mean, atol=1e-9)
+    rigid = prior.truncated(0)
+    np.testing.assert_array_equal(of_fleet(rigid, small).mean, rigid.for_fleet(small).mean)
