@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from fgrecon.perception.keypoints.detect import KeypointCascade
+from fgrecon.perception.keypoints.layout import same
 from fgrecon.perception.keypoints.weights import load_weights, shipped
 
 torch = pytest.importorskip("torch")
@@ -55,7 +56,7 @@ def test_padding_on_one_side_goes_into_the_kernel(kernel, side):
     from fgrecon.perception.keypoints.knet import _Same
 
     torch.manual_seed(0)
-    part = _Same(4, 4, kernel, 2, groups=4).eval()
+    part = _Same(same("part", 4, 4, kernel, 2, groups=4)).eval()
     part.norm.running_mean.normal_()
     part.norm.weight.data.uniform_(0.5, 2.0)
     image = torch.randn(1, 4, side, side)
