@@ -202,15 +202,15 @@ def check_arrays(arrays: Mapping[str, NDArray[Any]], shapes: Mapping[str, tuple[
     """
     missing = next((name for name in shapes if name not in arrays), None)
     if missing is not None:
-        raise InvalidInputError("weights", f"{path} without {missing}", _OTHER)
+        raise InvalidInputError("weights", f"no {missing} in {path}", _OTHER)
     for name, array in arrays.items():
         if name not in shapes:
-            raise InvalidInputError("weights", f"{path} with {name}, which it has no place for", _OTHER)
+            raise InvalidInputError("weights", f"an unknown {name} in {path}", _OTHER)
         if array.shape != shapes[name]:
-            value = f"{path} with {name} of size {array.shape}, which has place for {shapes[name]}"
+            value = f"{name} of size {array.shape}, not {shapes[name]}, in {path}"
             raise InvalidInputError("weights", value, _OTHER)
         if not np.isfinite(array).all():
-            raise InvalidInputError("weights", f"{path} with numbers that are not finite in {name}", _OTHER)
+            raise InvalidInputError("weights", f"{name} that is not finite in {path}", _OTHER)
 
 
 def fill(network: Any, arrays: Mapping[str, NDArray[Any]], path: Path) -> None:
