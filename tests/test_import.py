@@ -16,6 +16,7 @@ HEAVY = ("torch", "rerun", "cv2", "matplotlib", "poselib")
         ("fgrecon.cli.main", (*HEAVY, "rich.table", "gtsam", "scipy", "numpy")),
         ("fgrecon.core.reconstruction", (*HEAVY, "typer", "rich", "gtsam", "scipy")),
         ("fgrecon.solve.pipeline", (*HEAVY, "typer", "rich", "scipy")),
+        ("fgrecon.io.cameras", (*HEAVY, "typer", "rich", "gtsam", "scipy", "yaml")),
         ("factors", ("fgrecon", "gtsam")),
     ],
 )
