@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import cached_property
@@ -30,6 +31,7 @@ from fgrecon.io.keypoints.names import Names, NamesLike, parse_names
 from fgrecon.io.keypoints.reader import parse_any_keypoints
 from fgrecon.perception.boxes import for_detected
 from fgrecon.perception.keypoints.detect import SMALLEST_BOX, KeypointCascade, check_box, shipped_cascade
+from fgrecon.perception.keypoints.sessions import at_most
 from fgrecon.perception.protocols import find_keypoints
 from fgrecon.perception.vehicles.detect import NanodetVehicleDetector, Vehicles
 
@@ -77,7 +79,8 @@ class Reconstructor:
             options: Settings; histories are not kept.
             names: What the keypoints are called, as `fgrecon.keypoints_from` takes it; None where they tell themselves.
             weights: Keypoint network; None for the shipped one.
-            threads: Threads that OpenCV and torch use from the first image on; None leaves them as they are.
+            threads: Threads that OpenCV and what runs the networks use from the first image on; None leaves them as
+                they are.
 
         Raises:
             InvalidInputError: The camera or the options are none.
@@ -119,11 +122,13 @@ class Reconstructor:
     def _networks(self) -> tuple[NanodetVehicleDetector, KeypointCascade]:
         if self._threads is not None:
             import cv2
-            import torch
 
             cv2.setNumThreads(self._threads)
-            torch.set_num_threads(self._threads)
-        return NanodetVehicleDetector(), KeypointCascade(self._weights) if self._weights else shipped_cascade()
+        with at_most(self._threads):
+            cascade = KeypointCascade(self._weights) if self._weights else shipped_cascade()
+        if self._threads is not None and "torch" in sys.modules:  # it runs them, or something else did load it
+            sys.modules["torch"].set_num_threads(self._threads)
+        return NanodetVehicleDetector(), cascade
 
     def __call__(self, table: pa.Table) -> pa.Table:
         """The results of a table's rows, in their order."""

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import pickle
+import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -206,3 +208,22 @@ def test_an_image_may_be_bytes_with_boxes_of_its_own(street):
     assert rows[0]["camera_matrix"] == K.ravel().tolist()
     assert (rows[0]["box"], rows[0]["score"]) == (boxes[0], None)
     assert (rows[1]["status"], rows[1]["error_field"]) == ("refused", "boxes[0]")
+
+
+def test_networks_have_the_threads_that_were_asked_for(monkeypatch):
+    pytest.importorskip("onnxruntime")
+    torch = pytest.importorskip("torch")
+    asked, before = [], (torch.get_num_threads(), cv2.getNumThreads())
+    monkeypatch.setattr(
+        "fgrecon.perception.keypoints.detect.open_session", lambda model, threads: asked.append(threads)
+    )
+    try:
+        for loaded in (True, False):
+            if not loaded:
+                monkeypatch.delitem(sys.modules, "torch")
+            Reconstructor(weights="photographs", threads=3)._networks  # noqa: B018
+            assert (torch.get_num_threads(), cv2.getNumThreads()) == (3, 3)
+    finally:
+        torch.set_num_threads(before[0])
+        cv2.setNumThreads(before[1])
+    assert asked == [3, 3] * 2

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from fgrecon.perception.keypoints.detect import KeypointCascade
-from fgrecon.perception.keypoints.weights import load_weights, shipped
+from fgrecon.perception.keypoints.export import folded_arrays
+from fgrecon.perception.keypoints.layout import KNetLayout, RefineLayout, same
+from fgrecon.perception.keypoints.weights import load_arrays, load_weights, shipped
 
 torch = pytest.importorskip("torch")
 
@@ -55,12 +57,32 @@ def test_padding_on_one_side_goes_into_the_kernel(kernel, side):
     from fgrecon.perception.keypoints.knet import _Same
 
     torch.manual_seed(0)
-    part = _Same(4, 4, kernel, 2, groups=4).eval()
+    part = _Same(same("part", 4, 4, kernel, 2, groups=4)).eval()
     part.norm.running_mean.normal_()
     part.norm.weight.data.uniform_(0.5, 2.0)
     image = torch.randn(1, 4, side, side)
     with torch.inference_mode():
         torch.testing.assert_close(folded(part)(image), part(image), atol=1e-5, rtol=0.0)
+
+
+@pytest.mark.parametrize("finer", [False, True])
+def test_arrays_are_folded_as_modules_are(networks, finer):
+    stored, network = load_arrays(shipped()), folded(networks[finer])
+    if finer:
+        layout = RefineLayout.of(networks[1].settings)
+        arrays, layers = stored.refinement, [*layout.layers, layout.head]
+    else:
+        layout, arrays = KNetLayout.of(networks[0].settings), stored.state
+        blocks = [*(block for stage in layout.stages for block in stage), *layout.smooth, layout.last]
+        layers = [layout.stem, *(layer for block in blocks for layer in block.layers), *layout.lateral, layout.head]
+    assert len(layers) == len(parts(network, torch.nn.Conv2d))
+    for layer in layers:
+        part = network.get_submodule(layer.name)
+        conv = getattr(part, "conv", part)
+        for found, expected in zip(folded_arrays(layer, arrays), (conv.weight, conv.bias), strict=True):
+            np.testing.assert_allclose(found, expected.detach().numpy(), atol=1e-6, rtol=1e-6)
+        assert conv.padding == (layer.padding[1],) * 2
+        assert (conv.stride[0], conv.dilation[0], conv.groups) == (layer.stride, layer.dilation, layer.groups)
 
 
 def test_points_move_by_less_than_a_hundred_thousandth_of_a_pixel(networks):

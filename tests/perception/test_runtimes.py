@@ -1,20 +1,26 @@
 """What runs the networks does not matter to what they say."""
 
+import os
 import pickle
+import sys
 
 import numpy as np
 import pytest
+from safetensors import safe_open
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior
 from fgrecon.perception.keypoints import sessions
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import KeypointCascade
-from fgrecon.perception.keypoints.sessions import chosen_runtime, open_session
+from fgrecon.perception.keypoints.layout import KNetLayout, RefineLayout
+from fgrecon.perception.keypoints.sessions import at_most, chosen_runtime, open_session, threads_of_torch
 from fgrecon.perception.keypoints.weights import Stored, save_weights
 from fgrecon.simulation.demo import demo_scene
 
 torch = pytest.importorskip("torch")
+
+from safetensors.torch import save  # noqa: E402
 
 from fgrecon.perception.keypoints.knet import KNet, KNetSettings  # noqa: E402
 from fgrecon.perception.keypoints.refine import RefineNet, RefineSettings  # noqa: E402
@@ -103,6 +109,122 @@ def test_no_more_threads_than_torch_has(runtime, monkeypatch):
     )
     KeypointCascade(runtime="onnx")
     assert asked == [torch.get_num_threads()] * 2
+    with at_most(torch.get_num_threads() + 1):
+        KeypointCascade(runtime="onnx", refine=False)
+    assert asked[2:] == [torch.get_num_threads() + 1]
+
+
+@pytest.mark.parametrize(
+    ("said", "threads"), [("3", 3), ("5,2", 5), (" 1 ", 1), ("0", None), ("-2", None), ("many", None), (None, None)]
+)
+def test_as_many_threads_as_torch_would_have(monkeypatch, said, threads):
+    monkeypatch.delitem(sys.modules, "torch")
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    if said is not None:
+        monkeypatch.setenv("OMP_NUM_THREADS", said)
+    monkeypatch.setattr(sessions, "_cores", lambda: 7)
+    assert threads_of_torch() == (threads or 7)
+    with at_most(2):
+        assert threads_of_torch() == 2
+    with at_most(None):
+        assert threads_of_torch() == (threads or 7)
+
+
+def test_processors_of_one_core_count_once(monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2, 5}, raising=False)
+    monkeypatch.setattr(sessions.Path, "read_text", lambda path: "0,5" if path.parts[-3] in ("cpu0", "cpu5") else "1-2")
+    assert sessions._cores() == 2
+
+    def absent(path):
+        raise FileNotFoundError(path)
+
+    monkeypatch.setattr(sessions.Path, "read_text", absent)
+    assert sessions._cores() == 4
+
+
+def change(parts, name, value):
+    """Weights in which an array of KNet or the refinement networks is another one, or gone."""
+    part, name = name.split(":")
+    before = parts[part]
+    parts[part] = {**before, name: value(before.get(name))} if value else {n: v for n, v in before.items() if n != name}
+
+
+ODD = {
+    "missing": ("knet:stages.1.0.layers.0.conv.weight", None, "no stages.1.0.layers.0.conv.weight in"),
+    "missing normalisation": ("knet:stem.norm.running_var", None, "no stem.norm.running_var in"),
+    "missing linear": ("knet:see.bias", None, "no see.bias in"),
+    "too many": ("knet:other.weight", lambda _: torch.zeros(3), "an unknown other.weight in"),
+    "too large": ("knet:head.weight", lambda v: torch.zeros(2 * len(v), *v.shape[1:]), "head.weight of size"),
+    "as many numbers": ("knet:azimuth.weight", lambda v: v.T.contiguous(), "azimuth.weight of size"),
+    "one axis more": ("knet:bias", lambda v: v[None], "bias of size"),
+    "broadcast": ("knet:stem.norm.bias", lambda _: torch.zeros(1), "stem.norm.bias of size"),
+    "no number": ("knet:name", lambda v: v * float("nan"), "name that is not finite"),
+    "complex": ("knet:visible", lambda v: v.to(torch.complex64), "safetensors"),
+    "bits": ("knet:visible", lambda v: v.to(torch.float8_e4m3fn), "safetensors"),
+    "refinement missing": ("refine:layers.3.conv.weight", None, "no layers.3.conv.weight in"),
+    "refinement too many": (
+        "refine:layers.9.conv.weight",
+        lambda _: torch.zeros(1),
+        "an unknown layers.9.conv.weight in",
+    ),
+    "refinement too small": ("refine:head.weight", lambda v: v[1:], "head.weight of size"),
+    "refinement infinite": (
+        "refine:layers.0.norm.weight",
+        lambda v: v / 0.0,
+        "layers.0.norm.weight that is not finite",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ["onnx", "torch"])
+@pytest.mark.parametrize("odd", ODD)
+def test_weights_of_no_network_are_refused_alike(runtime, tmp_path, name, odd):
+    sizes, finer = KNetSettings(crop=32, width=8), RefineSettings(crop=64, width=2)
+    parts = {"knet": KNet(sizes).state_dict(), "refine": RefineNet(finer).state_dict()}
+    path = tmp_path / "w.safetensors"
+    stored = Stored(parts["knet"], sizes.to_dict(), ConfidenceCalibration(), {}, parts["refine"], finer.to_dict())
+    KeypointCascade(save_weights(path, stored), runtime=name)
+    *how, told = ODD[odd]
+    change(parts, *how)
+    with safe_open(str(path), framework="pt") as file:
+        about = file.metadata()
+    arrays = {f"{p}.{n}": v.clone() for p, state in parts.items() for n, v in state.items() if "num_batches" not in n}
+    path.write_bytes(save(arrays, about))
+    with pytest.raises(InvalidInputError, match=f"weights: got .*{told}"):
+        KeypointCascade(path, runtime=name)
+
+
+@pytest.mark.parametrize("name", ["onnx", "torch"])
+@pytest.mark.parametrize(
+    ("sizes", "finer", "field"),
+    [
+        ({"crop": 48}, {}, r"knet\.crop"),
+        ({"depth": 3}, {}, "weights: .*this version"),
+        ({"width": 16}, {}, r"weights: .* of size \("),
+        ({"width": 4096}, {}, r"weights: .* of size \("),
+        ({"keypoints": 4}, {}, "weights.*4 keypoints"),
+        ({}, {"depth": 3}, "weights: .*this version"),
+        ({}, {"width": 4}, r"weights: .* of size \("),
+        ({}, {"keypoints": 13}, r"weights: .* of size \("),
+    ],
+)
+def test_sizes_of_another_network_are_refused_alike(runtime, tmp_path, name, sizes, finer, field):
+    made, near = KNetSettings(crop=32, width=8), RefineSettings(crop=64, width=2)
+    states = KNet(made).state_dict(), RefineNet(near).state_dict()
+    sizes, finer = {**made.to_dict(), **sizes}, {**near.to_dict(), **finer}
+    path = tmp_path / "w.safetensors"
+    save_weights(path, Stored(states[0], sizes, ConfidenceCalibration(), {}, states[1], finer))
+    with pytest.raises(InvalidInputError, match=field):
+        KeypointCascade(path, runtime=name)
+
+
+@pytest.mark.parametrize("sizes", [KNetSettings(), KNetSettings(keypoints=5, crop=64, width=24)])
+def test_the_layout_names_the_arrays_of_the_modules(sizes):
+    finer = RefineSettings(keypoints=sizes.keypoints, width=sizes.width)
+    pairs = ((KNet(sizes), KNetLayout.of(sizes)), (RefineNet(finer), RefineLayout.of(finer)))
+    for network, layout in pairs:
+        state = {name: tuple(value.shape) for name, value in network.state_dict().items() if "num_batches" not in name}
+        assert layout.shapes == state
 
 
 @pytest.mark.parametrize("name", ["onnx", "torch"])

@@ -8,7 +8,6 @@ from pathlib import Path
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.cameras.mounted import MountedCamera
 from fgrecon.io.cameras.rigs import is_waymo, nuscenes_camera, waymo_camera
-from fgrecon.io.cameras.storage import read_storage, storage_camera
 from fgrecon.io.json_fields import Fields, read_json
 from fgrecon.io.keypoint_file import parse_camera
 from fgrecon.io.kitti_calibration import read_calibration
@@ -47,8 +46,12 @@ def read_camera(source: str | Path, image: str | None = None) -> MountedCamera:
         camera = parse_camera(fields) if ours and name is None else None
         if camera is not None:
             return MountedCamera(camera)
+        from fgrecon.io.cameras.storage import storage_camera
+
         return MountedCamera(storage_camera(data, where, name))
     if ending in (".yaml", ".yml", ".xml"):
+        from fgrecon.io.cameras.storage import read_storage, storage_camera  # on use: it imports yaml
+
         data = read_storage(path)
         if not isinstance(data, Mapping):
             raise InvalidInputError(str(path), type(data).__name__, "Give a calibration of ROS or OpenCV.")

@@ -1,7 +1,8 @@
 """Keypoints from pixels: the networks at work.
 
-`detect` runs them, `knet` and `refine` are the networks, `weights` their file; `crops` cuts out what they look at and
-`decode` reads positions off their maps. `fgrecon.training.keypoints` trains them. PyTorch is imported on use.
+`detect` runs them. `layout` says what they are made of, `knet` and `refine` are these on PyTorch, `export` makes ONNX
+files of them; `weights` is their file. `crops` and `patches` cut out what they look at and `decode` reads positions off
+their maps. `fgrecon.training.keypoints` trains them. PyTorch is imported on use, and ONNX Runtime does without it.
 """
 
 from fgrecon.core.detection import Detection

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,8 +19,10 @@ from fgrecon.core.renamed import renamed
 from fgrecon.io.catalogue import load_category
 from fgrecon.perception.keypoints.crops import MARGIN, Crop, crop_of, extract
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration, Decoded, decode, peak, softmax
-from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, open_session
-from fgrecon.perception.keypoints.weights import WITHOUT_STREET, fill, load_weights, shipped
+from fgrecon.perception.keypoints.layout import PATCH, KNetLayout, KNetSettings, RefineLayout, RefineSettings
+from fgrecon.perception.keypoints.patches import cut_patches, fuse, patch_offsets, run_networks, window_of
+from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, open_session, threads_of_torch
+from fgrecon.perception.keypoints.weights import WITHOUT_STREET, check_arrays, fill, load_arrays, shipped
 
 __all__ = [
     "REACH",
@@ -37,6 +39,7 @@ __all__ = [
 __getattr__ = renamed(__name__, {"Detector": "KeypointCascade"})
 
 Array = NDArray[np.float64]
+S = TypeVar("S", KNetSettings, RefineSettings)
 
 REACH = 0.1
 """A point is right within this fraction of the box's longer side: what a confidence is the probability of."""
@@ -100,17 +103,14 @@ class KeypointCascade:
             mirror: Whether KNet also looks at the mirror image, and the mean of both counts.
             device: Torch's name of the device.
             runtime: What runs the networks: "torch"; "onnx", which is ONNX Runtime on the CPU, with as many threads as
-                torch has now; or "auto", "onnx" where it is installed.
+                torch has now (or would have: it is not loaded); or "auto", "onnx" where it is installed.
 
         Raises:
             InvalidInputError: There is no such file, it holds no network, or the runtime is not installed.
         """
-        from fgrecon.perception.keypoints.fold import folded
-        from fgrecon.perception.keypoints.knet import KNet, KNetSettings
-
         named = None if weights is None else str(weights)
         path = shipped(named) if named in (None, WITHOUT_STREET) else Path(str(named))
-        stored = load_weights(path)
+        stored = load_arrays(path)
         self.provenance = dict(stored.provenance)
         self.calibration: ConfidenceCalibration = stored.calibration
         self.device = device
@@ -119,46 +119,60 @@ class KeypointCascade:
         self.category = stored.category
         category = load_category(stored.category)
         self._partner = category.mirror
-        try:
-            network = KNet(KNetSettings(**stored.settings))
-        except (TypeError, ValueError, RuntimeError) as error:
-            raise InvalidInputError("weights", f"{path}: {error}", "Give a network of this version.") from error
-        if network.settings.keypoints != category.size:
-            value = f"{network.settings.keypoints} keypoints in {path}"
-            raise InvalidInputError("weights", value, f"Category {category.name} has {category.size}.")
-        fill(network, stored.state, path)
-        self.network: Any = folded(network).to(device)
         self.trust = stored.trust
-        self.refinement: Any = None
+        self._path, self._arrays, self._finer = path, stored.state, None
+        self._settings = _of_file(path, KNetSettings, stored.settings)
+        shapes = KNetLayout.of(self._settings).shapes
+        if self._settings.keypoints != category.size:
+            value = f"{self._settings.keypoints} keypoints in {path}"
+            raise InvalidInputError("weights", value, f"Category {category.name} has {category.size}.")
+        check_arrays(stored.state, shapes, path)
         if stored.refinement is not None and stored.refine_settings is not None and refine:
-            from fgrecon.perception.keypoints.refine import RefineNet, RefineSettings
-
-            try:
-                refinement = RefineNet(RefineSettings(**stored.refine_settings))
-            except (TypeError, ValueError, RuntimeError) as error:
-                raise InvalidInputError("weights", f"{path}: {error}", "Give a network of this version.") from error
-            fill(refinement, stored.refinement, path)
-            self.refinement = folded(refinement).to(device)
+            self._finer, self._finer_arrays = _of_file(path, RefineSettings, stored.refine_settings), stored.refinement
+            check_arrays(stored.refinement, RefineLayout.of(self._finer).shapes, path)
         self._find, self._refine_patches = self._running()
+
+    @cached_property
+    def network(self) -> Any:
+        """KNet on PyTorch, as `fold` makes it for inference."""
+        from fgrecon.perception.keypoints.fold import folded
+        from fgrecon.perception.keypoints.knet import KNet
+
+        network = KNet(self._settings)
+        fill(network, self._arrays, self._path)
+        return folded(network).to(self.device)
+
+    @cached_property
+    def refinement(self) -> Any:
+        """The refinement networks likewise, or None without them."""
+        if self._finer is None:
+            return None
+        from fgrecon.perception.keypoints.fold import folded
+        from fgrecon.perception.keypoints.refine import RefineNet
+
+        refinement = RefineNet(self._finer)
+        fill(refinement, self._finer_arrays, self._path)
+        return folded(refinement).to(self.device)
 
     def _running(self) -> tuple[Network, Network | None]:
         """KNet, and the refinement networks if there are any, as `fold` and `export` have them."""
         if self.runtime == "onnx":
-            from torch import get_num_threads
-
             from fgrecon.perception.keypoints.export import knet_model, refinement_model
 
-            threads = get_num_threads()
-            knet = open_session(knet_model(self.network), threads)
-            return knet, self.refinement and open_session(refinement_model(self.refinement), threads)
+            threads = threads_of_torch()
+            knet = open_session(knet_model(self._settings, self._arrays), threads)
+            if self._finer is None:
+                return knet, None
+            return knet, open_session(refinement_model(self._finer, self._finer_arrays), threads)
         from fgrecon.perception.keypoints.fold import knet_on_torch, refinement_on_torch
 
         knet = knet_on_torch(self.network, self.device)
         return knet, self.refinement and refinement_on_torch(self.refinement, self.device)
 
     def __getstate__(self) -> dict[str, Any]:
-        """What other processes get: runtimes are opened there again."""
-        return {name: value for name, value in vars(self).items() if name not in ("_find", "_refine_patches")}
+        """What other processes get: the networks are made of their arrays there again."""
+        made = ("_find", "_refine_patches", "network", "refinement")
+        return {name: value for name, value in vars(self).items() if name not in made}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """The reverse of `__getstate__`."""
@@ -194,7 +208,7 @@ class KeypointCascade:
         self, images: Sequence[NDArray[np.uint8]], boxes: NDArray[np.float64], *, maps: bool = False
     ) -> list[CascadeDetection]:
         """Keypoints of one box (B, 4) in each of B RGB images (H, W, 3), in one batch; nothing is checked."""
-        size = self.network.settings.crop
+        size = self._settings.crop
         crops = [crop_of(box, size) for box in boxes]
         pixels = np.stack([extract(image, crop) for image, crop in zip(images, crops, strict=True)])
         likelihood, visible, azimuth = self.mirror_average(pixels) if self.mirror else self.forward(pixels)
@@ -219,17 +233,16 @@ class KeypointCascade:
         self, networks: Network, images: Sequence[NDArray[np.uint8]], boxes: Array, likelihood: Array, first: Decoded
     ) -> Decoded:
         """KNet's positions and covariances corrected by the refinement networks; pixels of KNet's crop."""
-        from fgrecon.perception.keypoints import refine
-
-        size, finer = self.network.settings.crop, self.refinement.settings.crop
+        assert self._finer is not None
+        size, finer = self._settings.crop, self._finer.crop
         fine = np.stack([extract(image, crop_of(box, finer)) for image, box in zip(images, boxes, strict=True)])
         ratio = finer / size
         centres = np.rint((first.points + 0.5) * ratio - 0.5).astype(np.int64)
-        offsets = refine.patch_offsets(_PATCHES, centres.shape[1])
-        corners = centres[:, None] + offsets - refine.PATCH // 2
-        patches = refine.run_networks(networks, refine.cut_patches(fine, corners))
-        before = refine.window_of(likelihood, centres, finer)
-        joint, origin = refine.fuse(patches, offsets, centres, before, self.trust)
+        offsets = patch_offsets(_PATCHES, centres.shape[1])
+        corners = centres[:, None] + offsets - PATCH // 2
+        patches = run_networks(networks, cut_patches(fine, corners))
+        before = window_of(likelihood, centres, finer)
+        joint, origin = fuse(patches, offsets, centres, before, self.trust)
         pixels, covariance = peak(joint)
         return Decoded((pixels + origin + 0.5) / ratio - 0.5, covariance / ratio**2, first.mass)
 
@@ -249,6 +262,14 @@ class KeypointCascade:
         """Likelihood maps (B, K, H, W), visibility logits (B, K) and directions (B, A) of crops (B, S, S, 3)."""
         likelihood, visible, azimuth = (array.astype(np.float64) for array in self._find(crops))
         return likelihood, visible, softmax(azimuth)
+
+
+def _of_file(path: Path, kind: type[S], sizes: Mapping[str, int]) -> S:
+    """Settings from the sizes in a file."""
+    try:
+        return kind(**sizes)
+    except TypeError as error:
+        raise InvalidInputError("weights", f"{path}: {error}", "Give a network of this version.") from error
 
 
 def detect_keypoints(image: NDArray[Any], boxes: ArrayLike) -> list[Observation]:

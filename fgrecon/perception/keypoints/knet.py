@@ -14,7 +14,7 @@ Gaussian around the true one.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -22,48 +22,19 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.perception.keypoints.layout import (
+    AZIMUTH_BINS,
+    MEAN,
+    PYRAMID,
+    SPREAD,
+    STRIDE,
+    Block,
+    KNetLayout,
+    KNetSettings,
+    Layer,
+)
 
 __all__ = ["AZIMUTH_BINS", "PYRAMID", "STRIDE", "KNet", "KNetOutput", "KNetSettings", "load_imagenet"]
-
-AZIMUTH_BINS = 36
-"""Directions that the azimuth output tells apart: bin b is centred at 10 b degrees."""
-
-STRIDE = 2
-"""Pixels of the crop per cell of the likelihood maps."""
-
-PYRAMID = (1, 2, 4, 5)
-"""The stages of the encoder at strides 4, 8, 16 and 32, which the pyramid is made of."""
-
-_STAGES = (  # repeats, kernel, stride, expansion, channels: EfficientNet-lite0 without its last stage
-    (1, 3, 1, 1, 16),
-    (2, 3, 2, 6, 24),
-    (2, 5, 2, 6, 40),
-    (3, 3, 2, 6, 80),
-    (3, 5, 1, 6, 112),
-    (4, 5, 2, 6, 192),
-)
-_STEM = 32
-_EPSILON = 1e-3  # of the weights' batch normalisation
-_MEAN, _SPREAD = 127.0, 128.0  # of the weights' pixel values
-
-
-@dataclass(frozen=True)
-class KNetSettings:
-    """Sizes of the network.
-
-    Attributes:
-        keypoints: Number K of keypoints.
-        crop: Side S of the square crop in pixels, a multiple of 32.
-        width: Channels of the pyramid.
-    """
-
-    keypoints: int = 14
-    crop: int = 96
-    width: int = 64
-
-    def to_dict(self) -> dict[str, int]:
-        """Plain numbers for a file."""
-        return asdict(self)
 
 
 @dataclass(frozen=True)
@@ -84,16 +55,16 @@ class KNetOutput:
 class _Same(nn.Module):  # type: ignore[misc]
     """Convolution, batch normalisation, ReLU6; pads as TensorFlow does, where the weights come from."""
 
-    def __init__(
-        self, inputs: int, outputs: int, kernel: int, stride: int = 1, groups: int = 1, *, active: bool = True
-    ) -> None:
+    def __init__(self, layer: Layer) -> None:
         super().__init__()
-        odd = kernel - stride  # of an even image
-        self.pad = (odd // 2, odd - odd // 2) * 2 if stride == 2 else None
-        padding = 0 if stride == 2 else kernel // 2
-        self.conv = nn.Conv2d(inputs, outputs, kernel, stride, padding, groups=groups, bias=False)
-        self.norm = nn.BatchNorm2d(outputs, eps=_EPSILON, momentum=0.02)
-        self.active = active
+        before, after = layer.padding
+        self.pad = None if before == after else (before, after) * 2
+        padding = before if self.pad is None else 0
+        self.conv = nn.Conv2d(
+            *(layer.inputs, layer.outputs, layer.kernel, layer.stride, padding), groups=layer.groups, bias=False
+        )
+        self.norm = nn.BatchNorm2d(layer.outputs, eps=layer.epsilon, momentum=0.02)
+        self.active = layer.active
 
     def forward(self, x: Tensor) -> Tensor:
         y = self.norm(self.conv(x if self.pad is None else functional.pad(x, self.pad)))
@@ -103,13 +74,10 @@ class _Same(nn.Module):  # type: ignore[misc]
 class _Block(nn.Module):  # type: ignore[misc]
     """Inverted residual: expand, depthwise, project."""
 
-    def __init__(self, inputs: int, outputs: int, kernel: int, stride: int, expansion: int) -> None:
+    def __init__(self, block: Block) -> None:
         super().__init__()
-        inner = inputs * expansion
-        layers = [] if expansion == 1 else [_Same(inputs, inner, 1)]
-        layers += [_Same(inner, inner, kernel, stride, groups=inner), _Same(inner, outputs, 1, active=False)]
-        self.layers = nn.Sequential(*layers)
-        self.residual = stride == 1 and inputs == outputs
+        self.layers = nn.Sequential(*(_Same(layer) for layer in block.layers))
+        self.residual = block.residual
 
     def forward(self, x: Tensor) -> Tensor:
         y = self.layers(x)
@@ -119,10 +87,9 @@ class _Block(nn.Module):  # type: ignore[misc]
 class _Separable(nn.Module):  # type: ignore[misc]
     """Depthwise 5 x 5 and pointwise convolution, added to the input."""
 
-    def __init__(self, channels: int) -> None:
+    def __init__(self, block: Block) -> None:
         super().__init__()
-        self.depthwise = _Same(channels, channels, 5, groups=channels)
-        self.pointwise = _Same(channels, channels, 1, active=False)
+        self.depthwise, self.pointwise = (_Same(layer) for layer in block.layers)
 
     def forward(self, x: Tensor) -> Tensor:
         return x + self.pointwise(self.depthwise(x))
@@ -139,22 +106,14 @@ class KNet(nn.Module):  # type: ignore[misc]
         """
         super().__init__()
         self.settings = settings = KNetSettings() if settings is None else settings
-        if settings.crop % 32 or settings.crop < 32:
-            raise InvalidInputError("knet.crop", settings.crop, "Give a multiple of 32.")
-        self.stem = _Same(3, _STEM, 3, 2)
-        stages, channels = [], _STEM
-        for repeats, kernel, stride, expansion, outputs in _STAGES:
-            blocks = []
-            for repeat in range(repeats):
-                blocks.append(_Block(channels, outputs, kernel, stride if repeat == 0 else 1, expansion))
-                channels = outputs
-            stages.append(nn.Sequential(*blocks))
-        self.stages = nn.ModuleList(stages)
-        width = settings.width
-        self.lateral = nn.ModuleList(nn.Conv2d(_STAGES[s][4], width, 1) for s in PYRAMID)
-        self.smooth = nn.ModuleList(_Separable(width) for _ in PYRAMID)
-        self.last = _Separable(width)
-        self.head = nn.Conv2d(width, 4 * settings.keypoints, 1)
+        layout = KNetLayout.of(settings)
+        self.stem = _Same(layout.stem)
+        self.stages = nn.ModuleList(nn.Sequential(*(_Block(block) for block in stage)) for stage in layout.stages)
+        self.lateral = nn.ModuleList(nn.Conv2d(layer.inputs, layer.outputs, 1) for layer in layout.lateral)
+        self.smooth = nn.ModuleList(_Separable(block) for block in layout.smooth)
+        self.last = _Separable(layout.last)
+        self.head = nn.Conv2d(layout.head.inputs, layout.head.outputs, 1)
+        width, channels = layout.others["context.weight"]
         self.context = nn.Linear(channels, width)
         self.azimuth = nn.Linear(channels, AZIMUTH_BINS)
         self.see = nn.Linear(2 * width, width)
@@ -169,7 +128,7 @@ class KNet(nn.Module):  # type: ignore[misc]
 
     def forward(self, crops: Tensor) -> KNetOutput:
         """Run on (B, 3, S, S) RGB crops with values from 0 to 255."""
-        x = self.stem((crops - _MEAN) / _SPREAD)
+        x = self.stem((crops - MEAN) / SPREAD)
         levels = []
         for stage in self.stages:
             x = stage(x)

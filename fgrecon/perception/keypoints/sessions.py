@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,10 +16,48 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["Network", "chosen_runtime", "open_session"]
+__all__ = ["Network", "at_most", "chosen_runtime", "open_session", "threads_of_torch"]
 
 Network = Callable[[NDArray[Any]], Sequence[NDArray[np.float32]]]
 """From the network's input to its outputs."""
+
+_MOST: ContextVar[int | None] = ContextVar("most", default=None)
+
+
+@contextmanager
+def at_most(threads: int | None) -> Iterator[None]:
+    """Networks that are made inside have so many threads, whatever PyTorch has; None changes nothing."""
+    before = _MOST.set(threads)
+    try:
+        yield
+    finally:
+        _MOST.reset(before)
+
+
+def threads_of_torch() -> int:
+    """As many threads as PyTorch has now, or would begin with where it is not loaded."""
+    most, torch = _MOST.get(), sys.modules.get("torch")
+    if most is not None:
+        return most
+    if torch is not None and hasattr(torch, "get_num_threads"):
+        return int(torch.get_num_threads())
+    asked = os.environ.get("OMP_NUM_THREADS", "").split(",")[0].strip()
+    return int(asked) if asked.isdecimal() and int(asked) > 0 else _cores()
+
+
+def _cores() -> int:
+    """The cores that this process may use; a second thread of the same core is no gain where all do arithmetic."""
+    if not hasattr(os, "sched_getaffinity"):
+        return os.cpu_count() or 1
+    return len({_core(processor) for processor in os.sched_getaffinity(0)})
+
+
+def _core(processor: int) -> str:
+    """One name for all the processors of a core."""
+    try:
+        return Path(f"/sys/devices/system/cpu/cpu{processor}/topology/thread_siblings_list").read_text()
+    except OSError:  # not told, as in some containers
+        return f"processor {processor}"
 
 
 def chosen_runtime(asked: str, other: str, *, packages: Sequence[str], able: bool = True) -> str:

@@ -5,17 +5,31 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import write_bytes
 from fgrecon.io.hashes import check_hash
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 
-__all__ = ["FORMAT", "WITHOUT_STREET", "Stored", "fill", "load_weights", "mean_state", "save_weights", "shipped"]
+__all__ = [
+    "FORMAT",
+    "WITHOUT_STREET",
+    "Stored",
+    "check_arrays",
+    "fill",
+    "load_arrays",
+    "load_weights",
+    "mean_state",
+    "save_weights",
+    "shipped",
+]
 
 FORMAT = "fgrecon.keypoints/1"
 
@@ -26,6 +40,7 @@ WITHOUT_STREET = "photographs"
 _CATEGORY = "car14"  # of files that do not say
 _KNET, _REFINEMENT = "knet.", "refine."
 _LARGEST_SIZE = 4096  # channels, pixels, keypoints
+_OTHER = "Give a network of this version."
 
 
 @dataclass(frozen=True)
@@ -33,11 +48,11 @@ class Stored:
     """A network as it is kept.
 
     Attributes:
-        state: Tensors by name.
+        state: Tensors by name, or arrays.
         settings: Sizes of the network.
         calibration: From its outputs to confidences.
         provenance: Learnt from what (plain strings).
-        refinement: Tensors of the refinement networks, or None without them.
+        refinement: The same of the refinement networks, or None without them.
         refine_settings: Their sizes, or None.
         trust: How much their likelihoods count beside KNet's.
         category: Name of the category whose keypoints it finds.
@@ -127,7 +142,18 @@ def _in_order(content: bytes) -> bytes:
 
 
 def load_weights(path: Path) -> Stored:
-    """Read a network; one that comes with the package must be what it was.
+    """Read a network, in tensors; one that comes with the package must be what it was.
+
+    Raises:
+        InvalidInputError: The file cannot be read or is no network of ours, or has been changed.
+    """
+    stored = load_arrays(path)
+    refinement = None if stored.refinement is None else _tensors(stored.refinement)
+    return replace(stored, state=_tensors(stored.state), refinement=refinement)
+
+
+def load_arrays(path: Path) -> Stored:
+    """The same in arrays of single precision, which does without PyTorch.
 
     Raises:
         InvalidInputError: The file cannot be read or is no network of ours, or has been changed.
@@ -137,11 +163,11 @@ def load_weights(path: Path) -> Stored:
     fix = "Give a file that `fgrecon keypoints train` wrote."
     try:
         check_hash(path, path.read_bytes())
-        with safe_open(str(path), framework="pt") as file:
+        with safe_open(str(path), framework="np") as file:
             about = file.metadata() or {}
             if about.get("format") != FORMAT:
                 raise InvalidInputError("weights", str(path), fix)
-            tensors = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118
+            tensors = {name: _single(name, file.get_tensor(name)) for name in file.keys()}  # noqa: SIM118
         state, refinement = (
             {name.removeprefix(part): value for name, value in tensors.items() if name.startswith(part)}
             for part in (_KNET, _REFINEMENT)
@@ -163,24 +189,52 @@ def load_weights(path: Path) -> Stored:
         raise InvalidInputError("weights", f"{path}: {error}", fix) from error
 
 
-def fill(network: Any, state: Mapping[str, Any], path: Path) -> None:
-    """Give a network its tensors.
+def check_arrays(arrays: Mapping[str, NDArray[Any]], shapes: Mapping[str, tuple[int, ...]], path: Path) -> None:
+    """Refuse arrays that are not a network's.
+
+    Args:
+        arrays: By name.
+        shapes: Of the network's arrays.
+        path: Their file.
 
     Raises:
         InvalidInputError: Some are missing, too many, of another size, or not finite.
     """
-    fix = "Give a network of this version."
-    try:
-        found = network.load_state_dict(dict(state), strict=False)
-    except RuntimeError as error:
-        raise InvalidInputError("weights", str(path), fix) from error
-    missing = [name for name in found.missing_keys if not name.endswith("num_batches_tracked")]
-    if missing or found.unexpected_keys:
-        which = f"without {missing[0]}" if missing else f"with {found.unexpected_keys[0]}, which it has no place for"
-        raise InvalidInputError("weights", f"{path} {which}", fix)
-    odd = [name for name, value in state.items() if not bool(value.isfinite().all())]
-    if odd:
-        raise InvalidInputError("weights", f"{path} with numbers that are not finite in {odd[0]}", fix)
+    missing = next((name for name in shapes if name not in arrays), None)
+    if missing is not None:
+        raise InvalidInputError("weights", f"no {missing} in {path}", _OTHER)
+    for name, array in arrays.items():
+        if name not in shapes:
+            raise InvalidInputError("weights", f"an unknown {name} in {path}", _OTHER)
+        if array.shape != shapes[name]:
+            value = f"{name} of size {array.shape}, not {shapes[name]}, in {path}"
+            raise InvalidInputError("weights", value, _OTHER)
+        if not np.isfinite(array).all():
+            raise InvalidInputError("weights", f"{name} that is not finite in {path}", _OTHER)
+
+
+def fill(network: Any, arrays: Mapping[str, NDArray[Any]], path: Path) -> None:
+    """Give a network of PyTorch its arrays.
+
+    Raises:
+        InvalidInputError: Some are missing, too many, of another size, or not finite.
+    """
+    state = network.state_dict().items()
+    check_arrays(arrays, {name: tuple(v.shape) for name, v in state if not name.endswith("num_batches_tracked")}, path)
+    network.load_state_dict(_tensors(arrays), strict=False)
+
+
+def _single(name: str, array: NDArray[Any]) -> NDArray[np.float32]:
+    if array.dtype.kind not in "fiub":
+        raise ValueError(f"{name} has numbers of the kind {array.dtype}")
+    with np.errstate(over="ignore"):  # what becomes infinite is refused with its network
+        return array.astype(np.float32)
+
+
+def _tensors(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    from torch import from_numpy
+
+    return {name: from_numpy(array) for name, array in arrays.items()}
 
 
 def _sizes(name: str, value: Any) -> dict[str, int]:
