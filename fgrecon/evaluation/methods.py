@@ -27,6 +27,7 @@ from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.robust import RobustStrategy, StrategyName, strategy
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
+from fgrecon.solve.vehicle.conditioning import of_fleet
 from fgrecon.solve.vehicle.model import prepare
 
 __all__ = [
@@ -233,7 +234,7 @@ def _pose(rotation: Any, translation: Any) -> NDArray[np.float64]:
 
 def _baseline(name: str, summary: str, load: Callable[[], PnP], package: str | None = None, *, size: bool) -> Method:
     def prior(scene: SceneKnowledge) -> ShapePrior:
-        return scene.prior.for_fleet(scene.size) if size else scene.prior
+        return of_fleet(scene.prior, scene.size) if size else scene.prior
 
     def bind(scene: SceneKnowledge) -> Solver:
         shape, pnp = np.ascontiguousarray(prior(scene).mean), load()

@@ -24,6 +24,7 @@ from fgrecon.paper.simulated import Fleet, KittiFrame, simulate_frame
 from fgrecon.paper.simulated_scores import CHAIN_ROWS, MAIN_ROWS, RowSolver, Scores, row_solvers, score_instances
 from fgrecon.simulation.keypoint_noise import HOURGLASS
 from fgrecon.simulation.vehicles import Vehicle
+from fgrecon.solve.vehicle.conditioning import of_fleet
 from fgrecon.training.priors.apollo79 import Apollo79
 
 __all__ = [
@@ -138,7 +139,7 @@ class _Worker:
 
     def __init__(self, scene: SceneKnowledge, vehicles: Sequence[Vehicle], sizes: np.ndarray, seed: int) -> None:
         self.scene, self.vehicles, self.sizes, self.seed = scene, vehicles, sizes, seed
-        self.mean = scene.prior.for_fleet(scene.size).mean
+        self.mean = of_fleet(scene.prior, scene.size).mean
         self.solvers: dict[str, tuple[RowSolver, ...]] = {}
 
     def run(self, job: _Job) -> int:

@@ -26,6 +26,7 @@ from fgrecon.io.files import write_bytes
 from fgrecon.io.stored import MADE_AGAIN
 from fgrecon.paper.simulated import SimulatedInstance
 from fgrecon.paper.stages import StageEstimate, algorithm1_state, initial_state, noisy_azimuth, stages
+from fgrecon.solve.vehicle.conditioning import of_fleet
 from fgrecon.solve.vehicle.model import prepare
 
 __all__ = ["CHAIN_ROWS", "MAIN_ROWS", "STAGE_ROWS", "Scores", "row_solvers", "score_instances"]
@@ -171,7 +172,7 @@ def row_solvers(rows: Sequence[str], scene: SceneKnowledge, seed: int) -> tuple[
 
 def _registered(name: str, scene: SceneKnowledge) -> RowSolver:
     solver = select([name])[0].bind(scene)
-    mean = scene.prior.for_fleet(scene.size) if "+size" in name else scene.prior
+    mean = of_fleet(scene.prior, scene.size) if "+size" in name else scene.prior
     size = mean.box_size(np.zeros(mean.dimension))
 
     def solve(instance: SimulatedInstance) -> dict[str, StageEstimate]:

@@ -32,7 +32,7 @@ from fgrecon.solve.graph.vehicle import Held
 from fgrecon.solve.standing import OWN_HEIGHT, OWN_SLOPE, Standing
 from fgrecon.solve.time.window import Frame
 
-__all__ = ["Evidence", "KnownGround", "Road", "ground_evidence"]
+__all__ = ["GroundEvidence", "KnownGround", "Road", "ground_evidence"]
 
 Array = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ _LEAST_HEIGHT = 0.2  # metres; a camera is above the road
 
 
 @dataclass(frozen=True)
-class Evidence:
+class GroundEvidence:
     """What the vehicles of a frame say of G(0).
 
     Attributes:
@@ -58,7 +58,7 @@ class Evidence:
     common_factor: float
 
 
-Says = Callable[[Marginal, Ground], Evidence | None]
+Says = Callable[[Marginal, Ground], GroundEvidence | None]
 """What a frame's vehicles say, beside what is known of G(0) and on the ground that this is."""
 
 
@@ -158,7 +158,9 @@ class Road:
         return _ground(told, frame, known)
 
 
-def ground_evidence(seen: Sequence[Frame], shapes: Sequence[Held], told: Ground, known: Marginal) -> Evidence | None:
+def ground_evidence(
+    seen: Sequence[Frame], shapes: Sequence[Held], told: Ground, known: Marginal
+) -> GroundEvidence | None:
     """What the vehicles of an image say of the ground, their poses and shapes eliminated.
 
     Args:
@@ -189,7 +191,7 @@ def ground_evidence(seen: Sequence[Frame], shapes: Sequence[Held], told: Ground,
     found = marginal(speaking, values, [key for key in values.keys() if key != G(0)])  # noqa: SIM118 - no mapping
     if not (np.isfinite(found.matrix).all() and np.isfinite(found.right).all()):
         return None
-    return Evidence(found, max(one.problem.common_factor for one in seen))
+    return GroundEvidence(found, max(one.problem.common_factor for one in seen))
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from fgrecon.solve.graph.adjust import Adjusted
 from fgrecon.solve.pipeline import ground_plane, observe
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import count, results
-from fgrecon.solve.road import Evidence, KnownGround, Road, ground_evidence
+from fgrecon.solve.road import GroundEvidence, KnownGround, Road, ground_evidence
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.time.smooth import smooth
 from fgrecon.solve.time.turned import turned_alternative
@@ -170,7 +170,7 @@ class Tracker:
                 except FgreconError as error:
                     refused[name] = error
 
-        def says(known: Marginal, ground: Ground) -> Evidence | None:
+        def says(known: Marginal, ground: Ground) -> GroundEvidence | None:
             look(ground)
             assert plane is not None
             frames = [frame for _, frame in looked.values()]

@@ -10,6 +10,7 @@ from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.evaluation import methods
 from fgrecon.evaluation.methods import METHODS, left_out, select
+from fgrecon.solve.vehicle.conditioning import of_fleet
 from tests.made_up_track import K, pose_of
 
 BASELINES = ("epnp", "sqpnp", "sqpnp_confident", "poselib_ransac", "aspnp")
@@ -49,7 +50,7 @@ def test_a_baseline_that_is_not_installed_is_left_out_unless_it_is_named(monkeyp
 @pytest.mark.parametrize("distortion", [None, [-0.2, 0.05, 0.001, -0.001, 0.0]], ids=["pinhole", "distorted"])
 def test_baselines_find_an_exact_pose(scene, name, suffix, distortion):
     camera = Camera(K, distortion)
-    prior = scene.prior.for_fleet(scene.size) if suffix else scene.prior
+    prior = of_fleet(scene.prior, scene.size) if suffix else scene.prior
     truth = pose_of(1.1, [1.5, 1.65, 12.0])
     estimate = METHODS[name + suffix].bind(scene)(observe(prior.mean, camera, truth), camera)
     assert estimate.camera_T_object == pytest.approx(truth, abs=1e-3)
@@ -58,7 +59,7 @@ def test_baselines_find_an_exact_pose(scene, name, suffix, distortion):
 
 def test_rows_name_their_prior(scene):
     assert METHODS["sqpnp"].prior_name(scene) == "mean shape of car14"
-    assert METHODS["sqpnp+size"].prior_name(scene) == "mean shape of car14 scaled to kitti"
+    assert METHODS["sqpnp+size"].prior_name(scene) == "mean shape of car14 of kitti"
     assert METHODS["fgrecon"].prior_name(scene) == "car14"
     assert METHODS["fgrecon+ground+size"].prior_name(scene) == "car14 of kitti"
 

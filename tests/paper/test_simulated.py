@@ -15,6 +15,7 @@ from fgrecon.paper.simulated_scores import Scores, row_solvers, score_instances
 from fgrecon.paper.stages import AZIMUTH_GROSS, initial_state, noisy_azimuth, stages
 from fgrecon.simulation.keypoint_noise import HOURGLASS
 from fgrecon.simulation.vehicles import Vehicle
+from fgrecon.solve.vehicle.conditioning import of_fleet
 from fgrecon.solve.vehicle.model import prepare
 from fgrecon.training.priors.apollo79 import Apollo79
 
@@ -207,7 +208,7 @@ def test_a_run_can_be_taken_up_again_and_does_not_depend_on_processes(scene, fle
 
 def test_rows_of_the_stages_come_from_one_solve(scene, fleet):
     instances = simulate_frame(frame_of(label(scene.prior, 1.5, 14.0, 0.4)), fleet)
-    scores = score_instances(instances, ROWS, row_solvers(ROWS, scene, 0), scene.prior.for_fleet(scene.size).mean)
+    scores = score_instances(instances, ROWS, row_solvers(ROWS, scene, 0), of_fleet(scene.prior, scene.size).mean)
     pose, sequential, joint = (ROWS.index(name) for name in ROWS[2:])
     assert np.isfinite(scores.yaw).all()
     assert scores.yaw[0, pose] == pytest.approx(scores.yaw[0, sequential], abs=1e-9)

@@ -9,7 +9,7 @@ from factors.contact import GroundFrame
 from factors.keys import G
 from factors.marginals import Marginal
 from fgrecon.core.camera import Ground
-from fgrecon.solve.road import Evidence, Road
+from fgrecon.solve.road import GroundEvidence, Road
 from tests.solve.time.streets import CAMERA, seen, upright
 
 GROUND = 1.65
@@ -26,7 +26,7 @@ def saying(change, sigma=SURE, common_factor=1.0):
         del known, ground
         values = gtsam.Values()
         values.insert(G(0), np.asarray(change, dtype=float))
-        return Evidence(Marginal((G(0),), (3,), values, np.diag(1.0 / sigma), np.zeros(3)), common_factor)
+        return GroundEvidence(Marginal((G(0),), (3,), values, np.diag(1.0 / sigma), np.zeros(3)), common_factor)
 
     return says
 
