@@ -55,7 +55,7 @@ def test_frames_that_left_a_window_count_as_those_in_it():
 
 def test_sizes_are_as_uncertain_as_those_of_the_traffic():
     given, fleet = observe(load_prior("car14"), yaw_pose(0.6), noise=0.5), size_prior("kitti")
-    cars = SizePrior("cars", fleet.mean, fleet.sigma)
+    cars = SizePrior("cars", fleet.mean, fleet.sigma, allowed=fleet.allowed)
     np.testing.assert_array_equal(cars.spread, np.diag(cars.sigma**2))
     with_vans, alone = (fgrecon.reconstruct(given, CAMERA, size_prior=size) for size in (fleet, cars))
     np.testing.assert_array_equal(with_vans.camera_T_object, alone.camera_T_object)
@@ -67,3 +67,16 @@ def test_sizes_are_as_uncertain_as_those_of_the_traffic():
 def test_traffic_is_a_covariance(traffic):
     with pytest.raises(InvalidInputError, match=r"size_prior\.traffic"):
         SizePrior("some", np.ones(3), np.ones(3), traffic)
+
+
+@pytest.mark.parametrize("allowed", [np.zeros(3), np.ones(2), [0.1, np.nan, 0.1]])
+def test_what_a_solve_allows_is_a_spread(allowed):
+    with pytest.raises(InvalidInputError, match=r"size_prior\.allowed"):
+        SizePrior("some", np.ones(3), np.ones(3), allowed=allowed)
+
+
+def test_a_solve_is_told_what_it_allows():
+    given, fleet = observe(load_prior("car14"), yaw_pose(0.6), noise=0.5), size_prior("kitti")
+    loose, tight = (SizePrior("cars", fleet.mean, fleet.sigma, allowed=share * fleet.sigma) for share in (1.0, 0.1))
+    away = [fgrecon.reconstruct(given, CAMERA, size_prior=size).box_size - fleet.mean for size in (loose, tight)]
+    assert np.linalg.norm(away[1]) < 0.5 * np.linalg.norm(away[0])

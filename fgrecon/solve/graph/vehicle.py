@@ -183,7 +183,7 @@ class VehiclePart:
             quad_sigma=options.rectangularity_sigma,
             operator=category.dimension_operator if sized else None,
             size=size.mean if sized and size is not None else None,
-            size_sigma=size.sigma if sized and size is not None else None,
+            size_sigma=size.told if sized and size is not None else None,
         )
 
     def _present(self) -> dict[str, Callable[[], list[gtsam.NonlinearFactor]]]:
@@ -230,7 +230,7 @@ class VehiclePart:
         size = self.model.size
         assert size is not None
         operator = self.model.prior.category.dimension_operator
-        return [factors.dimensions_factor(self.shape, operator, size.mean, size.sigma)]
+        return [factors.dimensions_factor(self.shape, operator, size.mean, size.told)]
 
     def _laplacian(self) -> list[gtsam.NonlinearFactor]:
         options, adapted = self.options.shape, not self.options.shape.literal_laplacian

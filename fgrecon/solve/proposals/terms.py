@@ -226,12 +226,12 @@ class SizeTerm:
 
     def packed(self) -> tuple[Array, Array, Array]:
         """Arguments of the compiled kernel."""
-        return self.mean - self.prior.mean, np.ascontiguousarray(self.jacobian), self.prior.sigma
+        return self.mean - self.prior.mean, np.ascontiguousarray(self.jacobian), self.prior.told
 
     def add(self, total: Quadratic, h: Hypotheses) -> None:
         """Add this term."""
-        residual = (self.mean + h.coefficients @ self.jacobian.T - self.prior.mean) / self.prior.sigma
-        jacobian = np.broadcast_to(self.jacobian / self.prior.sigma[:, None], (len(h), *self.jacobian.shape))
+        residual = (self.mean + h.coefficients @ self.jacobian.T - self.prior.mean) / self.prior.told
+        jacobian = np.broadcast_to(self.jacobian / self.prior.told[:, None], (len(h), *self.jacobian.shape))
         total.energy += 0.5 * np.square(residual).sum(axis=1)
         total.add(residual, jacobian, slice(6, None))
 

@@ -26,7 +26,7 @@ def few(points, told, noise, number, strategy="mixture"):
 
 
 MISSED = {  # and by how much the minimum is lower that the first search leads to no more, nats
-    "a keypoint more": (few(10, "ground and size", "hard", 51), 2.0),
+    "a keypoint more": (few(10, "ground and size", "hard", 71), 1.0),
     "farther away": (few(7, "nothing", "hourglass", 6), 3.0),
     "another shape": (few(10, "nothing", "hard", 40), 1.2),
     "turned": (few(5, "nothing", "hard", 33), 3.5),
