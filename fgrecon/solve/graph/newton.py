@@ -45,7 +45,6 @@ _MOST = 30  # iterations after that
 _SHORTER = (0.3, 0.1)  # of a plain step that goes up
 _RESCUE = 20  # iterations of Levenberg-Marquardt in place of a bad step
 _LONGEST = 20.0  # times the plain step that an accelerated one may go
-_SMALL = 1e-4  # a step of a scene that is smaller, and smaller than the one before, is not judged by the energy
 _RESCUED = 8  # times in a row that it takes over: nothing will determine such a problem any more
 _RISE = 1e-10  # relative rise of the energy that is none: near the end it is too coarse to judge a step by
 _TOLERANCE = 1e-12  # of Levenberg-Marquardt's, relative decrease
@@ -183,16 +182,14 @@ class Descent:
             return self._rescue(built, steps)
         step = newton.vector()
         length = float(np.abs(step).max(initial=0.0))
-        before = self._lengths[1]
-        last = self._is_last(length)
-        trusted = last or (self._shared and length < min(_SMALL, before))  # nobody asks what it does to the energy
-        energy = np.inf if trusted else built.error(self.values) * (1.0 + _RISE) + _RISE
+        last = self._is_last(length)  # nobody asks what it does to the energy
+        energy = np.inf if last else built.error(self.values) * (1.0 + _RISE) + _RISE
         further = steps.propose(step)
         if further is not None and np.abs(further).max() > _LONGEST * length:
             further = None
         for proposed in _tries(step, further):
             moved = self.values.retract(newton if proposed is step else self._by_key(newton, proposed))
-            if trusted or built.error(moved) <= energy:
+            if last or built.error(moved) <= energy:
                 steps.took(proposed)
                 self.values, self._rescued = moved, 0
                 return last
