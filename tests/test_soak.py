@@ -60,3 +60,12 @@ def test_half_written_files_are_seen(tmp_path, name):
     assert found.startswith(f"{name}: ")
     path.rename(tmp_path / f".{name}.part")
     assert torn(tmp_path) == []
+
+
+@pytest.mark.parametrize("number", [446, 861])
+def test_no_step_of_a_scene_raises_its_energy(number):
+    """Not the last one of a solve that ends early either, as vehicles do that the scene goes on from."""
+    found = command.Soak(31, problems=number)
+    found.one_more()
+    assert found.faults == []
+    assert found.steps > 50

@@ -182,14 +182,15 @@ class Descent:
             return self._rescue(built, steps)
         step = newton.vector()
         length = float(np.abs(step).max(initial=0.0))
-        last = self._is_last(length)  # nobody asks what it does to the energy
-        energy = np.inf if last else built.error(self.values) * (1.0 + _RISE) + _RISE
+        last = self._is_last(length)
+        unseen = last and self._steady <= STEADY_TOGETHER  # so near the end nobody asks what it does to the energy
+        energy = np.inf if unseen else built.error(self.values) * (1.0 + _RISE) + _RISE
         further = steps.propose(step)
         if further is not None and np.abs(further).max() > _LONGEST * length:
             further = None
         for proposed in _tries(step, further):
             moved = self.values.retract(newton if proposed is step else self._by_key(newton, proposed))
-            if last or built.error(moved) <= energy:
+            if unseen or built.error(moved) <= energy:
                 steps.took(proposed)
                 self.values, self._rescued = moved, 0
                 return last
