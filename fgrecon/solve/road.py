@@ -79,9 +79,6 @@ class _Known:
     where: Marginal
     counted: Marginal
 
-    def each(self, change: Callable[[Marginal], Marginal]) -> _Known:
-        return _Known(change(self.where), change(self.counted))
-
 
 @dataclass(frozen=True)
 class KnownGround:
@@ -148,7 +145,8 @@ class Road:
             known = _Known(first, first)
         else:
             seconds = time - past.time
-            known = past.known.each(_Moved(past, seconds, frame, world_T_camera, spread, motion_sigma))
+            moved = _moved(past, seconds, frame, world_T_camera, spread, motion_sigma)
+            known = _Known(_on_road(past.known.where, moved), _on_road(past.known.counted, moved))
             weight = min(seconds / _ALIKE, 1.0)
         told_by = says(known.where, _ground(told, frame, known).ground)
         if told_by is not None:
@@ -194,30 +192,31 @@ def ground_evidence(
     return GroundEvidence(found, max(one.problem.common_factor for one in seen))
 
 
-@dataclass(frozen=True)
-class _Moved:
+def _moved(
+    past: _Past,
+    seconds: float,
+    frame: GroundFrame,
+    world_T_camera: gtsam.Pose3 | None,
+    spread: Array,
+    motion_sigma: tuple[float, float],
+) -> gtsam.CustomFactor:
+    """What ties a frame's ground G(1) to the one before, G(0)."""
+    motion = None
+    if past.world_T_camera is not None and world_T_camera is not None:
+        motion = past.world_T_camera.between(world_T_camera)
+    turn, way = (0.0, 0.0) if motion is None else motion_sigma
+    kept = max(float(np.exp(-seconds / _LASTS)), _LEAST_KEPT)
+    sigma = np.hypot(np.sqrt(1.0 - kept**2) * spread, np.array([way, turn, turn]))
+    return road_factor(G(0), G(1), (past.frame, frame), diagonal_noise("road", sigma), motion, kept)
+
+
+def _on_road(left: Marginal, moved: gtsam.CustomFactor) -> Marginal:
     """What is known of a frame's ground by those before."""
-
-    past: _Past
-    seconds: float
-    frame: GroundFrame
-    world_T_camera: gtsam.Pose3 | None
-    spread: Array
-    motion_sigma: tuple[float, float]
-
-    def __call__(self, left: Marginal) -> Marginal:
-        """From what is known of the ground before."""
-        before, here = self.past.world_T_camera, self.world_T_camera
-        motion = None if before is None or here is None else before.between(here)
-        turn, way = (0.0, 0.0) if motion is None else self.motion_sigma
-        kept = max(float(np.exp(-self.seconds / _LASTS)), _LEAST_KEPT)
-        sigma = np.hypot(np.sqrt(1.0 - kept**2) * self.spread, np.array([way, turn, turn]))
-        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values(left.values)
-        graph.add(marginal_factor(left))
-        frames, noise = (self.past.frame, self.frame), diagonal_noise("road", sigma)
-        graph.add(road_factor(G(0), G(1), frames, noise, motion, kept))
-        values.insert(G(1), np.zeros(3))
-        return _on_first(marginal(graph, _solved(graph, values), [G(0)]))
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values(left.values)
+    graph.add(marginal_factor(left))
+    graph.add(moved)
+    values.insert(G(1), np.zeros(3))
+    return _on_first(marginal(graph, _solved(graph, values), [G(0)]))
 
 
 def _both(known: Marginal, said: Marginal) -> Marginal:
