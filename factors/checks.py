@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from factors.errors import InvalidInputError
 
-__all__ = ["finite_array", "index_array", "unit_vector"]
+__all__ = ["finite_array", "has_shape", "index_array", "shape_words", "unit_vector"]
 
 
 def finite_array(field: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
@@ -19,19 +19,23 @@ def finite_array(field: str, value: ArrayLike, shape: tuple[int | None, ...]) ->
     try:
         array = np.array(value, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
-        raise InvalidInputError(field, value, f"Give numbers in an array of shape {_words(shape)}.") from error
-    if array.shape != shape and not _matches(array.shape, shape):
-        raise InvalidInputError(field, f"shape {array.shape}", f"Give an array of shape {_words(shape)}.")
+        raise InvalidInputError(field, value, f"Give numbers in an array of shape {shape_words(shape)}.") from error
+    if not has_shape(array.shape, shape):
+        raise InvalidInputError(field, f"shape {array.shape}", f"Give an array of shape {shape_words(shape)}.")
     if not np.isfinite(array).all():
         raise InvalidInputError(field, array[~np.isfinite(array)][0], "Give finite numbers only.")
     return array
 
 
-def _matches(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
-    return len(shape) == len(wanted) and all(w in (None, n) for n, w in zip(shape, wanted, strict=True))
+def has_shape(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
+    """Whether a shape is the wanted one, of which `None` matches any length."""
+    return shape == wanted or (
+        len(shape) == len(wanted) and all(w is None or n == w for n, w in zip(shape, wanted, strict=True))
+    )
 
 
-def _words(shape: tuple[int | None, ...]) -> str:
+def shape_words(shape: tuple[int | None, ...]) -> str:
+    """A wanted shape for an error's text."""
     return "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
 
 

@@ -62,7 +62,7 @@ def calibration_command(
     found: dict[str, Calibration] = {}
     if folders:
         scored = how.score(folders, labelled, screen, rivals=(), track=track)
-        given["drives"] = [drive.name for drive in scored.drives]
+        given |= {"drives": [drive.name for drive in scored.drives], "traffic": how.traffic}
         methods = (SYSTEM, ONLINE, BATCH) if track else (SYSTEM,)
         found |= {method: calibrate_boxes(scored.boxes, method) for method in methods}
         screen.print(scored.in_words())

@@ -11,9 +11,17 @@ import typer
 
 from fgrecon.cli.common import check_outputs
 from fgrecon.cli.deliver import Delivery, recordings_of
-from fgrecon.cli.options import DATA, DataOption, JsonOption, LabelledScene, TogetherOption, WeightsOption
+from fgrecon.cli.options import (
+    DATA,
+    DataOption,
+    JsonOption,
+    LabelledScene,
+    TogetherOption,
+    TrafficOption,
+    WeightsOption,
+)
 from fgrecon.cli.terminal import Terminal
-from fgrecon.core.choices import BoxModel
+from fgrecon.core.choices import BoxModel, TrafficSide
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from rich.table import Table
@@ -77,6 +85,7 @@ def kitti_command(
     ] = None,
     weights: WeightsOption = None,
     together: TogetherOption = True,
+    traffic: TrafficOption = None,
     picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Contact sheet of every car.")] = None,
     json_out: JsonOption = None,
 ) -> None:
@@ -93,7 +102,7 @@ def kitti_command(
     check_outputs(json_out, picture)
     delivery.check()
     screen = terminal.screen(json_out)
-    setup, origin = _setup(boxes, labelled, weights, together=together)
+    setup, origin = _setup(boxes, labelled, weights, traffic, together=together)
     names = None if split is None else read_image_set(split)
     frames, problems = kitti_images.read_frames(*folders.paths(), names, boxes.boxes)
     cars = [car for frame in screen.watch(frames, "Images") for car in kitti_images.score_frame(frame, setup)]
@@ -112,6 +121,7 @@ def kitti_command(
         "size_prior": labelled.size_prior,
         "box_model": boxes.box_model.value,
         "together": together,
+        "traffic": traffic,
         "network": setup.detector.provenance,
     }
     screen.write_json(json.dumps(kitti_images.document(cars, given), indent=1) + "\n")
@@ -128,7 +138,9 @@ def kitti_command(
         raise typer.Exit(1)
 
 
-def _setup(boxes: KittiBoxes, labelled: LabelledScene, weights: Path | None, *, together: bool) -> tuple[Setup, str]:
+def _setup(
+    boxes: KittiBoxes, labelled: LabelledScene, weights: Path | None, traffic: TrafficSide | None, *, together: bool
+) -> tuple[Setup, str]:
     """What every car is reconstructed with, and in words where the ground plane comes from."""
     from fgrecon.core.options import Options
     from fgrecon.core.size_prior import size_prior
@@ -142,7 +154,7 @@ def _setup(boxes: KittiBoxes, labelled: LabelledScene, weights: Path | None, *, 
         prior=load_prior(labelled.prior),
         ground=plane,
         size_prior=None if labelled.size_prior == "none" else size_prior(labelled.size_prior),
-        options=Options(box=boxes.box_model),
+        options=Options(box=boxes.box_model, traffic=traffic),
         overlap=boxes.overlap,
         together=together,
     )

@@ -129,6 +129,7 @@ def video_command(
         "size_prior": labelled.size_prior,
         "box_model": how.encloses(detect=detect).value,
         "together": how.together,
+        "traffic": how.traffic,
         "track": track,
         "ids": "associated" if forget_ids or detect else "labelled",
         "boxes": "detected" if detect else "labelled",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fgrecon.cli.options import LabelledScene, TogetherOption, WeightsOption
+from fgrecon.cli.options import LabelledScene, TogetherOption, TrafficOption, WeightsOption
 from fgrecon.cli.progress import counting
 from fgrecon.core.choices import BoxModel
 
@@ -93,6 +93,7 @@ class DriveOptions:
         BoxModel | None, typer.Option(help="What the 2D boxes enclose.", show_default="cuboid; detected for --detect")
     ] = None
     together: TogetherOption = True
+    traffic: TrafficOption = None
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1
 
     def encloses(self, *, detect: bool = False) -> BoxModel:
@@ -140,7 +141,7 @@ class DriveOptions:
             fix = "Give drives with labelled cars or vans of at least 25 pixels."
             raise InvalidInputError("drives", ", ".join(drive.name for drive in drives), fix)
         scene, (_, ground) = labelled.scene(), labelled.plane()
-        options = Options(box=self.encloses(detect=detect), keypoints=keypoints)
+        options = Options(box=self.encloses(detect=detect), keypoints=keypoints, traffic=self.traffic)
         setups = _setups(files, scene, options, together=self.together, detect=detect)
         images = sum(len(looks_at(drive, setups[drive.name])) for drive in drives)
         with screen.bar() as advance:

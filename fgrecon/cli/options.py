@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fgrecon.cli.common import chosen_boxes, ground_plane, parse_crop
-from fgrecon.core.choices import StrategyName
+from fgrecon.core.choices import StrategyName, TrafficSide
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from collections.abc import Callable
@@ -37,6 +37,7 @@ __all__ = [
     "NamesOption",
     "SceneOptions",
     "TogetherOption",
+    "TrafficOption",
     "VehicleBoxes",
     "WeightsOption",
     "fitting_names",
@@ -96,6 +97,13 @@ PriorArgument = Annotated[
 GroundOption = Annotated[
     str | None,
     typer.Option(metavar="NX,NY,NZ,D", help="Ground plane instead: normal pointing down, camera height in m."),
+]
+TrafficOption = Annotated[
+    TrafficSide | None,
+    typer.Option(
+        help="Side of the road that traffic keeps to, of a camera that looks along it: says which way vehicles face.",
+        show_default="nothing said",
+    ),
 ]
 WeightsOption = Annotated[
     Path | None,
@@ -188,6 +196,7 @@ class SceneOptions:
             autocompletion=FLEETS,
         ),
     ] = None
+    traffic: TrafficOption = None
     strategy: Annotated[StrategyName, typer.Option(help="Robust strategy.")] = StrategyName.MIXTURE
     min_confidence: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Keypoints of less confidence count as not measured.")
@@ -209,7 +218,8 @@ class SceneOptions:
         """
         from fgrecon.cli.settings import Settings
 
-        told = replace(options, keypoints=replace(options.keypoints, least_confidence=self.min_confidence))
+        keypoints = replace(options.keypoints, least_confidence=self.min_confidence)
+        told = replace(options, keypoints=keypoints, traffic=self.traffic)
         if self.calibration is not None:
             from fgrecon.io.detector_calibration import load_calibration
 

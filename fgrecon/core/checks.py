@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from factors.checks import has_shape, shape_words
 from fgrecon.core.errors import InvalidInputError
 
 __all__ = ["as_finite", "as_shape", "one_word"]
@@ -28,18 +29,12 @@ def as_shape(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: s
             raise TypeError(f"{given.dtype}")
         array = given.astype(np.float64, copy=False)
     except (TypeError, ValueError, OverflowError) as error:
-        raise InvalidInputError(field, value, fix or f"Give numbers in an array of shape {_words(shape)}.") from error
-    if array.shape != shape and not _matches(array.shape, shape):
-        raise InvalidInputError(field, f"shape {array.shape}", fix or f"Give an array of shape {_words(shape)}.")
+        raise InvalidInputError(
+            field, value, fix or f"Give numbers in an array of shape {shape_words(shape)}."
+        ) from error
+    if not has_shape(array.shape, shape):
+        raise InvalidInputError(field, f"shape {array.shape}", fix or f"Give an array of shape {shape_words(shape)}.")
     return array
-
-
-def _matches(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
-    return len(shape) == len(wanted) and all(w is None or n == w for n, w in zip(shape, wanted, strict=True))
-
-
-def _words(shape: tuple[int | None, ...]) -> str:
-    return "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
 
 
 def as_finite(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: str = "") -> NDArray[np.float64]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-__all__ = ["BoxModel", "StrategyName"]
+__all__ = ["BoxModel", "StrategyName", "TrafficSide"]
 
 
 class BoxModel(StrEnum):
@@ -18,6 +18,13 @@ class BoxModel(StrEnum):
     """The outline, as the package's own vehicle detector draws it: wider than it is, and lower at the top."""
     OFF = "off"
     """The box places the start and scales the noise, but is no evidence."""
+
+
+class TrafficSide(StrEnum):
+    """The side of the road that traffic keeps to."""
+
+    RIGHT = "right"
+    LEFT = "left"
 
 
 class StrategyName(StrEnum):

@@ -8,11 +8,11 @@ from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import Any, ClassVar
 
-from fgrecon.core.choices import BoxModel, StrategyName
+from fgrecon.core.choices import BoxModel, StrategyName, TrafficSide
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.robust import RobustStrategy
 from fgrecon.core.robust import strategy as named_strategy
-from fgrecon.core.settings import check_settings, choice, count, flag, number, one_of
+from fgrecon.core.settings import check_settings, choice, choice_or_none, count, flag, number, one_of
 
 __all__ = ["BoxModel", "BoxOptions", "KeypointOptions", "Options", "SearchOptions", "ShapeOptions"]
 
@@ -181,6 +181,8 @@ class Options:
             cars of known shape. The size of a single vehicle is in the prior, not a term.
         ambiguity_margin: Energy (nats) within which another pose makes the result ambiguous.
         keep_history: Record every iteration.
+        traffic: The side that traffic keeps to, where the camera looks along the road: says which way vehicles face,
+            beside what the keypoints' detector says of that (`fgrecon.core.traffic`). None where nobody says.
         confidence_midpoint: Deprecated: what a confidence means belongs to the `Observation`, which this overrules.
     """
 
@@ -192,6 +194,7 @@ class Options:
     disabled_terms: frozenset[str]
     ambiguity_margin: float = number(3.0, least=0.0)
     keep_history: bool = flag(default=True)
+    traffic: TrafficSide | None = choice_or_none(TrafficSide)
     confidence_midpoint: float | None = number(None, least=1e-6)
 
     TERMS: ClassVar[tuple[str, ...]] = (
@@ -216,6 +219,7 @@ class Options:
         disabled_terms: Iterable[str] = OFF,
         ambiguity_margin: float = 3.0,
         keep_history: bool = True,
+        traffic: TrafficSide | str | None = None,
         confidence_midpoint: float | None = None,
         **moved: Any,
     ) -> None:
@@ -230,6 +234,7 @@ class Options:
             disabled_terms: Energy terms to leave out.
             ambiguity_margin: In nats.
             keep_history: Record every iteration.
+            traffic: Side that traffic keeps to (`right`, `left`), or None.
             confidence_midpoint: Of the first release: overrules what observations say.
             moved: Other names of the first release, which had no groups: taken with a `DeprecationWarning`.
 
@@ -250,6 +255,7 @@ class Options:
             "disabled_terms": _terms(disabled_terms),
             "ambiguity_margin": ambiguity_margin,
             "keep_history": keep_history,
+            "traffic": traffic,
             "confidence_midpoint": confidence_midpoint,
         }
         for name, value in settings.items():

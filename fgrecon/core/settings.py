@@ -23,7 +23,7 @@ import numpy as np
 
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["check_settings", "choice", "count", "flag", "number", "one_of"]
+__all__ = ["check_settings", "choice", "choice_or_none", "count", "flag", "number", "one_of"]
 
 Kind = TypeVar("Kind", bound=StrEnum)
 _CHECK = "check"
@@ -69,6 +69,13 @@ def flag(default: bool) -> Any:
 def choice(default: StrEnum) -> Any:
     """A member of the default's enumeration, or its name."""
     return field(default=default, metadata={_CHECK: lambda name, value: one_of(type(default), name, value)})
+
+
+def choice_or_none(kind: type[StrEnum]) -> Any:
+    """A member of an enumeration, or its name; or None, which is the default."""
+    return field(
+        default=None, metadata={_CHECK: lambda name, value: None if value is None else one_of(kind, name, value)}
+    )
 
 
 def one_of(kind: type[Kind], name: str, value: Any) -> Kind:

@@ -30,6 +30,7 @@ from fgrecon.solve.proposals.adjust import adjust_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import results
 from fgrecon.solve.threads import single_threaded
+from fgrecon.solve.traffic import in_traffic
 from fgrecon.solve.vehicle.model import prepare
 
 if TYPE_CHECKING:
@@ -141,7 +142,7 @@ def observe(
     box: ArrayLike | None = None,
     covariance: ArrayLike | None = None,
 ) -> Observation:
-    """The observation that is solved from: checked against the prior's category, and freed of lens distortion.
+    """The observation that is solved from: checked against the prior's category, freed of lens distortion, in traffic.
 
     Raises:
         InvalidInputError: An array has the wrong shape or values, or something is given twice.
@@ -168,10 +169,10 @@ def observe(
             options.confidence_midpoint,
         )
     seen = seen.of_at_least(options.keypoints.least_confidence)
-    if camera.distortion is None:
-        return seen
-    ideal_box = None if seen.box is None else camera.undistort(seen.box.reshape(2, 2)).ravel()
-    return replace(seen, keypoints=camera.undistort(seen.keypoints), box=ideal_box)
+    if camera.distortion is not None:
+        ideal_box = None if seen.box is None else camera.undistort(seen.box.reshape(2, 2)).ravel()
+        seen = replace(seen, keypoints=camera.undistort(seen.keypoints), box=ideal_box)
+    return seen if options.traffic is None else in_traffic(seen, camera, prior, options.traffic)
 
 
 def _fix(category: Category) -> str:

@@ -11,6 +11,7 @@ from fgrecon.core.options import BoxModel, Options
 from fgrecon.core.robust import Evidence, RobustStrategy, StrategyName
 
 DEFAULTS = {
+    "traffic": None,
     "strategy": {
         "name": StrategyName.MIXTURE,
         "updates": 5,

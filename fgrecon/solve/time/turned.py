@@ -18,7 +18,7 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Alternative
 from fgrecon.core.shape_prior import ShapePrior
 
-__all__ = ["HALF_TURN", "partners", "turned_alternative", "turned_round"]
+__all__ = ["HALF_TURN", "half_a_turn", "partners", "turned_alternative", "turned_round"]
 
 HALF_TURN = np.diag([-1.0, 1.0, -1.0, 1.0])
 """(4, 4) half a turn about the object's own y axis."""
@@ -57,7 +57,7 @@ def turned_round(observation: Observation, prior: ShapePrior) -> Observation:
         keypoints=np.where(there[:, None], observation.keypoints[index], np.nan),
         confidence=np.where(there, observation.confidence[index], 0.0),
         covariance=None if covariance is None else covariance[index],
-        azimuth=None if azimuth is None else _half_a_turn(azimuth),
+        azimuth=None if azimuth is None else half_a_turn(azimuth),
     )
 
 
@@ -75,7 +75,8 @@ def turned_alternative(
     return () if behind > _TOLD else (Alternative(camera_T_object @ HALF_TURN, coefficients, behind),)
 
 
-def _half_a_turn(azimuth: NDArray[np.float64]) -> NDArray[np.float64]:
+def half_a_turn(azimuth: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(A,) probabilities of directions, each given to the opposite one."""
     bins = len(azimuth)
     if bins % 2 == 0:
         return np.roll(azimuth, bins // 2)

@@ -15,54 +15,20 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.category import Category
+from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.perception.keypoints.crops import FILL, MARGIN
 from fgrecon.training.keypoints.deform import Field, deform, deform_points, move_points, random_field
+from fgrecon.training.keypoints.labelled_view import LabelledView
+from fgrecon.training.keypoints.raise_cabin import belt_of, raise_cabin
 
-__all__ = ["Another", "LabelledView", "Sample", "Street"]
+__all__ = ["Another", "Sample", "Street"]
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.uint8]
 
+_TALLEST = 2.2  # times the height above the lamps: a large van beside a saloon
 _MOVED = -0.15, 0.5  # share of the way by which parts are moved: a coupe's rear window begins half a roof ahead
 _UNEVEN = 0.5  # standard deviation of the logarithm of the boxes' jitter
-
-
-@dataclass(frozen=True)
-class LabelledView:
-    """A photograph of a car with its labels.
-
-    Attributes:
-        image: (H, W, 3) RGB.
-        mask: (H, W) 255 on the car, 0 elsewhere.
-        keypoints: (K, 2) pixels; NaN where unknown.
-        visible: (K,) probability that each can be seen.
-        azimuth: Direction from the car to the camera, radians; 0 ahead, pi / 2 to its left.
-        within: (4,) box of the car x1, y1, x2, y2 in pixels, where the image shows more than the car; else None.
-    """
-
-    image: Pixels
-    mask: Pixels
-    keypoints: Array
-    visible: Array
-    azimuth: float
-    within: Array | None = None
-
-    @property
-    def box(self) -> Array:
-        """(4,) box of the car x1, y1, x2, y2 in pixels."""
-        height, width = self.image.shape[:2]
-        return np.array([-0.5, -0.5, width - 0.5, height - 0.5]) if self.within is None else self.within
-
-    def mirrored(self, partner: NDArray[np.intp]) -> LabelledView:
-        """The mirror image, in which left and right of the car have changed places."""
-        flipped = self.keypoints[partner] * [-1.0, 1.0] + [self.image.shape[1] - 1.0, 0.0]
-        image, mask = (np.ascontiguousarray(a[:, ::-1]) for a in (self.image, self.mask))
-        within = self.within
-        if within is not None:
-            x1, y1, x2, y2 = within
-            within = np.array([self.image.shape[1] - 1.0 - x2, y1, self.image.shape[1] - 1.0 - x1, y2])
-        return LabelledView(image, mask, flipped, self.visible[partner], -self.azimuth, within)
 
 
 @dataclass(frozen=True)
@@ -98,6 +64,7 @@ class Street:
         aligned: Other cars point the same way.
         block: A block in front.
         backlit: The car is in the shade, before something too bright for the camera.
+        dull: The picture has little colour, and what is dark in it is black, as a camera for driving sees a shade.
         truncated: The image's border cuts the car off.
         extent: Range of the car's longer side in pixels before it is resampled to the crop.
         jitter: Standard deviation of the box's centre, and of its size, as a fraction of its longer side; that of the
@@ -106,8 +73,10 @@ class Street:
         stretch: Standard deviation of the logarithm of the car's aspect ratio.
         bend: Largest standard deviation of a smooth displacement of the car's parts, as a fraction of the crop's side.
         moved: A pair of parts is moved towards another pair.
+        raised: The cabin is made higher, up to that of a large van.
         as_it_is: A car in its street, which a camera of the street saw, is not degraded further.
         moves: Keypoints that may be moved, each with the one towards which.
+        belt: Keypoints above which the cabin is; none is raised where it is empty.
     """
 
     size: int = 96
@@ -117,6 +86,7 @@ class Street:
     aligned: float = 0.6
     block: float = 0.2
     backlit: float = 0.15
+    dull: float = 0.5
     truncated: float = 0.12
     extent: tuple[float, float] = (24.0, 220.0)
     jitter: float = 0.035
@@ -124,11 +94,14 @@ class Street:
     stretch: float = 0.08
     bend: float = 0.025
     moved: float = 0.5
+    raised: float = 0.2
     as_it_is: float = 0.6
     moves: tuple[tuple[int, int], ...] = ()
+    belt: tuple[int, ...] = ()
 
-    def moving(self, category: Category) -> Street:
-        """The same with `moves` along the sides of the category's faces, but for those that stand on the ground."""
+    def shaping(self, prior: ShapePrior) -> Street:
+        """The same for cars of a prior: `moves` along the sides of faces off the ground, and `belt`."""
+        category = prior.category
         sides = [
             pair
             for face in category.faces
@@ -136,7 +109,7 @@ class Street:
             for pair in zip(face.keypoints, (*face.keypoints[1:], face.keypoints[0]), strict=True)
         ]
         along = [(a, b) for a, b in sides if category.mirror[a] != b]
-        return replace(self, moves=(*along, *((b, a) for a, b in along)))
+        return replace(self, moves=(*along, *((b, a) for a, b in along)), belt=belt_of(category, prior.mean))
 
     def sample(
         self, view: LabelledView, another: Another, partner: NDArray[np.intp], rng: np.random.Generator
@@ -152,6 +125,8 @@ class Street:
         """
         if rng.random() < 0.5:
             view = view.mirrored(partner)
+        if rng.random() < self.raised:
+            view = raise_cabin(view, self.belt, np.exp(rng.uniform(0.0, np.log(_TALLEST))))
         matrix, border = self._placement(view, rng)
         car, mask = _warp(view.image, matrix, self.size), _warp(view.mask, matrix, self.size)
         canvas = self._background(another, rng)
@@ -272,6 +247,8 @@ class Street:
         reduced = small < self.size
         if reduced:
             canvas = np.asarray(cv2.resize(canvas, (small, small), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        if rng.random() < self.dull:
+            canvas = _dull(canvas, rng)
         if rng.random() < 0.25:
             canvas = np.asarray(cv2.GaussianBlur(canvas, (0, 0), rng.uniform(0.4, 1.2)), dtype=np.uint8)
         if rng.random() < 0.3:  # a shadow
@@ -325,6 +302,14 @@ def _backlit(canvas: Pixels, mask: Pixels, rng: np.random.Generator) -> Pixels:
     """The car darker, and what is around it brighter."""
     car = cv2.blur(mask, (3, 3))[..., None] / 255.0
     return _bytes(canvas * (rng.uniform(0.25, 0.8) * car + rng.uniform(1.2, 3.0) * (1.0 - car)))
+
+
+def _dull(canvas: Pixels, rng: np.random.Generator) -> Pixels:
+    """Less colour, and dark parts darker."""
+    grey = canvas.mean(axis=2, keepdims=True)
+    pale = (grey + rng.uniform(0.0, 0.9) * (canvas - grey)) / 255.0
+    light = np.maximum(pale - rng.uniform(0.0, 0.08), 0.0) ** rng.uniform(1.0, 1.7)
+    return _bytes(255.0 * rng.uniform(0.8, 1.6) * light)
 
 
 def _bytes(values: NDArray[Any]) -> Pixels:

@@ -20,8 +20,8 @@ from fgrecon.io.arrays import read_arrays
 from fgrecon.io.files import write_bytes
 from fgrecon.io.images import read_image
 from fgrecon.io.stored import MADE_AGAIN
-from fgrecon.training.keypoints.augment import LabelledView
 from fgrecon.training.keypoints.distant import random_distant_view
+from fgrecon.training.keypoints.labelled_view import LabelledView
 from fgrecon.training.keypoints.labels import SEEN, Labels, ShapeFit, project_labels, surface_of
 from fgrecon.training.keypoints.posed_cars import PosedCar
 from fgrecon.training.keypoints.progress import Progress, no_progress

@@ -210,7 +210,7 @@ def _refined(
     refining = RefineTraining(steps=plan.refine_steps, seed=plan.seed)
     schedule = {name: value for name, value in asdict(refining).items() if name != "save_every"}
     begin_alike(work / "began-refine.json", schedule)
-    refining = replace(refining, street=refining.street.moving(source.prior.category))
+    refining = replace(refining, street=refining.street.shaping(source.prior))
     before = None if begun is None else begun.refinement
     refinement = train_refinement(
         samples,

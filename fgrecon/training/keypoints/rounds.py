@@ -74,7 +74,7 @@ def train_in_rounds(
     """
     folder.mkdir(parents=True, exist_ok=True)
     checkpoint, partner = folder / "knet.pt", source.prior.category.mirror
-    how = replace(how, street=how.street.moving(source.prior.category))
+    how = replace(how, street=how.street.shaping(source.prior))
     stops = [*(step for step in relabel_at if step < how.steps), how.steps]
     begin_alike(folder / "began.json", _named(source, how, stops, imagenet, start, silhouettes, street))
     first = _first(source, folder / "labels-first.npz", silhouettes, log, progress)

@@ -17,8 +17,8 @@ from fgrecon.io.files import write_bytes
 from fgrecon.io.images import read_image
 from fgrecon.io.stored import MADE_AGAIN
 from fgrecon.perception.keypoints.crops import Crop, extract
-from fgrecon.training.keypoints.augment import LabelledView
 from fgrecon.training.keypoints.dataset import SIDE, Photographs
+from fgrecon.training.keypoints.labelled_view import LabelledView
 from fgrecon.training.keypoints.progress import Progress, no_progress
 from fgrecon.training.keypoints.views import Together, TrainingSet, Views, azimuth_weights
 

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.metrics import wrap_angle
-from fgrecon.training.keypoints.augment import LabelledView, Sample, Street
+from fgrecon.training.keypoints.augment import Sample, Street
+from fgrecon.training.keypoints.labelled_view import LabelledView
 
 __all__ = ["Together", "TrainingSet", "Views", "azimuth_weights"]
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from fgrecon.io.catalogue import load_category
-from fgrecon.training.keypoints.augment import LabelledView, Street
+from fgrecon.training.keypoints.augment import Street
+from fgrecon.training.keypoints.labelled_view import LabelledView
 
 MIRROR = load_category("car14").mirror
 PLAIN = Street(cut_out=0, covered=0, block=0, truncated=0, extent=(200.0, 220.0))
@@ -89,9 +90,9 @@ def test_the_same_seed_gives_the_same_sample():
 def test_what_is_covered_is_not_visible(what):
     view = made_up_view(np.random.default_rng(3))
     street = replace(PLAIN, **{what: 1.0})
-    seen = [street.sample(view, lambda _: view, MIRROR, np.random.default_rng(s)).visible.mean() for s in range(20)]
-    plain = [PLAIN.sample(view, lambda _: view, MIRROR, np.random.default_rng(s)).visible.mean() for s in range(20)]
-    assert np.mean(seen) < np.mean(plain) - 0.05
+    seen = [street.sample(view, lambda _: view, MIRROR, np.random.default_rng(s)).visible.mean() for s in range(60)]
+    plain = [PLAIN.sample(view, lambda _: view, MIRROR, np.random.default_rng(s)).visible.mean() for s in range(60)]
+    assert np.mean(seen) < np.mean(plain) - 0.03
 
 
 def test_beyond_the_border_nothing_is_visible_and_the_crop_follows_the_box():
@@ -165,3 +166,21 @@ def test_street_cars_are_often_left_as_the_camera_saw_them():
             for how in (replace(PLAIN, as_it_is=1.0, extent=(30.0, 40.0)), replace(kept, as_it_is=0.0, backlit=0.0))
         )
         np.testing.assert_array_equal(left.crop, degraded.crop)
+
+
+def test_a_dull_picture_has_less_colour_and_its_dark_parts_are_darker():
+    rng = np.random.default_rng(5)
+    view = made_up_view(rng)
+    colours = np.clip(view.image * [1.0, 0.5, 0.2] + [60, 40, 30], 0, 255).astype(np.uint8)
+    view = replace(view, image=colours)
+    still = {"cut_out": 0.0, "covered": 0.0, "block": 0.0, "truncated": 0.0, "backlit": 0.0, "extent": (200.0, 220.0)}
+
+    def seen(dull):
+        street = Street(**still, dull=dull)
+        crops = [street.sample(view, lambda _: view, MIRROR, np.random.default_rng(s)).crop for s in range(60)]
+        spread = [np.ptp(crop.astype(float), axis=2).mean() for crop in crops]
+        return np.mean(spread), np.mean([np.quantile(crop, 0.25) for crop in crops])
+
+    (colour, dark), (pale, darker) = seen(0.0), seen(1.0)
+    assert pale < 0.8 * colour
+    assert darker < dark

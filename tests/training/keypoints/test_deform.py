@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fgrecon.io.catalogue import load_category
+from fgrecon.io.catalogue import load_prior
 from fgrecon.training.keypoints.augment import Street
 from fgrecon.training.keypoints.deform import deform, deform_points, move_points, random_field
 from tests.training.keypoints.test_augment import MIRROR, PLAIN, made_up_view
@@ -66,9 +66,10 @@ def test_a_point_moves_where_it_is_sent_and_others_stay():
 
 
 def test_sides_of_faces_are_what_moves():
-    category = load_category("car14")
+    prior = load_prior("car14")
+    category = prior.category
     name = {name: number for number, name in enumerate(category.keypoints)}
-    moves = Street().moving(category).moves
+    moves = Street().shaping(prior).moves
     assert (name["left_back_roof"], name["left_front_roof"]) in moves
     assert (name["right_front_roof"], name["right_back_roof"]) in moves
     assert not {k for pair in moves for k in pair} & {k for k, n in enumerate(category.keypoints) if "wheel" in n}
