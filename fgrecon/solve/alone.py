@@ -21,6 +21,7 @@ from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Alternative, rotation_y
+from fgrecon.core.turned import turned_alternative
 from fgrecon.solve.detected import KnownBox
 from fgrecon.solve.graph.adjust import Adjusted, SolvedStage, adjust
 from fgrecon.solve.graph.graph import Graph, Seen, State
@@ -29,7 +30,6 @@ from fgrecon.solve.pipeline import observe
 from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.time.heading import Belief, box_says
-from fgrecon.solve.time.turned import turned_alternative
 from fgrecon.solve.time.vehicle import face, image_says
 from fgrecon.solve.time.window import Frame
 from fgrecon.solve.vehicle.model import VehicleModel

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.reconstruction import Alternative
+from fgrecon.core.turned import turned_alternative
 from fgrecon.solve.graph.facing import is_turned
-from fgrecon.solve.time.turned import turned_alternative
 
 __all__ = ["facing_by_energies", "with_probabilities"]
 

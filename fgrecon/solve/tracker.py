@@ -27,6 +27,7 @@ from fgrecon.core.reconstruction import Reconstruction, rotation_y
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as named_size_prior
+from fgrecon.core.turned import turned_alternative
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph.adjust import Adjusted
@@ -36,7 +37,6 @@ from fgrecon.solve.result import count, results
 from fgrecon.solve.road import GroundEvidence, KnownGround, Road, ground_evidence
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.time.smooth import smooth
-from fgrecon.solve.time.turned import turned_alternative
 from fgrecon.solve.time.vehicle import Followed
 from fgrecon.solve.time.window import Frame, FrameStep, OwnFactors, WindowSolve, velocity_covariances
 from fgrecon.solve.vehicle.model import prepare

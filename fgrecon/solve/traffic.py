@@ -17,7 +17,7 @@ from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.observation import Observation
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.traffic import traffic_directions
-from fgrecon.solve.time.turned import half_a_turn, turned_round
+from fgrecon.core.turned import half_a_turn, turned_round
 
 __all__ = ["in_traffic"]
 

@@ -9,11 +9,11 @@ import fgrecon
 from fgrecon.core.choices import TrafficSide
 from fgrecon.core.detection import facing_probability
 from fgrecon.core.geometry import view_azimuth
+from fgrecon.core.turned import turned_round
 from fgrecon.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior
 from fgrecon.simulation import HOURGLASS
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate
-from fgrecon.solve.time.turned import turned_round
 from fgrecon.solve.traffic import in_traffic
 
 PRIOR = load_prior("car14")

@@ -25,6 +25,7 @@ from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.motion import MotionModel
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Alternative, rotation_y
+from fgrecon.core.turned import HALF_TURN, turned_round
 from fgrecon.solve.graph.graph import Graph, Seen, State
 from fgrecon.solve.graph.observation import Weights
 from fgrecon.solve.graph.optimise import Optimum, optimise
@@ -33,7 +34,6 @@ from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
 from fgrecon.solve.proposals.direction import direction_penalty
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.time.heading import Belief, backward, combined, directions_say, motion_says, poses_say, weight_of
-from fgrecon.solve.time.turned import HALF_TURN, turned_round
 from fgrecon.solve.time.window import Frame, FrameStep, OwnFactors, WindowSolve, solve_alone, solve_window
 
 __all__ = ["Followed", "face", "image_says"]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from fgrecon.core.metrics import wrap_angle
+from fgrecon.core.turned import partners, turned_round
 from fgrecon.solve.time.heading import (
     HEADINGS,
     Belief,
@@ -14,7 +15,6 @@ from fgrecon.solve.time.heading import (
     poses_say,
     weight_of,
 )
-from fgrecon.solve.time.turned import partners, turned_round
 from tests.solve.time.streets import PRIOR, seen, upright
 
 
