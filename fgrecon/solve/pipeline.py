@@ -95,9 +95,8 @@ def reconstruct(
     plane = ground_plane(ground)
     start = _initial(initial)
     fleet = None if size_prior is None else named_size_prior(size_prior)
-    observation = observe(
-        keypoints, camera, shape_prior, options, confidence=confidence, box=box, covariance=covariance
-    )
+    told = options if start is None else replace(options, traffic=None)  # which way it faces is said already
+    observation = observe(keypoints, camera, shape_prior, told, confidence=confidence, box=box, covariance=covariance)
     model = prepare(shape_prior, fleet, options.shape.basis_vectors)
 
     started = perf_counter()

@@ -88,6 +88,24 @@ def test_without_directions_or_anything_measured_nothing_changes():
     assert in_traffic(nothing, KITTI_CAMERA, PRIOR, TrafficSide.RIGHT) is nothing
 
 
+def test_a_guess_of_the_yaw_comes_before_the_traffic():
+    seen, pose = car(-6.0, 0.6, turned=False)  # stands on the wrong side of the road
+    options = fgrecon.Options(traffic="right", keep_history=False)
+    told = fgrecon.reconstruct(seen, KITTI_CAMERA, ground=1.65, initial=-np.pi / 2, options=options)
+    assert faces(told, pose)
+
+
+def test_a_video_and_images_of_one_car_know_the_traffic():
+    seen, pose = car(3.5, 0.6, turned=True)
+    options = fgrecon.Options(traffic="right", keep_history=False)
+    tracker = fgrecon.Tracker(options=options)
+    for frame in range(3):
+        found = tracker.update(0.1 * frame, {1: seen}, camera=KITTI_CAMERA, ground=1.65)[1]
+    assert faces(found.reconstruction, pose)
+    track = fgrecon.reconstruct_track([seen, seen], KITTI_CAMERA, ground=1.65, options=options)
+    assert all(faces(one, pose) for one in track.frames)
+
+
 def test_a_side_that_there_is_not_is_refused():
     with pytest.raises(InvalidInputError, match=r"options\.traffic.*right, left"):
         fgrecon.Options(traffic="middle")
