@@ -23,6 +23,7 @@ from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Alternative, rotation_y
 from fgrecon.core.turned import turned_alternative
 from fgrecon.solve.detected import KnownBox
+from fgrecon.solve.facing import face_together, faced_pose
 from fgrecon.solve.graph.adjust import Adjusted, SolvedStage, adjust
 from fgrecon.solve.graph.graph import Graph, Seen, State
 from fgrecon.solve.graph.optimise import optimise
@@ -133,15 +134,21 @@ def each_alone(
     """
     alone: dict[int, Alone] = {}
     refused: dict[int, FgreconError] = {}
+    seen: dict[int, Observation] = {}
     for number, given in enumerate(observations):
+        try:
+            seen[number] = observe(given, camera, model.prior, options)
+        except FgreconError as error:
+            refused[number] = error
+    together = dict(zip(seen, face_together([*seen.values()], camera, model.prior, options), strict=True))
+    for number, observation in seen.items():
         box = None if known is None else known[number]
         try:
-            observation = observe(given, camera, model.prior, options)
-            if box is not None:
+            if box is not None:  # which says itself which way it faces
                 alone[number] = _with_box(box.problem(observation, camera, model, plane, options), box)
                 continue
-            problem = Problem.of(observation, camera, model, plane, options)
-            start = adjust_pose(problem)
+            told = Problem.of(together[number], camera, model, plane, options)
+            problem, start = faced_pose(told, observation)
         except FgreconError as error:
             refused[number] = error
             continue

@@ -24,13 +24,13 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as named_size_prior
 from fgrecon.io.catalogue import load_prior
+from fgrecon.solve.facing import face_together, faced_pose
 from fgrecon.solve.graph.adjust import adjust
 from fgrecon.solve.graph.graph import Seen
 from fgrecon.solve.proposals.adjust import adjust_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import results
 from fgrecon.solve.threads import single_threaded
-from fgrecon.solve.traffic import in_traffic
 from fgrecon.solve.vehicle.model import prepare
 
 if TYPE_CHECKING:
@@ -95,13 +95,18 @@ def reconstruct(
     plane = ground_plane(ground)
     start = _initial(initial)
     fleet = None if size_prior is None else named_size_prior(size_prior)
-    told = options if start is None else replace(options, traffic=None)  # which way it faces is said already
-    observation = observe(keypoints, camera, shape_prior, told, confidence=confidence, box=box, covariance=covariance)
+    observation = observe(
+        keypoints, camera, shape_prior, options, confidence=confidence, box=box, covariance=covariance
+    )
     model = prepare(shape_prior, fleet, options.shape.basis_vectors)
 
     started = perf_counter()
-    problem = Problem.of(observation, camera, model, plane, options)
-    pose = adjust_pose(problem, start)
+    if start is None:
+        (told,) = face_together([observation], camera, shape_prior, options)
+        problem, pose = faced_pose(Problem.of(told, camera, model, plane, options), observation)
+    else:  # which way it faces is said already
+        problem = Problem.of(observation, camera, model, plane, options)
+        pose = adjust_pose(problem, start)
     posed = perf_counter()
     seen = [Seen(problem)]
     adjusted = adjust(seen, [pose], extra_factors)
@@ -141,7 +146,7 @@ def observe(
     box: ArrayLike | None = None,
     covariance: ArrayLike | None = None,
 ) -> Observation:
-    """The observation that is solved from: checked against the prior's category, freed of lens distortion, in traffic.
+    """The observation that is solved from: checked against the prior's category, and freed of lens distortion.
 
     Raises:
         InvalidInputError: An array has the wrong shape or values, or something is given twice.
@@ -171,7 +176,7 @@ def observe(
     if camera.distortion is not None:
         ideal_box = None if seen.box is None else camera.undistort(seen.box.reshape(2, 2)).ravel()
         seen = replace(seen, keypoints=camera.undistort(seen.keypoints), box=ideal_box)
-    return seen if options.traffic is None else in_traffic(seen, camera, prior, options.traffic)
+    return seen
 
 
 def _fix(category: Category) -> str:

@@ -32,12 +32,13 @@ from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as named_size_prior
 from fgrecon.core.track_reconstruction import JointStep, TrackReconstruction
 from fgrecon.io.catalogue import load_prior
+from fgrecon.solve.facing import face_together, faced_pose
 from fgrecon.solve.graph.adjust import adjust
 from fgrecon.solve.graph.graph import Seen
 from fgrecon.solve.graph.history import joint_steps
 from fgrecon.solve.graph.structure import graph_factors
 from fgrecon.solve.pipeline import ground_plane, observe
-from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
+from fgrecon.solve.proposals.adjust import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import results
 from fgrecon.solve.threads import single_threaded
@@ -104,8 +105,9 @@ def reconstruct_track(
             continue
         observation = observe(given, camera, shape_prior, options)
         try:
-            problem = Problem.of(observation, camera, model, plane, options)
-            starts.append(adjust_pose(problem))
+            (told,) = face_together([observation], camera, shape_prior, options)
+            problem, start = faced_pose(Problem.of(told, camera, model, plane, options), observation)
+            starts.append(start)
         except DegenerateProblemError as error:
             refused[number] = str(error)
             continue

@@ -30,6 +30,7 @@ from fgrecon.core.size_prior import size_prior as named_size_prior
 from fgrecon.core.turned import turned_alternative
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.catalogue import load_prior
+from fgrecon.solve.facing import face_together
 from fgrecon.solve.graph.adjust import Adjusted
 from fgrecon.solve.pipeline import ground_plane, observe
 from fgrecon.solve.proposals.problem import Problem
@@ -158,11 +159,12 @@ class Tracker:
         looked: dict[int, tuple[_Track, Frame]] = {}
         refused: dict[int, FgreconError] = {}
 
+        seen = self._seen(observations, seen_by, refused)
+
         def look(ground: Ground | None) -> None:
-            for name, given in observations.items():
+            for name, observation in seen.items():
                 track = self._tracks.get(name)
                 try:
-                    observation = observe(given, seen_by, self._prior, self._options)
                     problem = Problem.of(observation, seen_by, self._model, ground, self._options)
                     if track is None:
                         track = _Track(Followed(self._prior.category.motion, self._window, self._own))
@@ -193,6 +195,19 @@ class Tracker:
             found[name] = self._estimate(name, track)
         self.refused = refused
         return found
+
+    def _seen(
+        self, observations: Mapping[int, Observation], camera: Camera, refused: dict[int, FgreconError]
+    ) -> dict[int, Observation]:
+        """The observations as they are solved from; those that cannot be used go to `refused`."""
+        found: dict[int, Observation] = {}
+        for name, given in observations.items():
+            try:
+                found[name] = observe(given, camera, self._prior, self._options)
+            except FgreconError as error:
+                refused[name] = error
+        together = face_together([*found.values()], camera, self._prior, self._options, again=True)
+        return dict(zip(found, together, strict=True))
 
     @single_threaded
     def smooth(self) -> dict[int, list[VehicleEstimate]]:

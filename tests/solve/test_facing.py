@@ -1,4 +1,4 @@
-"""Observations in traffic: turned round where the detector is unsure and the traffic is against it."""
+"""Which way vehicles face by one another and by the traffic: it decides where the detector is unsure."""
 
 from dataclasses import replace
 
@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import fgrecon
-from fgrecon.core.choices import TrafficSide
 from fgrecon.core.detection import facing_probability
 from fgrecon.core.geometry import view_azimuth
 from fgrecon.core.turned import turned_round
@@ -14,9 +13,10 @@ from fgrecon.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior
 from fgrecon.simulation import HOURGLASS
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate
-from fgrecon.solve.traffic import in_traffic
+from fgrecon.solve.facing import _right, face_together
 
 PRIOR = load_prior("car14")
+PLAIN, RIGHT = fgrecon.Options(), fgrecon.Options(traffic="right")
 QUIET = replace(HOURGLASS, found_visible=1.0, confusion=0.0, covered=0.0, missing=0.0, sigma_visible=0.01)
 BINS = 2 * np.pi * np.arange(36) / 36
 
@@ -72,7 +72,7 @@ def test_the_other_side_of_the_road_says_the_opposite():
 
 def test_what_the_directions_say_beside_the_facing_stays():
     seen, _ = car(3.5, 0.9, turned=False)
-    told = in_traffic(seen, KITTI_CAMERA, PRIOR, TrafficSide.RIGHT)
+    (told,) = face_together([seen], KITTI_CAMERA, PRIOR, RIGHT)
     assert told.azimuth.sum() == pytest.approx(1.0)
     assert told.azimuth.argmax() == seen.azimuth.argmax()
     top = float(BINS[seen.azimuth.argmax()])
@@ -83,9 +83,64 @@ def test_what_the_directions_say_beside_the_facing_stays():
 def test_without_directions_or_anything_measured_nothing_changes():
     seen, _ = car(3.5, 0.6, turned=True)
     silent = replace(seen, azimuth=None)
-    assert in_traffic(silent, KITTI_CAMERA, PRIOR, TrafficSide.RIGHT) is silent
     nothing = replace(seen, keypoints=np.full((14, 2), np.nan), box=None)
-    assert in_traffic(nothing, KITTI_CAMERA, PRIOR, TrafficSide.RIGHT) is nothing
+    found = face_together([silent, nothing], KITTI_CAMERA, PRIOR, RIGHT)
+    assert found[0] is silent
+    assert found[1] is nothing
+    off = fgrecon.Options(traffic="right", disabled_terms=["direction"])
+    assert face_together([seen], KITTI_CAMERA, PRIOR, off)[0] is seen
+
+
+def in_a_row(*sure, x=3.5, turned=(), gap=8.0):
+    """Cars one behind the other, all facing as the camera looks."""
+    return [car(x, p, turned=i in turned, z=12.0 + gap * i) for i, p in enumerate(sure)]
+
+
+def test_an_unsure_car_faces_as_its_row_does():
+    row = in_a_row(0.97, 0.6, 0.97, turned=[1])
+    seen, poses = [one for one, _ in row], [pose for _, pose in row]
+    apart = [solve(one) for one in seen]
+    assert [faces(*pair) for pair in zip(apart, poses, strict=True)] == [True, False, True]
+    found = fgrecon.reconstruct_scene(seen, KITTI_CAMERA, ground=1.65).vehicles
+    assert all(faces(*pair) for pair in zip(found, poses, strict=True))
+
+
+def test_a_car_alone_or_far_from_all_others_stays_as_it_is():
+    seen, _ = car(3.5, 0.6, turned=True)
+    assert face_together([seen], KITTI_CAMERA, PRIOR, PLAIN)[0] is seen
+    far, _ = car(3.5, 0.9, turned=False, z=60.0)
+    found = face_together([seen, far], KITTI_CAMERA, PRIOR, PLAIN)
+    assert found[0] is seen
+    assert found[1] is far
+
+
+@pytest.mark.parametrize(("x", "alike"), [(3.5, True), (-3.5, False)])
+def test_a_row_faces_alike_and_the_other_side_of_a_street_does_not(x, alike):
+    sure, unsure = car(3.5, 0.99, turned=False)[0], car(x, 0.6, turned=False, z=24.0)[0]
+    _, told = face_together([sure, unsure], KITTI_CAMERA, PRIOR, PLAIN)
+    top = float(BINS[unsure.azimuth.argmax()])
+    more = facing_probability(told.azimuth, top) > facing_probability(unsure.azimuth, top)
+    assert more == alike
+
+
+def test_the_order_of_the_vehicles_does_not_matter_and_a_video_counts_them_less():
+    seen = [one for one, _ in in_a_row(0.97, 0.6, 0.9, 0.7, turned=[1])]
+    found = face_together(seen, KITTI_CAMERA, PRIOR, PLAIN)
+    other = face_together(seen[::-1], KITTI_CAMERA, PRIOR, PLAIN)[::-1]
+    less = face_together(seen, KITTI_CAMERA, PRIOR, PLAIN, again=True)
+    for given, one, two, weak in zip(seen, found, other, less, strict=True):
+        np.testing.assert_allclose(one.azimuth, two.azimuth, atol=1e-9)
+        top = float(BINS[given.azimuth.argmax()])
+        before, after, between = (facing_probability(o.azimuth, top) for o in (given, one, weak))
+        assert min(before, after) - 1e-6 <= between <= max(before, after) + 1e-6
+
+
+def test_probabilities_are_those_of_all_sides_together():
+    own, between = np.array([1.5, -0.3, 0.4]), np.array([[0, 0.3, 0.2], [0.3, 0, -0.25], [0.2, -0.25, 0]])
+    states = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
+    weight = np.exp(states @ own / 2 + 0.5 * np.einsum("ki,ij,kj->k", states, between, states))
+    exact = weight @ (states > 0) / weight.sum()
+    np.testing.assert_allclose(_right(own, between), exact, atol=0.02)
 
 
 def test_a_guess_of_the_yaw_comes_before_the_traffic():
