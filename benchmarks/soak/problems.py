@@ -60,7 +60,8 @@ def problem(seed: Sequence[int]) -> tuple[str, int, Callable[[], Sequence[Recons
     rng = np.random.default_rng(seed)
     camera = random_camera(rng)
     number = seed[-1]
-    options = fgrecon.Options(keep_history=False, box=("surface", "cuboid", "off")[number % 3])
+    traffic = ("right", "left", None, None)[number // 3 % 4]
+    options = fgrecon.Options(keep_history=False, box=("surface", "cuboid", "off")[number % 3], traffic=traffic)
     told: dict[str, Any] = {"options": options}
     if rng.random() < 0.5:
         told["ground"] = float(10 ** rng.uniform(-2, 2))
