@@ -1,8 +1,7 @@
 """Taller cars out of photographs: everything above the lamps is stretched upwards, as a van stands higher than a car.
 
-Vans are rare among cars, and a network that has hardly seen one takes the tall, upright back of a van for a
-windscreen. Upright cars seen by a level camera keep their vertical lines vertical, so that a stretch of the image's
-columns above a line through the lamps is one of the cabin.
+Photographs to learn from show hardly any van. A level camera keeps the vertical lines of a car vertical, so that a
+stretch of the image's columns above a line through the lamps is one of the cabin.
 """
 
 from __future__ import annotations
