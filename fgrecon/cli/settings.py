@@ -181,6 +181,7 @@ def plain_settings(settings: Settings) -> dict[str, Any]:
         "size_prior": _plain_size(settings.size_prior),
         "strategy": settings.options.strategy.name.value,
         "box_model": settings.options.box.model.value,
+        **({} if settings.options.traffic is None else {"traffic": settings.options.traffic.value}),
         **_plain_keypoints(settings.options.keypoints),
     }
 

@@ -18,6 +18,7 @@ from fgrecon.io.catalogue import load_category
 from fgrecon.io.images import read_image, write_png
 from fgrecon.solve import pipeline
 from fgrecon.viz.replay import read as replay
+from tests.docs.test_schemas import check
 
 from .conftest import INTRINSICS, LOCATION, YAW, K, car
 
@@ -55,6 +56,19 @@ def test_json_stands_alone_on_the_output_and_is_a_whole_result(write, instance):
     assert result.location.tolist() == entry["location"]
     assert len(result.history) > 3
     assert "converged" in done.stderr
+
+
+def test_the_side_of_the_traffic_is_a_setting(write, instance):
+    told = run(write(instance), INTRINSICS, "--traffic", "right", "--json", "-")
+    assert told.exit_code == 0, told.output
+    assert json.loads(told.stdout)["settings"]["traffic"] == "right"
+    check("results", json.loads(told.stdout))
+    untold = run(write(instance), INTRINSICS, "--json", "-")
+    assert "traffic" not in json.loads(untold.stdout)["settings"]
+    assert results(untold.stdout)["0"]["result"]["energies"] == results(told.stdout)["0"]["result"]["energies"]
+    refused = run(write(instance), INTRINSICS, "--traffic", "middle")
+    assert refused.exit_code == 2
+    assert "right" in refused.output
 
 
 def test_several_cars_of_which_one_is_refused(write, tmp_path):
