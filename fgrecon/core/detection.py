@@ -14,7 +14,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.observation import Observation, as_directions
 
-__all__ = ["Detection", "calibrated_facing", "facing_probability"]
+__all__ = ["Detection", "calibrated_facing", "facing_probability", "half_around"]
 
 _SUREST = 1e-6
 
@@ -77,9 +77,15 @@ def facing_probability(directions: NDArray[np.float64], azimuth: float) -> float
         directions: (A,) probability of each direction, as in `Detection`; even within its bin.
         azimuth: The direction, radians.
     """
-    width = 2.0 * np.pi / len(directions)
-    off = np.abs(wrap_angle(width * np.arange(len(directions)) - azimuth))
-    return float(np.clip((np.pi / 2.0 - off) / width + 0.5, 0.0, 1.0) @ directions)
+    return float(half_around(azimuth, len(directions)) @ directions)
+
+
+def half_around(azimuth: float, bins: int) -> NDArray[np.float64]:
+    """(A,) share of each of A directions that is in the half of all around one, radians."""
+    width = 2.0 * np.pi / bins
+    off = np.abs(wrap_angle(width * np.arange(bins) - azimuth))
+    share: NDArray[np.float64] = np.clip((np.pi / 2.0 - off) / width + 0.5, 0.0, 1.0)
+    return share
 
 
 def calibrated_facing(probability: float, bias: float, slope: float) -> float:

@@ -18,8 +18,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.box3d import Box3D
 from fgrecon.core.camera import Camera
-from fgrecon.core.detection import facing_probability
+from fgrecon.core.detection import facing_probability, half_around
 from fgrecon.core.geometry import view_azimuth, yaw_rotation
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.observation import Observation
@@ -78,17 +79,20 @@ def face_together(
     return told
 
 
-def faced_pose(problem: Problem, given: Observation) -> tuple[Problem, PoseEstimate]:
+def faced_pose(
+    problem: Problem, given: Observation, initial: Box3D | float | None = None
+) -> tuple[Problem, PoseEstimate]:
     """The pose stage of an observation whose directions know the rest, its keypoints turned round if need be.
 
     Args:
         problem: Of the observation.
         given: It as its detector gave it.
+        initial: As `adjust_pose` takes it.
 
     Raises:
         DegenerateProblemError: No pose is found.
     """
-    seen, start = problem.observation, adjust_pose(problem)
+    seen, start = problem.observation, adjust_pose(problem, initial)
     if seen.azimuth is None or seen.azimuth is given.azimuth or _agrees(start, seen.azimuth):
         return problem, start
     other = replace(turned_round(seen, problem.model.prior), azimuth=seen.azimuth)
@@ -127,8 +131,7 @@ class _Side:
             return None
         bins = len(seen.azimuth)
         azimuths = 2.0 * np.pi * np.arange(bins) / bins
-        off = np.abs(wrap_angle(azimuths - azimuths[int(seen.azimuth.argmax())]))
-        near = np.clip((np.pi / 2.0 - off) * bins / (2.0 * np.pi) + 0.5, 0.0, 1.0)
+        near = half_around(azimuths[int(seen.azimuth.argmax())], bins)
         probability = float(near @ seen.azimuth)
         ahead = near * seen.azimuth / probability
         azimuth = float(np.angle(ahead @ np.exp(1j * azimuths)))

@@ -27,7 +27,6 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.facing import face_together, faced_pose
 from fgrecon.solve.graph.adjust import adjust
 from fgrecon.solve.graph.graph import Seen
-from fgrecon.solve.proposals.adjust import adjust_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import results
 from fgrecon.solve.threads import single_threaded
@@ -101,12 +100,9 @@ def reconstruct(
     model = prepare(shape_prior, fleet, options.shape.basis_vectors)
 
     started = perf_counter()
-    if start is None:
-        (told,) = face_together([observation], camera, shape_prior, options)
-        problem, pose = faced_pose(Problem.of(told, camera, model, plane, options), observation)
-    else:  # which way it faces is said already
-        problem = Problem.of(observation, camera, model, plane, options)
-        pose = adjust_pose(problem, start)
+    # Where a start is given, which way it faces is said already.
+    (told,) = face_together([observation], camera, shape_prior, options) if start is None else [observation]
+    problem, pose = faced_pose(Problem.of(told, camera, model, plane, options), observation, start)
     posed = perf_counter()
     seen = [Seen(problem)]
     adjusted = adjust(seen, [pose], extra_factors)
@@ -173,10 +169,10 @@ def observe(
             options.confidence_midpoint,
         )
     seen = seen.of_at_least(options.keypoints.least_confidence)
-    if camera.distortion is not None:
-        ideal_box = None if seen.box is None else camera.undistort(seen.box.reshape(2, 2)).ravel()
-        seen = replace(seen, keypoints=camera.undistort(seen.keypoints), box=ideal_box)
-    return seen
+    if camera.distortion is None:
+        return seen
+    ideal_box = None if seen.box is None else camera.undistort(seen.box.reshape(2, 2)).ravel()
+    return replace(seen, keypoints=camera.undistort(seen.keypoints), box=ideal_box)
 
 
 def _fix(category: Category) -> str:
