@@ -25,7 +25,12 @@ cdef class Observation:
         double *r, double *X, double *camera, double *body
     ) noexcept nogil
     cdef double box(
-        self, const double *R, const double *t, const double *x, double least, double *r, double *J, double *work
+        self, const double *R, const double *t, const double *x, double least, double *r, double *J, double *crease,
+        double *work
+    ) noexcept nogil
+    cdef void crease(
+        self, int e, double sign, double extreme, double beyond, const double *R, const double *U, const double *G,
+        const double *X, double *row
     ) noexcept nogil
     cdef void ground(
         self, const double *R, const double *t, double height_sigma, double *r, double *turn, double *shift

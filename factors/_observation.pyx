@@ -10,13 +10,22 @@ nothing is. Poses come as R (9,), row by row, and t (3,); lambda as x (N,).
 from libc.math cimport INFINITY, atan2, exp, log, sqrt
 from libc.string cimport memset
 
-from factors._terms cimport WEIGHTED, cross, mixture, project, robust, turned
+from factors._terms cimport MAJORISED, WEIGHTED, cross, mixture, project, robust, turned
 
 import numpy as np
 
 cdef double PI = 3.14159265358979323846
 cdef double LEAST = 1e-3  # metres: depth at which nearer points are evaluated (`factors.projection.MIN_DEPTH`)
 cdef double FARTHEST = 40.0  # softnesses behind the outermost point beyond which one has no share in an extent
+
+cdef inline double kink(double behind, double softness) noexcept nogil:
+    """Curvature of the parabola that touches a soft maximum here and lies nowhere below it (`factors.box.kink`)."""
+    cdef double e
+    behind /= softness
+    behind = behind if behind > 1e-3 else 1e-3
+    e = exp(-behind)
+    return (0.5 * (1.0 - e) / (1.0 + e) + behind * e / ((1.0 + e) * (1.0 + e))) / (behind * softness)
+
 
 cdef inline void shaped(
     const double *mean, const double[:, ::1] basis, int k, const double *x, const double *offsets, double *X
@@ -44,7 +53,7 @@ cdef class Observation:
     """What is seen of a vehicle in an image, and how its residuals follow from pose and shape.
 
     Rows are, in this order: two for each of the K keypoints, four for the box's edges, one for the height over the
-    ground, three for the lean. What does not apply is zero.
+    ground, three for the lean, four for creases of the outline. What does not apply is zero.
     """
 
     def __init__(self, camera, mean, basis, pixels, whitener, box, ground):
@@ -57,7 +66,7 @@ cdef class Observation:
         """
         self.camera, self.mean, self.basis, self.pixels, self.whitener = camera, mean, basis, pixels, whitener
         self.keypoints, self.coefficients = len(mean), len(basis)
-        self.rows = 2 * self.keypoints + 8
+        self.rows = 2 * self.keypoints + 12
         self.has_box, self.has_ground = box is not None, ground is not None
         self.has_size = self.has_direction = self.is_bound = False
         if box is not None:
@@ -133,10 +142,12 @@ cdef class Observation:
         return depth
 
     cdef double box(
-        self, const double *R, const double *t, const double *x, double least, double *r, double *J, double *work
+        self, const double *R, const double *t, const double *x, double least, double *r, double *J, double *crease,
+        double *work
     ) noexcept nogil:
         """Whitened residuals (4,) of the box's edges, and where J is given their derivatives (4, 6 + N) by a turn about
-        the object's axes, a shift along the camera's, and the coefficients; the least depth."""
+        the object's axes, a shift along the camera's, and the coefficients; likewise the rows (4, 6 + N) of creases
+        (`factors.box.crease_rows`); the least depth."""
         cdef int e, i, p, n, a, b, count, N = self.coefficients, P = self.points, D = 6 + self.coefficients
         cdef double *U = work  # (2, P) pixels, (P, 6) their derivatives, (P, 3) object points
         cdef double *G = U + 2 * P
@@ -197,7 +208,50 @@ cdef class Observation:
                 turned(moment + 3 * a, R, h)
                 J[e * D + (a + 2) % 3] += h[(a + 1) % 3]
                 J[e * D + (a + 1) % 3] -= h[(a + 2) % 3]
+            if crease != NULL:
+                memset(crease + e * D, 0, D * sizeof(double))
+                if sign * r[e] > 0.0:
+                    self.crease(e, sign, extreme[e], sign * r[e], R, U, G, X, crease + e * D)
         return nearest
+
+    cdef void crease(
+        self, int e, double sign, double extreme, double beyond, const double *R, const double *U, const double *G,
+        const double *X, double *row
+    ) noexcept nogil:
+        """The row (6 + N,) of an edge that the outline is beyond by so many sigmas."""
+        cdef int p, a, n, first = 0, second = -1, P = self.points
+        cdef double first_h[3]
+        cdef double first_turn[3]
+        cdef double h[3]
+        cdef double turn[3]
+        cdef double share, length, most = 0.0
+        for p in range(P):
+            if sign * U[(e % 2) * P + p] == extreme:
+                first = p
+                break
+        turned(G + 6 * first + 3 * (e % 2), R, first_h)
+        cross(X + 3 * first, first_h, first_turn)
+        for p in range(P):
+            turned(G + 6 * p + 3 * (e % 2), R, h)
+            cross(X + 3 * p, h, turn)
+            length = 0.0
+            for a in range(3):
+                length += (turn[a] - first_turn[a]) * (turn[a] - first_turn[a])
+            share = length * kink(extreme - sign * U[(e % 2) * P + p], self.softness)
+            if share > most:
+                most, second = share, p
+        if second < 0:
+            return
+        turned(G + 6 * second + 3 * (e % 2), R, h)
+        cross(X + 3 * second, h, turn)
+        share = sqrt(beyond / self.box_sigma * kink(extreme - sign * U[(e % 2) * P + second], self.softness))
+        for a in range(3):
+            row[a] = share * (first_turn[a] - turn[a])
+            row[3 + a] = share * (G[6 * first + 3 * (e % 2) + a] - G[6 * second + 3 * (e % 2) + a])
+            for n in range(self.coefficients):
+                row[6 + n] += share * (
+                    first_h[a] * self.outline_basis[n, 3 * first + a] - h[a] * self.outline_basis[n, 3 * second + a]
+                )
 
     cdef void ground(
         self, const double *R, const double *t, double height_sigma, double *r, double *turn, double *shift
@@ -279,7 +333,7 @@ cdef class Observation:
             wrong: (K,) densities of wrong points.
             edges: (4,) weights of the box's edges.
             height_sigma: Of the origin over the ground, metres.
-            form: WEIGHTED, LOSS or NEWTON of `factors.mixture`.
+            form: As `factors.mixture.Form`.
             residual: (rows,) to fill.
             jacobian: None, or to fill: columns turn and shift about and along the object's axes, coefficients, offsets.
 
@@ -299,8 +353,9 @@ cdef class Observation:
         cdef double depth, nearest = INFINITY, s, weight, loss, stretch, bend, p
         cdef const double *o = NULL
         cdef double *J
-        cdef double[::1] work = np.empty(14 * self.points + 4 * D)
+        cdef double[::1] work = np.empty(14 * self.points + 8 * D)
         cdef double *box = &work[0] + 14 * self.points if jacobian is not None else NULL
+        cdef double *crease = box + 4 * D if jacobian is not None and form == MAJORISED else NULL
         if x.shape[0] != N or right.shape[0] != K or wrong.shape[0] != K or residual.shape[0] != self.rows:
             raise ValueError("arrays of another number of keypoints or coefficients")
         if edges.shape[0] != 4 or pose.shape[0] != 4 or pose.shape[1] != 4:
@@ -337,9 +392,9 @@ cdef class Observation:
                         for n in range(N):
                             J[6 + n] += body[3 * i + a] * self.basis[n, 3 * k + a]
             row = 2 * K
-            memset(&residual[row], 0, 8 * sizeof(double))
+            memset(&residual[row], 0, 12 * sizeof(double))
             if self.has_box:
-                self.box(R, t, &x[0] if N else NULL, LEAST, r, box, &work[0])
+                self.box(R, t, &x[0] if N else NULL, LEAST, r, box, crease, &work[0])
                 for i in range(4):
                     if not self.used[i]:
                         continue
@@ -356,6 +411,15 @@ cdef class Observation:
                         J[3 + a] = weight * along[a]
                     for n in range(N):
                         J[6 + n] = weight * box[i * D + 6 + n]
+                    if crease == NULL:
+                        continue
+                    J = &jacobian[row + 8 + i, 0]
+                    turned(crease + i * D + 3, R, along)
+                    for a in range(3):
+                        J[a] = weight * crease[i * D + a]
+                        J[3 + a] = weight * along[a]
+                    for n in range(N):
+                        J[6 + n] = weight * crease[i * D + 6 + n]
             row += 4
             if self.has_ground:
                 self.ground(R, t, height_sigma, r, turn, shift)
@@ -412,7 +476,7 @@ cdef class Observation:
                     mixture(right[k], wrong[k], r[0] * r[0] + r[1] * r[1], &weights[k], &loss)
                     keypoint_energy += loss - log(right[k] + wrong[k])
             if self.has_box:
-                self.box(R, t, &x[0] if self.coefficients else NULL, LEAST, r, NULL, &work[0])
+                self.box(R, t, &x[0] if self.coefficients else NULL, LEAST, r, NULL, NULL, &work[0])
                 for i in range(4):
                     if self.used[i]:
                         inlier = exp(-0.5 * r[i] * r[i])

@@ -50,7 +50,7 @@ cdef double evaluate(
                     J[6 + n] += body[3 * i + a] * terms.basis[n, 3 * k + a]
             add(J, D, r[i], weights[k], g, M, D)
     if terms.has_box:
-        near |= terms.box(R, t, x, least, r, J, work) < least
+        near |= terms.box(R, t, x, least, r, J, NULL, work) < least
         for i in range(4):
             if terms.used[i]:
                 weight = exp(-0.5 * r[i] * r[i])

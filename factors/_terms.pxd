@@ -10,6 +10,7 @@ cdef enum Form:  # as `factors.mixture.Form`
     WEIGHTED = 0
     LOSS = 1
     NEWTON = 2
+    MAJORISED = 3
 
 
 cdef inline double project(
@@ -75,6 +76,9 @@ cdef inline void robust(
     weight[0] = sqrt(w)
     if form == LOSS:
         stretch[0] = sqrt(2.0 * loss / s) if s > 0.0 else weight[0]
+        return
+    if form == MAJORISED:
+        stretch[0] = weight[0]
         return
     rest = 1.0 - (1.0 - w) * s
     rest = sqrt(rest if rest > 0.1 else 0.1)  # `factors.mixture.STIFFEST`

@@ -7,6 +7,10 @@ has a crease wherever one point hands over to the next (a box seen square on lie
 never settles. So the extremes are soft: max_p u_p becomes sum_p w_p u_p with w = softmax(u / softness), which is exact
 for one point and for several in one place, and at most 0.28 softness too small between two. An edge that the image
 border cuts off says nothing about the vehicle and is left out.
+
+A car that is seen square on and is wider than its box still lies on a crease: whichever way it turns, another point is
+the outermost one. Gauss and Newton's steps leap to and fro over it, since they know one side only. `crease_rows` tells
+them of the other.
 """
 
 from __future__ import annotations
@@ -21,13 +25,14 @@ from numpy.typing import ArrayLike, NDArray
 from factors.checks import finite_array
 from factors.errors import InvalidInputError
 from factors.guard import Evaluation, guarded_factor
-from factors.kernel import ProjectionKernel
+from factors.kernel import Projection, ProjectionKernel
 from factors.noise import Noise
-from factors.projection import pixel_jacobian
+from factors.projection import by_pose, pixel_jacobian
 
-__all__ = ["box_factor", "extents_by_points", "projected_extents", "soft_extents"]
+__all__ = ["OUTWARD", "box_factor", "crease_rows", "extents_by_points", "kink", "projected_extents", "soft_extents"]
 
-_OUTWARD = np.array([-1.0, -1.0, 1.0, 1.0])
+OUTWARD = np.array([-1.0, -1.0, 1.0, 1.0])
+"""Which way each edge x1, y1, x2, y2 looks."""
 
 
 def box_factor(
@@ -80,7 +85,7 @@ def soft_extents(pixels: NDArray[np.float64], softness: float) -> tuple[NDArray[
     weight /= weight.sum(axis=-1, keepdims=True)
     extent = (weight * outward).sum(axis=-1)
     share = weight * (1.0 + (outward - extent[..., None]) / softness)
-    return extent * _OUTWARD, share
+    return extent * OUTWARD, share
 
 
 def extents_by_points(
@@ -124,10 +129,62 @@ def projected_extents(
     kernel: ProjectionKernel, values: gtsam.Values, softness: float, *, want_jacobian: bool = False
 ) -> Evaluation:
     """Soft extents (4,) of a kernel's points, pixels, and where wanted their derivative (4, D) by its variables."""
-    at, shape = kernel.evaluate(values), kernel.shape
+    at = kernel.evaluate(values)
     extents, share = soft_extents(at.pixels, softness)
-    if not want_jacobian:
-        return extents, None
+    return extents, _by_variables(kernel, at, share) if want_jacobian else None
+
+
+def kink(behind: NDArray[np.float64], softness: float) -> NDArray[np.float64]:
+    """Curvature of the parabola that touches the soft maximum of two pixels and lies nowhere below it.
+
+    With d the difference of the pixels the maximum is their mean and (d / 2) tanh(d / (2 softness)), which is even, and
+    whose slope over d, h'(d) / d, falls with |d|: so the parabola with this curvature lies above it.
+
+    Args:
+        behind: (...) how many pixels one is behind the other, not negative.
+        softness: As in `soft_extents`.
+    """
+    away = np.maximum(behind / softness, 1e-3)
+    e = np.exp(-away)
+    curvature: NDArray[np.float64] = (0.5 * (1.0 - e) / (1.0 + e) + away * e / (1.0 + e) ** 2) / (away * softness)
+    return curvature
+
+
+def crease_rows(
+    kernel: ProjectionKernel, values: gtsam.Values, softness: float, beyond: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Rows (4, D) that add to J'J what a crease of the outline bends the energy by, at the most.
+
+    An edge's energy with slope f by its extent, outwards, bends by f times the extent's second derivative. Of the
+    outermost point and another one that is `kink` times the square of their derivatives' difference, at the most; the
+    other one is that for which this is greatest by a turn of the vehicle. Where the outline is inside its box the
+    energy bends the other way and there is no row.
+
+    Args:
+        kernel: Projects the points.
+        values: Where.
+        softness: As in `soft_extents`.
+        beyond: (4,) slope of each edge's energy by its extent, outwards, per pixel; not positive where it is inside.
+    """
+    at = kernel.evaluate(values)
+    upright = at.pixels.T
+    turns, _ = by_pose(at.points, at.rotation, pixel_jacobian(at.matrix, at.camera))  # (P, 2, 3)
+    share = np.zeros((4, len(at.points)))
+    for edge in np.flatnonzero(beyond > 0.0):
+        outward = OUTWARD[edge] * upright[edge % 2]
+        first = int(outward.argmax())
+        stiff = kink(outward[first] - outward, softness)
+        away = turns[:, edge % 2] - turns[first, edge % 2]
+        second = int((stiff * np.square(away).sum(axis=1)).argmax())
+        root = np.sqrt(beyond[edge] * stiff[second])
+        share[edge, first] += root
+        share[edge, second] -= root
+    return _by_variables(kernel, at, share)
+
+
+def _by_variables(kernel: ProjectionKernel, at: Projection, share: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(4, D) derivative by a kernel's variables of sums of pixels with shares (4, P): two of u, two of v."""
+    shape = kernel.shape
     turn, shift, by_point = extents_by_points(at.matrix, at.camera, at.rotation, at.points, share)
     blocks = [] if kernel.pose_key is None else [turn, shift]
     if shape.keys:
@@ -135,7 +192,7 @@ def projected_extents(
     if kernel.focal_key is not None:
         away = (at.pixels - at.matrix[:2, 2]).T
         blocks.append((share * np.concatenate([away, away])).sum(axis=1, keepdims=True))
-    return extents, np.concatenate(blocks, axis=1) if blocks else np.zeros((4, 0))
+    return np.concatenate(blocks, axis=1) if blocks else np.zeros((4, 0))
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,12 +5,14 @@ With a the density of a right point at its place, b that of a wrong one, and s =
     rho(s) = log((a + b) / (a exp(-s / 2) + b)),    w(s) = 2 rho'(s) = a exp(-s / 2) / (a exp(-s / 2) + b),
 
 w being the probability that the point is right: the weight of iteratively re-weighted least squares, which is EM here.
-A solver of least squares takes the loss in three forms, all with the same gradient w J'r:
+A solver of least squares takes the loss in four forms, all with the same gradient w J'r:
 
 - `Form.WEIGHTED`: sqrt(w) r and sqrt(w) J, the weights given: one step of EM. It neglects how the weights change.
 - `Form.LOSS`: rows whose half squared sum is rho, without derivatives: what a step is judged by.
 - `Form.NEWTON`: rows whose J'J has the loss's own curvature, w (I - (1 - w) r r') (Triggs et al. 2000, eq. 11), along r
   no less than `STIFFEST` of the weighted one. Steps by it end after a few where EM's shrink by a constant factor.
+- `Form.MAJORISED`: sqrt(w) r and sqrt(w) J with the weights of this place: EM, whose parabola lies nowhere below the
+  loss. Where Newton's step leaps over a minimum, because the loss bends the other way here, this one leads down.
 """
 
 from __future__ import annotations
@@ -34,6 +36,7 @@ class Form(IntEnum):
     WEIGHTED = 0
     LOSS = 1
     NEWTON = 2
+    MAJORISED = 3
 
 
 def mixture(right: Array, wrong: Array, squares: Array) -> tuple[Array, Array]:
@@ -78,6 +81,8 @@ def robust_rows(
         if form is Form.LOSS:
             safe = np.where(squares > 0.0, squares, 1.0)
             rest, stretch = np.ones(len(right)), np.where(squares > 0.0, np.sqrt(2.0 * losses / safe), root)
+        elif form is Form.MAJORISED:
+            rest, stretch = np.ones(len(right)), root
         else:
             rest = np.sqrt(np.maximum(1.0 - (1.0 - weights) * squares, STIFFEST))
             stretch = root / rest

@@ -15,11 +15,11 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from factors.box import projected_extents
+from factors.box import OUTWARD, crease_rows, projected_extents
 from factors.ground import ground_rows
 from factors.guard import Evaluation, guarded_factor
 from factors.kernel import MIN_DEPTH, ProjectionKernel
-from factors.mixture import Form, robust_rows
+from factors.mixture import Form, mixture, robust_rows
 
 __all__ = ["BoxRows", "GroundRows", "ObservationRows", "observation_factor"]
 
@@ -104,8 +104,8 @@ class ObservationRows:
 
     @property
     def rows(self) -> int:
-        """Number of rows: two for each keypoint, four for the box, four for the ground."""
-        return 2 * len(self.pixels) + 8
+        """Number of rows: two for each keypoint, four for the box, four for the ground, four for the box's creases."""
+        return 2 * len(self.pixels) + 12
 
     def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
         """The rows at the values; an infinite residual where a keypoint is behind the camera, or infinitely far."""
@@ -137,7 +137,7 @@ class ObservationRows:
             jacobian,
         )
         if self.ground is None:  # or a constant: nothing is said of it at a fixed pose
-            residual[-4:] = 0.0
+            residual[-8:-4] = 0.0
         if jacobian is not None and self._columns is not None:
             jacobian = jacobian[:, self._columns]
         return nearest, residual, jacobian
@@ -160,7 +160,8 @@ class ObservationRows:
         if jacobian is not None and by is not None:
             jacobian[: 2 * size] = by.reshape(2 * size, columns)
         self._box(values, form, residual[2 * size :], None if jacobian is None else jacobian[2 * size :])
-        self._ground(values, residual[2 * size + 4 :], None if jacobian is None else jacobian[2 * size + 4 :])
+        ground = slice(2 * size + 4, 2 * size + 8)
+        self._ground(values, residual[ground], None if jacobian is None else jacobian[ground])
         return float(at.depths.min()), residual, jacobian
 
     def _box(self, values: gtsam.Values, form: Form, residual: Array, jacobian: Array | None) -> None:
@@ -173,11 +174,14 @@ class ObservationRows:
         right = np.where(box.used, self.edge_weights if form is Form.WEIGHTED else 1.0, 0.0)
         rows, by = robust_rows(form, right, np.full(4, box.wrong), white[:, None], by)
         residual[:4] = rows[:, 0]
-        if jacobian is not None and by is not None:  # offsets move keypoints, not the outline
-            own = by.shape[-1] - (box.kernel.focal_key is not None)
-            jacobian[:4, :own] = by[:, 0, :own]
-            if box.kernel.focal_key is not None:
-                jacobian[:4, -1] = by[:, 0, -1]
+        if jacobian is None or by is None:
+            return
+        _put(jacobian[:4], by[:, 0], box.kernel)
+        if form is Form.MAJORISED:
+            weights = mixture(right, np.full(4, box.wrong), np.square(white))[0]
+            beyond = np.where(box.used, white * OUTWARD, 0.0) / box.sigma
+            creases = crease_rows(box.kernel, values, box.softness, beyond)
+            _put(jacobian[8:12], np.sqrt(weights)[:, None] * creases, box.kernel)
 
     def _ground(self, values: gtsam.Values, residual: Array, jacobian: Array | None) -> None:
         ground = self.ground
@@ -190,6 +194,14 @@ class ObservationRows:
         if jacobian is not None and self.kernel.pose_key is not None:
             jacobian[:, :3] = by_turn * scale[:, None]
             jacobian[0, 3:6] = (ground.normal @ pose[:3, :3]) * scale[0]
+
+
+def _put(jacobian: Array, by: Array, kernel: ProjectionKernel) -> None:
+    """Derivatives by the outline's variables as those by the keypoints', whose offsets do not move the outline."""
+    own = by.shape[-1] - (kernel.focal_key is not None)
+    jacobian[:, :own] = by[:, :own]
+    if kernel.focal_key is not None:
+        jacobian[:, -1] = by[:, -1]
 
 
 def observation_factor(rows: ObservationRows) -> gtsam.CustomFactor:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from factors.box import box_factor
+from factors.box import box_factor, crease_rows, kink, soft_extents
 from factors.errors import InvalidInputError
 from factors.kernel import ProjectionKernel
 from factors.keys import L, X
@@ -61,6 +61,40 @@ def test_bias_between_two_points(gap, softness):
     edges = [False, False, True, False]
     factor = box_factor(kernel, [0.0, 0.0, CAMERA[0, 2] + gap, 1.0], 1.0, softness=softness, edges=edges)
     assert -0.28 * softness <= factor.unwhitenedError(values)[0] <= 1e-9
+
+
+@given(st.floats(0.0, 30.0), st.floats(-30.0, 30.0), st.floats(0.1, 5.0))
+def test_the_parabola_of_a_kink_lies_nowhere_below_the_soft_maximum(behind, other, softness):
+    """In the difference of two pixels, whose mean stays."""
+
+    def of(difference):
+        pixels = np.array([[0.5 * difference, 0.0], [-0.5 * difference, 0.0]])
+        extents, share = soft_extents(pixels, softness)
+        return extents[2], 0.5 * (share[2, 0] - share[2, 1])
+
+    (here, slope), away = of(behind), other - behind
+    curvature = float(kink(np.array(behind), softness))
+    assert of(other)[0] <= here + slope * away + 0.5 * curvature * away**2 + 1e-7 * (1.0 + away**2)
+
+
+def test_a_crease_bends_the_energy_as_its_row_says():
+    """A cuboid whose right side lies along the line of sight: it is seen wider whichever way it turns."""
+    corners = np.array([[x, y, z] for x in (-2.0, 2.0) for y in (-1.5, 0.0) for z in (-0.8, 0.8)])
+    kernel = ProjectionKernel(LinearShape(corners, np.zeros((0, 8, 3)), np.zeros(0)), CAMERA, X())
+    values, softness, beyond = gtsam.Values(), 0.5, 3.0
+    values.insert(X(), gtsam.Pose3(gtsam.Rot3.Ry(np.pi / 2), np.array([-0.8, 1.6, 15.0])))
+    edges = [0.0, 0.0, CAMERA[0, 2] - 10.0, 1.0]
+    factor = box_factor(kernel, edges, 1.0, softness=softness, edges=[False, False, True, False])
+
+    def extent(turn):
+        moved = gtsam.Values(values)
+        moved.update(X(), values.atPose3(X()).retract(np.array([0.0, turn, 0.0, 0.0, 0.0, 0.0])))
+        return factor.unwhitenedError(moved)[0]
+
+    bends = beyond * (extent(1e-4) - 2.0 * extent(0.0) + extent(-1e-4)) / 1e-8
+    rows = crease_rows(kernel, values, softness, np.array([-1.0, 0.0, beyond, -beyond]))
+    assert np.square(rows[2, 1]) == pytest.approx(bends, rel=0.05)  # the projection itself bends it a little
+    assert not rows[[0, 1, 3]].any()
 
 
 def test_moves_the_vehicle_into_the_box():

@@ -1,4 +1,4 @@
-"""Right or wrong: the loss against its definition, and the three forms in which a solver gets it."""
+"""Right or wrong: the loss against its definition, and the forms in which a solver gets it."""
 
 import numpy as np
 import pytest
@@ -51,16 +51,28 @@ def test_the_forms_have_one_gradient_and_newtons_has_the_curvature(seed, width):
     weights, loss = mixture(right, wrong, np.square(residual).sum(axis=1))
     weighted, by_weighted = robust_rows(Form.WEIGHTED, weights, wrong, residual, jacobian)
     newton, by_newton = robust_rows(Form.NEWTON, right, wrong, residual, jacobian)
+    above, by_above = robust_rows(Form.MAJORISED, right, wrong, residual, jacobian)
     only, nothing = robust_rows(Form.LOSS, right, wrong, residual, None)
     assert nothing is None
     np.testing.assert_allclose(0.5 * np.square(only).sum(axis=1), loss, atol=1e-12)
-    for rows, by in ((weighted, by_weighted), (newton, by_newton)):
+    for rows, by in ((weighted, by_weighted), (newton, by_newton), (above, by_above)):
         np.testing.assert_allclose((by.transpose(0, 2, 1) @ rows[..., None])[..., 0], gradient, atol=1e-6)
     stiff = 1.0 - (1.0 - weights) * np.square(residual).sum(axis=1) > STIFFEST
     curvature = by_newton.transpose(0, 2, 1) @ by_newton
     assert stiff.any()
     np.testing.assert_allclose(curvature[stiff], hessian[stiff], atol=1e-5)
     assert (np.linalg.eigvalsh(curvature) > -1e-12).all()
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_the_majorised_rows_parabola_lies_nowhere_below_the_loss(seed):
+    right, wrong, residual, jacobian = rows_of(seed)
+    rows, by = robust_rows(Form.MAJORISED, right, wrong, residual, jacobian)
+    here = mixture(right, wrong, np.square(residual).sum(axis=1))[1]
+    x = np.random.default_rng(seed + 1).normal(size=4) * 3.0
+    there = mixture(right, wrong, np.square(residual + jacobian @ x).sum(axis=1))[1]
+    rise = 0.5 * (np.square(rows + by @ x).sum(axis=1) - np.square(rows).sum(axis=1))
+    assert (there <= here + rise + 1e-9).all()
 
 
 def test_a_residual_of_zero_is_no_division_by_it():

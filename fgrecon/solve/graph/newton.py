@@ -5,11 +5,15 @@ solves. What such a step neglects (the curvature of outline and projection, that
 steps shrink by a factor of 0.1 to 0.5 from one to the next; Anderson's acceleration learns that from the last steps and
 takes the iteration to where they would lead: ten iterations where forty of re-weighting were needed.
 
-A step that does not lower the energy, visibility held, is given up for the plain one, that for shorter ones, and those
-for a few of Levenberg-Marquardt's. Visibility is no force of the solver's and can swing between two views of a car for
-ever: where the steps have not ended after `_FOLLOWED` of them, it is held at the best state and the iteration goes on
-from there. Of many images one may swing and keep all from ending: it is held as soon as it is seen to, and its pose
-goes alone to where that leads, which is a long way if it is across a plateau.
+A step that does not lower the energy, visibility held, is given up for the plain one. Where that leads up as well, the
+energy bends more than the factors say: a car seen square on lies on a crease of its outline, the loss of a keypoint
+that is mostly wrong bends the other way. From there on the steps are those of a parabola that lies above the energy
+(`Form.MAJORISED`), accelerated likewise, and where these fail a damped one of Levenberg-Marquardt's.
+
+Visibility is no force of the solver's and can swing between two views of a car for ever: where the steps have not ended
+after `_FOLLOWED` of them, it is held at the best state and the iteration goes on from there. Of many images one may
+swing and keep all from ending: it is held as soon as it is seen to, and its pose goes alone to where that leads, which
+is a long way if it is across a plateau.
 """
 
 from __future__ import annotations
@@ -26,7 +30,7 @@ from fgrecon.core.errors import DegenerateProblemError, FactorCallbackError
 from fgrecon.solve.graph.anderson import Anderson
 from fgrecon.solve.graph.graph import Graph, State
 from fgrecon.solve.graph.observation import Weights
-from fgrecon.solve.graph.solver import minimise
+from fgrecon.solve.graph.solver import DAMPING, minimise
 
 __all__ = ["STEADY", "STEADY_TOGETHER", "Descent", "Step"]
 
@@ -42,10 +46,8 @@ _FOLLOWED = 25  # iterations for which visibility follows the pose
 _WATCHED = 6  # iterations from which on the visibility of an image among others may not change more than two before
 _SWING = 1e-4  # a change of visibility by less is none
 _MOST = 30  # iterations after that
-_SHORTER = (0.3, 0.1)  # of a plain step that goes up
-_RESCUE = 20  # iterations of Levenberg-Marquardt in place of a bad step
+_SHORTER = 0.3  # of a plain step that goes up
 _LONGEST = 20.0  # times the plain step that an accelerated one may go
-_RESCUED = 8  # times in a row that it takes over: nothing will determine such a problem any more
 _RISE = 1e-10  # relative rise of the energy that is none: near the end it is too coarse to judge a step by
 _TOLERANCE = 1e-12  # of Levenberg-Marquardt's, relative decrease
 
@@ -92,7 +94,9 @@ class Descent:
         self._slices: dict[int, slice] = {}  # where a step has each variable
         self._ordering: gtsam.Ordering | None = None  # of elimination, the same for every step
         self._lengths = (np.inf, np.inf)  # of the last two steps
-        self._rescued = 0
+        self._damping = DAMPING
+        self._form = Form.NEWTON
+        self._still = False  # whether the last damped step moved nothing
         self._swinging = _Swinging(len(start.weights))
         self._shared = not start.others.empty()
         self._steady = (STEADY if len(start.weights) == 1 else STEADY_TOGETHER) if steady is None else steady
@@ -115,7 +119,7 @@ class Descent:
                 self._settle_apart(swinging)
                 steps.forget()
             self._record()
-            if self.converged or self._rescued >= _RESCUED or self.iterations == self.most:
+            if self.converged or self.iterations == self.most:
                 return
             if iteration >= _FOLLOWED // 2:
                 states.append((self.values, self.weights))  # most end before their energies are asked for
@@ -131,10 +135,10 @@ class Descent:
             self.converged = self._iterate(steps)
             self.weights = self.graph.reweigh(self.values, self.weights, 1.0, hold=True)
             self._record()
-            if self.converged or self._rescued >= _RESCUED:
+            if self.converged:
                 return
-        # Creases of an outline, over which Newton's steps leap to and fro: down to where they gain nothing.
-        built = self.graph.build(self.weights, Form.NEWTON)
+        # Steps that lead to and fro: down to where they gain nothing.
+        built = self.graph.build(self.weights, self._form)
         solution = minimise(built, self.values, relative_tolerance=_TOLERANCE)
         self.values, self.converged = solution.values, solution.converged
         self.weights = self.graph.reweigh(self.values, self.weights, 1.0, hold=True)
@@ -170,7 +174,16 @@ class Descent:
 
     def _iterate(self, steps: Anderson) -> bool:
         """One step; whether it was the last."""
-        built = self.graph.build(self.weights, Form.NEWTON)
+        last = self._step(steps)
+        if last is None and self._form is Form.NEWTON:
+            self._form, self._lengths = Form.MAJORISED, (np.inf, np.inf)
+            steps.forget()
+            last = self._step(steps)
+        return self._damped(steps) if last is None else last
+
+    def _step(self, steps: Anderson) -> bool | None:
+        """A step that does not raise the energy, and whether it was the last; None where there is none."""
+        built = self.graph.build(self.weights, self._form)
         try:
             linear = built.linearize(self.values)
             if self._ordering is None:
@@ -179,7 +192,7 @@ class Descent:
         except FactorCallbackError:
             raise
         except RuntimeError:  # GTSAM's only sign of a direction that nothing determines
-            return self._rescue(built, steps)
+            return None
         step = newton.vector()
         length = float(np.abs(step).max(initial=0.0))
         last = self._is_last(length)
@@ -188,13 +201,21 @@ class Descent:
         further = steps.propose(step)
         if further is not None and np.abs(further).max() > _LONGEST * length:
             further = None
-        for proposed in _tries(step, further):
+        for proposed in self._tries(step, further):
             moved = self.values.retract(newton if proposed is step else self._by_key(newton, proposed))
             if unseen or built.error(moved) <= energy:
                 steps.took(proposed)
-                self.values, self._rescued = moved, 0
+                self.values, self._still = moved, False
                 return last
-        return self._rescue(built, steps)
+        return None
+
+    def _tries(self, step: Array, further: Array | None) -> Iterator[Array]:
+        """Steps in the order in which they are tried: an accelerated one, the plain one, a shorter one."""
+        if further is not None:
+            yield further
+        yield step
+        if self._form is Form.MAJORISED:
+            yield _SHORTER * step
 
     def _is_last(self, length: float) -> bool:
         """Whether the step after one of this length will be `STEADY`, as the slower of the last two rates foretells."""
@@ -214,23 +235,16 @@ class Descent:
             result.insert(key, step[part])
         return result
 
-    def _rescue(self, built: gtsam.NonlinearFactorGraph, steps: Anderson) -> bool:
-        """A few iterations of Levenberg-Marquardt instead; whether they moved nothing."""
+    def _damped(self, steps: Anderson) -> bool:
+        """One step of Levenberg-Marquardt's instead; whether it, like the one before, moved nothing."""
         steps.forget()
-        self._rescued += 1
-        solution = minimise(built, self.values, relative_tolerance=_TOLERANCE, max_iterations=_RESCUE)
+        built = self.graph.build(self.weights, self._form)
+        solution = minimise(built, self.values, max_iterations=1, damping=self._damping)
         moved = self.values.localCoordinates(solution.values).vector()
+        before, self._still = self._still, float(np.abs(moved).max(initial=0.0)) <= self._steady
         self.values = solution.values
-        return bool(np.abs(moved).max(initial=0.0) <= self._steady)
-
-
-def _tries(step: Array, further: Array | None) -> Iterator[Array]:
-    """Steps in the order in which they are tried: an accelerated one if there is one, the plain one, shorter ones."""
-    if further is not None:
-        yield further
-    yield step
-    for share in _SHORTER:
-        yield share * step
+        self._damping = DAMPING if self._still else max(solution.damping, DAMPING)  # too much of it keeps all still
+        return before and self._still
 
 
 class _Swinging:

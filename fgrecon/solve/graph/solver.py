@@ -10,9 +10,10 @@ import gtsam
 
 from fgrecon.core.errors import DegenerateProblemError, FactorCallbackError
 
-__all__ = ["Solution", "minimise"]
+__all__ = ["DAMPING", "Solution", "minimise"]
 
-
+DAMPING = 1e-5
+"""Levenberg-Marquardt's, at the start."""
 _NEGLIGIBLE = 1e-3  # nats that an iteration gains: too few to tell one shape from another
 
 
@@ -26,6 +27,7 @@ class Solution:
         error: The graph's error there.
         iterations: Number of iterations.
         converged: Whether the last iteration lowered the error by hardly anything.
+        damping: Of the step that would follow.
     """
 
     values: gtsam.Values
@@ -33,6 +35,7 @@ class Solution:
     error: float
     iterations: int
     converged: bool
+    damping: float
 
 
 def minimise(
@@ -41,6 +44,7 @@ def minimise(
     *,
     relative_tolerance: float = 1e-9,
     max_iterations: int = 60,
+    damping: float = DAMPING,
     record: bool = False,
 ) -> Solution:
     """Minimise the graph's error from a start.
@@ -50,6 +54,7 @@ def minimise(
         start: Finite values with every keypoint in front of the camera; they are returned where there are none.
         relative_tolerance: Stop once an iteration lowers the error by less than this fraction.
         max_iterations: Upper limit.
+        damping: Of the first step.
         record: Keep the values after every iteration.
 
     Raises:
@@ -57,11 +62,12 @@ def minimise(
             determines is no error here: damping keeps it where it is. `fgrecon.solve.graph.covariance` finds it.)
     """
     if start.empty():  # a constant shape at a fixed pose
-        return Solution(start, (), float(graph.error(start)), 0, converged=True)
+        return Solution(start, (), float(graph.error(start)), 0, converged=True, damping=damping)
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setRelativeErrorTol(relative_tolerance)
     parameters.setAbsoluteErrorTol(1e-12)
     parameters.setMaxIterations(max_iterations)
+    parameters.setlambdaInitial(damping)
     path: list[gtsam.Values] = []  # copies: GTSAM hands out references into the optimizer
     optimizers: list[Any] = []
     decrease = 0.0
@@ -86,4 +92,5 @@ def minimise(
     if not math.isfinite(error):  # GTSAM returns such a start as it is, without a word
         raise DegenerateProblemError("start", f"energy {error}", "Start with every keypoint in front of the camera.")
     converged = decrease <= max(relative_tolerance * error, _NEGLIGIBLE)
-    return Solution(values, tuple(path), error, int(optimizer.iterations()), converged)
+    iterations, damping = int(optimizer.iterations()), float(optimizer.lambda_())
+    return Solution(values, tuple(path), error, iterations, converged, damping)

@@ -5,12 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fgrecon.core.camera import Ground
+from fgrecon.core.size_prior import SIZE_PRIORS
+from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph import newton
 from fgrecon.solve.graph.adjust import start_state
 from fgrecon.solve.graph.anderson import Anderson
 from fgrecon.solve.graph.graph import Graph, Seen
 from fgrecon.solve.graph.newton import Descent
 from fgrecon.solve.graph.optimise import _Loop, optimise
+from fgrecon.solve.proposals.adjust import adjust_pose
+from tests.cars import observe, pose_problem, yaw_pose
+from tests.settings import options as make_options
 from tests.solve.graph.support import half_a_car, problem_of
 
 
@@ -89,6 +95,25 @@ def test_a_direction_that_nothing_determines_is_levenberg_marquardts():
     descent.graph.vehicles[0]._solved.clear()  # without lambda's prior nothing but five points is left
     descent.run()
     assert np.isfinite(sum(descent.graph.energies(descent.values, descent.weights).values()))
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_a_car_on_a_crease_of_its_outline_comes_to_rest(monkeypatch, seed):
+    """Seen square on and wider than its box, without keypoints that say how it is turned: no step needs damping."""
+    monkeypatch.setattr(newton, "minimise", None)
+    seen = observe(
+        load_prior("car14"), yaw_pose(np.radians(90 + seed), (0.25 * seed, 1.65, 12.0)), noise=2.0, seed=seed
+    )
+    left, top, right, bottom = seen.box
+    narrow = np.array([left + 0.06 * (right - left), top, right - 0.06 * (right - left), bottom])
+    faint = replace(seen, confidence=np.full(14, 0.02), box=narrow)
+    told = {"size": SIZE_PRIORS["kitti"], "ground": Ground.level(1.65)}
+    options = make_options(free_offsets=False, box_model="cuboid")
+    problem, _ = pose_problem(load_prior("car14"), faint, options=options, **told)
+    descent = descent_of(problem, adjust_pose(problem))
+    descent.run()
+    assert descent.converged
+    assert descent.iterations < newton._FOLLOWED + 10
 
 
 def test_a_step_up_is_not_taken(monkeypatch):

@@ -7,7 +7,7 @@ import pytest
 import factors
 from factors import L, X
 from fgrecon.core.errors import DegenerateProblemError, FactorCallbackError
-from fgrecon.solve.graph.solver import minimise
+from fgrecon.solve.graph.solver import DAMPING, minimise
 
 
 def quadratic(matrix, target):
@@ -69,6 +69,17 @@ def test_the_limit_of_iterations_holds():
     assert stopped.iterations == 3
     assert not stopped.converged
     assert minimise(graph, start, max_iterations=100).converged
+
+
+def test_a_step_goes_on_with_the_damping_of_the_one_before():
+    graph, start = curved()
+    whole = minimise(graph, start, max_iterations=8, relative_tolerance=1e-14)
+    values, damping = start, DAMPING
+    for _ in range(8):
+        step = minimise(graph, values, max_iterations=1, damping=damping)
+        values, damping = step.values, step.damping
+    np.testing.assert_allclose(values.atVector(L()), whole.values.atVector(L()), atol=1e-12)
+    assert damping == pytest.approx(whole.damping)
 
 
 def test_nothing_to_solve_is_solved():
