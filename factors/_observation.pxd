@@ -29,8 +29,7 @@ cdef class Observation:
         double *work
     ) noexcept nogil
     cdef void crease(
-        self, int e, double sign, double extreme, double beyond, const double *R, const double *U, const double *G,
-        const double *X, double *row
+        self, int e, double beyond, const double *R, const double *U, const double *G, const double *X, double *row
     ) noexcept nogil
     cdef void ground(
         self, const double *R, const double *t, double height_sigma, double *r, double *turn, double *shift

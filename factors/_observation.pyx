@@ -27,6 +27,24 @@ cdef inline double kink(double behind, double softness) noexcept nogil:
     return (0.5 * (1.0 - e) / (1.0 + e) + behind * e / ((1.0 + e) * (1.0 + e))) / (behind * softness)
 
 
+cdef inline void lever(const double *X, const double *g, const double *R, double *h, double *turn) noexcept nogil:
+    """A derivative g by the camera point of X as one by the object point, h, and by a turn about the object's axes."""
+    turned(g, R, h)
+    cross(X, h, turn)
+
+
+cdef inline void placed(const double *by, double weight, const double *R, int N, double *J) noexcept nogil:
+    """A weighted row J (6 + N) of a derivative whose shift is along the camera's axes: along the object's."""
+    cdef int a, n
+    cdef double along[3]
+    turned(by + 3, R, along)
+    for a in range(3):
+        J[a] = weight * by[a]
+        J[3 + a] = weight * along[a]
+    for n in range(N):
+        J[6 + n] = weight * by[6 + n]
+
+
 cdef inline void shaped(
     const double *mean, const double[:, ::1] basis, int k, const double *x, const double *offsets, double *X
 ) noexcept nogil:
@@ -211,43 +229,39 @@ cdef class Observation:
             if crease != NULL:
                 memset(crease + e * D, 0, D * sizeof(double))
                 if sign * r[e] > 0.0:
-                    self.crease(e, sign, extreme[e], sign * r[e], R, U, G, X, crease + e * D)
+                    self.crease(e, sign * r[e], R, U, G, X, crease + e * D)
         return nearest
 
     cdef void crease(
-        self, int e, double sign, double extreme, double beyond, const double *R, const double *U, const double *G,
-        const double *X, double *row
+        self, int e, double beyond, const double *R, const double *U, const double *G, const double *X, double *row
     ) noexcept nogil:
         """The row (6 + N,) of an edge that the outline is beyond by so many sigmas."""
         cdef int p, a, n, first = 0, second = -1, P = self.points
+        cdef double sign = -1.0 if e < 2 else 1.0, share, stiff, length, most = 0.0, stiffness = 0.0
         cdef double first_h[3]
         cdef double first_turn[3]
         cdef double h[3]
         cdef double turn[3]
-        cdef double share, length, most = 0.0
+        U += (e % 2) * P  # of the edge's axis
+        G += 3 * (e % 2)
         for p in range(P):
-            if sign * U[(e % 2) * P + p] == extreme:
-                first = p
-                break
-        turned(G + 6 * first + 3 * (e % 2), R, first_h)
-        cross(X + 3 * first, first_h, first_turn)
+            first = p if sign * U[p] > sign * U[first] else first
+        lever(X + 3 * first, G + 6 * first, R, first_h, first_turn)
         for p in range(P):
-            turned(G + 6 * p + 3 * (e % 2), R, h)
-            cross(X + 3 * p, h, turn)
+            lever(X + 3 * p, G + 6 * p, R, h, turn)
             length = 0.0
             for a in range(3):
                 length += (turn[a] - first_turn[a]) * (turn[a] - first_turn[a])
-            share = length * kink(extreme - sign * U[(e % 2) * P + p], self.softness)
-            if share > most:
-                most, second = share, p
+            stiff = kink(sign * U[first] - sign * U[p], self.softness)
+            if stiff * length > most:
+                most, stiffness, second = stiff * length, stiff, p
         if second < 0:
             return
-        turned(G + 6 * second + 3 * (e % 2), R, h)
-        cross(X + 3 * second, h, turn)
-        share = sqrt(beyond / self.box_sigma * kink(extreme - sign * U[(e % 2) * P + second], self.softness))
+        lever(X + 3 * second, G + 6 * second, R, h, turn)
+        share = sqrt(beyond / self.box_sigma * stiffness)
         for a in range(3):
             row[a] = share * (first_turn[a] - turn[a])
-            row[3 + a] = share * (G[6 * first + 3 * (e % 2) + a] - G[6 * second + 3 * (e % 2) + a])
+            row[3 + a] = share * (G[6 * first + a] - G[6 * second + a])
             for n in range(self.coefficients):
                 row[6 + n] += share * (
                     first_h[a] * self.outline_basis[n, 3 * first + a] - h[a] * self.outline_basis[n, 3 * second + a]
@@ -349,7 +363,6 @@ cdef class Observation:
         cdef double body[6]
         cdef double turn[12]
         cdef double shift[3]
-        cdef double along[3]
         cdef double depth, nearest = INFINITY, s, weight, loss, stretch, bend, p
         cdef const double *o = NULL
         cdef double *J
@@ -404,22 +417,9 @@ cdef class Observation:
                     if jacobian is None:
                         continue
                     weight *= 1.0 - bend
-                    J = &jacobian[row + i, 0]
-                    turned(box + i * D + 3, R, along)
-                    for a in range(3):
-                        J[a] = weight * box[i * D + a]
-                        J[3 + a] = weight * along[a]
-                    for n in range(N):
-                        J[6 + n] = weight * box[i * D + 6 + n]
-                    if crease == NULL:
-                        continue
-                    J = &jacobian[row + 8 + i, 0]
-                    turned(crease + i * D + 3, R, along)
-                    for a in range(3):
-                        J[a] = weight * crease[i * D + a]
-                        J[3 + a] = weight * along[a]
-                    for n in range(N):
-                        J[6 + n] = weight * crease[i * D + 6 + n]
+                    placed(box + i * D, weight, R, N, &jacobian[row + i, 0])
+                    if crease != NULL:
+                        placed(crease + i * D, weight, R, N, &jacobian[row + 8 + i, 0])
             row += 4
             if self.has_ground:
                 self.ground(R, t, height_sigma, r, turn, shift)

@@ -19,7 +19,7 @@ from factors.box import OUTWARD, crease_rows, projected_extents
 from factors.ground import ground_rows
 from factors.guard import Evaluation, guarded_factor
 from factors.kernel import MIN_DEPTH, ProjectionKernel
-from factors.mixture import Form, mixture, robust_rows
+from factors.mixture import Form, robust_rows
 
 __all__ = ["BoxRows", "GroundRows", "ObservationRows", "observation_factor"]
 
@@ -170,18 +170,19 @@ class ObservationRows:
             return
         extents, slope = projected_extents(box.kernel, values, box.softness, want_jacobian=jacobian is not None)
         white = (extents - box.edges) / box.sigma
-        by = None if slope is None else slope[:, None] / box.sigma
+        residuals, by = white[:, None], None if slope is None else slope[:, None] / box.sigma
+        if by is not None and form is Form.MAJORISED:  # a crease is as right or wrong as its edge, and no residual
+            beyond = np.where(box.used, white * OUTWARD, 0.0) / box.sigma
+            creases = crease_rows(box.kernel, values, box.softness, beyond)
+            residuals, by = np.stack([white, np.zeros(4)], axis=1), np.concatenate([by, creases[:, None]], axis=1)
         right = np.where(box.used, self.edge_weights if form is Form.WEIGHTED else 1.0, 0.0)
-        rows, by = robust_rows(form, right, np.full(4, box.wrong), white[:, None], by)
+        rows, by = robust_rows(form, right, np.full(4, box.wrong), residuals, by)
         residual[:4] = rows[:, 0]
         if jacobian is None or by is None:
             return
         _put(jacobian[:4], by[:, 0], box.kernel)
         if form is Form.MAJORISED:
-            weights = mixture(right, np.full(4, box.wrong), np.square(white))[0]
-            beyond = np.where(box.used, white * OUTWARD, 0.0) / box.sigma
-            creases = crease_rows(box.kernel, values, box.softness, beyond)
-            _put(jacobian[8:12], np.sqrt(weights)[:, None] * creases, box.kernel)
+            _put(jacobian[8:12], by[:, 1], box.kernel)
 
     def _ground(self, values: gtsam.Values, residual: Array, jacobian: Array | None) -> None:
         ground = self.ground
