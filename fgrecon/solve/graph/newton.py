@@ -30,7 +30,7 @@ from fgrecon.core.errors import DegenerateProblemError, FactorCallbackError
 from fgrecon.solve.graph.anderson import Anderson
 from fgrecon.solve.graph.graph import Graph, State
 from fgrecon.solve.graph.observation import Weights
-from fgrecon.solve.graph.solver import DAMPING, minimise
+from fgrecon.solve.graph.solver import DAMPING, NEGLIGIBLE, minimise
 
 __all__ = ["STEADY", "STEADY_TOGETHER", "Descent", "Step"]
 
@@ -50,6 +50,7 @@ _SHORTER = 0.3  # of a plain step that goes up
 _LONGEST = 20.0  # times the plain step that an accelerated one may go
 _RISE = 1e-10  # relative rise of the energy that is none: near the end it is too coarse to judge a step by
 _TOLERANCE = 1e-12  # of Levenberg-Marquardt's, relative decrease
+_IN_VAIN = 2  # damped steps in a row that gain a negligible energy are the last: hardly anything determines where they go
 
 
 @dataclass(frozen=True)
@@ -97,6 +98,7 @@ class Descent:
         self._damping = DAMPING
         self._form = Form.NEWTON
         self._still = False  # whether the last damped step moved nothing
+        self._in_vain = 0  # damped steps, one after the other, that gained a negligible energy
         self._swinging = _Swinging(len(start.weights))
         self._shared = not start.others.empty()
         self._steady = (STEADY if len(start.weights) == 1 else STEADY_TOGETHER) if steady is None else steady
@@ -236,15 +238,17 @@ class Descent:
         return result
 
     def _damped(self, steps: Anderson) -> bool:
-        """One step of Levenberg-Marquardt's instead; whether it, like the one before, moved nothing."""
+        """One step of Levenberg-Marquardt's instead; whether it was the last: those before moved or gained nothing."""
         steps.forget()
         built = self.graph.build(self.weights, self._form)
         solution = minimise(built, self.values, max_iterations=1, damping=self._damping)
+        gained = built.error(self.values) - solution.error
+        self._in_vain = self._in_vain + 1 if gained <= NEGLIGIBLE else 0
         moved = self.values.localCoordinates(solution.values).vector()
         before, self._still = self._still, float(np.abs(moved).max(initial=0.0)) <= self._steady
         self.values = solution.values
         self._damping = DAMPING if self._still else max(solution.damping, DAMPING)  # too much of it keeps all still
-        return before and self._still
+        return (before and self._still) or self._in_vain >= _IN_VAIN
 
 
 class _Swinging:

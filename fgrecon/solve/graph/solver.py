@@ -10,11 +10,12 @@ import gtsam
 
 from fgrecon.core.errors import DegenerateProblemError, FactorCallbackError
 
-__all__ = ["DAMPING", "Solution", "minimise"]
+__all__ = ["DAMPING", "NEGLIGIBLE", "Solution", "minimise"]
 
 DAMPING = 1e-5
 """Levenberg-Marquardt's, at the start."""
-_NEGLIGIBLE = 1e-3  # nats that an iteration gains: too few to tell one shape from another
+NEGLIGIBLE = 1e-3
+"""Nats that an iteration gains: too few to tell one shape from another."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +92,6 @@ def minimise(
     error = float(optimizer.error())
     if not math.isfinite(error):  # GTSAM returns such a start as it is, without a word
         raise DegenerateProblemError("start", f"energy {error}", "Start with every keypoint in front of the camera.")
-    converged = decrease <= max(relative_tolerance * error, _NEGLIGIBLE)
+    converged = decrease <= max(relative_tolerance * error, NEGLIGIBLE)
     iterations, damping = int(optimizer.iterations()), float(optimizer.lambda_())
     return Solution(values, tuple(path), error, iterations, converged, damping)
