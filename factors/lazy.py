@@ -15,7 +15,8 @@ def lazy_names(package: str) -> tuple[Callable[[str], Any], Callable[[], list[st
     """`__getattr__` and `__dir__` (PEP 562) for a package whose `__init__` imports under `if TYPE_CHECKING:` alone.
 
     Type checkers read these imports, and so does this function: each name comes from the module that it is written to
-    come from, when it is first asked for. So `import fgrecon` costs nothing that is not used.
+    come from, when it is first asked for; from the package itself come its modules. So `import fgrecon` costs nothing
+    that is not used.
 
     Args:
         package: `__name__` of the package.
@@ -26,7 +27,10 @@ def lazy_names(package: str) -> tuple[Callable[[str], Any], Callable[[], list[st
     def get(name: str) -> Any:
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        value = getattr(importlib.import_module(homes[name]), name)
+        if homes[name] == package:
+            value: Any = importlib.import_module(f"{package}.{name}")
+        else:
+            value = getattr(importlib.import_module(homes[name]), name)
         setattr(module, name, value)
         return value
 

@@ -22,6 +22,7 @@ from factors.lazy import lazy_names
 from fgrecon._moved import MovedFinder
 
 if TYPE_CHECKING:  # imported when used
+    from fgrecon import errors as errors
     from fgrecon._version import __version__
     from fgrecon.core.box3d import Box3D, BoxErrors
     from fgrecon.core.camera import Camera, Ground

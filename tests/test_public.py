@@ -74,6 +74,12 @@ def test_the_version_is_the_installed_one():
     assert fgrecon.__version__[0].isdigit()
 
 
+def test_errors_are_there_without_an_import_of_their_own():
+    code = "import fgrecon; print(fgrecon.errors.InvalidInputError.__name__)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "InvalidInputError"
+
+
 def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="nonsense"):
         fgrecon.nonsense  # noqa: B018

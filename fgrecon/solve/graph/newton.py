@@ -50,7 +50,7 @@ _SHORTER = 0.3  # of a plain step that goes up
 _LONGEST = 20.0  # times the plain step that an accelerated one may go
 _RISE = 1e-10  # relative rise of the energy that is none: near the end it is too coarse to judge a step by
 _TOLERANCE = 1e-12  # of Levenberg-Marquardt's, relative decrease
-_IN_VAIN = 2  # damped steps in a row that gain a negligible energy are the last: hardly anything determines where they go
+_IN_VAIN = 2  # damped steps in a row that gain a negligible energy are the last: hardly anything says where to
 
 
 @dataclass(frozen=True)
