@@ -34,10 +34,13 @@ def with_occlusion(results: Sequence[Reconstruction]) -> tuple[Reconstruction, .
             if there == here or front is None or pixels is None or not other.location[2] < depth:
                 continue
             vertices, (low, high) = front
-            if not ((pixels >= low) & (pixels <= high)).all(axis=1).any():
-                continue  # the rectangle around its image covers none
+            covered = np.flatnonzero(((pixels >= low) & (pixels <= high)).all(axis=1))  # by the rectangle around it
+            if not len(covered):
+                continue
             assert other.surface_faces is not None
-            seen = seen * probability(clearance(vertices, other.surface_faces, points, np.zeros(3)))
+            behind = clearance(vertices, other.surface_faces, points[covered], np.zeros(3))
+            seen = seen.copy()
+            seen[covered] *= probability(behind) / probability(np.zeros(1))  # what nothing hides stays as it is
         told.append(result if seen is result.visibility else replace(result, visibility=seen))
     return tuple(told)
 

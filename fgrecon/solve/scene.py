@@ -54,13 +54,13 @@ __all__ = ["reconstruct_scene", "reconstruct_scenes"]
 
 Array = NDArray[np.float64]
 
-_STEADY_ALONE = 1e-4
+_STEADY_ALONE = 1e-2
 """Where vehicles that are about to be solved together end alone, as `optimise` has it: near enough for the same basins.
 
-Where they end much earlier (1e-3) other visibilities are held where those swing, and one box in a hundred moves by more
-than a centimetre."""
-_STEADY = 3e-6
-"""The same of the scene: some micrometres."""
+Where visibility swings another one may be held then, which moves one box in a hundred by more than a centimetre, as
+often closer to the truth as further away."""
+_STEADY = 1e-4
+"""The same of the scene: a tenth of a millimetre, where a result is known to some centimetres at best."""
 
 
 @single_threaded
