@@ -61,6 +61,10 @@ def video_command(
     forget_ids: Annotated[
         bool, typer.Option("--forget-ids", help="Follow without the labelled ids, as `fgrecon run` associates.")
     ] = False,
+    estimate_motion: Annotated[
+        bool,
+        typer.Option("--estimate-motion", help="Estimate the camera's motion from the images, for what is followed."),
+    ] = False,
     detect: Annotated[
         bool,
         typer.Option(
@@ -103,11 +107,20 @@ def video_command(
     check_outputs(json_out, picture, table, markdown)
     if forget_ids and not track:
         raise InvalidInputError("forget_ids", "true", "Give --track as well: single images have no ids.")
+    if estimate_motion and not track:
+        raise InvalidInputError("estimate_motion", "true", "Give --track as well: single images know no motion.")
     if table is not None:
         check_ending(table, TABLE_FORMATS)
     screen = terminal.screen(json_out)
     scored = how.score(
-        folders, labelled, screen, rivals=rival or [_RIVAL], track=track, detect=detect, forget_ids=forget_ids
+        folders,
+        labelled,
+        screen,
+        rivals=rival or [_RIVAL],
+        track=track,
+        detect=detect,
+        forget_ids=forget_ids,
+        estimate_motion=estimate_motion,
     )
     boxes = scored.boxes
 
@@ -131,6 +144,7 @@ def video_command(
         "together": how.together,
         "traffic": how.traffic,
         "track": track,
+        "estimate_motion": estimate_motion,
         "ids": "associated" if forget_ids or detect else "labelled",
         "boxes": "detected" if detect else "labelled",
         "missed": scored.missed,

@@ -111,6 +111,7 @@ class DriveOptions:
         keypoints: KeypointOptions | None = None,
         detect: bool = False,
         forget_ids: bool = False,
+        estimate_motion: bool = False,
     ) -> ScoredDrives:
         """Reconstruct the labelled boxes that count, and score them.
 
@@ -123,6 +124,7 @@ class DriveOptions:
             keypoints: What is assumed of the detector; None for the default.
             detect: Whether the boxes are the shipped vehicle detector's instead of the labelled ones.
             forget_ids: Whether the vehicles that are followed are given ids anew; detected ones have none.
+            estimate_motion: Whether the camera's motion is estimated for those that are followed.
 
         Raises:
             InvalidInputError: A folder is no drive, no box counts or is found, or a network is given for none of the
@@ -152,7 +154,8 @@ class DriveOptions:
                 fix = "Give drives with vehicles that the detector finds."
                 raise InvalidInputError("drives", ", ".join(setups), fix)
             if track:
-                boxes = follow_boxes(frames, drives, setups, forget_ids=forget_ids or detect)
+                new_ids = forget_ids or detect
+                boxes = follow_boxes(frames, drives, setups, forget_ids=new_ids, estimate_motion=estimate_motion)
         missed = sum(frame.missed for frame in frames)
         return ScoredDrives(drives, files, setups, scene, ground, images, boxes, missed, frames)
 

@@ -1,13 +1,14 @@
 """Boxes of video drives over time: the keypoints that single images gave, followed by labelled ids or without any.
 
 `ONLINE` is what `fgrecon.Tracker` says after each frame, by that one and those before; `BATCH` what it says at the end,
-by all. Both get what the single images got, and nothing else: the camera's own motion is not given, and velocities are
-relative to the camera. `ALONE` is each vehicle of each image by itself.
+by all. Both get what the single images got. The camera's own motion is not given, and velocities are relative to the
+camera; or it is estimated from the images, and velocities are not scored, since the labels' are relative to the camera.
+`ALONE` is each vehicle of each image by itself.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,12 +21,15 @@ from fgrecon.evaluation.consistency import normalised_squared_error
 from fgrecon.evaluation.kitti_images import Setup
 from fgrecon.evaluation.video_frames import ScoredFrame
 from fgrecon.evaluation.video_images import TURNED_ROUND, BoxOutcome, VideoBox, outcome
+from fgrecon.io.frames import SourceFrame
+from fgrecon.io.images import read_image
 from fgrecon.io.kitti_drives import Drive, DriveFrame
 from fgrecon.io.track_file import GroundTruth
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.tracker import Tracker
 from fgrecon.video.association import GatedAssociation
 from fgrecon.video.follow import Follower
+from fgrecon.video.look import FrameLook
 from fgrecon.video.records import FrameRecord, Sighting
 
 __all__ = ["ALONE", "BATCH", "ONLINE", "follow_boxes", "labelled_velocities"]
@@ -45,7 +49,12 @@ _ABOUT, _FEWEST = 2, 4  # a labelled velocity is of labels at most so many frame
 
 
 def follow_boxes(
-    frames: Sequence[ScoredFrame], drives: Sequence[Drive], setups: Mapping[str, Setup], *, forget_ids: bool = False
+    frames: Sequence[ScoredFrame],
+    drives: Sequence[Drive],
+    setups: Mapping[str, Setup],
+    *,
+    forget_ids: bool = False,
+    estimate_motion: bool = False,
 ) -> list[VideoBox]:
     """The boxes with outcomes of `ALONE` (where all were solved together), `ONLINE` and `BATCH` beside their own.
 
@@ -54,35 +63,58 @@ def follow_boxes(
         drives: The drives that they are of.
         setups: What each drive is reconstructed with, by its name.
         forget_ids: Whether the vehicles are given ids anew, by association.
+        estimate_motion: Whether the camera's motion is estimated, from all images between the first and the last; it
+            needs the ground.
     """
     found: list[VideoBox] = []
     for drive in drives:
         own = [frame for frame in frames if frame.drive == drive.name]
-        found += _follow(own, drive, setups[drive.name], forget_ids=forget_ids)
+        found += _follow(own, drive, setups[drive.name], forget_ids=forget_ids, moving=estimate_motion)
     return found
 
 
-def _follow(seen: Sequence[ScoredFrame], drive: Drive, setup: Setup, *, forget_ids: bool) -> list[VideoBox]:
+def _records(seen: Sequence[ScoredFrame], drive: Drive, setup: Setup, *, moving: bool) -> Iterator[FrameRecord]:
+    """What the frames show; with the camera's motion, those between them as well."""
+    sightings = {frame.number: frame.sightings for frame in seen}
+    look = None
+    if moving:
+        assert setup.ground is not None
+        known = drive.calibration.camera, setup.ground
+        look = FrameLook(setup.prior.category, given=sightings, moving=known)
+    for frame in drive.frames:
+        time, name = frame.number / _RATE, frame.image.name
+        if look is not None and sightings and min(sightings) <= frame.number <= max(sightings):
+            yield look(SourceFrame(frame.number, time, name, read_image(frame.image)))
+        elif frame.number in sightings:
+            yield FrameRecord(frame.number, time, name, None, sightings[frame.number])
+
+
+def _follow(
+    seen: Sequence[ScoredFrame], drive: Drive, setup: Setup, *, forget_ids: bool, moving: bool
+) -> list[VideoBox]:
     tracker = Tracker(
         prior=setup.prior, size_prior=setup.size_prior, options=setup.options, shared_ground=setup.together, past=None
     )
     frames = {frame.number: frame for frame in drive.frames}
     largest = max((int(frame.tracks.max(initial=-1)) for frame in drive.frames), default=-1)
-    follower = Follower(tracker, GatedAssociation(first=largest + 1), drive.calibration.camera, ground=setup.ground)
+    association = GatedAssociation(first=largest + 1)
+    follower = Follower(tracker, association, drive.calibration.camera, ground=setup.ground, moving=moving)
     online: dict[tuple[int, int], VehicleEstimate] = {}
     named: dict[tuple[int, int], int] = {}  # the vehicle that each label was taken for
-    for frame in seen:
-        sightings = [replace(one, identity=None) for one in frame.sightings] if forget_ids else frame.sightings
-        name = frames[frame.number].image.name
-        tracked = follower(FrameRecord(frame.number, frame.number / _RATE, name, None, tuple(sightings)))
-        online |= {(frame.number, identity): estimate for identity, estimate in tracked.estimates.items()}
-        for box, one in zip(frame.boxes, sightings, strict=False):  # the first are the labelled ones
+    labelled_boxes = {frame.number: frame.boxes for frame in seen}
+    for record in _records(seen, drive, setup, moving=moving):
+        if forget_ids:
+            record = replace(record, sightings=tuple(replace(one, identity=None) for one in record.sightings))
+        tracked = follower(record)
+        online |= {(record.number, identity): estimate for identity, estimate in tracked.estimates.items()}
+        boxes = labelled_boxes.get(record.number, [])
+        for box, one in zip(boxes, record.sightings, strict=False):  # the first are the labelled ones
             identity = next((i for i, place in tracked.boxes.items() if place is one.box), None)
             if identity is not None:
                 named[box.frame, box.index] = identity
     smoothed = {(identity, one.time): one for identity, past in tracker.smooth().items() for one in past}
     batch = {key: smoothed.get((key[1], one.time)) for key, one in online.items()}
-    velocities = labelled_velocities(drive)
+    velocities = {} if moving else labelled_velocities(drive)
     scored = []
     for frame in seen:
         for box, one in zip(frame.boxes, frame.sightings, strict=False):

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.geometry import exponential
 
-__all__ = ["CameraMotion", "camera_motion", "motion_of_points", "tracked_points"]
+__all__ = ["SCALE_SIGMA", "CameraMotion", "camera_motion", "motion_of_points", "tracked_points"]
 
 Array = NDArray[np.float64]
 
@@ -35,7 +35,10 @@ _ANYWHERE = (0.05, 0.2)  # mean and standard deviation of other points' inverse 
 _STILL = 1e12  # inverse variance of a standing camera's place, 1 / square metres
 _GAIN = 0.05  # by so much a point, nats, must a motion explain the points better than standing still does
 _CREEP = 0.02  # metres that a camera may have moved which seems to stand
-_SCALE = 0.08  # of a motion's length, relative: the road is no plane, and what stands on it hides among its points
+SCALE_SIGMA = 0.04
+"""Standard deviation of the length of motions, relative: the road is no plane, and what stands on it hides among its
+points. It errs alike in all motions of a camera, and so is in none of their covariances."""
+_UNEQUAL = 0.02  # what is left of it that differs from one motion to the next
 _LEAST_POINTS, _LEAST_ROAD = 20, 8
 _ITERATIONS = 25
 _ALIKE = 3.0  # errors of tracked points are alike: the covariance is that much larger
@@ -50,7 +53,8 @@ class CameraMotion:
 
     Attributes:
         previous_T_current: (4, 4) pose of the camera in its frame of the image before, metres.
-        covariance: (6, 6) of its rotation and translation, in this order, in the current camera's frame.
+        covariance: (6, 6) of its rotation and translation, in this order, in the current camera's frame; but for
+            what all motions of the camera have wrong alike (`SCALE_SIGMA`).
         points: How many points agree with it.
     """
 
@@ -285,7 +289,7 @@ class _Problem:
         try:
             covariance: Array = np.linalg.inv(hessian)[:6, :6].astype(np.float64) * _ALIKE**2
             covariance[3:, 3:] += (
-                _CREEP**2 * np.eye(3) if np.abs(shift).max() < 1e-6 else _SCALE**2 * np.outer(shift, shift)
+                _CREEP**2 * np.eye(3) if np.abs(shift).max() < 1e-6 else _UNEQUAL**2 * np.outer(shift, shift)
             )
         except np.linalg.LinAlgError:
             return None

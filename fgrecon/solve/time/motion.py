@@ -27,6 +27,7 @@ _UNKNOWN = np.array([0.1, 0.1, 0.1, 0.5, 0.5, 0.5])
 _RELATIVE = np.array([4.0, 4.0, 0.5])
 """By how much a velocity relative to a moving camera changes in a second."""
 _STANDS = 2.0  # standard deviations from which on a vehicle drives; scaled as its noise is, the loss is
+_STILL_TURN = 0.02  # radians per second: how fast what stands seems to turn
 _FASTEST = np.array([30.0, 30.0, 1.0])  # metres per second, and radians per second
 
 
@@ -70,7 +71,7 @@ def link(
 
 
 def velocity_terms(
-    frame: int, seconds: float, model: MotionModel, *, known: bool, share: float = 1.0
+    frame: int, seconds: float, model: MotionModel, *, known: bool, share: float = 1.0, stands: bool | None = None
 ) -> list[gtsam.NonlinearFactor]:
     """The factors about the velocity of vehicle 0 in a frame.
 
@@ -80,12 +81,18 @@ def velocity_terms(
         model: The category's motion.
         known: Whether the camera's motion is known, and the velocity is over the world.
         share: Of their information that the factors have.
+        stands: Whether it stands; None where it may.
     """
     root = np.sqrt(share * seconds)
     key = V(0, frame)
     if not known or not model.wheeled:
         return [drive_factor(key, diagonal_noise("velocity", _FASTEST / root))]
+    if stands:
+        sigma = np.array([model.standing, model.standing, _STILL_TURN]) / np.sqrt(seconds)
+        return [gtsam.PriorFactorVector(key, np.zeros(3), diagonal_noise("standing", sigma))]
     drive = drive_factor(key, diagonal_noise("drive", np.array([_FASTEST[0], model.slip, 1.0]) / root), model.radius)
+    if stands is not None:
+        return [drive]
     still = diagonal_noise("standing", np.array([model.standing, _FASTEST[1], _FASTEST[2]]) / root)
     standing = gtsam.PriorFactorVector(key, np.zeros(3), RobustLoss.of(Loss.CAUCHY, _STANDS * root).wrap(still))
     return [drive, standing]

@@ -6,7 +6,9 @@
        +------------+---------- L(0) -------+----------------------+
 
 Images of one vehicle err alike (`ShapeOptions.common_error`): the more there were, the less each counts against the
-terms of the shape. Motion counts by the same share, so that it has its full weight against the images.
+terms of the shape. Motion relative to a camera that moves in an unknown way only makes poses smooth, and counts by the
+same share. Where the camera's motion is known it is evidence of another kind, whose errors are its own: how much larger
+a parked car looks after one's own way says how far away it is, whatever its size. It counts whole.
 """
 
 from __future__ import annotations
@@ -115,6 +117,7 @@ class WindowSolve:
         adjusted: Where the graph's optimisation ended.
         extra: The factors of motion, and what is left of earlier frames.
         share: Of their information that the frames have.
+        tied: The same of what ties them.
     """
 
     seen: tuple[Seen, ...]
@@ -122,6 +125,7 @@ class WindowSolve:
     adjusted: Adjusted
     extra: tuple[gtsam.NonlinearFactor, ...]
     share: float = 1.0
+    tied: float = 1.0
 
 
 def solve_alone(problem: Problem, start: PoseEstimate, number: int) -> WindowSolve:
@@ -139,6 +143,7 @@ def solve_window(
     left: Marginal | None = None,
     most: int | None = None,
     own: OwnFactors | None = None,
+    stands: bool | None = None,
 ) -> WindowSolve:
     """Solve frames that follow each other together, and bring them to where they end.
 
@@ -150,20 +155,22 @@ def solve_window(
         left: What is left of them, as if each counted whole; or None.
         most: Newton's steps at most, see `fgrecon.solve.graph.optimise`.
         own: Makes factors of the caller's own for each step; or None.
+        stands: Whether the vehicle stands in all of them; None where it may.
 
     Returns:
         What was solved; where it failed the frames stay as they are.
     """
     share = common_share(len(frames) + earlier, frames[0].problem.options)
     seen = tuple(Seen(f.problem, image=f.number) for f in frames)
-    extra = motion_factors(frames, model, share)
+    tied = 1.0 if all(frame.known for frame in frames[1:]) else share
+    extra = motion_factors(frames, model, share, tied, stands)
     if own is not None:
         pairs = [(before.number, frame) for before, frame in pairwise(frames)]
         extra += [
             factor
             for number, frame in pairs
             if frame.step is not None
-            for factor in own(number, frame.number, frame.step.seconds, share**-0.5)
+            for factor in own(number, frame.number, frame.step.seconds, tied**-0.5)
         ]
     counted = list(extra)
     if left is not None:
@@ -182,19 +189,19 @@ def solve_window(
             frame.pose, frame.weights = pose, weights
             frame.velocity = optimum.state.others.atVector(V(0, frame.number))
     adjusted = Adjusted(optimum, (SolvedStage("track", graph, optimum.steps),), ((),) * len(frames))
-    return WindowSolve(seen, tuple(f.start for f in frames), adjusted, tuple(extra), share)
+    return WindowSolve(seen, tuple(f.start for f in frames), adjusted, tuple(extra), share, tied)
 
 
 def velocity_covariances(solved: WindowSolve, frames: Sequence[Frame]) -> list[Array | None]:
     """(3, 3) covariance of each frame's velocity along the vehicle's own axes; None where it cannot be had.
 
     The axes are unsure as well: turned by w, a velocity changes by w x v. What images have wrong alike, for which they
-    count by a share, leaves a velocity alone: of it they are as sure as if each counted whole.
+    count by a share, leaves a velocity relative to the camera alone: of it they are as sure as if each counted whole.
     """
     graph, optimum = solved.adjusted.graph, solved.adjusted.optimum
     asked = {key(0, frame.number) for frame in frames for key in (X, V)}
     spread = Spread.of(graph.build(optimum.state.weights), optimum.values, asked)
-    return [None if spread is None else _velocity_covariance(spread, frame, solved.share) for frame in frames]
+    return [None if spread is None else _velocity_covariance(spread, frame, solved.tied) for frame in frames]
 
 
 def _velocity_covariance(spread: Spread, frame: Frame, share: float) -> Array | None:
@@ -207,20 +214,24 @@ def _velocity_covariance(spread: Spread, frame: Frame, share: float) -> Array | 
     return covariance if np.isfinite(covariance).all() else None
 
 
-def motion_factors(frames: Sequence[Frame], model: MotionModel, share: float) -> list[gtsam.NonlinearFactor]:
-    """The factors of motion of frames that follow each other, and about the velocity in each."""
+def motion_factors(
+    frames: Sequence[Frame], model: MotionModel, share: float, tied: float, stands: bool | None
+) -> list[gtsam.NonlinearFactor]:
+    """The factors of motion of frames that follow each other, and about the velocity in each.
+
+    That a vehicle stands, or how fast one drives, is said once of each and not of each frame: it counts by the share.
+    """
     found = []
     for before, frame in pairwise(frames):
         step = frame.step
         assert step is not None
         distance = float(np.linalg.norm(before.pose.translation()))
         numbers = before.number, frame.number
-        found += link(
-            numbers, step.seconds, model, step.camera, motion_sigma=step.sigma, distance=distance, share=share
-        )
+        found += link(numbers, step.seconds, model, step.camera, motion_sigma=step.sigma, distance=distance, share=tied)
     for frame, after in zip(frames, [*frames[1:], frames[-1]], strict=True):
         step = after.step
         assert step is not None
         seconds = min(step.seconds, _LONGEST)
-        found += velocity_terms(frame.number, seconds, model, known=step.camera is not None, share=share)
+        known = step.camera is not None
+        found += velocity_terms(frame.number, seconds, model, known=known, share=share, stands=stands)
     return found

@@ -88,6 +88,34 @@ def test_parked_cars_stand(moving):
         assert online[number].speed < 1.0
 
 
+def passed_by(shape, speed, seed):
+    """Frames and poses of a car 35 m ahead, seen by a camera that drives towards it at 10 m/s."""
+    rng, frames, poses = np.random.default_rng(seed), [], []
+    for t in range(25):
+        world_T_camera = upright(0.0, [0.0, 0.0, 1.0 * t])
+        poses.append(np.linalg.inv(world_T_camera) @ upright(-np.pi / 2.0, [4.0, GROUND, 35.0 + 0.1 * speed * t]))
+        frames.append((0.1 * t, seen(poses[-1], rng, noise=0.01, shape=shape), world_T_camera))
+    return frames, poses
+
+
+def test_past_parked_cars_the_way_tells_their_distance():
+    """Which sizes and a level ground tell less exactly: the prior's cars are smaller and larger than the fleet's."""
+    with_motion, without = [], []
+    for seed, first in enumerate((-1.2, 1.2)):
+        frames, poses = passed_by([first, 0.0, 0.0, 0.0, 0.0], 0.0, seed)
+        for found, told in ((with_motion, frames), (without, [(time, one, None) for time, one, _ in frames])):
+            _, smoothed = follow(told)
+            found += [off(one, pose)[1] for one, pose in zip(smoothed, poses, strict=True)]
+    assert np.mean(with_motion) < 0.75 * np.mean(without)
+
+
+@pytest.mark.parametrize("speed", [4.0, 8.0, -8.0])
+def test_a_car_that_drives_is_not_taken_to_stand(speed):
+    frames, poses = passed_by(None, speed, 5)
+    _, smoothed = follow([frame for frame, pose in zip(frames, poses, strict=True) if pose[2, 3] > 8.0])
+    assert smoothed[len(smoothed) // 2].velocity[2] == pytest.approx(speed, abs=1.5)
+
+
 def test_velocity_is_over_the_world_where_it_is_known():
     rng = np.random.default_rng(4)
     frames = []
