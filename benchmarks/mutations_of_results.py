@@ -64,7 +64,7 @@ DISCARDED = (
         "never-unfinished",
         "a solve that is stopped short of its minimum counts as converged",
         SOLVER,
-        (("converged = decrease <= max(relative_tolerance * error, _NEGLIGIBLE)", "converged = True"),),
+        (("converged = decrease <= max(relative_tolerance * error, NEGLIGIBLE)", "converged = True"),),
         ("tests/solve/graph/test_solver.py",),
     ),
     Mutation(

@@ -46,7 +46,7 @@ STILL = 1e-7
 
 _REFRESHED = 4  # times the strategy's updates: how often visibility is made anew at most
 _MOST_UPDATES = 60  # with visibility held
-_MOST_ITERATIONS = 1000  # of the solver, over all updates: cars take up to 200, what takes more does not end
+_MOST_ITERATIONS = 500  # of the solver, over all updates: cars take up to 200, what takes more does not end
 _LONGEST_GUESS = 20.0  # steps that a guess may go ahead
 _DRIFT = 0.1  # nats that settled weights may cost: what moves visibility is no force of the solver's
 
