@@ -63,7 +63,7 @@ def video_command(
     ] = False,
     estimate_motion: Annotated[
         bool,
-        typer.Option("--estimate-motion", help="Estimate the camera's motion from the images, for what is followed."),
+        typer.Option("--estimate-motion", help="Follow with the camera's motion as well, as the images tell it."),
     ] = False,
     detect: Annotated[
         bool,

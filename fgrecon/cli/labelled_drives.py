@@ -124,7 +124,7 @@ class DriveOptions:
             keypoints: What is assumed of the detector; None for the default.
             detect: Whether the boxes are the shipped vehicle detector's instead of the labelled ones.
             forget_ids: Whether the vehicles that are followed are given ids anew; detected ones have none.
-            estimate_motion: Whether the camera's motion is estimated for those that are followed.
+            estimate_motion: Whether they are followed with the camera's estimated motion as well.
 
         Raises:
             InvalidInputError: A folder is no drive, no box counts or is found, or a network is given for none of the

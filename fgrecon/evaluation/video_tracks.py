@@ -1,9 +1,9 @@
 """Boxes of video drives over time: the keypoints that single images gave, followed by labelled ids or without any.
 
 `ONLINE` is what `fgrecon.Tracker` says after each frame, by that one and those before; `BATCH` what it says at the end,
-by all. Both get what the single images got. The camera's own motion is not given, and velocities are relative to the
-camera; or it is estimated from the images, and velocities are not scored, since the labels' are relative to the camera.
-`ALONE` is each vehicle of each image by itself.
+by all. Both get what the single images got, and nothing else: the camera's own motion is not given, and velocities are
+relative to the camera. `ONLINE_MOVING` and `BATCH_MOVING` are the same with the motion that the images tell; velocities
+are over the world then, and not scored. `ALONE` is each vehicle of each image by itself.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from fgrecon.video.follow import Follower
 from fgrecon.video.look import FrameLook
 from fgrecon.video.records import FrameRecord, Sighting
 
-__all__ = ["ALONE", "BATCH", "ONLINE", "follow_boxes", "labelled_velocities"]
+__all__ = ["ALONE", "BATCH", "BATCH_MOVING", "ONLINE", "ONLINE_MOVING", "follow_boxes", "labelled_velocities"]
 
 Array = NDArray[np.float64]
 
@@ -42,6 +42,9 @@ ONLINE = "online"
 """Each frame by itself and those before."""
 BATCH = "batch"
 """Each frame by all."""
+
+ONLINE_MOVING, BATCH_MOVING = "online_moving", "batch_moving"
+"""The same with the camera's motion, as the images tell it."""
 
 _RATE = 10.0  # images of KITTI's drives in a second
 _OVER_GROUND = [0, 2]  # axes of the camera
@@ -56,20 +59,21 @@ def follow_boxes(
     forget_ids: bool = False,
     estimate_motion: bool = False,
 ) -> list[VideoBox]:
-    """The boxes with outcomes of `ALONE` (where all were solved together), `ONLINE` and `BATCH` beside their own.
+    """The boxes with outcomes of `ALONE` (where all were solved together), `ONLINE`, `BATCH` and more beside their own.
 
     Args:
         frames: Those of `fgrecon.evaluation.video_frames.score_frames`.
         drives: The drives that they are of.
         setups: What each drive is reconstructed with, by its name.
         forget_ids: Whether the vehicles are given ids anew, by association.
-        estimate_motion: Whether the camera's motion is estimated, from all images between the first and the last; it
-            needs the ground.
+        estimate_motion: Whether to follow with the camera's motion as well, which all images between the first and the
+            last tell; it needs the ground.
     """
     found: list[VideoBox] = []
     for drive in drives:
         own = [frame for frame in frames if frame.drive == drive.name]
-        found += _follow(own, drive, setups[drive.name], forget_ids=forget_ids, moving=estimate_motion)
+        setup = setups[drive.name]
+        found += _follow(own, drive, setup, forget_ids=forget_ids, estimate_motion=estimate_motion)
     return found
 
 
@@ -90,48 +94,60 @@ def _records(seen: Sequence[ScoredFrame], drive: Drive, setup: Setup, *, moving:
 
 
 def _follow(
-    seen: Sequence[ScoredFrame], drive: Drive, setup: Setup, *, forget_ids: bool, moving: bool
+    seen: Sequence[ScoredFrame], drive: Drive, setup: Setup, *, forget_ids: bool, estimate_motion: bool
 ) -> list[VideoBox]:
-    tracker = Tracker(
-        prior=setup.prior, size_prior=setup.size_prior, options=setup.options, shared_ground=setup.together, past=None
-    )
-    frames = {frame.number: frame for frame in drive.frames}
-    largest = max((int(frame.tracks.max(initial=-1)) for frame in drive.frames), default=-1)
-    association = GatedAssociation(first=largest + 1)
-    follower = Follower(tracker, association, drive.calibration.camera, ground=setup.ground, moving=moving)
-    online: dict[tuple[int, int], VehicleEstimate] = {}
-    named: dict[tuple[int, int], int] = {}  # the vehicle that each label was taken for
-    labelled_boxes = {frame.number: frame.boxes for frame in seen}
-    for record in _records(seen, drive, setup, moving=moving):
-        if forget_ids:
-            record = replace(record, sightings=tuple(replace(one, identity=None) for one in record.sightings))
-        tracked = follower(record)
-        online |= {(record.number, identity): estimate for identity, estimate in tracked.estimates.items()}
-        boxes = labelled_boxes.get(record.number, [])
-        for box, one in zip(boxes, record.sightings, strict=False):  # the first are the labelled ones
-            identity = next((i for i, place in tracked.boxes.items() if place is one.box), None)
-            if identity is not None:
-                named[box.frame, box.index] = identity
-    smoothed = {(identity, one.time): one for identity, past in tracker.smooth().items() for one in past}
-    batch = {key: smoothed.get((key[1], one.time)) for key, one in online.items()}
-    velocities = {} if moving else labelled_velocities(drive)
+    ways = [(ONLINE, BATCH, _estimates(seen, drive, setup, forget_ids=forget_ids, moving=False))]
+    if estimate_motion:
+        ways.append((ONLINE_MOVING, BATCH_MOVING, _estimates(seen, drive, setup, forget_ids=forget_ids, moving=True)))
+    frames, velocities = {frame.number: frame for frame in drive.frames}, labelled_velocities(drive)
     scored = []
     for frame in seen:
-        for box, one in zip(frame.boxes, frame.sightings, strict=False):
-            labelled, key = frames[box.frame], (box.frame, named.get((box.frame, box.index), -1))
+        for box, one in zip(frame.boxes, frame.sightings, strict=False):  # the first are the labelled ones
+            labelled = frames[box.frame]
             objects, offset = labelled.objects, labelled.calibration.label_offset
             truth = GroundTruth(objects.location[box.index], float(objects.rotation_y[box.index]))
             size, velocity = objects.size[box.index], velocities.get((box.frame, box.track))
             more: dict[str, BoxOutcome] = {}
             if setup.together:
                 more[ALONE] = _alone(box, one, labelled, setup, truth)
-            for name, estimate in ((ONLINE, online.get(key)), (BATCH, batch.get(key))):
-                if estimate is None:
-                    more[name] = BoxOutcome(FAILURE_DEGREES, float("inf"), None, None, "no estimate")
-                else:
-                    more[name] = _moving(outcome(estimate.reconstruction, truth, size, offset), estimate, velocity)
+            for *names, found in ways:
+                for name, estimate in zip(names, found.get((box.frame, box.index), (None, None)), strict=True):
+                    if estimate is None:
+                        more[name] = BoxOutcome(FAILURE_DEGREES, float("inf"), None, None, "no estimate")
+                        continue
+                    of_label = None if name in (ONLINE_MOVING, BATCH_MOVING) else velocity
+                    more[name] = _moving(outcome(estimate.reconstruction, truth, size, offset), estimate, of_label)
             scored.append(replace(box, outcomes={**box.outcomes, **more}))
     return scored
+
+
+def _estimates(
+    seen: Sequence[ScoredFrame], drive: Drive, setup: Setup, *, forget_ids: bool, moving: bool
+) -> dict[tuple[int, int], tuple[VehicleEstimate | None, VehicleEstimate | None]]:
+    """Of each labelled box that was followed, by frame and index, the estimate online and in batch."""
+    tracker = Tracker(
+        prior=setup.prior, size_prior=setup.size_prior, options=setup.options, shared_ground=setup.together, past=None
+    )
+    largest = max((int(frame.tracks.max(initial=-1)) for frame in drive.frames), default=-1)
+    association = GatedAssociation(first=largest + 1)
+    follower = Follower(tracker, association, drive.calibration.camera, ground=setup.ground, moving=moving)
+    online: dict[tuple[int, int], VehicleEstimate] = {}
+    named: dict[tuple[int, int], int] = {}  # the vehicle that each label was taken for
+    boxes = {frame.number: frame.boxes for frame in seen}
+    for record in _records(seen, drive, setup, moving=moving):
+        if forget_ids:
+            record = replace(record, sightings=tuple(replace(one, identity=None) for one in record.sightings))
+        tracked = follower(record)
+        online |= {(record.number, identity): estimate for identity, estimate in tracked.estimates.items()}
+        for box, one in zip(boxes.get(record.number, ()), record.sightings, strict=False):
+            identity = next((i for i, place in tracked.boxes.items() if place is one.box), None)
+            if identity is not None:
+                named[box.frame, box.index] = identity
+    smoothed = {(identity, one.time): one for identity, past in tracker.smooth().items() for one in past}
+    found = {label: online.get((label[0], identity)) for label, identity in named.items()}
+    return {
+        label: (one, None if one is None else smoothed.get((named[label], one.time))) for label, one in found.items()
+    }
 
 
 def labelled_velocities(drive: Drive) -> dict[tuple[int, int], Array]:

@@ -112,6 +112,8 @@ def test_ids_are_forgotten_only_where_vehicles_are_followed(drives, weights, tmp
     assert isinstance(done.exception, InvalidInputError)
     assert done.exception.field == "forget_ids"
     out = tmp_path / "r.json"
+    done = run(drives[0], "--weights", weights, "--estimate-motion")
+    assert done.exception.field == "estimate_motion"
     done = run(drives[0], "--weights", weights, "--forget-ids", "--track", "--json", out)
     assert done.exit_code == 0, done.output
     given = json.loads(out.read_text())["given"]

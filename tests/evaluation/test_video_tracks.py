@@ -10,7 +10,15 @@ import pytest
 from fgrecon.evaluation.video_frames import score_frames
 from fgrecon.evaluation.video_images import SYSTEM
 from fgrecon.evaluation.video_summary import document, summarise_boxes
-from fgrecon.evaluation.video_tracks import ALONE, BATCH, ONLINE, follow_boxes, labelled_velocities
+from fgrecon.evaluation.video_tracks import (
+    ALONE,
+    BATCH,
+    BATCH_MOVING,
+    ONLINE,
+    ONLINE_MOVING,
+    follow_boxes,
+    labelled_velocities,
+)
 from fgrecon.io.kitti_drives import read_drive
 from tests.evaluation.test_video_images import folder, setup  # noqa: F401  # fixtures
 
@@ -40,10 +48,12 @@ def test_several_images_and_how_much_errors_change(folder, setup, scene):  # noq
     clean = json.loads((folder / "clean_tracks.json").read_text())
     (folder / "clean_tracks.json").write_text(json.dumps({name: [0, 1, 2, 6] for name in clean}))
     drives = [read_drive(folder)]
-    boxes = follow_boxes(score_frames(drives, {"drive": setup}, scene), drives, {"drive": setup})
+    frames = score_frames(drives, {"drive": setup}, scene)
+    boxes = follow_boxes(frames, drives, {"drive": setup}, estimate_motion=True)
     first = [box for box in boxes if box.track == 0]
     assert len(first) == 4
-    for method in (ONLINE, BATCH):
+    assert all(box.outcomes[BATCH_MOVING].velocity is None for box in boxes)
+    for method in (ONLINE, BATCH, ONLINE_MOVING, BATCH_MOVING):  # the camera stands
         assert max(box.outcomes[method].degrees for box in first) < 1.5
         assert max(box.outcomes[method].metres for box in first) < 0.2
     alone, online = (summarise_boxes(first, method) for method in (SYSTEM, ONLINE))
@@ -53,7 +63,7 @@ def test_several_images_and_how_much_errors_change(folder, setup, scene):  # noq
     assert online.jitter_degrees == pytest.approx(np.abs(np.diff(offs, axis=0)[:, 0]).mean())
     assert alone.mean_absolute_size_error == pytest.approx(np.abs(first[0].outcomes[SYSTEM].size).mean())
     made = document(boxes, {}, [])
-    assert list(made["methods"]) == [SYSTEM, ALONE, ONLINE, BATCH]
+    assert list(made["methods"]) == [SYSTEM, ALONE, ONLINE, BATCH, ONLINE_MOVING, BATCH_MOVING]
     alone = [box.outcomes[ALONE] for box in first]
     assert alone[0].metres == alone[1].metres > 0.0  # the images are one
     told = made["methods"][ONLINE]["regime"]["all"]["consistency"]
