@@ -41,7 +41,7 @@ def test_a_soak_finds_faults(monkeypatch, tmp_path):
 def test_the_same_number_is_the_same_problem():
     kinds = [(problem([9, number])[:2], problem([9, number])[:2]) for number in range(20)]
     assert all(first == second for first, second in kinds)
-    assert {kind for (kind, _), _ in kinds} == {"car", "scene", "track"}
+    assert {kind for (kind, _), _ in kinds} == {"car", "scene", "track", "video"}
 
 
 @pytest.mark.parametrize("name", ["a.parquet", "b.json", "c.npz", "d.csv"])

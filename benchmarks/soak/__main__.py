@@ -1,6 +1,6 @@
 """Random problems, most of them nonsense: `python -m benchmarks.soak --problems N [--seed S] [--out FOLDER]`.
 
-Cars, scenes and tracks with missing images: 0 to 14 points, 0 to 100 % outliers, all depths, views, intrinsics,
+Cars, scenes, tracks with missing images and videos: 0 to 14 points, 0 to 100 % outliers, all depths, views, intrinsics,
 kinds of evidence and, of cars, robust strategies. Counts what they come to and prints what must not be: an error that
 fgrecon does not raise on purpose, a number that is not finite, an absurd size or a place behind the camera in a result
 that is not flagged, an energy that rises, other bits for the same input, more than five seconds of CPU time. What takes

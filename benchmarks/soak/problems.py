@@ -55,8 +55,34 @@ def random_observation(rng: np.random.Generator, camera: fgrecon.Camera) -> Obse
     return Observation(pixels, confidence, box, covariance, azimuth=azimuth)
 
 
+def video(
+    rng: np.random.Generator, camera: fgrecon.Camera, told: dict[str, Any]
+) -> tuple[int, Callable[[], Sequence[Reconstruction]]]:
+    """How many sightings there are, and what follows them: vehicles that come and go, a camera that jumps about."""
+    frames: list[dict[str, Any]] = []
+    place, time, moves = np.eye(4), 0.0, rng.random() < 0.6
+    for _ in range(int(rng.integers(1, 9))):
+        time += 10 ** rng.uniform(-2, 1)
+        place = place @ yaw_pose(rng.normal(0, 0.1), rng.normal(0, 1, 3) * 10 ** rng.uniform(-2, 1))
+        seen = {name: random_observation(rng, camera) for name in range(3) if rng.random() < 0.6}
+        frame: dict[str, Any] = {"time": time, "observations": seen}
+        if moves and rng.random() < 0.9:
+            frame |= {"world_T_camera": place, "motion_sigma": tuple(10 ** rng.uniform(-6, 1, 2))}
+        frames.append(frame)
+    settings = {name: told.get(name) for name in ("size_prior", "options")}
+    shared = rng.random() < 0.5
+
+    def follow() -> list[Reconstruction]:
+        tracker = fgrecon.Tracker(**settings, shared_ground=shared)
+        online = [tracker.update(camera=camera, ground=told.get("ground"), **frame).values() for frame in frames]
+        smoothed = tracker.smooth().values()
+        return [one.reconstruction for some in (*online, *smoothed) for one in some]
+
+    return max(sum(len(frame["observations"]) for frame in frames), 1), follow
+
+
 def problem(seed: Sequence[int]) -> tuple[str, int, Callable[[], Sequence[Reconstruction]]]:
-    """A random problem: its kind, how many cars or images it has, and what solves it."""
+    """A random problem: its kind, how many cars or images it has, and what solves it; one in 25 is a video."""
     rng = np.random.default_rng(seed)
     camera = random_camera(rng)
     number = seed[-1]
@@ -68,6 +94,8 @@ def problem(seed: Sequence[int]) -> tuple[str, int, Callable[[], Sequence[Recons
     if rng.random() < 0.5:
         told["size_prior"] = "kitti"
     kind = ("car", "car", "car", "scene", "track")[int(rng.integers(5))]
+    if number % 25 == 5:  # of which one in four is solved twice
+        return "video", *video(rng, camera, told)
     count = 1 if kind == "car" else int(rng.integers(1, 7))
     seen = [random_observation(rng, camera) for _ in range(count)]
     if kind == "car":

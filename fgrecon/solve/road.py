@@ -26,6 +26,7 @@ from factors.marginals import Marginal, marginal, marginal_factor
 from factors.noise import diagonal_noise
 from factors.road import road_factor
 from fgrecon.core.camera import Ground
+from fgrecon.core.errors import FactorCallbackError
 from fgrecon.solve.graph.graph import Graph, Seen, State
 from fgrecon.solve.graph.optimise import optimise
 from fgrecon.solve.graph.vehicle import Held
@@ -138,20 +139,24 @@ class Road:
         frame = GroundFrame.of(told.normal, told.distance)
         past, weight = self._past, 1.0
         spread = np.array([told.height_sigma, told.slope_sigma, told.slope_sigma])
-        if past is None:
+        known = None
+        if past is not None:
+            seconds = time - past.time
+            moved = _moved(past, seconds, frame, world_T_camera, spread, motion_sigma)
+            before = past.known
+            known = _known(lambda: (_on_road(before.where, moved), _on_road(before.counted, moved)))
+            weight = min(seconds / _ALIKE, 1.0)
+        if known is None:  # the first frame, or the camera has gone where no ground before tells of this one
             values = gtsam.Values()
             values.insert(G(0), np.zeros(3))
             first = Marginal((G(0),), (3,), values, np.diag(1.0 / spread), np.zeros(3))
             known = _Known(first, first)
-        else:
-            seconds = time - past.time
-            moved = _moved(past, seconds, frame, world_T_camera, spread, motion_sigma)
-            known = _Known(_on_road(past.known.where, moved), _on_road(past.known.counted, moved))
-            weight = min(seconds / _ALIKE, 1.0)
         told_by = says(known.where, _ground(told, frame, known).ground)
         if told_by is not None:
             said = told_by.said.scaled(weight)
-            known = _Known(_both(known.where, said), _both(known.counted, said.scaled(1.0 / told_by.common_factor)))
+            less, until_now = said.scaled(1.0 / told_by.common_factor), known
+            both = _known(lambda: (_both(until_now.where, said), _both(until_now.counted, less)))
+            known = both or known
         self._past = _Past(time, frame, world_T_camera, known)
         return _ground(told, frame, known)
 
@@ -208,6 +213,18 @@ def _moved(
     kept = max(float(np.exp(-seconds / _LASTS)), _LEAST_KEPT)
     sigma = np.hypot(np.sqrt(1.0 - kept**2) * spread, np.array([way, turn, turn]))
     return road_factor(G(0), G(1), (past.frame, frame), diagonal_noise("road", sigma), motion, kept)
+
+
+def _known(make: Callable[[], tuple[Marginal, Marginal]]) -> _Known | None:
+    """What is known after a step; None where the numbers leave it open."""
+    try:
+        found = _Known(*make())
+        spreads = [_covariance(one) for one in (found.where, found.counted) if len(one.matrix) == 3]
+    except FactorCallbackError:
+        raise
+    except (RuntimeError, np.linalg.LinAlgError):  # GTSAM's and numpy's signs of a system that determines nothing
+        return None
+    return found if len(spreads) == 2 and np.isfinite(spreads).all() else None
 
 
 def _on_road(left: Marginal, moved: gtsam.CustomFactor) -> Marginal:

@@ -100,6 +100,15 @@ def test_it_turns_with_the_camera():
     assert abs(slopes[1]) < 0.1 * slopes[0]
 
 
+def test_where_the_ground_before_tells_nothing_it_begins_anew():
+    road = Road()
+    road.later(0.0, TOLD, gtsam.Pose3(), saying(SLOPE))
+    away = gtsam.Pose3(upright(0.3, [1e6, 0.0, 1e6]))
+    known = road.later(0.01, TOLD, away, silent)
+    np.testing.assert_allclose(known.ground.normal, TOLD.normal, atol=1e-12)
+    assert known.ground.distance == GROUND
+
+
 def test_a_motion_that_is_not_exact_leaves_the_ground_less_sure():
     sigmas = []
     for turn in (0.0, 0.01):
