@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.camera import Camera
 from fgrecon.core.detection import facing_probability, half_around
+from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.geometry import view_azimuth, yaw_rotation
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.observation import Observation
@@ -96,8 +97,11 @@ def faced_pose(
     if seen.azimuth is None or seen.azimuth is given.azimuth or _agrees(start, seen.azimuth):
         return problem, start
     other = replace(turned_round(seen, problem.model.prior), azimuth=seen.azimuth)
-    turned = Problem.of(other, problem.camera, problem.model, problem.ground, problem.options)
-    again = adjust_pose(turned)
+    try:
+        turned = Problem.of(other, problem.camera, problem.model, problem.ground, problem.options)
+        again = adjust_pose(turned)
+    except DegenerateProblemError:  # too few keypoints have a partner on the other side
+        return problem, start
     return (turned, again) if _agrees(again, seen.azimuth) else (problem, start)
 
 

@@ -8,12 +8,14 @@ import pytest
 import fgrecon
 from fgrecon.core.detection import facing_probability
 from fgrecon.core.geometry import view_azimuth
-from fgrecon.core.turned import turned_round
+from fgrecon.core.turned import half_a_turn, partners, turned_round
 from fgrecon.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior
 from fgrecon.simulation import HOURGLASS
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate
-from fgrecon.solve.facing import _right, face_together
+from fgrecon.solve.facing import _right, face_together, faced_pose
+from fgrecon.solve.proposals.problem import Problem
+from fgrecon.solve.vehicle.model import prepare
 
 PRIOR = load_prior("car14")
 PLAIN, RIGHT = fgrecon.Options(), fgrecon.Options(traffic="right")
@@ -164,3 +166,18 @@ def test_a_video_and_images_of_one_car_know_the_traffic():
 def test_a_side_that_there_is_not_is_refused():
     with pytest.raises(InvalidInputError, match=r"options\.traffic.*right, left"):
         fgrecon.Options(traffic="middle")
+
+
+def test_keypoints_that_have_no_partners_are_not_turned():
+    """Of two mirrors and two wheels only the wheels could change places, too few for a pose."""
+    names = list(PRIOR.category.keypoints)
+    few = [name for name, partner in zip(names, partners(PRIOR), strict=True) if partner < 0]
+    few += [name for name in names if name not in few][: 4 - len(few)]
+    given, _ = car(2.0, 0.9, turned=False)
+    keypoints = np.where(np.isin(names, few)[:, None], given.keypoints, np.nan)
+    given = replace(given, keypoints=keypoints)
+    told = replace(given, azimuth=half_a_turn(given.azimuth))
+    problem = Problem.of(told, KITTI_CAMERA, prepare(PRIOR), None, PLAIN)
+    found, start = faced_pose(problem, given)
+    assert found is problem
+    assert np.isfinite(start.camera_T_object).all()

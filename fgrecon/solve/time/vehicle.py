@@ -21,6 +21,7 @@ from factors.marginals import Marginal, marginal
 from factors.mixture import Form
 from factors.motion import moved
 from fgrecon.core.camera import Ground
+from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.motion import MotionModel
 from fgrecon.core.observation import Observation
@@ -28,7 +29,7 @@ from fgrecon.core.reconstruction import Alternative, rotation_y
 from fgrecon.core.turned import HALF_TURN, turned_round
 from fgrecon.solve.graph.graph import Graph, Seen, State
 from fgrecon.solve.graph.observation import Weights
-from fgrecon.solve.graph.optimise import Optimum, optimise
+from fgrecon.solve.graph.optimise import optimise
 from fgrecon.solve.graph.vehicle import Held
 from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
 from fgrecon.solve.proposals.direction import direction_penalty
@@ -248,18 +249,23 @@ def _move(frame: Frame, heading: float, shape: Held) -> None:
     pose = frame.pose.compose(gtsam.Pose3(HALF_TURN))
     if _apart(rotation_y(pose.matrix()), heading) > _ELSEWHERE:
         pose = _turned_to(frame.pose, heading)
-    turned = Problem.of(other, given.camera, given.model, given.ground, given.options)
-    ends = [_refined(problem, pose, frame.weights, shape) for problem in (given, turned)]
-    as_given, as_turned = (end.energy if end.failure is None else np.inf for end in ends)
-    end, frame.problem = (ends[1], turned) if as_turned + _ALIKE < as_given else (ends[0], given)
-    refined = end.state.poses[0]
+    refined, energy = _refined(given, pose, frame.weights, shape)
+    try:
+        turned = Problem.of(other, given.camera, given.model, given.ground, given.options)
+    except DegenerateProblemError:  # too few keypoints have a partner on the other side
+        turned = given
+    if turned is not given:
+        as_turned, other_energy = _refined(turned, pose, frame.weights, shape)
+        if other_energy + _ALIKE < energy:
+            refined, frame.problem = as_turned, turned
     frame.pose = refined if _apart(rotation_y(refined.matrix()), heading) <= _ELSEWHERE else pose
 
 
-def _refined(problem: Problem, pose: gtsam.Pose3, weights: Weights, shape: Held) -> Optimum:
-    """The pose by its image alone, the shape held."""
+def _refined(problem: Problem, pose: gtsam.Pose3, weights: Weights, shape: Held) -> tuple[gtsam.Pose3, float]:
+    """The pose by its image alone, the shape held, and its energy; infinite where the solve gave up."""
     state = State([pose], {0: shape}, [weights])
-    return optimise(Graph([Seen(problem)], state, pose_free=True, hold_shape=True), state)
+    end = optimise(Graph([Seen(problem)], state, pose_free=True, hold_shape=True), state)
+    return end.state.poses[0], end.energy if end.failure is None else np.inf
 
 
 class _Way:
