@@ -26,6 +26,7 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=1.0, help="CPU minutes for each reader")
     parser.add_argument("--reader", action="append", choices=list(READERS), help="only this one; repeat for more")
     parser.add_argument("--out", type=Path, default=Path("fuzz"), help="folder of what was found and how far it came")
+    parser.add_argument("--first", type=int, default=0, help="number of the first file, where --out is a new folder")
     parser.add_argument("--guided", action="store_true", help="by coverage, with atheris; --minutes go by the clock")
     given = parser.parse_args()
     if given.guided and (reason := why_not()) is not None:
@@ -38,7 +39,7 @@ def main() -> int:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # decoders of pictures tell all that they dislike
     for name in given.reader or list(READERS):
         key = f"{name} (guided)" if given.guided else name
-        start, seconds = int(before.get(key, {}).get("files", 0)), 60.0 * given.minutes
+        start, seconds = int(before.get(key, {}).get("files", given.first)), 60.0 * given.minutes
         ended = guided(name, seconds, given.out) if given.guided else fuzz(name, start, seconds, given.out)
         found += ended.finds
         spent = float(before.get(key, {}).get("cpu_minutes", 0.0)) + ended.seconds / 60.0
