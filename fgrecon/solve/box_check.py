@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
+from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.solve.proposals.problem import Problem
 
@@ -55,8 +56,8 @@ def _off(problem: Problem, result: Reconstruction, camera: Camera) -> float | No
     box = problem.energy.box
     if box is None or not result.status.determined or not box.used.all():
         return None
-    points = box.mean + np.tensordot(result.coefficients, box.basis, 1)
-    points = points @ result.camera_T_object[:3, :3].T + result.camera_T_object[:3, 3]
+    enclosed = problem.model.box_points(problem.options.box.model)
+    points = transform(result.camera_T_object, enclosed.at(result.coefficients))
     if points[:, 2].min() <= 0.0:
         return None
     seen = points @ camera.matrix.T

@@ -20,6 +20,8 @@ __all__ = ["with_occlusion"]
 
 Array = NDArray[np.float64]
 
+_UNHIDDEN = probability(np.zeros(1))  # of what nothing hides, which stays as visible as it is
+
 
 def with_occlusion(results: Sequence[Reconstruction]) -> tuple[Reconstruction, ...]:
     """The vehicles of one image, whose keypoints are as visible as the nearer of them leave them."""
@@ -40,7 +42,7 @@ def with_occlusion(results: Sequence[Reconstruction]) -> tuple[Reconstruction, .
             assert other.surface_faces is not None
             behind = clearance(vertices, other.surface_faces, points[covered], np.zeros(3))
             seen = seen.copy()
-            seen[covered] *= probability(behind) / probability(np.zeros(1))  # what nothing hides stays as it is
+            seen[covered] *= probability(behind) / _UNHIDDEN
         told.append(result if seen is result.visibility else replace(result, visibility=seen))
     return tuple(told)
 

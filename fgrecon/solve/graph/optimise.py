@@ -77,8 +77,8 @@ class Optimum:
 
     @property
     def energy(self) -> float:
-        """The whole energy, nats."""
-        return sum(self.energies.values())
+        """The whole energy, nats; infinite where the loop gave up."""
+        return sum(self.energies.values()) if self.failure is None else float("inf")
 
 
 def optimise(graph: Graph, start: State, most: int | None = None, steady: float | None = None) -> Optimum:

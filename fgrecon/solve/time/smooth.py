@@ -11,8 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from fgrecon.core.motion import MotionModel
 from fgrecon.solve.graph.vehicle import Held
 from fgrecon.solve.time.heading import Belief, backward, combined
@@ -68,13 +66,8 @@ def _solved(
     for stands in (True, False):
         frames = [replace(frame) for frame in some]
         ends.append((solve_window(frames, shape, model, own=own, stands=stands), frames))
-    standing, driving = (_energy(solved) for solved, _ in ends)
+    standing, driving = (solved.adjusted.optimum.energy for solved, _ in ends)
     return ends[0] if standing <= driving + _DRIVES else ends[1]
-
-
-def _energy(solved: WindowSolve) -> float:
-    optimum = solved.adjusted.optimum
-    return np.inf if optimum.failure is not None else optimum.energy
 
 
 def _beliefs(frames: Sequence[Frame]) -> list[Belief]:

@@ -29,7 +29,7 @@ from fgrecon.core.reconstruction import Alternative, rotation_y
 from fgrecon.core.turned import HALF_TURN, turned_round
 from fgrecon.solve.graph.graph import Graph, Seen, State
 from fgrecon.solve.graph.observation import Weights
-from fgrecon.solve.graph.optimise import optimise
+from fgrecon.solve.graph.optimise import Optimum, optimise
 from fgrecon.solve.graph.vehicle import Held
 from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
 from fgrecon.solve.proposals.direction import direction_penalty
@@ -249,23 +249,23 @@ def _move(frame: Frame, heading: float, shape: Held) -> None:
     pose = frame.pose.compose(gtsam.Pose3(HALF_TURN))
     if _apart(rotation_y(pose.matrix()), heading) > _ELSEWHERE:
         pose = _turned_to(frame.pose, heading)
-    refined, energy = _refined(given, pose, frame.weights, shape)
+    end = _refined(given, pose, frame.weights, shape)
     try:
         turned = Problem.of(other, given.camera, given.model, given.ground, given.options)
     except DegenerateProblemError:  # too few keypoints have a partner on the other side
-        turned = given
-    if turned is not given:
-        as_turned, other_energy = _refined(turned, pose, frame.weights, shape)
-        if other_energy + _ALIKE < energy:
-            refined, frame.problem = as_turned, turned
+        pass
+    else:
+        as_turned = _refined(turned, pose, frame.weights, shape)
+        if as_turned.energy + _ALIKE < end.energy:
+            end, frame.problem = as_turned, turned
+    refined = end.state.poses[0]
     frame.pose = refined if _apart(rotation_y(refined.matrix()), heading) <= _ELSEWHERE else pose
 
 
-def _refined(problem: Problem, pose: gtsam.Pose3, weights: Weights, shape: Held) -> tuple[gtsam.Pose3, float]:
-    """The pose by its image alone, the shape held, and its energy; infinite where the solve gave up."""
+def _refined(problem: Problem, pose: gtsam.Pose3, weights: Weights, shape: Held) -> Optimum:
+    """The pose by its image alone, the shape held."""
     state = State([pose], {0: shape}, [weights])
-    end = optimise(Graph([Seen(problem)], state, pose_free=True, hold_shape=True), state)
-    return end.state.poses[0], end.energy if end.failure is None else np.inf
+    return optimise(Graph([Seen(problem)], state, pose_free=True, hold_shape=True), state)
 
 
 class _Way:
