@@ -143,13 +143,14 @@ def _batches(path: Path) -> Iterator[Any]:
         raise InvalidInputError(str(path), str(error), MADE_AGAIN) from error
 
 
-def begin(folder: Path, settings: Mapping[str, Any], run_format: str = FORMAT) -> None:
+def begin(folder: Path, settings: Mapping[str, Any], run_format: str = FORMAT, *, anew: bool = False) -> None:
     """Make the folder of a run, or see that what is in it was solved with the same settings.
 
     Args:
         folder: The folder.
         settings: What its rows depend on, as plain values.
         run_format: Name of their format.
+        anew: Whether parts with other settings make place, instead of being refused.
 
     Raises:
         InvalidInputError: It cannot be made, or holds a run with other settings.
@@ -159,12 +160,16 @@ def begin(folder: Path, settings: Mapping[str, Any], run_format: str = FORMAT) -
     except OSError as error:
         raise InvalidInputError("out", str(folder), f"Give a folder that can be made ({error.strerror}).") from error
     told = json.loads(json.dumps({"format": run_format, "settings": dict(settings)}))  # lists for tuples
-    if not (folder / RUN).exists():
+    before = read_json(folder / RUN) if (folder / RUN).exists() else None
+    if anew and before != told:
+        for part in folder.glob("part-*.parquet"):  # before the settings: who is killed in between begins anew again
+            part.unlink()
+        before = None
+    if before is None:
         if any(folder.glob("part-*.parquet")):
             raise InvalidInputError("out", f"{folder}, which has parts but no {RUN}", "Give another folder.")
         write_text(folder / RUN, json.dumps(told, indent=1) + "\n")
         return
-    before = read_json(folder / RUN)
     if before != told:
         names = [name for name, value in told["settings"].items() if before.get("settings", {}).get(name) != value]
         what = f"{folder}, a run with other settings ({', '.join(names) or 'another format'})"

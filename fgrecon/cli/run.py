@@ -73,12 +73,13 @@ def run_command(
     Exit code 0: at least one car was reconstructed; 1: none; 2: bad usage or input; 130: stopped before the end.
     """
     from fgrecon.cli import run_report
+    from fgrecon.cli.run_job import Request, prepare
 
     delivery.check()
     check_outputs(json_out, video, picture)
     screen = terminal.screen(json_out)
-    job = run_report.prepare(
-        run_report.Request(
+    job = prepare(
+        Request(
             source=source,
             out=out,
             frames=frames,

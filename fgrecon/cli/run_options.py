@@ -34,6 +34,10 @@ class MotionOptions:
         Path | None, typer.Option(metavar="FILE", help="Poses of the camera: KITTI, TUM, or JSON with matrices.")
     ] = None
     estimate_motion: Annotated[
-        bool,
-        typer.Option("--estimate-motion", help="Estimate the camera's motion from the images; needs the ground."),
-    ] = False
+        bool | None,
+        typer.Option(
+            "--estimate-motion/--no-estimate-motion",
+            help="Estimate the camera's motion from the images; needs the ground.",
+            show_default="where the ground is told and the past is smoothed",
+        ),
+    ] = None

@@ -29,7 +29,7 @@ from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.tracker import Tracker
 from fgrecon.video.association import GatedAssociation
 from fgrecon.video.follow import Follower
-from fgrecon.video.look import FrameLook
+from fgrecon.video.motion_look import MotionLook
 from fgrecon.video.records import FrameRecord, Sighting
 
 __all__ = ["ALONE", "BATCH", "BATCH_MOVING", "ONLINE", "ONLINE_MOVING", "follow_boxes", "labelled_velocities"]
@@ -83,14 +83,15 @@ def _records(seen: Sequence[ScoredFrame], drive: Drive, setup: Setup, *, moving:
     look = None
     if moving:
         assert setup.ground is not None
-        known = drive.calibration.camera, setup.ground
-        look = FrameLook(setup.prior.category, given=sightings, moving=known)
+        look = MotionLook(drive.calibration.camera, setup.ground)
     for frame in drive.frames:
-        time, name = frame.number / _RATE, frame.image.name
+        shown = sightings.get(frame.number, ())
+        record = FrameRecord(frame.number, frame.number / _RATE, frame.image.name, None, tuple(shown))
         if look is not None and sightings and min(sightings) <= frame.number <= max(sightings):
-            yield look(SourceFrame(frame.number, time, name, read_image(frame.image)))
+            image = SourceFrame(record.number, record.time, record.name, read_image(frame.image))
+            yield replace(record, motion=look(image, shown))
         elif frame.number in sightings:
-            yield FrameRecord(frame.number, time, name, None, sightings[frame.number])
+            yield record
 
 
 def _follow(

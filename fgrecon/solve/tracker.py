@@ -63,6 +63,7 @@ class _Track:
     followed: Followed
     time: float = -np.inf
     world_T_camera: gtsam.Pose3 | None = None
+    drift: Array = field(default_factory=lambda: np.zeros(2))
     past: list[_Past] = field(default_factory=list)
 
 
@@ -118,6 +119,7 @@ class Tracker:
         self._shared, self._own, self._road = shared_ground, motion_factors, Road()
         self._tracks: dict[int, _Track] = {}
         self._time = -np.inf
+        self._drift = np.zeros(2)  # variances of the camera's turns and ways so far
         self.refused = {}
 
     @single_threaded
@@ -140,8 +142,8 @@ class Tracker:
             world_T_camera: (4, 4) pose of the camera in a world that stands still; None where it is not known. Between
                 frames that both have one, vehicles move as their category does, and parked ones stand.
             ground: Ground plane in the camera's frame; a number is the height in metres of a level camera.
-            motion_sigma: Standard deviations of the camera's motion since the frame before: rotation in radians and
-                translation in metres; None where it is exact.
+            motion_sigma: Standard deviations of the camera's motion since the last frame that has a place: rotation in
+                radians and translation in metres; None where it is exact.
 
         Returns:
             The estimates by id, by this frame and those before; vehicles without one are in `refused`.
@@ -156,6 +158,8 @@ class Tracker:
         place = None if world_T_camera is None else _pose("world_T_camera", world_T_camera)
         sigma = (0.0, 0.0) if motion_sigma is None else _sigma(motion_sigma)
         self._time = time
+        if place is not None:
+            self._drift = self._drift + np.square(sigma)
         looked: dict[int, tuple[_Track, Frame]] = {}
         refused: dict[int, FgreconError] = {}
 
@@ -168,7 +172,7 @@ class Tracker:
                     problem = Problem.of(observation, seen_by, self._model, ground, self._options)
                     if track is None:
                         track = _Track(Followed(self._prior.category.motion, self._window, self._own))
-                    looked[name] = track, track.followed.look(problem, time, _step(track, time, place, sigma))
+                    looked[name] = track, track.followed.look(problem, time, _step(track, time, place, self._drift))
                 except FgreconError as error:
                     refused[name] = error
 
@@ -188,7 +192,7 @@ class Tracker:
         for name, (track, frame) in looked.items():
             track.followed.take(frame, plane)
             self._tracks[name] = track
-            track.time, track.world_T_camera = time, place
+            track.time, track.world_T_camera, track.drift = time, place, self._drift
             track.past.append(_Past(frame, place, known))
             if self._past is not None:
                 del track.past[: -self._past]
@@ -283,12 +287,13 @@ def _with_alternatives(adjusted: Adjusted, pasts: Mapping[int, _Past], facings: 
     return replace(adjusted, alternatives=tuple(told))
 
 
-def _step(track: _Track, time: float, place: gtsam.Pose3 | None, sigma: tuple[float, float]) -> FrameStep | None:
+def _step(track: _Track, time: float, place: gtsam.Pose3 | None, drift: Array) -> FrameStep | None:
     if not track.followed.frames:
         return None
     before = track.world_T_camera
     camera = None if before is None or place is None else before.between(place)
-    return FrameStep(time - track.time, camera, sigma)
+    turn, way = np.sqrt(drift - track.drift).tolist()
+    return FrameStep(time - track.time, camera, (turn, way))
 
 
 def _pose(name: str, given: ArrayLike) -> gtsam.Pose3:

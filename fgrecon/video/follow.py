@@ -31,8 +31,11 @@ Array = NDArray[np.float64]
 DEFAULT_KIND = "Car"
 """What a vehicle is where nothing says."""
 
-_ANYHOW = (0.02, 0.5)
-"""Standard deviations of a motion that was not found, radians and metres."""
+_AS_BEFORE, _ANYHOW = (0.2, 5.0), (0.5, 20.0)
+"""Standard deviations of a motion that was not found, radians and metres in a second: of a camera that goes on as it
+did, and of one of which nothing is known."""
+_MOMENT = 0.1  # seconds; of a shorter motion is not less unknown
+_GOES_ON = 1.0  # seconds for which a camera is taken to go on as it did
 
 
 class VehicleTracker(Protocol):
@@ -112,7 +115,8 @@ class Follower:
             camera: The camera.
             ground: The ground in its frame, or None.
             poses: The camera's poses, or None.
-            moving: Whether the motions in the records tell them instead; a motion that is missing goes on as before.
+            moving: Whether the motions in the records tell them instead. Where they are missing the camera goes on as
+                before for a second; from then on it has no place, until the next one.
         """
         self.tracker, self.association, self.camera, self.ground = tracker, association, camera, ground
         self._world = _World(poses, moving=moving)
@@ -196,6 +200,7 @@ class _World:
         self._step: Array | None = None  # the last motion that was found, and how long it took
         self._passed = 0.0
         self._time: float | None = None
+        self._missed = self._lost = 0.0  # seconds without a motion: for which the camera went on, and had no place
 
     def move(self, record: FrameRecord) -> tuple[Array | None, Array | None, tuple[float, float] | None]:
         """The camera's place, and how it came there.
@@ -218,17 +223,20 @@ class _World:
         if before is None:
             self._pose = np.eye(4)
             return self._pose, None, None
-        step, sigma = np.eye(4), _ANYHOW
-        if record.motion is not None:
-            step = self._step = record.motion.previous_T_current
-            self._passed = passed
-            covariance = record.motion.covariance
-            turn, way = (float(np.linalg.eigvalsh(c).max()) ** 0.5 for c in (covariance[:3, :3], covariance[3:, 3:]))
-            sigma = turn, way
-        elif self._step is not None:  # as before, for as long
-            step = _scaled(self._step, passed / self._passed)
+        found = record.motion
+        if found is not None:
+            step, covariance = found.previous_T_current, found.covariance
+            sigma = np.array([np.linalg.eigvalsh(c).max() for c in (covariance[:3, :3], covariance[3:, 3:])]) ** 0.5
+            sigma = np.hypot(sigma, self._lost * np.array(_ANYHOW))
+            self._step, self._passed, self._missed, self._lost = step, passed, 0.0, 0.0
+        elif self._step is not None and self._missed + passed <= _GOES_ON:
+            step, sigma = _scaled(self._step, passed / self._passed), max(passed, _MOMENT) * np.array(_AS_BEFORE)
+            self._missed += passed
+        else:
+            self._step, self._lost = None, self._lost + passed
+            return None, None, None
         self._pose = before @ step
-        return self._pose, step, sigma
+        return self._pose, step, (float(sigma[0]), float(sigma[1]))
 
 
 def _scaled(motion: Array, share: float) -> Array:

@@ -1,5 +1,6 @@
 """What each frame of a video shows, before anything is solved; stored so that networks look at a frame once.
 
+How the camera moved is stored beside it: it depends on camera and ground, which the networks do not know.
 Numbers are stored with every bit: a run that goes on from what is stored gives the results of one that was not stopped.
 """
 
@@ -16,11 +17,21 @@ from numpy.typing import NDArray
 from fgrecon.core.observation import Observation
 from fgrecon.video.egomotion import CameraMotion
 
-__all__ = ["FORMAT", "FrameRecord", "Sighting", "from_row", "record_schema", "to_table"]
+__all__ = [
+    "FORMAT",
+    "FrameRecord",
+    "Sighting",
+    "from_row",
+    "motion_from_row",
+    "motion_schema",
+    "motion_to_table",
+    "record_schema",
+    "to_table",
+]
 
 Array = NDArray[np.float64]
 
-FORMAT = "fgrecon.video/2"
+FORMAT = "fgrecon.video/3"
 
 _NUMBERS = pa.list_(pa.float64())
 _ARRAYS = ("keypoints", "confidence", "covariance", "azimuth")
@@ -74,14 +85,23 @@ def record_schema() -> Any:
         *(("row_id", pa.string()), ("frame", pa.int64()), ("time", pa.float64())),
         *(("name", pa.string()), ("problem", pa.string())),
         ("sightings", pa.list_(pa.struct([*sighting, *((name, _NUMBERS) for name in _ARRAYS)]))),
-        *(("previous_T_current", _NUMBERS), ("motion_covariance", _NUMBERS), ("motion_points", pa.int64())),
+    ]
+    return pa.schema(fields, metadata={"fgrecon.format": FORMAT})
+
+
+def motion_schema() -> Any:
+    """The columns of the stored motions, a row for each frame."""
+    fields = [
+        ("row_id", pa.string()),
+        ("previous_T_current", _NUMBERS),
+        ("covariance", _NUMBERS),
+        ("points", pa.int64()),
     ]
     return pa.schema(fields, metadata={"fgrecon.format": FORMAT})
 
 
 def to_table(record: FrameRecord) -> Any:
-    """A record as a table of one row."""
-    motion = record.motion
+    """A record as a table of one row, without the motion."""
     row = {
         "row_id": str(record.number),
         "frame": record.number,
@@ -89,21 +109,34 @@ def to_table(record: FrameRecord) -> Any:
         "name": record.name,
         "problem": record.problem,
         "sightings": [_plain(sighting) for sighting in record.sightings],
-        "previous_T_current": None if motion is None else motion.previous_T_current.ravel().tolist(),
-        "motion_covariance": None if motion is None else motion.covariance.ravel().tolist(),
-        "motion_points": None if motion is None else motion.points,
     }
     return pa.Table.from_pylist([row], schema=record_schema())
 
 
+def motion_to_table(record: FrameRecord) -> Any:
+    """A record's motion as a table of one row."""
+    motion = record.motion
+    row = {
+        "row_id": str(record.number),
+        "previous_T_current": None if motion is None else motion.previous_T_current.ravel().tolist(),
+        "covariance": None if motion is None else motion.covariance.ravel().tolist(),
+        "points": None if motion is None else motion.points,
+    }
+    return pa.Table.from_pylist([row], schema=motion_schema())
+
+
 def from_row(row: Mapping[str, Any]) -> FrameRecord:
-    """A record from a row of plain values."""
-    motion = None
-    if row["previous_T_current"] is not None:
-        pose, covariance = np.array(row["previous_T_current"]), np.array(row["motion_covariance"])
-        motion = CameraMotion(pose.reshape(4, 4), covariance.reshape(6, 6), row["motion_points"])
+    """A record from a row of plain values, without the motion."""
     sightings = tuple(_sighting(item) for item in row["sightings"])
-    return FrameRecord(row["frame"], row["time"], row["name"], row["problem"], sightings, motion)
+    return FrameRecord(row["frame"], row["time"], row["name"], row["problem"], sightings)
+
+
+def motion_from_row(row: Mapping[str, Any]) -> CameraMotion | None:
+    """A motion from a row of plain values; None where none was found."""
+    if row["previous_T_current"] is None:
+        return None
+    pose, covariance = np.array(row["previous_T_current"]), np.array(row["covariance"])
+    return CameraMotion(pose.reshape(4, 4), covariance.reshape(6, 6), row["points"])
 
 
 def _plain(sighting: Sighting) -> dict[str, Any]:

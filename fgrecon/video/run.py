@@ -1,28 +1,45 @@
 """A run over a video: frames are looked at once and stored, followed in order, and smoothed at the end.
 
     frames ---- look (networks; slow) ---- records, stored ---- follow (fast) ---- frames with estimates ---- smoothed
+       |                                                           |
+       +------- the camera's motion ---- motions, stored ----------+
 
 What is stored is what frames show, so that a run that was killed goes on at the frame where it was: the stored records
-are followed again, which takes milliseconds a frame, and gives the numbers of a run that was not killed.
+are followed again, which takes milliseconds a frame, and gives the numbers of a run that was not killed. Motions are
+stored for one camera and one ground: with another they are estimated again, and the networks need not look again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fgrecon.batch.parts import Parts, begin, claimed
 from fgrecon.io.frames import FrameSource, SourceFrame
+from fgrecon.video.egomotion import CameraMotion
 from fgrecon.video.follow import Follower, TrackedFrame
 from fgrecon.video.look import FrameLook
-from fgrecon.video.records import FORMAT, FrameRecord, from_row, record_schema, to_table
+from fgrecon.video.motion_look import MotionLook
+from fgrecon.video.records import (
+    FORMAT,
+    FrameRecord,
+    from_row,
+    motion_from_row,
+    motion_schema,
+    motion_to_table,
+    record_schema,
+    to_table,
+)
 
-__all__ = ["RECORDS", "VideoRun", "run_video"]
+__all__ = ["MOTIONS", "RECORDS", "VideoRun", "run_video"]
 
-RECORDS = "records"
-"""Folder of the stored records within that of the run."""
+RECORDS, MOTIONS = "records", "motions"
+"""Folders of the stored records and of the camera's motions within that of the run."""
 
 
 @dataclass
@@ -58,6 +75,12 @@ class VideoRun:
         return counts
 
     @property
+    def way(self) -> float | None:
+        """How far the camera went, metres; None where nothing tells."""
+        places = [frame.world_T_camera[:3, 3] for frame in self.frames if frame.world_T_camera is not None]
+        return float(sum(np.linalg.norm(b - a) for a, b in pairwise(places))) if len(places) > 1 else None
+
+    @property
     def estimates(self) -> int:
         """How many estimates there are."""
         return sum(len(frame.estimates) for frame in self.frames)
@@ -70,6 +93,7 @@ def run_video(
     out: Path,
     *,
     settings: Mapping[str, Any],
+    motion: MotionLook | None = None,
     online: bool = False,
     stop: Callable[[], bool] = lambda: False,
     report: Callable[[VideoRun, SourceFrame | None], None] = lambda run, frame: None,  # noqa: ARG005 - says nothing
@@ -82,6 +106,7 @@ def run_video(
         follower: What follows the vehicles; a new one.
         out: Folder of the run; records go to a folder in it.
         settings: What the records depend on, as plain values; a folder is for one such.
+        motion: Estimates the camera's motion, a new one; None where it is not wanted.
         online: Whether estimates stay as they were when their frame came, instead of being smoothed.
         stop: Asked before each frame whether to stop.
         report: Called after each frame with the run and the frame's pixels; None for what runs before had looked at.
@@ -95,46 +120,81 @@ def run_video(
     Warns:
         DamagedFileWarning: Stored records are damaged; their frames, and those after them, are looked at again.
     """
-    folder = out / RECORDS
-    begin(folder, settings, FORMAT)
+    begin(out / RECORDS, settings, FORMAT)
     run = VideoRun(source.count)
-    with claimed(folder):
-        parts = Parts(folder, record_schema())
-        stored = [from_row(row) for row in parts.rows_in_order()]
-        run.before = len(stored)
+    with claimed(out / RECORDS):
+        looked = _Looked(out, look, motion, settings)
+        run.before = len(looked.stored)
         try:
-            for record, frame in _records(source, look, stored, parts):
+            for record, frame in looked.records(source):
                 run.frames.append(follower(record))
                 report(run, frame)
                 if stop():
                     run.stopped = run.total is None or len(run.frames) < run.total
                     break
         finally:
-            parts.flush()
+            looked.flush()
     if not online:
         run.frames = _smoothed(run.frames, follower)
         run.smoothed = True
     return run
 
 
-def _records(
-    source: FrameSource, look: FrameLook, stored: list[FrameRecord], parts: Parts
-) -> Iterator[tuple[FrameRecord, SourceFrame | None]]:
-    """The stored records, then those of the frames after them, which are stored as well."""
-    yield from ((record, None) for record in stored)
-    last = stored[-1].number if stored else None
-    before = next((record for record in reversed(stored) if record.problem is None), None)
-    after = last
-    if before is not None and look.remembers:
-        after = before.number - 1
-    for frame in source.read(after):
-        if before is not None and frame.number == before.number:
-            look.remember(frame, before)
-        if last is not None and frame.number <= last:
-            continue
-        record = look(frame)
-        parts.add(to_table(record))
-        yield record, frame
+class _Looked:
+    """What is known of the frames: what runs before this one have stored, and what this one adds to it.
+
+    Attributes:
+        stored: The stored records.
+    """
+
+    def __init__(self, out: Path, look: FrameLook, motion: MotionLook | None, settings: Mapping[str, Any]) -> None:
+        self._look, self._motion = look, motion
+        self._records = Parts(out / RECORDS, record_schema())
+        self.stored = [from_row(row) for row in self._records.rows_in_order()]
+        if motion is not None:
+            begin(out / MOTIONS, {**settings, **motion.settings}, FORMAT, anew=True)
+            self._motions = Parts(out / MOTIONS, motion_schema())
+            self._moved = [motion_from_row(row) for row in self._motions.rows_in_order()]
+
+    def flush(self) -> None:
+        """Write what has been added."""
+        self._records.flush()
+        if self._motion is not None:
+            self._motions.flush()
+
+    def records(self, source: FrameSource) -> Iterator[tuple[FrameRecord, SourceFrame | None]]:
+        """All records in order, each with its frame where that had to be read."""
+        moving = self._motion
+        whole = self.stored
+        if moving is not None:
+            whole = [replace(record, motion=moved) for record, moved in zip(self.stored, self._moved, strict=False)]
+        yield from ((record, None) for record in whole)
+        last = whole[-1].number if whole else None
+        before = next((record for record in reversed(whole) if record.problem is None), None)
+        ahead = {record.number: record for record in self.stored[len(whole) :]}
+        moved = iter([] if moving is None else self._moved[len(whole) :])
+        # The motion since the last image needs that image.
+        for frame in source.read(last if moving is None or before is None else before.number - 1):
+            if moving is not None and before is not None and frame.number == before.number:
+                moving.remember(frame, before)
+            if last is not None and frame.number <= last:
+                continue
+            record = ahead.get(frame.number)
+            if record is None:
+                record = self._look(frame)
+                self._records.add(to_table(record))
+            yield (record if moving is None else self._with_motion(moving, record, frame, moved)), frame
+
+    def _with_motion(
+        self, moving: MotionLook, record: FrameRecord, frame: SourceFrame, stored: Iterator[CameraMotion | None]
+    ) -> FrameRecord:
+        for motion in stored:
+            record = replace(record, motion=motion)
+            moving.remember(frame, record)
+            return record
+        record = replace(record, motion=moving(frame, record.sightings))
+        self._motions.add(motion_to_table(record))
+        return record
 
 
 def _smoothed(frames: list[TrackedFrame], follower: Follower) -> list[TrackedFrame]:

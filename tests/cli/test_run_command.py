@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -112,6 +113,28 @@ def test_the_ground_is_shared_where_one_is_told(drive, tmp_path):
     assert told["together"] != told["apart"]
     places = [read_tracking(tmp_path / name / "tracks.txt")[11].objects.location for name in ("together", "apart")]
     assert np.abs(places[0] - places[1]).max() < 2.0
+
+
+def test_the_cameras_motion_is_estimated_where_it_helps(tmp_path):
+    """Where the ground is told and the past is smoothed, unless somebody says otherwise; on another ground again."""
+    images, file = make_drive(tmp_path / "drive", 4, metres=0.4)
+
+    def went(out, *options):
+        arguments = ("--tracks", file, "--fps", 10, "--json", tmp_path / "run.json", *options)
+        done = run(images, "--out", tmp_path / out, *arguments)
+        assert done.exit_code == 0, done.output
+        moving = json.loads((tmp_path / "run.json").read_text())["settings"]["estimate_motion"]
+        found = re.search(r"the camera went ([\d.]+) m", done.stdout)
+        return moving, None if found is None else float(found[1])
+
+    level = ("--camera-height", 1.65)
+    assert went("a") == (False, None)
+    assert went("a", *level) == (True, pytest.approx(1.2, abs=0.1))
+    assert went("a", "--camera-height", 3.3) == (True, pytest.approx(2.4, abs=0.2))
+    assert went("a", *level, "--no-estimate-motion") == (False, None)
+    assert went("a", *level, "--online") == (False, None)
+    assert went("a", *level, "--online", "--estimate-motion") == (True, pytest.approx(1.2, abs=0.1))
+    assert went("a", *level, "--alone") == (False, None)
 
 
 def slowly(drive, out):

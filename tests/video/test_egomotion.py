@@ -8,6 +8,7 @@ from fgrecon.core.geometry import exponential
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_drives import read_drive
 from fgrecon.video.egomotion import camera_motion, motion_of_points, tracked_points
+from tests.video.streets import rendered
 
 CAMERA = Camera(np.array([[720.0, 0, 620], [0, 720.0, 180], [0, 0, 1]]), image_size=(1242, 375))
 GROUND = Ground.level(1.65)
@@ -100,35 +101,16 @@ def test_too_few_points_are_no_motion():
     assert camera_motion(blank, blank[:-1], CAMERA, GROUND) is None
 
 
-def rendered(motion, rng_seed=0):
-    """(375, 1242) image of a road and a wall 40 m ahead, both patterned, from a camera that has moved."""
-    import cv2
-
-    rng = np.random.default_rng(rng_seed)
-    columns, rows = np.meshgrid(np.arange(1242.0), np.arange(375.0))
-    rays = CAMERA.rays(np.stack([columns, rows], axis=-1)) @ motion[:3, :3].T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        to_road, to_wall = (1.65 - motion[1, 3]) / rays[..., 1], (40.0 - motion[2, 3]) / rays[..., 2]
-    on_road = (to_road > 0) & (to_road < to_wall)
-    places = motion[:3, 3] + rays * np.where(on_road, to_road, to_wall)[..., None]
-    seen = []
-    for axis, metre in ((2, 20.0), (1, 8.0)):
-        pattern = cv2.GaussianBlur(rng.normal(0, 300, (900, 900)), (0, 0), 1.5)
-        at = (places[..., [0, axis]] * metre + 450.0).astype(np.float32)
-        seen.append(cv2.remap(pattern, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP))
-    return np.clip(np.where(on_road, *seen) + 128, 0, 255).astype(np.uint8)
-
-
 def test_rendered_images():
     motion = motion_of(np.random.default_rng(1), 0.6, degrees=0.3)
-    found = camera_motion(rendered(np.eye(4)), rendered(motion), CAMERA, GROUND)
+    found = camera_motion(rendered(np.eye(4), CAMERA), rendered(motion, CAMERA), CAMERA, GROUND)
     off = error_of(found, motion)
     assert np.abs(off[:3]).max() < np.radians(0.05)
     assert np.abs(off[3:]).max() < 0.06
 
 
 def test_points_on_vehicles_do_not_count():
-    image = rendered(np.eye(4))
+    image = rendered(np.eye(4), CAMERA)
     box = np.array([500.0, 100.0, 800.0, 300.0])
     for boxes in ({"boxes_before": [box]}, {"boxes_after": [box]}):
         points, _ = tracked_points(image, image, CAMERA, GROUND, **boxes)

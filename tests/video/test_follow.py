@@ -68,6 +68,23 @@ def test_the_world_is_made_of_motions():
     assert [None if p is None else round(float(p[2, 3]), 6) for p in places] == [0.0, 1.0, 2.0, None, 4.0]
 
 
+def test_a_camera_whose_motion_is_lost_has_no_place():
+    """It goes on for a second; later motions know that nothing is known of those between."""
+    follow = follower(moving=True)
+    assert [follow(record(n)).world_T_camera is None for n in range(4)] == [False, True, True, True]
+    told = []
+    follow.tracker.update = lambda *_, motion_sigma, **__: told.append(motion_sigma) or {}
+    motions = {4: step(1.0), 20: step(1.0), 21: step(1.0)}
+    placed = [n for n in range(4, 23) if follow(record(n, motion=motions.get(n))).world_T_camera is not None]
+    assert placed == [*range(4, 15), 20, 21, 22]
+    by_number = dict(zip(range(4, 23), told, strict=True))
+    assert by_number[4][1] == pytest.approx(np.hypot(0.01, 0.3 * 20.0))
+    assert by_number[5] == pytest.approx((0.02, 0.5))
+    assert by_number[17] is None
+    assert by_number[20][1] == pytest.approx(np.hypot(0.01, 0.5 * 20.0))
+    assert by_number[21] == pytest.approx((0.01, 0.01))
+
+
 def test_the_world_is_given():
     poses = CameraPoses({n: step(float(n)).previous_T_current for n in (0, 2)})
     follow = follower(poses=poses)

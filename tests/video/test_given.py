@@ -9,7 +9,16 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_category
 from fgrecon.video import read_given
 from fgrecon.video.egomotion import CameraMotion
-from fgrecon.video.records import FrameRecord, Sighting, from_row, record_schema, to_table
+from fgrecon.video.records import (
+    FrameRecord,
+    Sighting,
+    from_row,
+    motion_from_row,
+    motion_schema,
+    motion_to_table,
+    record_schema,
+    to_table,
+)
 from tests.made_up_track import make_track
 from tests.video.streets import instance, simulated
 
@@ -97,9 +106,11 @@ def test_records_are_stored_with_every_bit():
     (row,) = to_table(record).cast(record_schema()).to_pylist()
     back = from_row(row)
     assert (back.number, back.time, back.name, back.problem) == (3, 0.1 + 0.2, "3.png", None)
-    assert (back.motion.previous_T_current == motion.previous_T_current).all()
-    assert (back.motion.covariance == motion.covariance).all()
-    assert back.motion.points == 77
+    (row,) = motion_to_table(record).cast(motion_schema()).to_pylist()
+    moved = motion_from_row(row)
+    assert (moved.previous_T_current == motion.previous_T_current).all()
+    assert (moved.covariance == motion.covariance).all()
+    assert moved.points == 77
     first, second = back.sightings
     assert (first.box == sightings[0].box).all()
     assert (first.identity, second.identity, second.observation) == (5, None, None)
@@ -112,3 +123,5 @@ def test_records_are_stored_with_every_bit():
     gap = FrameRecord(4, 0.5, "4.png", "torn")
     (row,) = to_table(gap).to_pylist()
     assert from_row(row).problem == "torn"
+    (row,) = motion_to_table(gap).to_pylist()
+    assert motion_from_row(row) is None

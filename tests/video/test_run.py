@@ -12,6 +12,7 @@ from fgrecon.video import (
     Follower,
     FrameLook,
     GatedAssociation,
+    MotionLook,
     SingleImages,
     open_frames,
     read_given,
@@ -36,19 +37,15 @@ class Counting(FrameLook):
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory):
-    images, file = make_drive(tmp_path_factory.mktemp("drive"))
+    images, file = make_drive(tmp_path_factory.mktemp("drive"), metres=0.4)
     (images / "000009.png").write_bytes(b"torn")
     return images, file
 
 
-def run(drive, out, *, most=None, moving=False, **arguments):
+def run(drive, out, *, most=None, moving=False, ground=GROUND, **arguments):
     images, file = drive
-    look = Counting(
-        CAR14,
-        given=read_given(file, CAR14).vehicles,
-        moving=(KITTI_CAMERA, GROUND) if moving else None,
-    )
-    follower = Follower(SingleImages(prior="car14"), GatedAssociation(), KITTI_CAMERA, ground=GROUND, moving=moving)
+    look = Counting(CAR14, given=read_given(file, CAR14).vehicles)
+    follower = Follower(SingleImages(prior="car14"), GatedAssociation(), KITTI_CAMERA, ground=ground, moving=moving)
     seen = []
     found = run_video(
         open_frames(images, rate=10),
@@ -56,6 +53,7 @@ def run(drive, out, *, most=None, moving=False, **arguments):
         follower,
         out,
         settings={"of": "a test"},
+        motion=MotionLook(KITTI_CAMERA, ground) if moving else None,
         stop=lambda: most is not None and len(seen) >= most,
         report=lambda run, _: seen.append(len(run.frames)),
         **arguments,
@@ -78,6 +76,7 @@ def test_a_run_has_every_frame(drive, tmp_path):
 @pytest.mark.parametrize("most", [1, 3, 6])
 def test_a_stopped_run_goes_on(drive, tmp_path, most, moving):
     whole, _ = run(drive, tmp_path / "whole", moving=moving)
+    assert whole.way == (pytest.approx(0.4 * 8, abs=0.1) if moving else None)
     part, look = run(drive, tmp_path / "out", most=most, moving=moving)
     assert (part.stopped, look.looked, len(part.frames)) == (True, most, most)
     rest, look = run(drive, tmp_path / "out", moving=moving)
@@ -87,18 +86,32 @@ def test_a_stopped_run_goes_on(drive, tmp_path, most, moving):
     assert (again.before, look.looked, again.smoothed) == (8, 0, False)
 
 
+@pytest.mark.parametrize("folder", ["records", "motions"])
 @pytest.mark.parametrize("damaged", [1, 3])
-def test_damaged_records_are_made_again(drive, tmp_path, monkeypatch, damaged):
+def test_damaged_records_are_made_again(drive, tmp_path, monkeypatch, damaged, folder):
     monkeypatch.setattr("fgrecon.batch.parts._ROWS", 2)
-    whole, _ = run(drive, tmp_path / "out")
-    parts = sorted((tmp_path / "out" / "records").glob("part-*.parquet"))
+    whole, _ = run(drive, tmp_path / "out", moving=True)
+    parts = sorted((tmp_path / "out" / folder).glob("part-*.parquet"))
     assert len(parts) == 4
     parts[damaged].write_bytes(parts[damaged].read_bytes()[:-50])
     with pytest.warns(DamagedFileWarning, match=parts[damaged].name):
-        again, look = run(drive, tmp_path / "out")
-    assert (again.before, look.looked) == (2 * damaged, 8 - 2 * damaged)
+        again, look = run(drive, tmp_path / "out", moving=True)
+    before = 2 * damaged if folder == "records" else 8
+    assert (again.before, look.looked) == (before, 8 - before)
     assert rows_of(again.frames, flat=False) == rows_of(whole.frames, flat=False)
-    assert run(drive, tmp_path / "out")[0].before == 8
+    assert run(drive, tmp_path / "out", moving=True)[0].before == 8
+
+
+def test_another_ground_needs_no_network(drive, tmp_path):
+    """Motions are estimated again on another ground, and one without motions leaves them alone."""
+    higher = Ground.level(1.9)
+    run(drive, tmp_path / "out", moving=True, most=5)
+    again, look = run(drive, tmp_path / "out", moving=True, ground=higher)
+    assert (again.before, look.looked) == (5, 3)
+    fresh, _ = run(drive, tmp_path / "fresh", moving=True, ground=higher)
+    assert rows_of(again.frames, flat=False) == rows_of(fresh.frames, flat=False)
+    assert run(drive, tmp_path / "out")[1].looked == 0
+    assert run(drive, tmp_path / "out", moving=True, ground=higher)[1].looked == 0
 
 
 def test_a_folder_is_for_one_run(drive, tmp_path):
@@ -119,12 +132,12 @@ def test_kittis_frames_from_pixels(data, tmp_path):
     detector, cascade = NanodetVehicleDetector(), shipped_cascade()
 
     def go(out, most):
-        look = FrameLook(CAR14, vehicle_detector=detector, keypoint_detector=cascade, moving=(camera, GROUND))
+        look = FrameLook(CAR14, vehicle_detector=detector, keypoint_detector=cascade)
         tracker = SingleImages(prior="car14", size_prior="kitti")
         follower = Follower(tracker, GatedAssociation(), camera, ground=GROUND, moving=True)
         source, count = open_frames(folder, rate=10, start=8.0, end=8.6), []
         stop = {"stop": lambda: len(count) >= most, "report": lambda *_: count.append(1)}
-        return run_video(source, look, follower, out, settings={}, **stop)
+        return run_video(source, look, follower, out, settings={}, motion=MotionLook(camera, GROUND), **stop)
 
     whole = go(tmp_path / "whole", 99)
     assert len(whole.frames) == 6

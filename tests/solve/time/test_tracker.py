@@ -5,6 +5,7 @@ import pytest
 
 import fgrecon
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.solve.time.vehicle import Followed
 from tests.solve.time.streets import CAMERA, off, seen, upright
 
 GROUND = 1.65
@@ -201,6 +202,20 @@ def test_vehicles_that_cannot_be_solved_are_refused():
     assert (again, set(tracker.refused)) == ({}, {1})
     assert set(tracker.update(0.2, {1: good}, camera=CAMERA, ground=GROUND)) == {1}
     assert len(tracker.smooth()[1]) == 2
+
+
+def test_a_vehicle_that_was_missing_counts_all_motions_since(monkeypatch):
+    """How the camera moved meanwhile is as unsure as all those motions together."""
+    steps = []
+    look = Followed.look
+    monkeypatch.setattr(Followed, "look", lambda self, *given: (steps.append(given[2]), look(self, *given))[1])
+    tracker, rng = fgrecon.Tracker(size_prior="kitti"), np.random.default_rng(3)
+    for t, pose in enumerate(approaching(4)):
+        given = {3: seen(pose, rng)} if t in (0, 3) else {}
+        place = {"world_T_camera": np.eye(4), "motion_sigma": (0.01, 0.1 * t)}
+        tracker.update(0.1 * t, given, camera=CAMERA, ground=GROUND, **place)
+    assert steps[0] is None
+    assert steps[1].sigma == pytest.approx((0.01 * 3**0.5, 0.1 * 14**0.5))
 
 
 def test_the_ground_of_a_frame_may_be_shared():

@@ -1,0 +1,229 @@
+"""What `fgrecon run` is asked for, read and checked before the work."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.cli.common import about_camera
+from fgrecon.cli.options import SceneOptions
+from fgrecon.cli.run_options import FrameOptions, MotionOptions
+from fgrecon.cli.settings import CameraSource, Settings
+from fgrecon.cli.terminal import Screen
+from fgrecon.core.camera import DEFAULT_FIELD_OF_VIEW, Camera
+from fgrecon.core.choices import BoxModel
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.options import Options
+from fgrecon.io.files import check_ending
+from fgrecon.io.frames import (
+    DEFAULT_RATE,
+    FrameSource,
+    ImageFrames,
+    NumberedFrames,
+    numbered_frames,
+    open_frames,
+)
+from fgrecon.io.images import read_photograph
+from fgrecon.io.kitti_calibration import calibration_beside
+from fgrecon.io.poses import CameraPoses, read_poses
+from fgrecon.io.video import check_video
+from fgrecon.perception.keypoints.detect import KeypointCascade
+from fgrecon.perception.vehicles.detect import NanodetVehicleDetector
+from fgrecon.video import FrameLook, read_given
+from fgrecon.video.focal import found_camera
+from fgrecon.video.given import Given
+from fgrecon.viz.picture import FORMATS
+
+__all__ = ["Job", "Request", "prepare"]
+
+
+@dataclass(frozen=True)
+class Request:
+    """What the command line asks for; the fields are its options."""
+
+    source: str
+    out: Path
+    frames: FrameOptions
+    motion: MotionOptions
+    camera: CameraSource
+    scene: SceneOptions
+    tracks: Path | None
+    forget_ids: bool
+    box_model: BoxModel | None
+    weights: Path | None
+    online: bool
+    alone: bool
+    together: bool
+    video: Path | None
+    picture: Path | None
+    picture_frame: int | None
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is to be done, all of it checked.
+
+    Attributes:
+        request: What was asked for.
+        source: The frames.
+        camera: Their camera.
+        label_offset: (3,) of KITTI's labels in its frame, or None.
+        settings: What holds for every vehicle.
+        given: Vehicles found by others, or None.
+        poses: Of the camera, or None.
+        moving: Whether the camera's motion is estimated.
+    """
+
+    request: Request
+    source: FrameSource
+    camera: Camera
+    label_offset: NDArray[np.float64] | None
+    settings: Settings
+    given: Given | None
+    poses: CameraPoses | None
+    moving: bool
+
+    @property
+    def records_depend_on(self) -> dict[str, Any]:
+        """What the stored records depend on: priors and options may change, and networks need not look again."""
+        ask = self.request
+        path = Path(ask.source)
+        return {
+            "source": str(path.resolve()) if path.exists() else ask.source,
+            "bytes": path.stat().st_size if path.is_file() else None,
+            "fps": ask.frames.fps,
+            "every": ask.frames.every,
+            "start": ask.frames.start,
+            "end": ask.frames.end,
+            "category": self.settings.prior.category.name,
+            "weights": None if ask.weights is None else str(ask.weights),
+            "tracks": None if ask.tracks is None else [str(ask.tracks.resolve()), ask.tracks.stat().st_size],
+            "forget_ids": ask.forget_ids,
+        }
+
+    @property
+    def look(self) -> FrameLook:
+        """What looks at the frames."""
+        return _look(self.request, self.settings, self.given)
+
+
+def prepare(ask: Request, screen: Screen) -> Job:
+    """Read what is asked for and refuse what cannot be done, before the work.
+
+    Raises:
+        InvalidInputError: Something cannot be used; names it.
+        MissingPackageError: A package for videos is not installed.
+    """
+    if ask.video is not None:
+        check_video(ask.video)
+    if ask.picture is not None:
+        check_ending(ask.picture, FORMATS)
+    elif ask.picture_frame is not None:
+        raise InvalidInputError("picture_frame", "without --picture", "Say with --picture where it is to be written.")
+    frames, motion = ask.frames, ask.motion
+    settings = ask.scene.settings(Options(strategy=ask.scene.strategy, keep_history=False))
+    given = _given(ask, settings)
+    times: dict[str, Any] = {"rate": frames.fps, "every": frames.every, "start": frames.start, "end": frames.end}
+    if Path(ask.source).suffix.lower() == ".json" and given is not None:
+        source: FrameSource = numbered_frames(Path(ask.source), given.vehicles, **times)
+        if ask.video is not None:
+            raise InvalidInputError("video", ask.source, "Give images: keypoints alone have none.")
+    else:
+        source = open_frames(ask.source, **times)
+    if source.assumed_rate:
+        screen.warn(f"No --fps is given: {DEFAULT_RATE:g} frames per second are assumed; speeds go with it.")
+    source_has = BoxModel.DETECTED if given is None else BoxModel.CUBOID if given.cuboids else BoxModel.SURFACE
+    model = ask.box_model or source_has
+    settings = replace(settings, options=replace(settings.options, box=replace(settings.options.box, model=model)))
+    moving = _moving(ask, source, settings)
+    poses = None if motion.poses is None else read_poses(motion.poses)
+    camera, offset = _camera(ask, source, given, settings, screen)
+    return Job(ask, source, camera, offset, settings, given, poses, moving)
+
+
+def _moving(ask: Request, source: FrameSource, settings: Settings) -> bool:
+    """Whether the camera's motion is estimated: where it makes results better, if nothing is said."""
+    motion, images = ask.motion, not isinstance(source, NumberedFrames)
+    if motion.estimate_motion is None:
+        smoothed = not ask.online and not ask.alone
+        return images and smoothed and motion.poses is None and settings.ground is not None
+    if motion.estimate_motion:
+        if not images:
+            raise InvalidInputError("estimate_motion", ask.source, "Give images: keypoints alone have none.")
+        if motion.poses is not None:
+            raise InvalidInputError("poses", str(motion.poses), "Give either --poses or --estimate-motion.")
+        if settings.ground is None:
+            fix = "Give --camera-height or --ground: the ground tells how far the camera goes."
+            raise InvalidInputError("estimate_motion", "no ground", fix)
+    return motion.estimate_motion
+
+
+def _given(ask: Request, settings: Settings) -> Given | None:
+    """The vehicles that others have found, beside the images or in their place."""
+    alone = Path(ask.source) if Path(ask.source).suffix.lower() == ".json" else None
+    if alone is not None and ask.tracks is not None:
+        raise InvalidInputError("tracks", str(ask.tracks), "Leave it out: keypoints are given already.")
+    if (file := ask.tracks or alone) is not None:
+        return read_given(file, settings.prior.category, forget_ids=ask.forget_ids)
+    if ask.forget_ids:
+        raise InvalidInputError("forget_ids", value=True, fix="Give --tracks as well, or leave it out.")
+    return None
+
+
+def _camera(
+    ask: Request, source: FrameSource, given: Given | None, settings: Settings, screen: Screen
+) -> tuple[Camera, NDArray[np.float64] | None]:
+    """The camera, with the size of the first image that can be read, and the offset of KITTI's labels."""
+    image = next((frame.image for frame in source.read() if frame.image is not None), None)
+    if image is None and (given is None or not given.complete):
+        raise InvalidInputError("source", ask.source, "Give frames of which at least one can be read.")
+    camera, offset = ask.camera.camera(source.first_file.name)
+    if camera is None and given is not None:
+        camera = given.camera
+    if camera is None and (beside := calibration_beside(source.first_file)) is not None:
+        camera, offset = beside.camera, beside.label_offset
+    size = None if image is None else (image.shape[1], image.shape[0])
+    whole = None if camera is not None or size is None else ask.camera.whole(size)
+    if whole is not None and isinstance(source, ImageFrames):
+        camera = read_photograph(source.first_file, whole)[1]  # by its EXIF data
+    told = camera is not None
+    if camera is None and whole is not None:
+        camera = Camera.of_unknown(*whole)
+    if camera is None:
+        raise InvalidInputError("camera", "none", "Give --camera or --intrinsics.")
+    camera = ask.camera.complete(camera, declared=False)
+    if size is not None:
+        camera = replace(camera, image_size=size)
+    if not told:
+        camera = _found(ask, source, given, settings, camera, screen)
+    return replace(camera, focal_sigma=0.0), offset  # one focal length for all frames
+
+
+def _found(
+    ask: Request, source: FrameSource, given: Given | None, settings: Settings, unknown: Camera, screen: Screen
+) -> Camera:
+    """The camera that the vehicles of some frames tell, or one with a usual field of view."""
+    arguments = {"prior": settings.prior, "size_prior": settings.size_prior, "options": settings.options}
+    found = found_camera(source, _look(ask, settings, given), unknown, ground=settings.ground, **arguments)
+    if found is None:
+        screen.warn(
+            f"No camera is given, and no car tells: a horizontal field of view of {DEFAULT_FIELD_OF_VIEW:g} degrees is "
+            "assumed, and distances are rough. Give --camera or --intrinsics."
+        )
+        return unknown
+    screen.warn(about_camera(found.camera, None, f"{found.vehicles} cars of {found.images} frames"))
+    return found.camera
+
+
+def _look(ask: Request, settings: Settings, given: Given | None) -> FrameLook:
+    """What looks at the frames."""
+    return FrameLook(
+        settings.prior.category,
+        vehicle_detector=NanodetVehicleDetector() if given is None else None,
+        keypoint_detector=None if given is not None and given.complete else KeypointCascade(ask.weights),
+        given=None if given is None else given.vehicles,
+    )

@@ -1,0 +1,83 @@
+"""How the camera itself has moved from frame to frame: looks at one image after the other and remembers the last."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.io.frames import SourceFrame
+from fgrecon.video.egomotion import CameraMotion, camera_motion
+from fgrecon.video.records import FrameRecord, Sighting
+
+__all__ = ["MotionLook"]
+
+
+class MotionLook:
+    """Estimates the camera's motion by points off the vehicles, frame by frame (`camera_motion`).
+
+    Attributes:
+        camera: The camera.
+        ground: The ground in its frame, which tells how far it goes.
+    """
+
+    def __init__(self, camera: Camera, ground: Ground) -> None:
+        """Begin without an image.
+
+        Args:
+            camera: The camera.
+            ground: The ground in its frame.
+        """
+        self.camera, self.ground = camera, ground
+        self._before: tuple[NDArray[np.uint8], list[NDArray[np.float64]]] | None = None
+        self._motion: CameraMotion | None = None
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What motions depend on beside the images and the vehicles in them, as plain values."""
+        lens = self.camera.distortion
+        return {
+            "camera": [self.camera.matrix.tolist(), None if lens is None else lens.tolist()],
+            "ground": [*self.ground.normal.tolist(), self.ground.distance, self.ground.slope_sigma],
+        }
+
+    def remember(self, frame: SourceFrame, record: FrameRecord) -> None:
+        """Take a frame whose motion is known already.
+
+        Args:
+            frame: The frame.
+            record: What it showed, with its motion.
+        """
+        if frame.image is not None:
+            self._before, self._motion = _seen(frame.image, record.sightings), record.motion
+
+    def __call__(self, frame: SourceFrame, sightings: Sequence[Sighting]) -> CameraMotion | None:
+        """The motion since the last frame that could be read.
+
+        Args:
+            frame: The frame.
+            sightings: The vehicles that it shows, whose points do not count.
+
+        Returns:
+            The motion; None for the first frame, for one that cannot be read, and where the images do not tell.
+        """
+        if frame.image is None:
+            return None
+        now = _seen(frame.image, sightings)
+        before, self._before = self._before, now
+        if before is None:
+            return None
+        guess = None if self._motion is None else self._motion.previous_T_current
+        self._motion = camera_motion(before[0], now[0], self.camera, self.ground, before[1], now[1], guess)
+        return self._motion
+
+
+def _seen(image: NDArray[np.uint8], sightings: Sequence[Sighting]) -> tuple[NDArray[np.uint8], list[NDArray[Any]]]:
+    """The grey image, and the vehicles' boxes in it."""
+    import cv2
+
+    grey: Any = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    return np.asarray(grey, dtype=np.uint8), [sighting.box for sighting in sightings]
