@@ -26,6 +26,7 @@ from fgrecon.core.geometry import view_azimuth, yaw_rotation
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
+from fgrecon.core.rows import leanings, ties
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.traffic import traffic_directions
 from fgrecon.core.turned import half_a_turn, turned_round
@@ -36,20 +37,13 @@ __all__ = ["face_together", "faced_pose"]
 
 Array = NDArray[np.float64]
 
-_BESIDE = np.array([0.0, 1.0, 2.0, 3.0, 3.5, 4.5, 5.5, 7.0, 9.0, 12.0, 20.0])  # metres across two headings
-_ALIKE = np.array([0.965, 0.955, 0.93, 0.91, 0.80, 0.69, 0.53, 0.34, 0.40, 0.40, 0.50])
-"""Share of pairs there that face alike, of those that do or face opposite ways: 32,000 pairs of cars and vans in one
-image, labelled in KITTI's object train split."""
-_COUNTS, _COUNTS_AGAIN = 0.3, 0.1
-"""Of its logarithm, in an image and in each of a video: a row's vehicles say much the same, in every image again."""
-_NEAR = 20.0  # metres: pairs further apart say nothing
-_ALIGNED = np.cos(np.deg2rad(25.0))  # of two headings, but for a half turn
+_COUNTS, _NEAR = 0.3, 20.0
+"""Share of what two vehicles say of one another that counts, since a row's say much the same; metres up to which."""
 _LEAST = 1e-4  # probability that a detector takes the front for the rear, however sure
-_ROUNDS = 60
 
 
 def face_together(
-    seen: Sequence[Observation], camera: Camera, prior: ShapePrior, options: Options, *, again: bool = False
+    seen: Sequence[Observation], camera: Camera, prior: ShapePrior, options: Options, *, rows: bool = True
 ) -> list[Observation]:
     """The observations of an image with directions that know of one another and of the traffic.
 
@@ -61,7 +55,7 @@ def face_together(
         camera: The camera that took the image.
         prior: Its height says about how far away a vehicle is.
         options: Which side the traffic keeps to; without the term `direction` nothing is done.
-        again: Whether the vehicles are seen in many images, as in a video.
+        rows: Whether they say which way one another face; over time their tracks do (`fgrecon.solve.time`).
     """
     told = list(seen)
     if "direction" in options.disabled_terms or (len(told) < 2 and options.traffic is None):
@@ -71,8 +65,9 @@ def face_together(
     own = np.array([side.odds for side in sides])
     if options.traffic is not None:
         own += [side.along(traffic_directions(options.traffic, side.place, len(side.ahead))) for side in sides]
-    between = (_COUNTS_AGAIN if again else _COUNTS) * _between(sides)
-    right = _right(own, between)
+    headings, places = np.array([side.heading for side in sides]), np.array([side.place for side in sides])
+    between = (_COUNTS if rows else 0.0) * ties(headings, places.reshape(-1, 3), _NEAR)
+    right = (1.0 + leanings(own, between)) / 2.0
     for row, (i, side) in enumerate(found.items()):
         if options.traffic is not None or between[row].any():
             azimuth = right[row] * side.ahead + (1.0 - right[row]) * half_a_turn(side.ahead)
@@ -153,30 +148,6 @@ class _Side:
     def along(self, directions: Array) -> float:
         """Logarithm of the odds by directions (A,) that something else says."""
         return float(np.log(self.ahead @ directions) - np.log(half_a_turn(self.ahead) @ directions))
-
-
-def _between(sides: Sequence[_Side]) -> Array:
-    """(N, N) half the logarithm of the odds that two are both right or both wrong; 0 where they say nothing."""
-    heading = np.array([side.heading for side in sides])
-    place = np.array([side.place for side in sides]).reshape(-1, 3)
-    away = place[:, None] - place
-    turn = np.cos(heading[:, None] - heading)
-    axis = np.angle(np.exp(2j * heading)[:, None] + np.exp(2j * heading)) / 2.0  # that the two have in common
-    beside = np.abs(away[..., 0] * np.sin(axis) + away[..., 2] * np.cos(axis))
-    alike = np.interp(beside, _BESIDE, _ALIKE)
-    odds = 0.5 * np.sign(turn) * np.log(alike / (1.0 - alike))
-    near = np.hypot(away[..., 0], away[..., 2]) <= _NEAR
-    says = near & (np.abs(turn) >= _ALIGNED) & ~np.eye(len(sides), dtype=np.bool_)
-    return np.where(says, odds, 0.0)
-
-
-def _right(own: Array, between: Array) -> Array:
-    """(N,) probability of each to be right: mean field, which is as good as exact for factors this weak."""
-    mean = np.tanh(own / 2.0)
-    for _ in range(_ROUNDS):
-        mean = 0.5 * (mean + np.tanh(own / 2.0 + between @ mean))
-    right: Array = (1.0 + mean) / 2.0
-    return right
 
 
 def _place(seen: Observation, camera: Camera, prior: ShapePrior) -> Array | None:

@@ -37,6 +37,7 @@ from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import count, results
 from fgrecon.solve.road import GroundEvidence, KnownGround, Road, ground_evidence
 from fgrecon.solve.threads import single_threaded
+from fgrecon.solve.time.neighbours import neighbours_say, with_neighbours
 from fgrecon.solve.time.smooth import smooth
 from fgrecon.solve.time.vehicle import Followed
 from fgrecon.solve.time.window import Frame, FrameStep, OwnFactors, WindowSolve, velocity_covariances
@@ -175,6 +176,10 @@ class Tracker:
                     looked[name] = track, track.followed.look(problem, time, _step(track, time, place, self._drift))
                 except FgreconError as error:
                     refused[name] = error
+            frames = [frame for _, frame in looked.values()]
+            says = neighbours_say(frames, [frame.belief for frame in frames])
+            for (track, frame), said in zip(looked.values(), says, strict=True):
+                track.followed.settle(frame, said)
 
         def says(known: Marginal, ground: Ground) -> GroundEvidence | None:
             look(ground)
@@ -210,13 +215,17 @@ class Tracker:
                 found[name] = observe(given, camera, self._prior, self._options)
             except FgreconError as error:
                 refused[name] = error
-        together = face_together([*found.values()], camera, self._prior, self._options, again=True)
+        together = face_together([*found.values()], camera, self._prior, self._options, rows=False)
         return dict(zip(found, together, strict=True))
 
     @single_threaded
     def smooth(self) -> dict[int, list[VehicleEstimate]]:
         """The estimates of all frames that are kept, by all of them; by id, in the order of time."""
-        return {name: self._smoothed(name, track) for name, track in self._tracks.items()}
+        pasts = {name: [past.frame for past in track.past] for name, track in self._tracks.items()}
+        for frames in pasts.values():
+            frames[0] = replace(frames[0], step=None)
+        told = with_neighbours(pasts)
+        return {name: self._smoothed(name, track, told[name]) for name, track in self._tracks.items()}
 
     def forget(self, vehicle: int) -> None:
         """Let go of a vehicle, and of its past; one that is not there is none to let go of."""
@@ -228,10 +237,8 @@ class Tracker:
         last = len(followed.solved.seen) - 1
         return _estimates(name, {last: past}, followed.solved, followed.count)[0]
 
-    def _smoothed(self, name: int, track: _Track) -> list[VehicleEstimate]:
+    def _smoothed(self, name: int, track: _Track, frames: Sequence[Frame]) -> list[VehicleEstimate]:
         pasts = {past.frame.number: past for past in track.past}
-        frames = [past.frame for past in track.past]
-        frames[0] = replace(frames[0], step=None)
         found = []
         for solved, some, given in smooth(frames, track.followed.shape, track.followed.motion, self._own):
             wanted = {index: replace(pasts[some[index].number], frame=some[index]) for index in given}
@@ -243,7 +250,7 @@ def _estimates(name: int, pasts: Mapping[int, _Past], solved: WindowSolve, total
     """Of some frames that were solved together, by their places there."""
     frames = [past.frame for past in pasts.values()]
     alone = len(solved.seen) == 1
-    facings = [frame.belief.facing(rotation_y(frame.pose.matrix())) for frame in frames]
+    facings = [frame.believed.facing(rotation_y(frame.pose.matrix())) for frame in frames]
     adjusted = solved.adjusted if alone else _with_alternatives(solved.adjusted, pasts, facings)
     counted = None if alone else count(adjusted.graph, adjusted.optimum, at_once=pasts)
     told = results(solved.seen, solved.starts, adjusted, {}, solved.extra, only=pasts, counted=counted)

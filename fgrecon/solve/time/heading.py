@@ -22,7 +22,17 @@ from numpy.typing import NDArray
 from fgrecon.core.geometry import view_azimuth, yaw_rotation
 from fgrecon.core.metrics import wrap_angle
 
-__all__ = ["HEADINGS", "Belief", "backward", "box_says", "combined", "directions_say", "motion_says", "poses_say"]
+__all__ = [
+    "HEADINGS",
+    "Belief",
+    "backward",
+    "box_says",
+    "combined",
+    "directions_say",
+    "half",
+    "motion_says",
+    "poses_say",
+]
 
 Array = NDArray[np.float64]
 
@@ -44,7 +54,7 @@ _TURN = 0.3  # radians that a vehicle turns in a second (1 sigma)
 _ELSEWHERE = 1e-4  # probability in a second that it faces elsewhere altogether
 
 
-def _half(heading: float) -> Array:
+def half(heading: float) -> Array:
     """(B,) share of each bin that is within a quarter turn of a heading."""
     width = 2.0 * np.pi / _BINS
     off = np.abs(wrap_angle(HEADINGS - heading))
@@ -52,7 +62,7 @@ def _half(heading: float) -> Array:
     return share
 
 
-_HALVES = np.array([_half(heading) for heading in HEADINGS])
+_HALVES = np.array([half(heading) for heading in HEADINGS])
 
 
 @dataclass(frozen=True)
@@ -84,7 +94,7 @@ class Belief:
 
     def facing(self, heading: float) -> float:
         """Probability of the headings within a quarter turn of one."""
-        return float(np.clip(_half(heading) @ self.probability, 0.0, 1.0))
+        return float(np.clip(half(heading) @ self.probability, 0.0, 1.0))
 
 
 def weight_of(seconds: float | None, height: float) -> float:

@@ -17,7 +17,7 @@ from fgrecon.solve.time.heading import Belief, backward, combined
 from fgrecon.solve.time.vehicle import face
 from fgrecon.solve.time.window import Frame, OwnFactors, WindowSolve, solve_alone, solve_window
 
-__all__ = ["Smoothed", "smooth"]
+__all__ = ["Smoothed", "beliefs", "pieces", "smooth"]
 
 _STRETCH, _OVERLAP = 100, 20  # frames
 _DRIVES = 4.0
@@ -39,11 +39,10 @@ def smooth(past: Sequence[Frame], shape: Held, model: MotionModel, own: OwnFacto
         model: How such vehicles move.
         own: Makes factors of the caller's own for each step; or None.
     """
-    begins = [i for i, frame in enumerate(past) if i == 0 or frame.step is None]
-    for begin, end in zip(begins, [*begins[1:], len(past)], strict=True):
-        frames = [replace(frame) for frame in past[begin:end]]
+    for piece in pieces(past):
+        frames = [replace(frame) for frame in piece]
         face(frames, shape)
-        for frame, belief in zip(frames, _beliefs(frames), strict=True):
+        for frame, belief in zip(frames, beliefs(frames), strict=True):
             frame.belief = belief
         if len(frames) == 1:
             yield solve_alone(frames[0].problem, frames[0].start, frames[0].number), frames, range(1)
@@ -51,6 +50,19 @@ def smooth(past: Sequence[Frame], shape: Held, model: MotionModel, own: OwnFacto
         for low, high, first, last in _stretches(len(frames)):
             solved, some = _solved(frames[low:high], shape, model, own)
             yield solved, some, range(first - low, last - low)
+
+
+def pieces(past: Sequence[Frame]) -> list[Sequence[Frame]]:
+    """The frames of a vehicle, parted where one begins anew."""
+    begins = [i for i, frame in enumerate(past) if i == 0 or frame.step is None]
+    return [past[begin:end] for begin, end in zip(begins, [*begins[1:], len(past)], strict=True)]
+
+
+def beliefs(frames: Sequence[Frame]) -> list[Belief]:
+    """Of each frame of a piece by all of them."""
+    steps = [(f.step.seconds, f.step.turn) for f in frames[1:] if f.step is not None]
+    later = backward([f.evidence for f in frames], steps)
+    return [combined(f.belief, likelihood) for f, likelihood in zip(frames, later, strict=True)]
 
 
 def _solved(
@@ -68,13 +80,6 @@ def _solved(
         ends.append((solve_window(frames, shape, model, own=own, stands=stands), frames))
     standing, driving = (solved.adjusted.optimum.energy for solved, _ in ends)
     return ends[0] if standing <= driving + _DRIVES else ends[1]
-
-
-def _beliefs(frames: Sequence[Frame]) -> list[Belief]:
-    """Of each frame by all of them."""
-    steps = [(f.step.seconds, f.step.turn) for f in frames[1:] if f.step is not None]
-    later = backward([f.evidence for f in frames], steps)
-    return [combined(f.belief, likelihood) for f, likelihood in zip(frames, later, strict=True)]
 
 
 def _stretches(count: int) -> Iterator[tuple[int, int, int, int]]:

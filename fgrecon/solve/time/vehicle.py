@@ -81,7 +81,7 @@ class Followed:
         self._way = _Way()
 
     def look(self, problem: Problem, time: float, step: FrameStep | None) -> Frame:
-        """Look at a frame, and decide which way the vehicle faces in it; `take` is to follow.
+        """Look at a frame by itself; `settle` and `take` are to follow.
 
         Args:
             problem: What the frame shows.
@@ -98,10 +98,21 @@ class Followed:
             frame.belief = Belief.none().told(frame.evidence)
             return frame
         frame.belief = before.belief.later(step.seconds, step.turn).told(frame.evidence)
+        return frame
+
+    def settle(self, frame: Frame, neighbours: Array) -> None:
+        """Decide which way the vehicle faces, in a frame that was looked at and in those of the window.
+
+        Args:
+            frame: The frame.
+            neighbours: (B,) what the other vehicles say of its heading, logarithms.
+        """
+        frame.neighbours = neighbours
+        if frame.step is None:
+            return  # a single image
         changed = face([*self.frames, frame], self.shape)
         if any(other is not frame for other in changed):
             self._left = None  # what was left of earlier frames knows another side
-        return frame
 
     def take(self, frame: Frame, ground: Ground | None) -> None:
         """Take a frame that was looked at, on a ground that may have been found meanwhile, and solve the window."""
@@ -222,12 +233,13 @@ def image_says(observation: Observation, poses: Sequence[Alternative]) -> Array:
 
 
 def face(frames: Sequence[Frame], shape: Held) -> list[Frame]:
-    """Bring every frame to the side where it is by what all of them say; those that it changes."""
+    """Bring every frame to the side where it is by what all of them and the last one's neighbours say; the changed."""
+    *_, last = frames
     steps = [(f.step.seconds, f.step.turn) for f in frames[1:] if f.step is not None]
-    later = backward([f.evidence for f in frames], steps)
+    later = backward([*(f.evidence for f in frames[:-1]), last.evidence + last.neighbours], steps)
     changed = []
     for frame, likelihood in zip(frames, later, strict=True):
-        heading = combined(frame.belief, likelihood).heading
+        heading = combined(last.believed if frame is last else frame.belief, likelihood).heading
         if _apart(rotation_y(frame.pose.matrix()), heading) > _ELSEWHERE:
             _move(frame, heading, shape)
             changed.append(frame)

@@ -33,7 +33,7 @@ from fgrecon.solve.graph.optimise import optimise
 from fgrecon.solve.graph.vehicle import Held
 from fgrecon.solve.proposals.adjust import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.time.heading import Belief
+from fgrecon.solve.time.heading import HEADINGS, Belief
 from fgrecon.solve.time.motion import link, velocity_terms
 
 __all__ = ["Frame", "FrameStep", "OwnFactors", "WindowSolve", "solve_alone", "solve_window", "velocity_covariances"]
@@ -87,6 +87,7 @@ class Frame:
         weights: Weights there.
         velocity: (3,) where it is now.
         belief: Of the heading, by this frame and those before.
+        neighbours: (B,) what the other vehicles say of it, logarithms; no part of the belief.
     """
 
     number: int
@@ -100,6 +101,12 @@ class Frame:
     weights: Weights
     velocity: Array = field(default_factory=lambda: np.zeros(3))
     belief: Belief = field(default_factory=Belief.none)
+    neighbours: Array = field(default_factory=lambda: np.zeros(len(HEADINGS)))
+
+    @property
+    def believed(self) -> Belief:
+        """Of the heading, by all."""
+        return self.belief.told(self.neighbours)
 
     @property
     def known(self) -> bool:
