@@ -49,7 +49,7 @@ if TYPE_CHECKING:  # imported when used
     from factors.marginals import Marginal, marginal, marginal_factor
     from factors.mixture import Form, mixture
     from factors.motion import drive_factor, motion_factor
-    from factors.noise import Noise, as_noise, diagonal_noise, keypoint_noise, keypoint_whiteners
+    from factors.noise import Noise, as_noise, diagonal_noise, full_noise, keypoint_noise, keypoint_whiteners
     from factors.observation import BoxRows, GroundRows, ObservationRows, observation_factor
     from factors.planarity import (
         ground_parallel_factor,
@@ -104,6 +104,7 @@ __all__ = [
     "dimensions_factor",
     "drive_factor",
     "fit_plane",
+    "full_noise",
     "ground_height_factor",
     "ground_parallel_factor",
     "guarded_factor",

@@ -19,7 +19,7 @@ from factors.checks import finite_array
 from factors.errors import InvalidInputError
 from factors.losses import RobustLoss
 
-__all__ = ["Noise", "as_noise", "diagonal_noise", "keypoint_noise", "keypoint_whiteners"]
+__all__ = ["Noise", "as_noise", "diagonal_noise", "full_noise", "keypoint_noise", "keypoint_whiteners"]
 
 Noise = gtsam.noiseModel.Base | float
 """A noise model, or one sigma for every row of the residual, in the residual's unit."""
@@ -97,6 +97,23 @@ def keypoint_whiteners(weights: ArrayLike, sigma: float, covariances: ArrayLike 
         result[:, 2] = np.sqrt(S[:, 0, 0] / determinants)
         result[:, 1] = -S[:, 0, 1] / S[:, 0, 0] * result[:, 2]
     return result * np.sqrt(np.where(array < _SMALLEST_WEIGHT, 0.0, array))[:, None]
+
+
+def full_noise(field: str, covariance: ArrayLike) -> gtsam.noiseModel.Gaussian:
+    """Noise model with one covariance (N, N) for all rows.
+
+    Raises:
+        InvalidInputError: It is not symmetric positive definite (GTSAM would divide by zero).
+    """
+    matrix = finite_array(field, covariance, (None, None))
+    try:
+        np.linalg.cholesky(matrix)
+        alike = matrix.size > 0 and bool(np.abs(matrix - matrix.T).max() <= 1e-9 * np.abs(matrix).max())
+    except np.linalg.LinAlgError:
+        alike = False
+    if not alike:
+        raise InvalidInputError(field, matrix.tolist(), "Give a symmetric positive definite matrix.")
+    return gtsam.noiseModel.Gaussian.Covariance((matrix + matrix.T) / 2.0)
 
 
 def diagonal_noise(field: str, sigmas: ArrayLike) -> gtsam.noiseModel.Diagonal:

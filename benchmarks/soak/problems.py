@@ -67,7 +67,8 @@ def video(
         seen = {name: random_observation(rng, camera) for name in range(3) if rng.random() < 0.6}
         frame: dict[str, Any] = {"time": time, "observations": seen}
         if moves and rng.random() < 0.9:
-            frame |= {"world_T_camera": place, "motion_sigma": tuple(10 ** rng.uniform(-6, 1, 2))}
+            root = rng.normal(size=(6, 6)) * np.repeat(10 ** rng.uniform(-6, 1, 2), 3)[:, None]
+            frame |= {"world_T_camera": place, "motion_covariance": root @ root.T}
         frames.append(frame)
     settings = {name: told.get(name) for name in ("size_prior", "options")}
     shared = rng.random() < 0.5

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from factors.contact import GroundFrame
 from factors.keys import G
 from factors.marginals import Marginal, marginal, marginal_factor
-from factors.noise import diagonal_noise
+from factors.noise import full_noise
 from factors.road import road_factor
 from fgrecon.core.camera import Ground
 from fgrecon.core.errors import FactorCallbackError
@@ -125,7 +125,7 @@ class Road:
         world_T_camera: gtsam.Pose3 | None,
         says: Says,
         *,
-        motion_sigma: tuple[float, float] = (0.0, 0.0),
+        motion_covariance: Array | None = None,
     ) -> KnownGround:
         """Take a frame.
 
@@ -134,7 +134,8 @@ class Road:
             told: About where the ground is.
             world_T_camera: Pose of the camera, or None.
             says: What its vehicles say; may say nothing.
-            motion_sigma: Standard deviations of the camera's motion since the frame before, radians and metres.
+            motion_covariance: (6, 6) of the camera's motion since the last frame with a place: rotation, translation in
+                its frame; None where it is exact.
         """
         frame = GroundFrame.of(told.normal, told.distance)
         past, weight = self._past, 1.0
@@ -142,7 +143,7 @@ class Road:
         known = None
         if past is not None:
             seconds = time - past.time
-            moved = _moved(past, seconds, frame, world_T_camera, spread, motion_sigma)
+            moved = _moved(past, seconds, frame, world_T_camera, spread, motion_covariance)
             before = past.known
             known = _known(lambda: (_on_road(before.where, moved), _on_road(before.counted, moved)))
             weight = min(seconds / _ALIKE, 1.0)
@@ -203,16 +204,19 @@ def _moved(
     frame: GroundFrame,
     world_T_camera: gtsam.Pose3 | None,
     spread: Array,
-    motion_sigma: tuple[float, float],
+    covariance: Array | None,
 ) -> gtsam.CustomFactor:
     """What ties a frame's ground G(1) to the one before, G(0)."""
     motion = None
     if past.world_T_camera is not None and world_T_camera is not None:
         motion = past.world_T_camera.between(world_T_camera)
-    turn, way = (0.0, 0.0) if motion is None else motion_sigma
     kept = max(float(np.exp(-seconds / _LASTS)), _LEAST_KEPT)
-    sigma = np.hypot(np.sqrt(1.0 - kept**2) * spread, np.array([way, turn, turn]))
-    return road_factor(G(0), G(1), (past.frame, frame), diagonal_noise("road", sigma), motion, kept)
+    unsure = np.diag((1.0 - kept**2) * spread**2)
+    if motion is not None and covariance is not None:
+        by_motion = np.zeros((3, 6))  # of height and slopes, in the camera's frame now
+        by_motion[0, 3:], by_motion[1:, :3] = frame.normal, np.cross(frame.normal, frame.across)
+        unsure = unsure + by_motion @ covariance @ by_motion.T
+    return road_factor(G(0), G(1), (past.frame, frame), full_noise("road", unsure), motion, kept)
 
 
 def _known(make: Callable[[], tuple[Marginal, Marginal]]) -> _Known | None:

@@ -47,6 +47,8 @@ __all__ = ["Tracker"]
 
 Array = NDArray[np.float64]
 
+_ROUNDED = 1e-9  # share of the largest number of a covariance that is none
+
 
 @dataclass(frozen=True)
 class _Past:
@@ -64,7 +66,7 @@ class _Track:
     followed: Followed
     time: float = -np.inf
     world_T_camera: gtsam.Pose3 | None = None
-    drift: Array = field(default_factory=lambda: np.zeros(2))
+    drift: Array = field(default_factory=lambda: np.zeros((6, 6)))
     past: list[_Past] = field(default_factory=list)
 
 
@@ -120,7 +122,7 @@ class Tracker:
         self._shared, self._own, self._road = shared_ground, motion_factors, Road()
         self._tracks: dict[int, _Track] = {}
         self._time = -np.inf
-        self._drift = np.zeros(2)  # variances of the camera's turns and ways so far
+        self._drift = np.zeros((6, 6))  # covariance of the camera's way so far, in the world
         self.refused = {}
 
     @single_threaded
@@ -132,7 +134,7 @@ class Tracker:
         camera: Camera | ArrayLike,
         world_T_camera: ArrayLike | None = None,
         ground: Ground | float | None = None,
-        motion_sigma: tuple[float, float] | None = None,
+        motion_covariance: ArrayLike | None = None,
     ) -> dict[int, VehicleEstimate]:
         """Take a frame.
 
@@ -143,8 +145,8 @@ class Tracker:
             world_T_camera: (4, 4) pose of the camera in a world that stands still; None where it is not known. Between
                 frames that both have one, vehicles move as their category does, and parked ones stand.
             ground: Ground plane in the camera's frame; a number is the height in metres of a level camera.
-            motion_sigma: Standard deviations of the camera's motion since the last frame that has a place: rotation in
-                radians and translation in metres; None where it is exact.
+            motion_covariance: (6, 6) of the camera's motion since the last frame that has a place: rotation in radians,
+                then translation in metres, in this camera's frame (`CameraMotion`); None where it is exact.
 
         Returns:
             The estimates by id, by this frame and those before; vehicles without one are in `refused`.
@@ -157,10 +159,11 @@ class Tracker:
             raise InvalidInputError("time", time, f"Give frames in order: the last one was at {self._time:g} s.")
         seen_by, plane = Camera.of(camera), ground_plane(ground)
         place = None if world_T_camera is None else _pose("world_T_camera", world_T_camera)
-        sigma = (0.0, 0.0) if motion_sigma is None else _sigma(motion_sigma)
+        moved = None if motion_covariance is None else _covariance(motion_covariance)
         self._time = time
-        if place is not None:
-            self._drift = self._drift + np.square(sigma)
+        if place is not None and moved is not None:
+            in_world = place.AdjointMap()
+            self._drift = self._drift + in_world @ moved @ in_world.T
         looked: dict[int, tuple[_Track, Frame]] = {}
         refused: dict[int, FgreconError] = {}
 
@@ -189,7 +192,7 @@ class Tracker:
 
         known: KnownGround | None = None
         if self._shared and plane is not None:
-            known = self._road.later(time, plane, place, says, motion_sigma=sigma)
+            known = self._road.later(time, plane, place, says, motion_covariance=moved)
             plane = known.ground
         else:
             look(plane)
@@ -299,8 +302,11 @@ def _step(track: _Track, time: float, place: gtsam.Pose3 | None, drift: Array) -
         return None
     before = track.world_T_camera
     camera = None if before is None or place is None else before.between(place)
-    turn, way = np.sqrt(drift - track.drift).tolist()
-    return FrameStep(time - track.time, camera, (turn, way))
+    covariance = np.zeros((6, 6))
+    if camera is not None and place is not None:
+        in_camera = place.inverse().AdjointMap()
+        covariance = in_camera @ (drift - track.drift) @ in_camera.T
+    return FrameStep(time - track.time, camera, covariance)
 
 
 def _pose(name: str, given: ArrayLike) -> gtsam.Pose3:
@@ -311,8 +317,10 @@ def _pose(name: str, given: ArrayLike) -> gtsam.Pose3:
     return gtsam.Pose3(matrix)
 
 
-def _sigma(given: Sequence[float]) -> tuple[float, float]:
-    turn, way = as_finite("motion_sigma", given, (2,)).tolist()
-    if turn < 0.0 or way < 0.0:
-        raise InvalidInputError("motion_sigma", [turn, way], "Give radians and metres of at least zero.")
-    return turn, way
+def _covariance(given: ArrayLike) -> Array:
+    matrix = as_finite("motion_covariance", given, (6, 6), "Give radians and metres, rotation first.")
+    largest = float(np.abs(matrix).max())
+    if np.abs(matrix - matrix.T).max() > _ROUNDED * largest or np.linalg.eigvalsh(matrix).min() < -_ROUNDED * largest:
+        fix = "Give a symmetric matrix without negative variances."
+        raise InvalidInputError("motion_covariance", matrix.tolist(), fix)
+    return matrix

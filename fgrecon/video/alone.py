@@ -48,7 +48,7 @@ class SingleImages:
         camera: Camera,
         world_T_camera: Array | None = None,
         ground: Ground | None = None,
-        motion_sigma: tuple[float, float] | None = None,  # noqa: ARG002 - one image knows of no motion
+        motion_covariance: Array | None = None,  # noqa: ARG002 - one image knows of no motion
     ) -> Mapping[int, VehicleEstimate]:
         """The estimates of the vehicles that can be reconstructed, by id."""
         found: dict[int, VehicleEstimate] = {}

@@ -55,7 +55,7 @@ class VehicleTracker(Protocol):
         camera: Camera,
         world_T_camera: Array | None = None,
         ground: Ground | None = None,
-        motion_sigma: tuple[float, float] | None = None,
+        motion_covariance: Array | None = None,
     ) -> Mapping[int, VehicleEstimate]:
         """Take a frame; the estimates of the vehicles that it shows, by id. The arguments are `fgrecon.Tracker`'s."""
 
@@ -130,7 +130,7 @@ class Follower:
             problem = f"{record.name}: its time, {record.time:g} s, is not later than that of the frame before"
             return TrackedFrame(record.number, record.time, record.name, record.problem or problem)
         self._time = record.time
-        world_T_camera, previous_T_current, motion_sigma = self._world.move(record)
+        world_T_camera, previous_T_current, motion_covariance = self._world.move(record)
         known = [s for s in record.sightings if s.identity is not None]
         unknown = [s for s in record.sightings if s.identity is None]
         found = self.association(record.time, [self._candidate(s.box, s.score) for s in unknown], previous_T_current)
@@ -143,7 +143,7 @@ class Follower:
             camera=self.camera,
             world_T_camera=world_T_camera,
             ground=self.ground,
-            motion_sigma=motion_sigma,
+            motion_covariance=motion_covariance,
         )
         for identity in found:
             if identity is not None and identity in estimates:
@@ -202,12 +202,12 @@ class _World:
         self._time: float | None = None
         self._missed = self._lost = 0.0  # seconds without a motion: for which the camera went on, and had no place
 
-    def move(self, record: FrameRecord) -> tuple[Array | None, Array | None, tuple[float, float] | None]:
+    def move(self, record: FrameRecord) -> tuple[Array | None, Array | None, Array | None]:
         """The camera's place, and how it came there.
 
         Returns:
-            (4, 4) world_T_camera; (4, 4) previous_T_current since the last frame that has a place; and the standard
-            deviations of that, radians and metres, where it was estimated. None where not known.
+            (4, 4) world_T_camera; (4, 4) previous_T_current since the last frame that has a place; and the covariance
+            (6, 6) of that, as `CameraMotion` has it, where it was estimated. None where not known.
         """
         before = self._pose
         if self._poses is not None:
@@ -225,18 +225,22 @@ class _World:
             return self._pose, None, None
         found = record.motion
         if found is not None:
-            step, covariance = found.previous_T_current, found.covariance
-            sigma = np.array([np.linalg.eigvalsh(c).max() for c in (covariance[:3, :3], covariance[3:, 3:])]) ** 0.5
-            sigma = np.hypot(sigma, self._lost * np.array(_ANYHOW))
+            step, covariance = found.previous_T_current, found.covariance + _isotropic(_ANYHOW, self._lost)
             self._step, self._passed, self._missed, self._lost = step, passed, 0.0, 0.0
         elif self._step is not None and self._missed + passed <= _GOES_ON:
-            step, sigma = _scaled(self._step, passed / self._passed), max(passed, _MOMENT) * np.array(_AS_BEFORE)
+            step = _scaled(self._step, passed / self._passed)
+            covariance = _isotropic(_AS_BEFORE, max(passed, _MOMENT))
             self._missed += passed
         else:
             self._step, self._lost = None, self._lost + passed
             return None, None, None
         self._pose = before @ step
-        return self._pose, step, (float(sigma[0]), float(sigma[1]))
+        return self._pose, step, covariance
+
+
+def _isotropic(sigmas: tuple[float, float], seconds: float) -> Array:
+    """(6, 6) covariance of a motion by what is unknown of it in a second: radians, metres."""
+    return np.diag(np.repeat(np.square(sigmas), 3)) * seconds**2
 
 
 def _scaled(motion: Array, share: float) -> Array:

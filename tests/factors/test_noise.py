@@ -6,7 +6,7 @@ import pytest
 
 from factors.errors import InvalidInputError
 from factors.losses import Loss, RobustLoss
-from factors.noise import as_noise, keypoint_noise, keypoint_whiteners
+from factors.noise import as_noise, full_noise, keypoint_noise, keypoint_whiteners
 
 
 def test_weight_scales_the_energy():
@@ -22,6 +22,13 @@ def test_covariance():
     r = np.array([3.0, -1.0])
     noise = keypoint_noise(0.5, 1.0, covariance=S)
     assert np.sum(noise.whiten(r) ** 2) == pytest.approx(0.5 * r @ np.linalg.inv(S) @ r)
+
+
+def test_one_covariance_for_all_rows():
+    root = np.random.default_rng(0).normal(size=(6, 6))
+    r = np.arange(6.0)
+    noise = full_noise("motion", root @ root.T)
+    assert np.sum(noise.whiten(r) ** 2) == pytest.approx(r @ np.linalg.inv(root @ root.T) @ r)
 
 
 def test_zero_weight_has_no_noise_model():
@@ -74,6 +81,12 @@ def test_whiteners():
         lambda: keypoint_whiteners([1.0], 1.0, [np.zeros((2, 2))]),
         lambda: keypoint_whiteners([1.0], 1.0, [[[1, 2], [2, 1]]]),
         lambda: keypoint_whiteners([1.0], 1.0, np.eye(2)),
+        lambda: full_noise("motion", -np.eye(6)),
+        lambda: full_noise("motion", [[1.0, 0.5], [0.4, 1.0]]),
+        lambda: full_noise("motion", np.zeros((6, 6))),
+        lambda: full_noise("motion", np.ones((2, 3))),
+        lambda: full_noise("motion", np.zeros((0, 0))),
+        lambda: full_noise("motion", np.full((6, 6), np.nan)),
         lambda: RobustLoss.of("welsh"),
         lambda: RobustLoss.of("huber", -1.0),
         lambda: as_noise("f", gtsam.noiseModel.Unit.Create(2), 3),

@@ -114,8 +114,23 @@ def test_a_motion_that_is_not_exact_leaves_the_ground_less_sure():
     for turn in (0.0, 0.01):
         road = Road()
         road.later(0.0, TOLD, gtsam.Pose3(), saying(SLOPE))
-        sigmas.append(road.later(0.1, TOLD, gtsam.Pose3(), silent, motion_sigma=(turn, 0.0)).ground.slope_sigma)
+        covariance = np.diag([turn**2] * 3 + [0.0] * 3)
+        known = road.later(0.1, TOLD, gtsam.Pose3(), silent, motion_covariance=covariance)
+        sigmas.append(known.ground.slope_sigma)
     assert sigmas[1] > 1.2 * sigmas[0]
+
+
+@pytest.mark.parametrize(("axis", "matters"), [(0, False), (1, True), (2, False)])
+def test_of_the_cameras_way_only_what_goes_up_and_down_matters(axis, matters):
+    sigmas = []
+    for way in (0.0, 0.3):
+        road = Road()
+        road.later(0.0, TOLD, gtsam.Pose3(), saying(SLOPE))
+        covariance = np.zeros((6, 6))
+        covariance[3 + axis, 3 + axis] = way**2
+        known = road.later(0.1, TOLD, gtsam.Pose3(), silent, motion_covariance=covariance)
+        sigmas.append(known.ground.height_sigma)
+    assert (sigmas[1] > 1.2 * sigmas[0]) == matters
 
 
 def test_a_pose_is_as_unsure_as_the_ground_that_decides_it():

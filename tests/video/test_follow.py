@@ -73,16 +73,17 @@ def test_a_camera_whose_motion_is_lost_has_no_place():
     follow = follower(moving=True)
     assert [follow(record(n)).world_T_camera is None for n in range(4)] == [False, True, True, True]
     told = []
-    follow.tracker.update = lambda *_, motion_sigma, **__: told.append(motion_sigma) or {}
+    follow.tracker.update = lambda *_, motion_covariance, **__: told.append(motion_covariance) or {}
     motions = {4: step(1.0), 20: step(1.0), 21: step(1.0)}
     placed = [n for n in range(4, 23) if follow(record(n, motion=motions.get(n))).world_T_camera is not None]
     assert placed == [*range(4, 15), 20, 21, 22]
     by_number = dict(zip(range(4, 23), told, strict=True))
-    assert by_number[4][1] == pytest.approx(np.hypot(0.01, 0.3 * 20.0))
-    assert by_number[5] == pytest.approx((0.02, 0.5))
     assert by_number[17] is None
-    assert by_number[20][1] == pytest.approx(np.hypot(0.01, 0.5 * 20.0))
-    assert by_number[21] == pytest.approx((0.01, 0.01))
+    sigmas = {n: np.sqrt(np.diag(by_number[n])[[0, 5]]) for n in (4, 5, 20, 21)}
+    assert sigmas[4][1] == pytest.approx(np.hypot(0.01, 0.3 * 20.0))
+    assert sigmas[5] == pytest.approx((0.02, 0.5))
+    assert sigmas[20][1] == pytest.approx(np.hypot(0.01, 0.5 * 20.0))
+    assert sigmas[21] == pytest.approx((0.01, 0.01))
 
 
 def test_the_world_is_given():
@@ -130,16 +131,16 @@ def test_a_tracker_is_told_how_sure_a_motion_is():
     told = []
 
     class Listening(SingleImages):
-        def update(self, time, observations, *, motion_sigma=None, **arguments):
-            told.append(motion_sigma)
+        def update(self, time, observations, *, motion_covariance=None, **arguments):
+            told.append(motion_covariance)
             return super().update(time, observations, **arguments)
 
     follow = Follower(Listening(prior="car14"), GatedAssociation(), KITTI_CAMERA, moving=True)
     for one in (record(0), record(1, motion=step(1.0)), record(2)):
         follow(one)
     assert told[0] is None
-    assert told[1] == pytest.approx((0.01, 0.01))
-    assert told[2][1] > 0.1
+    assert told[1] == pytest.approx(1e-4 * np.eye(6))
+    assert told[2][5, 5] > 0.1**2
 
 
 def test_a_vehicle_is_of_the_kind_that_most_of_its_frames_gave():

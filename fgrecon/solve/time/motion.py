@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from factors.keys import V, X
 from factors.losses import Loss, RobustLoss
 from factors.motion import drive_factor, motion_factor
-from factors.noise import diagonal_noise
+from factors.noise import diagonal_noise, full_noise
 from fgrecon.core.motion import MotionModel
 
 __all__ = ["link", "velocity_terms"]
@@ -37,8 +37,7 @@ def link(
     model: MotionModel,
     camera_motion: gtsam.Pose3 | None,
     *,
-    motion_sigma: tuple[float, float] = (0.0, 0.0),
-    distance: float = 0.0,
+    carried: Array | None = None,
     share: float = 1.0,
 ) -> list[gtsam.NonlinearFactor]:
     """The factors between two frames of vehicle 0.
@@ -48,8 +47,8 @@ def link(
         seconds: Between them.
         model: The category's motion.
         camera_motion: camera_first_T_camera_second, or None where it is unknown.
-        motion_sigma: Standard deviations of the camera's motion, radians and metres.
-        distance: Of the vehicle from the camera, metres.
+        carried: (6, 6) covariance of the second pose, in the vehicle's own frame, by what is not known of the camera's
+            motion; None where it is exact.
         share: Of their information that the factors have.
     """
     first, second = frames
@@ -59,13 +58,10 @@ def link(
         own, walk = _OWN, np.array([model.acceleration, model.acceleration, model.turning])
     else:
         own, walk = _UNKNOWN, _RELATIVE
-    turn, way = motion_sigma
-    sigma = np.sqrt(seconds) * own
-    sigma = np.hypot(sigma, np.repeat([turn, np.hypot(way, turn * distance)], 3))
+    covariance = seconds * np.diag(own**2) + (0.0 if carried is None else carried)
+    unsure = full_noise("motion", covariance / share)
+    between = motion_factor(X(0, first), V(0, first), X(0, second), seconds, unsure, camera_motion)
     root = np.sqrt(share)
-    between = motion_factor(
-        X(0, first), V(0, first), X(0, second), seconds, diagonal_noise("motion", sigma / root), camera_motion
-    )
     noise = diagonal_noise("walk", walk * np.sqrt(seconds) / root)
     return [between, gtsam.BetweenFactorVector(V(0, first), V(0, second), np.zeros(3), noise)]
 

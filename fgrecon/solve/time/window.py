@@ -55,12 +55,17 @@ class FrameStep:
     Attributes:
         seconds: Time.
         camera: camera_first_T_camera_second; None where it is unknown.
-        sigma: Standard deviations of the camera's motion, radians and metres.
+        covariance: (6, 6) of the camera's motion, rotation and translation in the second camera's frame.
     """
 
     seconds: float
     camera: gtsam.Pose3 | None
-    sigma: tuple[float, float]
+    covariance: Array
+
+    def carried(self, pose: gtsam.Pose3) -> Array:
+        """(6, 6) covariance by the camera's motion of a pose in the second frame, in the vehicle's own."""
+        by_motion = pose.inverse().AdjointMap()
+        return np.asarray(by_motion @ self.covariance @ by_motion.T)
 
     @property
     def turn(self) -> float:
@@ -232,9 +237,9 @@ def motion_factors(
     for before, frame in pairwise(frames):
         step = frame.step
         assert step is not None
-        distance = float(np.linalg.norm(before.pose.translation()))
         numbers = before.number, frame.number
-        found += link(numbers, step.seconds, model, step.camera, motion_sigma=step.sigma, distance=distance, share=tied)
+        carried = step.carried(frame.pose)
+        found += link(numbers, step.seconds, model, step.camera, carried=carried, share=tied)
     for frame, after in zip(frames, [*frames[1:], frames[-1]], strict=True):
         step = after.step
         assert step is not None

@@ -212,10 +212,14 @@ def test_a_vehicle_that_was_missing_counts_all_motions_since(monkeypatch):
     tracker, rng = fgrecon.Tracker(size_prior="kitti"), np.random.default_rng(3)
     for t, pose in enumerate(approaching(4)):
         given = {3: seen(pose, rng)} if t in (0, 3) else {}
-        place = {"world_T_camera": np.eye(4), "motion_sigma": (0.01, 0.1 * t)}
+        place = {"world_T_camera": upright(0.3 * t, [0.0, 0.0, 2.0 * t])}
+        place["motion_covariance"] = np.diag([1e-4] * 3 + [0.01 * t**2] * 3)
         tracker.update(0.1 * t, given, camera=CAMERA, ground=GROUND, **place)
     assert steps[0] is None
-    assert steps[1].sigma == pytest.approx((0.01 * 3**0.5, 0.1 * 14**0.5))
+    alike, turned = np.diag(steps[1].covariance)[:3], np.diag(steps[1].covariance)[3:]
+    assert alike == pytest.approx([3e-4] * 3)
+    assert turned[1] > 0.14  # what was turned wrongly before has led the camera astray since
+    assert turned.sum() == pytest.approx(3 * 0.14 + 2 * 1e-4 * (2.0**2 + 4.0**2))
 
 
 def test_the_ground_of_a_frame_may_be_shared():
@@ -238,8 +242,8 @@ def test_what_cannot_be_used_is_refused():
         tracker.update(1.0, {}, camera=CAMERA)
     with pytest.raises(InvalidInputError, match="world_T_camera"):
         tracker.update(2.0, {}, camera=CAMERA, world_T_camera=2.0 * np.eye(4))
-    with pytest.raises(InvalidInputError, match="motion_sigma"):
-        tracker.update(2.0, {}, camera=CAMERA, motion_sigma=(-1.0, 0.0))
+    with pytest.raises(InvalidInputError, match="motion_covariance"):
+        tracker.update(2.0, {}, camera=CAMERA, motion_covariance=-np.eye(6))
     with pytest.raises(InvalidInputError, match="window"):
         fgrecon.Tracker(window=1)
     with pytest.raises(InvalidInputError, match="past"):
