@@ -169,12 +169,13 @@ def _read(path: Path) -> Replay:
         for entity, columns in _chunks(path):
             vehicle, within = _whose(entity)
             found.setdefault(vehicle, _Found()).add(within, columns)
-    except (RuntimeError, ValueError, KeyError, OSError) as error:
+        read = {name: part.replay() for name, part in sorted(found.items())}
+    except (RuntimeError, ValueError, LookupError, TypeError, OSError) as error:  # rows may be empty or null
         raise InvalidInputError("recording", f"{path}: {error}", _FIX) from error
-    if not any(part.log for part in found.values()):
+    if not any(part.log for part in read.values()):
         raise InvalidInputError("recording", f"{path} holds no log of fgrecon", _FIX)
-    own = found.pop("", _Found()).replay()
-    return replace(own, vehicles={name: part.replay() for name, part in sorted(found.items())})
+    own = read.pop("", _Found().replay())
+    return replace(own, vehicles=read)
 
 
 def _whose(entity: str) -> tuple[str, str]:

@@ -13,6 +13,7 @@ import pytest
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Iteration, Reconstruction, Status
 from fgrecon.viz import entities, record, recording_of, replay, style
+from fgrecon.viz.replay import _read
 from tests.viz.made_up import STAGES, Example
 
 
@@ -324,6 +325,14 @@ def test_reading_something_else_is_refused(tmp_path: Path) -> None:
     for name in ("text.rrd", "absent.rrd"):
         with pytest.raises(InvalidInputError, match="recording"):
             replay.read(tmp_path / name)
+
+
+@pytest.mark.parametrize("level", [[["INFO"], []], [["INFO"], None], [["INFO"]]])
+def test_a_recording_whose_rows_are_empty_or_null_is_refused(monkeypatch: pytest.MonkeyPatch, level: object) -> None:
+    columns = {"TextLog:text": [["one"], ["two"]], "TextLog:level": level, entities.STEP: [0, 1]}
+    monkeypatch.setattr("fgrecon.viz.replay._chunks", lambda _: [(entities.LOG, columns)])
+    with pytest.raises(InvalidInputError, match=r"a\.rrd"):
+        _read(Path("a.rrd"))
 
 
 def test_importing_loads_no_viewer() -> None:
