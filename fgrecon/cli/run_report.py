@@ -21,6 +21,7 @@ from fgrecon.cli.terminal import Screen
 from fgrecon.io.export.files import export_rows
 from fgrecon.io.files import write_text
 from fgrecon.io.frames import SourceFrame
+from fgrecon.solve.box_check import boxes_warning
 from fgrecon.solve.tracker import Tracker
 from fgrecon.video import Follower, GatedAssociation, MotionLook, SingleImages, VideoRun, run_video
 from fgrecon.video.follow import TrackedFrame
@@ -55,7 +56,7 @@ def perform(job: Job, viewer: Viewer, screen: Screen) -> VideoRun:
             gaps = f", {len(run.gaps)} gaps" if run.gaps else ""
             advance("Frames", len(run.frames), run.total, f"{len(run.frames[-1].boxes)} cars now{gaps}")
 
-        return run_video(
+        run = run_video(
             job.source,
             job.look,
             follower,
@@ -66,6 +67,9 @@ def perform(job: Job, viewer: Viewer, screen: Screen) -> VideoRun:
             stop=lambda: bool(stopped),
             report=report,
         )
+    if isinstance(tracker, Tracker) and (off := tracker.boxes_off()) is not None:
+        screen.warn(boxes_warning(off))
+    return run
 
 
 @contextmanager

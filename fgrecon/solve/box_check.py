@@ -1,4 +1,4 @@
-"""Whether the 2D boxes of an image and its vehicles agree: boxes of another source than the options say stand out.
+"""Whether the 2D boxes of images and their vehicles agree: boxes of another source than the options say stand out.
 
 A box that is wrong by itself loses its weight in the solve. Boxes that are all wrong alike (loose ones, of what is
 visible alone, of the image at another size) pull every vehicle nearer or further away, which no single one tells.
@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.geometry import transform
-from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.solve.proposals.problem import Problem
 
-__all__ = ["boxes_off", "boxes_warning"]
+__all__ = ["box_off", "boxes_off", "boxes_warning"]
 
 Array = NDArray[np.float64]
 
@@ -26,17 +25,33 @@ _SURE = 3.0  # standard errors of the median
 _ERROR = 1.86  # standard error of a median times the root of the count, over the median absolute deviation
 
 
-def boxes_off(vehicles: Iterable[tuple[Problem, Reconstruction]], camera: Camera) -> float | None:
-    """By how much boxes are larger than their vehicles look, as a fraction; negative where smaller.
+def box_off(problem: Problem, camera_T_object: Array, coefficients: Array, camera: Camera) -> float | None:
+    """By how much a box is larger than its vehicle looks, as a fraction; None where it is not wholly in the image.
 
     Args:
-        vehicles: What was solved, and the results; those count whose box is wholly in the image.
+        problem: What was solved.
+        camera_T_object: (4, 4) the vehicle's pose.
+        coefficients: (N,) its shape.
         camera: The camera that took the image.
+    """
+    box = problem.energy.box
+    if box is None or not box.used.all():
+        return None
+    points = transform(camera_T_object, problem.model.box_points(problem.options.box.model).at(coefficients))
+    if points[:, 2].min() <= 0.0:
+        return None
+    seen = points @ camera.matrix.T
+    sides: Array = np.ptp(seen[:, :2] / seen[:, 2:], axis=0)
+    return float(np.mean((box.edges[2:] - box.edges[:2]) / sides) - 1.0)
+
+
+def boxes_off(vehicles: Iterable[float | None]) -> float | None:
+    """By how much the boxes of several vehicles are larger than these look: `box_off` of each.
 
     Returns:
-        The median over the vehicles, or None where it is as usual or they are too few to tell.
+        The median over those that tell, or None where it is as usual or they are too few.
     """
-    told = [off for problem, result in vehicles if (off := _off(problem, result, camera)) is not None]
+    told = [off for off in vehicles if off is not None]
     if len(told) < _FEWEST:
         return None
     middle = float(np.median(told))
@@ -48,18 +63,5 @@ def boxes_warning(off: float) -> str:
     """The same in a sentence."""
     return (
         f"The boxes are {100 * abs(off):.0f} % {'larger' if off > 0.0 else 'smaller'} than their vehicles look: "
-        "check what they enclose (the box model), and that they are of this image."
+        "check what they enclose (the box model), and that they are of these images."
     )
-
-
-def _off(problem: Problem, result: Reconstruction, camera: Camera) -> float | None:
-    box = problem.energy.box
-    if box is None or not result.status.determined or not box.used.all():
-        return None
-    enclosed = problem.model.box_points(problem.options.box.model)
-    points = transform(result.camera_T_object, enclosed.at(result.coefficients))
-    if points[:, 2].min() <= 0.0:
-        return None
-    seen = points @ camera.matrix.T
-    sides: Array = np.ptp(seen[:, :2] / seen[:, 2:], axis=0)
-    return float(np.mean((box.edges[2:] - box.edges[:2]) / sides) - 1.0)

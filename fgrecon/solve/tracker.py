@@ -30,6 +30,7 @@ from fgrecon.core.size_prior import size_prior as named_size_prior
 from fgrecon.core.turned import turned_alternative
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.catalogue import load_prior
+from fgrecon.solve.box_check import box_off, boxes_off
 from fgrecon.solve.facing import face_together
 from fgrecon.solve.graph.adjust import Adjusted
 from fgrecon.solve.pipeline import ground_plane, observe
@@ -230,6 +231,15 @@ class Tracker:
         told = with_neighbours(pasts)
         return {name: self._smoothed(name, track, told[name]) for name, track in self._tracks.items()}
 
+    def boxes_off(self) -> float | None:
+        """By how much 2D boxes are larger than their vehicles look, as a fraction; negative where smaller.
+
+        Returns:
+            The median over the vehicles, each by the median over its frames that are kept; None where it is as usual,
+            or they are fewer than five.
+        """
+        return boxes_off(_box_off(track) for track in self._tracks.values())
+
     def forget(self, vehicle: int) -> None:
         """Let go of a vehicle, and of its past; one that is not there is none to let go of."""
         self._tracks.pop(vehicle, None)
@@ -247,6 +257,13 @@ class Tracker:
             wanted = {index: replace(pasts[some[index].number], frame=some[index]) for index in given}
             found += _estimates(name, wanted, solved, len(frames))
         return found
+
+
+def _box_off(track: _Track) -> float | None:
+    shape, frames = track.followed.shape[0], [past.frame for past in track.past]
+    found = [box_off(f.problem, f.pose.matrix(), shape, f.problem.camera) for f in frames]
+    told = [off for off in found if off is not None]
+    return float(np.median(told)) if told else None
 
 
 def _estimates(name: int, pasts: Mapping[int, _Past], solved: WindowSolve, total: int) -> list[VehicleEstimate]:

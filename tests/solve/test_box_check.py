@@ -7,6 +7,7 @@ import pytest
 
 from fgrecon.core.options import BoxModel, Options
 from fgrecon.solve.scene import reconstruct_scene
+from fgrecon.solve.tracker import Tracker
 from tests.cars import CAMERA
 from tests.solve.test_scene import street
 
@@ -54,3 +55,14 @@ def test_boxes_that_the_image_cuts_off_tell_nothing():
     assert width < right
     scene = reconstruct_scene(seen, camera, ground=1.65, size_prior="kitti", options=Options(keep_history=False))
     assert "boxes" not in scene.message
+
+
+@pytest.mark.parametrize(("factor", "smaller"), [(0.8, True), (1.0, False)])
+def test_a_video_tells_as_well(factor, smaller):
+    tracker = Tracker(size_prior="kitti", options=Options(keep_history=False))
+    _, seen = street(5, count=6)
+    for time in (0.0, 0.1, 0.2):
+        tracker.update(time, {i: scaled(one, factor) for i, one in enumerate(seen)}, camera=CAMERA, ground=1.65)
+    off = tracker.boxes_off()
+    assert (off is not None and -0.2 < off < -0.05) if smaller else off is None
+    assert Tracker().boxes_off() is None
