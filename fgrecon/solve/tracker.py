@@ -20,20 +20,23 @@ from numpy.typing import ArrayLike, NDArray
 from factors.marginals import Marginal
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite
-from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.detection import half_around
+from fgrecon.core.errors import DegenerateProblemError, FgreconError, InvalidInputError
+from fgrecon.core.geometry import view_azimuth, yaw_rotation
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction, rotation_y
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as named_size_prior
-from fgrecon.core.turned import turned_alternative
+from fgrecon.core.turned import half_a_turn, turned_alternative
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.box_check import box_off, boxes_off
-from fgrecon.solve.facing import face_together
+from fgrecon.solve.facing import face_together, faced_pose
 from fgrecon.solve.graph.adjust import Adjusted
 from fgrecon.solve.pipeline import ground_plane, observe
+from fgrecon.solve.proposals.adjust import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import count, results
 from fgrecon.solve.road import GroundEvidence, KnownGround, Road, ground_evidence
@@ -184,6 +187,8 @@ class Tracker:
             says = neighbours_say(frames, [frame.belief for frame in frames])
             for (track, frame), said in zip(looked.values(), says, strict=True):
                 track.followed.settle(frame, said)
+                if frame.step is None and (other := _faced(frame)) is not None:
+                    track.followed.again(frame, *other)
 
         def says(known: Marginal, ground: Ground) -> GroundEvidence | None:
             look(ground)
@@ -257,6 +262,22 @@ class Tracker:
             wanted = {index: replace(pasts[some[index].number], frame=some[index]) for index in given}
             found += _estimates(name, wanted, solved, len(frames))
         return found
+
+
+def _faced(frame: Frame) -> tuple[Problem, PoseEstimate] | None:
+    """A vehicle's first frame the other way round, where its neighbours say so; None where they do not."""
+    given, seen, believed = frame.problem, frame.problem.observation, frame.believed
+    if seen.azimuth is None or believed.facing(rotation_y(frame.pose.matrix())) >= 0.5:
+        return None
+    towards = view_azimuth(yaw_rotation(believed.heading), np.asarray(frame.pose.translation()))
+    either = half_around(float(towards), len(seen.azimuth)) * (seen.azimuth + half_a_turn(seen.azimuth))
+    right, ahead = believed.facing(believed.heading), either / either.sum()
+    other = replace(seen, azimuth=right * ahead + (1.0 - right) * half_a_turn(ahead))
+    try:
+        problem, start = faced_pose(Problem.of(other, given.camera, given.model, given.ground, given.options), seen)
+    except DegenerateProblemError:
+        return None
+    return (problem, start) if believed.facing(rotation_y(start.camera_T_object)) > 0.5 else None
 
 
 def _box_off(track: _Track) -> float | None:

@@ -109,10 +109,15 @@ class Followed:
         """
         frame.neighbours = neighbours
         if frame.step is None:
-            return  # a single image
+            return  # a single image; see `again`
         changed = face([*self.frames, frame], self.shape)
         if any(other is not frame for other in changed):
             self._left = None  # what was left of earlier frames knows another side
+
+    def again(self, frame: Frame, problem: Problem, start: PoseEstimate) -> None:
+        """Solve a vehicle's first frame once more, taken for another problem: what it shows is turned round."""
+        frame.problem, frame.start = problem, start
+        self._first(frame, start)
 
     def take(self, frame: Frame, ground: Ground | None) -> None:
         """Take a frame that was looked at, on a ground that may have been found meanwhile, and solve the window."""

@@ -47,6 +47,14 @@ def test_a_row_tells_a_car_that_its_network_takes_the_wrong_way_round():
     assert 0.9 < smoothed[2][-1].facing_probability < 0.995 < smoothed[1][-1].facing_probability
 
 
+def test_a_row_tells_a_car_in_its_first_frame():
+    online, tracker, poses = followed({0, 1, 2, 3}, 2)
+    assert online[2].frames == 1
+    assert off(online[2], poses[2])[0] < 15.0
+    assert online[2].facing_probability > 0.8
+    assert off(tracker.smooth()[2][0], poses[2])[0] < 15.0
+
+
 def test_without_directions_or_their_term_nobody_says_anything():
     options = replace(PLAIN, disabled_terms=frozenset({"direction"}))
     alone, together = (followed(names, options=options)[0][2] for names in ({2}, {0, 1, 2, 3}))
