@@ -51,7 +51,7 @@ def _tables(out: Path) -> Mapping[str, bytes]:
 
 
 def _drive(folder: Path) -> None:
-    make_drive(folder)
+    make_drive(folder, metres=0.4)
 
 
 def _photographs(folder: Path) -> None:
@@ -78,7 +78,7 @@ JOBS: Mapping[str, Job] = {
     ),
     "run": Job(
         _drive,
-        lambda given, out: ["run", *_streets(given), "--fps", "10", "--out", str(out)],
+        lambda given, out: ["run", *_streets(given), "--fps", "10", "--camera-height", "1.65", "--out", str(out)],
         _tables,
     ),
     "train": Job(_photographs, _training, lambda out: {"w": (out / "w.safetensors").read_bytes()}),
