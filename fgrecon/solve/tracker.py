@@ -41,6 +41,7 @@ from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import count, results
 from fgrecon.solve.road import GroundEvidence, KnownGround, Road, ground_evidence
 from fgrecon.solve.threads import single_threaded
+from fgrecon.solve.time.camera_way import CameraWay
 from fgrecon.solve.time.neighbours import neighbours_say, with_neighbours
 from fgrecon.solve.time.smooth import smooth
 from fgrecon.solve.time.vehicle import Followed
@@ -126,7 +127,7 @@ class Tracker:
         self._shared, self._own, self._road = shared_ground, motion_factors, Road()
         self._tracks: dict[int, _Track] = {}
         self._time = -np.inf
-        self._drift = np.zeros((6, 6))  # covariance of the camera's way so far, in the world
+        self._way = CameraWay()
         self.refused = {}
 
     @single_threaded
@@ -165,9 +166,7 @@ class Tracker:
         place = None if world_T_camera is None else _pose("world_T_camera", world_T_camera)
         moved = None if motion_covariance is None else _covariance(motion_covariance)
         self._time = time
-        if place is not None and moved is not None:
-            in_world = place.AdjointMap()
-            self._drift = self._drift + in_world @ moved @ in_world.T
+        self._way.go(place, moved)
         looked: dict[int, tuple[_Track, Frame]] = {}
         refused: dict[int, FgreconError] = {}
 
@@ -180,15 +179,10 @@ class Tracker:
                     problem = Problem.of(observation, seen_by, self._model, ground, self._options)
                     if track is None:
                         track = _Track(Followed(self._prior.category.motion, self._window, self._own))
-                    looked[name] = track, track.followed.look(problem, time, _step(track, time, place, self._drift))
+                    looked[name] = track, track.followed.look(problem, time, _step(track, time, place, self._way))
                 except FgreconError as error:
                     refused[name] = error
-            frames = [frame for _, frame in looked.values()]
-            says = neighbours_say(frames, [frame.belief for frame in frames])
-            for (track, frame), said in zip(looked.values(), says, strict=True):
-                track.followed.settle(frame, said)
-                if frame.step is None and (other := _faced(frame)) is not None:
-                    track.followed.again(frame, *other)
+            _settle(looked, refused)
 
         def says(known: Marginal, ground: Ground) -> GroundEvidence | None:
             look(ground)
@@ -206,7 +200,7 @@ class Tracker:
         for name, (track, frame) in looked.items():
             track.followed.take(frame, plane)
             self._tracks[name] = track
-            track.time, track.world_T_camera, track.drift = time, place, self._drift
+            track.time, track.world_T_camera, track.drift = time, place, self._way.covariance
             track.past.append(_Past(frame, place, known))
             if self._past is not None:
                 del track.past[: -self._past]
@@ -335,16 +329,30 @@ def _with_alternatives(adjusted: Adjusted, pasts: Mapping[int, _Past], facings: 
     return replace(adjusted, alternatives=tuple(told))
 
 
-def _step(track: _Track, time: float, place: gtsam.Pose3 | None, drift: Array) -> FrameStep | None:
+def _settle(looked: dict[int, tuple[_Track, Frame]], refused: dict[int, FgreconError]) -> None:
+    """Decide which way the vehicles of a frame face, by what each knows of itself and by one another."""
+    frames = [frame for _, frame in looked.values()]
+    says = neighbours_say(frames, [frame.belief for frame in frames])
+    for name, said in zip([*looked], says, strict=True):
+        track, frame = looked[name]
+        try:
+            track.followed.settle(frame, said)
+            if frame.step is None and (other := _faced(frame)) is not None:
+                track.followed.again(frame, *other)
+        except FgreconError as error:
+            refused[name] = error
+            del looked[name]
+
+
+def _step(track: _Track, time: float, place: gtsam.Pose3 | None, way: CameraWay) -> FrameStep | None:
     if not track.followed.frames:
         return None
     before = track.world_T_camera
     camera = None if before is None or place is None else before.between(place)
-    covariance = np.zeros((6, 6))
-    if camera is not None and place is not None:
-        in_camera = place.inverse().AdjointMap()
-        covariance = in_camera @ (drift - track.drift) @ in_camera.T
-    return FrameStep(time - track.time, camera, covariance)
+    unsure = None if camera is None or place is None else way.since(track.drift, place)
+    return FrameStep(
+        time - track.time, camera if unsure is not None else None, np.zeros((6, 6)) if unsure is None else unsure
+    )
 
 
 def _pose(name: str, given: ArrayLike) -> gtsam.Pose3:

@@ -222,6 +222,17 @@ def test_a_vehicle_that_was_missing_counts_all_motions_since(monkeypatch):
     assert turned.sum() == pytest.approx(3 * 0.14 + 2 * 1e-4 * (2.0**2 + 4.0**2))
 
 
+@pytest.mark.parametrize("far", [5e6, 1e12, 1e200])
+def test_a_world_may_begin_anywhere_and_a_camera_that_goes_astray_is_no_fault(far):
+    rng, tracker = np.random.default_rng(3), fgrecon.Tracker(size_prior="kitti", shared_ground=True)
+    for t, pose in enumerate(approaching(4)):
+        place = upright(0.0, [far, -far, 0.5 * t if far < 1e7 else far * t])
+        motion = {"world_T_camera": place, "motion_covariance": 1e-6 * np.eye(6)}
+        found = tracker.update(0.1 * t, {3: seen(pose, rng)}, camera=CAMERA, ground=GROUND, **motion)
+        assert off(found[3], pose)[0] < 20.0
+    assert len(tracker.smooth()[3]) == 4
+
+
 def test_the_ground_of_a_frame_may_be_shared():
     rng = np.random.default_rng(8)
     places = [(-4.0, 18.0), (2.0, 25.0), (6.0, 40.0)]
