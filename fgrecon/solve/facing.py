@@ -33,7 +33,7 @@ from fgrecon.core.turned import half_a_turn, turned_round
 from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
 from fgrecon.solve.proposals.problem import Problem
 
-__all__ = ["face_together", "faced_pose"]
+__all__ = ["face_together", "faced_anew", "faced_pose"]
 
 Array = NDArray[np.float64]
 
@@ -70,8 +70,7 @@ def face_together(
     right = (1.0 + leanings(own, between)) / 2.0
     for row, (i, side) in enumerate(found.items()):
         if options.traffic is not None or between[row].any():
-            azimuth = right[row] * side.ahead + (1.0 - right[row]) * half_a_turn(side.ahead)
-            told[i] = replace(told[i], azimuth=azimuth)
+            told[i] = replace(told[i], azimuth=_either_way(side.ahead, right[row]))
     return told
 
 
@@ -98,6 +97,36 @@ def faced_pose(
     except DegenerateProblemError:  # too few keypoints have a partner on the other side
         return problem, start
     return (turned, again) if _agrees(again, seen.azimuth) else (problem, start)
+
+
+def faced_anew(problem: Problem, heading: float, right: float, place: Array) -> tuple[Problem, PoseEstimate] | None:
+    """The pose stage of an observation of which others say that it faces elsewhere; what else it says stays.
+
+    Args:
+        problem: Of the observation.
+        heading: `rotation_y` that they say, radians.
+        right: Probability of its half of all.
+        place: (3,) about where the vehicle is, metres.
+
+    Returns:
+        The problem and its pose; None without directions, or where no pose is found.
+    """
+    seen = problem.observation
+    if seen.azimuth is None:
+        return None
+    towards = float(view_azimuth(yaw_rotation(heading), place))
+    ahead = half_around(towards, len(seen.azimuth)) * (seen.azimuth + half_a_turn(seen.azimuth))
+    other = replace(seen, azimuth=_either_way(ahead / ahead.sum(), right))
+    try:
+        given = Problem.of(other, problem.camera, problem.model, problem.ground, problem.options)
+        return faced_pose(given, seen)
+    except DegenerateProblemError:
+        return None
+
+
+def _either_way(ahead: Array, right: float) -> Array:
+    """(A,) directions that are these (A,) with a probability, and turned by half otherwise."""
+    return right * ahead + (1.0 - right) * half_a_turn(ahead)
 
 
 def _agrees(start: PoseEstimate, azimuth: Array) -> bool:

@@ -20,20 +20,18 @@ from numpy.typing import ArrayLike, NDArray
 from factors.marginals import Marginal
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite
-from fgrecon.core.detection import half_around
-from fgrecon.core.errors import DegenerateProblemError, FgreconError, InvalidInputError
-from fgrecon.core.geometry import view_azimuth, yaw_rotation
+from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction, rotation_y
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as named_size_prior
-from fgrecon.core.turned import half_a_turn, turned_alternative
+from fgrecon.core.turned import turned_alternative
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.box_check import box_off, boxes_off
-from fgrecon.solve.facing import face_together, faced_pose
+from fgrecon.solve.facing import face_together, faced_anew
 from fgrecon.solve.graph.adjust import Adjusted
 from fgrecon.solve.pipeline import ground_plane, observe
 from fgrecon.solve.proposals.adjust import PoseEstimate
@@ -260,18 +258,12 @@ class Tracker:
 
 def _faced(frame: Frame) -> tuple[Problem, PoseEstimate] | None:
     """A vehicle's first frame the other way round, where its neighbours say so; None where they do not."""
-    given, seen, believed = frame.problem, frame.problem.observation, frame.believed
-    if seen.azimuth is None or believed.facing(rotation_y(frame.pose.matrix())) >= 0.5:
+    believed = frame.believed
+    if believed.facing(rotation_y(frame.pose.matrix())) >= 0.5:
         return None
-    towards = view_azimuth(yaw_rotation(believed.heading), np.asarray(frame.pose.translation()))
-    either = half_around(float(towards), len(seen.azimuth)) * (seen.azimuth + half_a_turn(seen.azimuth))
-    right, ahead = believed.facing(believed.heading), either / either.sum()
-    other = replace(seen, azimuth=right * ahead + (1.0 - right) * half_a_turn(ahead))
-    try:
-        problem, start = faced_pose(Problem.of(other, given.camera, given.model, given.ground, given.options), seen)
-    except DegenerateProblemError:
-        return None
-    return (problem, start) if believed.facing(rotation_y(start.camera_T_object)) > 0.5 else None
+    heading, place = believed.heading, np.asarray(frame.pose.translation())
+    other = faced_anew(frame.problem, heading, believed.facing(heading), place)
+    return other if other and believed.facing(rotation_y(other[1].camera_T_object)) > 0.5 else None
 
 
 def _box_off(track: _Track) -> float | None:
@@ -350,9 +342,9 @@ def _step(track: _Track, time: float, place: gtsam.Pose3 | None, way: CameraWay)
     before = track.world_T_camera
     camera = None if before is None or place is None else before.between(place)
     unsure = None if camera is None or place is None else way.since(track.drift, place)
-    return FrameStep(
-        time - track.time, camera if unsure is not None else None, np.zeros((6, 6)) if unsure is None else unsure
-    )
+    if unsure is None:
+        return FrameStep(time - track.time, None, np.zeros((6, 6)))
+    return FrameStep(time - track.time, camera, unsure)
 
 
 def _pose(name: str, given: ArrayLike) -> gtsam.Pose3:

@@ -21,7 +21,6 @@ import numpy as np
 
 from fgrecon.batch.parts import Parts, begin, claimed
 from fgrecon.io.frames import FrameSource, SourceFrame
-from fgrecon.video.egomotion import CameraMotion
 from fgrecon.video.follow import Follower, TrackedFrame
 from fgrecon.video.look import FrameLook
 from fgrecon.video.motion_look import MotionLook
@@ -154,7 +153,7 @@ class _Looked:
         if motion is not None:
             begin(out / MOTIONS, {**settings, **motion.settings}, FORMAT, anew=True)
             self._motions = Parts(out / MOTIONS, motion_schema())
-            self._moved = [motion_from_row(row) for row in self._motions.rows_in_order()]
+            self._moved = {row["row_id"]: motion_from_row(row) for row in self._motions.rows_in_order()}
 
     def flush(self) -> None:
         """Write what has been added."""
@@ -167,12 +166,11 @@ class _Looked:
         moving = self._motion
         whole = self.stored
         if moving is not None:
-            whole = [replace(record, motion=moved) for record, moved in zip(self.stored, self._moved, strict=False)]
+            whole = [replace(r, motion=self._moved[key]) for r in self.stored if (key := str(r.number)) in self._moved]
         yield from ((record, None) for record in whole)
         last = whole[-1].number if whole else None
         before = next((record for record in reversed(whole) if record.problem is None), None)
         ahead = {record.number: record for record in self.stored[len(whole) :]}
-        moved = iter([] if moving is None else self._moved[len(whole) :])
         # The motion since the last image needs that image.
         for frame in source.read(last if moving is None or before is None else before.number - 1):
             if moving is not None and before is not None and frame.number == before.number:
@@ -183,13 +181,11 @@ class _Looked:
             if record is None:
                 record = self._look(frame)
                 self._records.add(to_table(record))
-            yield (record if moving is None else self._with_motion(moving, record, frame, moved)), frame
+            yield (record if moving is None else self._with_motion(moving, record, frame)), frame
 
-    def _with_motion(
-        self, moving: MotionLook, record: FrameRecord, frame: SourceFrame, stored: Iterator[CameraMotion | None]
-    ) -> FrameRecord:
-        for motion in stored:
-            record = replace(record, motion=motion)
+    def _with_motion(self, moving: MotionLook, record: FrameRecord, frame: SourceFrame) -> FrameRecord:
+        if (key := str(record.number)) in self._moved:  # whose record was damaged, and is made anew
+            record = replace(record, motion=self._moved[key])
             moving.remember(frame, record)
             return record
         record = replace(record, motion=moving(frame, record.sightings))

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,35 +58,21 @@ def with_neighbours(pasts: Mapping[int, Sequence[Frame]]) -> dict[int, list[Fram
     Args:
         pasts: The frames of each, in order, with beliefs by those before; they stay as they are.
     """
-    found = {name: [replace(frame) for frame in frames] for name, frames in pasts.items()}
-    together: dict[float, list[Frame]] = defaultdict(list)
-    own: dict[int, Belief] = {}
-    for frames in found.values():
-        for piece in pieces(frames):
-            for frame, belief in zip(piece, beliefs(piece), strict=True):
-                own[id(frame)] = belief
-                together[frame.time].append(frame)
+    found = {name: [replace(f, neighbours=np.zeros(len(HEADINGS))) for f in past] for name, past in pasts.items()}
+    parts = [piece for frames in found.values() for piece in pieces(frames)]
+    together: dict[float, list[tuple[Frame, Belief, int]]] = defaultdict(list)
+    for piece in parts:
+        for frame, own in zip(piece, beliefs(piece), strict=True):
+            together[frame.time].append((frame, own, len(piece)))
     for at_once in together.values():
-        says = neighbours_say(at_once, [own[id(frame)] for frame in at_once])
-        for frame, said in zip(at_once, says, strict=True):
-            frame.neighbours = said
-    for frames in found.values():
-        for piece in pieces(frames):
-            _believe(piece)
+        says = neighbours_say([frame for frame, _, _ in at_once], [own for _, own, _ in at_once])
+        for (frame, _, count), said in zip(at_once, says, strict=True):
+            frame.evidence = frame.evidence + said / count
+            frame.belief = frame.belief.told(said / count)
+    for piece in parts:  # the first has its belief; the others follow it once more
+        for before, frame in pairwise(piece):
+            frame.believe(before)
     return found
-
-
-def _believe(piece: Sequence[Frame]) -> None:
-    """Take what neighbours say in the mean for evidence, and follow the belief once more."""
-    before: Frame | None = None
-    for frame in piece:
-        said = frame.neighbours / len(piece)
-        frame.evidence, frame.neighbours = frame.evidence + said, np.zeros(len(HEADINGS))
-        if before is None or frame.step is None:
-            frame.belief = frame.belief.told(said)
-        else:
-            frame.belief = before.belief.later(frame.step.seconds, frame.step.turn).told(frame.evidence)
-        before = frame
 
 
 def _directed(frame: Frame) -> bool:

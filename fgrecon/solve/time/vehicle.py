@@ -97,7 +97,7 @@ class Followed:
         if before is None or step is None:
             frame.belief = Belief.none().told(frame.evidence)
             return frame
-        frame.belief = before.belief.later(step.seconds, step.turn).told(frame.evidence)
+        frame.believe(before)
         return frame
 
     def settle(self, frame: Frame, neighbours: Array) -> None:

@@ -108,6 +108,11 @@ class Frame:
     belief: Belief = field(default_factory=Belief.none)
     neighbours: Array = field(default_factory=lambda: np.zeros(len(HEADINGS)))
 
+    def believe(self, before: Frame) -> None:
+        """Take the belief of the frame before, with what this one says."""
+        assert self.step is not None
+        self.belief = before.belief.later(self.step.seconds, self.step.turn).told(self.evidence)
+
     @property
     def believed(self) -> Belief:
         """Of the heading, by all."""
