@@ -51,6 +51,22 @@ def usage_of_tree(root: int) -> dict[int, Usage]:
     return found
 
 
+def processor_time() -> float:
+    """Processor time of this process and of all that it started, those that ended as well, seconds."""
+    own = os.getpid()
+    alive = sum(sum(_times(process)) for process in _tree(own) if process != own)
+    return sum(os.times()[:4]) + alive
+
+
+def _times(process: int) -> list[float]:
+    """Processor time of a process and of its children that ended: user, system, both of the children, seconds."""
+    try:
+        words = (_PROC / str(process) / "stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    except OSError:
+        return []
+    return [int(word) / _TICKS for word in words[11:15]]
+
+
 def _tree(root: int) -> list[int]:
     """A process and its descendants, parents before children."""
     found, waiting = [], [root]
@@ -69,8 +85,10 @@ def _usage(process: int) -> Usage | None:
     folder = _PROC / str(process)
     try:
         maps = (folder / "smaps").read_text(encoding="utf-8", errors="replace")
-        times = (folder / "stat").read_text(encoding="utf-8").rpartition(")")[2].split()
     except OSError:
+        return None
+    times = _times(process)
+    if not times:
         return None
     own, name, resident = 0.0, "", 0.0
     files: dict[str, float] = {}
@@ -85,4 +103,4 @@ def _usage(process: int) -> Usage | None:
             own += alone
             if resident > alone:
                 files[name] = files.get(name, 0.0) + resident - alone
-    return Usage(own, files, (int(times[11]) + int(times[12])) / _TICKS)
+    return Usage(own, files, sum(times[:2]))

@@ -14,6 +14,7 @@ import numpy as np
 
 from benchmarks.fuzz.mutate import mutated
 from benchmarks.fuzz.readers import READERS
+from benchmarks.process_tree import processor_time
 from fgrecon.core.errors import FgreconError
 
 __all__ = ["Ended", "Find", "fuzz", "judge", "read"]
@@ -45,7 +46,7 @@ class Ended:
 
     Attributes:
         files: How many were read.
-        seconds: CPU time.
+        seconds: CPU time, that of child processes included.
         slowest: Wall time of the slowest file, seconds.
         finds: One for each place that raised.
     """
@@ -62,18 +63,17 @@ def fuzz(name: str, start: int, seconds: float, out: Path | None = None, most: i
     Args:
         name: Of the reader.
         start: Number of the first file; the same number makes the same file.
-        seconds: CPU time.
+        seconds: CPU time, that of child processes included.
         out: Where files are kept that a reader does not bear.
         most: At most so many files.
     """
     seeds = sorted(READERS[name].seeds().items())
     ended = Ended()
-    began, wall = time.process_time(), time.perf_counter()
+    began, wall = processor_time(), time.perf_counter()
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        # What runs in a child process costs this one no CPU time.
         while (
-            time.process_time() - began < seconds
+            processor_time() - began < seconds
             and time.perf_counter() - wall < _WAITED * seconds
             and (most is None or ended.files < most)
         ):
@@ -81,7 +81,7 @@ def fuzz(name: str, start: int, seconds: float, out: Path | None = None, most: i
             rng = np.random.default_rng([number, *name.encode()])
             title, content = seeds[int(rng.integers(len(seeds)))]
             judge(name, Path(folder) / title, mutated(content, rng), ended, out)
-    ended.seconds = time.process_time() - began
+    ended.seconds = processor_time() - began
     return ended
 
 
