@@ -444,7 +444,7 @@ cdef class Observation:
 
         Returns:
             weights (K,); densities (K,) of right and of wrong points; weights (4,) of the edges; energies of keypoints
-            and box in nats.
+            and box in nats; how much of both is loss, which is zero where all is right and at its place.
         """
         cdef int K = self.keypoints, i, k
         cdef double R[9]
@@ -453,7 +453,7 @@ cdef class Observation:
         cdef double X[3]
         cdef double camera[6]
         cdef double body[6]
-        cdef double weight, loss, inlier, keypoint_energy = 0.0, box_energy = 0.0
+        cdef double weight, loss, inlier, keypoint_energy = 0.0, box_energy = 0.0, losses = 0.0
         cdef double[::1] work = np.empty(14 * self.points + 1)
         cdef double[::1] weights = np.zeros(K), right = np.empty(K), wrong = np.empty(K), edges = np.zeros(4)
         cdef const double *o = NULL
@@ -475,6 +475,7 @@ cdef class Observation:
                 if self.measured[k]:
                     mixture(right[k], wrong[k], r[0] * r[0] + r[1] * r[1], &weights[k], &loss)
                     keypoint_energy += loss - log(right[k] + wrong[k])
+                    losses += loss
             if self.has_box:
                 self.box(R, t, &x[0] if self.coefficients else NULL, LEAST, r, NULL, NULL, &work[0])
                 for i in range(4):
@@ -482,4 +483,6 @@ cdef class Observation:
                         inlier = exp(-0.5 * r[i] * r[i])
                         edges[i] = inlier / (inlier + self.box_wrong)
                         box_energy -= log(inlier + self.box_wrong)
-        return np.asarray(weights), np.asarray(right), np.asarray(wrong), np.asarray(edges), keypoint_energy, box_energy
+                        losses += log((1.0 + self.box_wrong) / (inlier + self.box_wrong))
+        told = np.asarray(weights), np.asarray(right), np.asarray(wrong), np.asarray(edges)
+        return *told, keypoint_energy, box_energy, losses

@@ -11,7 +11,7 @@ road to first order and b its roll (radians), h metres.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import gtsam
 import numpy as np
@@ -39,6 +39,7 @@ class GroundFrame:
     normal: Array
     distance: float
     across: Array
+    _last: list[tuple[bytes, tuple[Array, Array]]] = field(default_factory=list, init=False, repr=False, compare=False)
 
     @classmethod
     def of(cls, normal: ArrayLike, distance: float) -> GroundFrame:
@@ -58,17 +59,22 @@ class GroundFrame:
         """Normal (3,) and distance of the plane at a change (3,): h, a, b."""
         return self.turned(change)[0], self.distance + float(change[0])
 
-    def turned(self, change: Array) -> tuple[Array, float]:
-        """Normal (3,) at a change (3,), and the length that it was divided by."""
-        turned = self.normal + change[1:].dot(self.across)
-        length = math.sqrt(turned.dot(turned))
-        return turned / length, length
+    def turned(self, change: Array) -> tuple[Array, Array]:
+        """Normal (3,) at a change (3,), and its derivative (3, 2) by a and b; the last one is remembered.
 
-    def by_turn(self, normal: Array, length: float) -> Array:
-        """(3, 2) derivative of the normal by a and b, where `turned` gives this normal and length."""
+        All vehicles of an image ask for the same.
+        """
+        stamp = change.tobytes()
+        for known, turned in self._last:
+            if known == stamp:
+                return turned
+        normal = self.normal + change[1:].dot(self.across)
+        length = math.sqrt(normal.dot(normal))
+        normal /= length
         across = self.across.T / length
-        derivative: Array = across - normal[:, None] * normal.dot(across)
-        return derivative
+        turned = normal, across - normal[:, None] * normal.dot(across)
+        self._last[:] = [(stamp, turned)]
+        return turned
 
 
 def contact_factor(pose_key: int, ground_key: int, frame: GroundFrame, noise: Noise) -> gtsam.CustomFactor:
@@ -95,7 +101,7 @@ class _Contact:
 
     def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
         pose, change = values.atPose3(self.pose_key).matrix(), values.atVector(self.ground_key)
-        normal, length = self.frame.turned(change)
+        normal, by_ab = self.frame.turned(change)
         rotation, place = pose[:3, :3], pose[:3, 3]
         residual = np.empty(4)  # as `ground_rows` has it
         residual[0] = place.dot(normal) - self.frame.distance - change[0]
@@ -107,7 +113,6 @@ class _Contact:
         jacobian[1:, 2] = -rotation[:, 0]
         jacobian[0, 3:6] = normal.dot(rotation)
         jacobian[0, 6] = -1.0
-        by_ab = self.frame.by_turn(normal, length)
         jacobian[0, 7:] = place.dot(by_ab)
         jacobian[1:, 7:] = -by_ab
         return residual, jacobian

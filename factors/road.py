@@ -76,8 +76,8 @@ class _Road:
     def _carried(self, change: Array, rotation: Array, way: Array) -> tuple[Array, Array]:
         """The plane's change seen from the next camera, and its derivative."""
         now, then = self.frames
-        normal, length = now.turned(change)
-        distance, by_ab = now.distance + float(change[0]), now.by_turn(normal, length)
+        normal, by_ab = now.turned(change)
+        distance = now.distance + float(change[0])
         seen, seen_by_ab = rotation.T @ normal, rotation.T @ by_ab
         ahead = float(then.normal @ seen)
         sideways = then.across @ seen / ahead

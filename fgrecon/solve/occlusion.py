@@ -27,24 +27,31 @@ def with_occlusion(results: Sequence[Reconstruction]) -> tuple[Reconstruction, .
     """The vehicles of one image, whose keypoints are as visible as the nearer of them leave them."""
     if len(results) < 2:
         return tuple(results)
-    placed = [_placed(result) for result in results]
-    told = []
-    for here, result in enumerate(results):
-        points = result.wireframe @ result.camera_T_object[:3, :3].T + result.camera_T_object[:3, 3]
-        pixels, depth, seen = _projected(points), result.location[2], result.visibility
-        for there, (other, front) in enumerate(zip(results, placed, strict=True)):
-            if there == here or front is None or pixels is None or not other.location[2] < depth:
-                continue
-            vertices, (low, high) = front
-            covered = np.flatnonzero(((pixels >= low) & (pixels <= high)).all(axis=1))  # by the rectangle around it
-            if not len(covered):
-                continue
-            assert other.surface_faces is not None
-            behind = clearance(vertices, other.surface_faces, points[covered], np.zeros(3))
-            seen = seen.copy()
-            seen[covered] *= probability(behind) / _UNHIDDEN
-        told.append(result if seen is result.visibility else replace(result, visibility=seen))
-    return tuple(told)
+    points = [one.wireframe @ one.camera_T_object[:3, :3].T + one.camera_T_object[:3, 3] for one in results]
+    pixels = [_projected(one) for one in points]
+    seen = [one.visibility for one in results]
+    for there, other in enumerate(results):
+        front = _placed(other)
+        if front is None or other.surface_faces is None:
+            continue
+        vertices, (low, high) = front
+        covered: dict[int, NDArray[np.intp]] = {}  # keypoints of further vehicles inside the rectangle around it
+        for here, one in enumerate(results):
+            at = pixels[here]
+            if here != there and at is not None and other.location[2] < one.location[2]:
+                inside = np.flatnonzero(((at >= low) & (at <= high)).all(axis=1))
+                covered |= {here: inside} if len(inside) else {}
+        if not covered:
+            continue
+        rays = np.concatenate([points[here][inside] for here, inside in covered.items()])
+        left = probability(clearance(vertices, other.surface_faces, rays, np.zeros(3))) / _UNHIDDEN
+        ends = np.cumsum([len(inside) for inside in covered.values()])[:-1]
+        for (here, inside), share in zip(covered.items(), np.split(left, ends), strict=True):
+            seen[here] = seen[here].copy()
+            seen[here][inside] *= share
+    return tuple(
+        one if now is one.visibility else replace(one, visibility=now) for one, now in zip(results, seen, strict=True)
+    )
 
 
 def _placed(result: Reconstruction) -> tuple[Array, tuple[Array, Array]] | None:

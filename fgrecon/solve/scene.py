@@ -59,8 +59,8 @@ _STEADY_ALONE = 1e-2
 
 Where visibility swings another one may be held then, which moves one box in a hundred by more than a centimetre, as
 often closer to the truth as further away."""
-_STEADY = 1e-4
-"""The same of the scene: a tenth of a millimetre, where a result is known to some centimetres at best."""
+_STEADY = 5e-4
+"""The same of the scene: half a millimetre, where a result is known to some centimetres at best."""
 
 
 @single_threaded

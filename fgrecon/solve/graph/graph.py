@@ -106,6 +106,7 @@ class Graph:
         """
         self.options: Options = seen[0].problem.options
         self._built: gtsam.NonlinearFactorGraph | None = None
+        self._observed, self._own = gtsam.NonlinearFactorGraph(), gtsam.NonlinearFactorGraph()  # its two parts
         self.vehicles: dict[int, VehiclePart] = {}
         self.observations: list[ObservationPart] = []
         counts = Counter(one.vehicle for one in seen)
@@ -217,10 +218,29 @@ class Graph:
         if self._built is not None and self.is_robust:
             return self._built  # the same factors, which know what has changed
         own = [factor for vehicle in self.vehicles.values() for factor in vehicle.solved]
-        self._built = gtsam.NonlinearFactorGraph()
-        for factor in [*told, *own, *self.extra]:
-            self._built.add(factor)
+        self._built, self._observed, self._own = (gtsam.NonlinearFactorGraph() for _ in range(3))
+        for factor in told:
+            self._observed.add(factor)
+        for factor in [*own, *self.extra]:
+            self._own.add(factor)
+        self._built.push_back(self._observed)
+        self._built.push_back(self._own)
         return self._built
+
+    def observed_error(self, values: gtsam.Values, weights: Sequence[Weights] | None = None) -> float:
+        """Error of the observations' factors, as the graph that was built last has them, nats.
+
+        Args:
+            values: Where.
+            weights: Those that it was built with, where they were made at these values: they know most of it.
+        """
+        if weights is None:
+            return float(self._observed.error(values))
+        return sum(part.loss(values, weight) for part, weight in zip(self.observations, weights, strict=True))
+
+    def own_error(self, values: gtsam.Values) -> float:
+        """Error of all other factors of that graph, which no weights change, nats."""
+        return float(self._own.error(values))
 
     def for_covariances(self, weights: Sequence[Weights]) -> gtsam.NonlinearFactorGraph:
         """All factors with these weights, sizes counted once (`VehiclePart.counted_once`)."""

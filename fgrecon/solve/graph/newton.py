@@ -97,6 +97,7 @@ class Descent:
         self._lengths = (np.inf, np.inf)  # of the last two steps
         self._damping = DAMPING
         self._form = Form.NEWTON
+        self._own: tuple[gtsam.Values | None, float] = (None, 0.0)  # error of factors that no weights change, and where
         self._still = False  # whether the last damped step moved nothing
         self._in_vain = 0  # damped steps, one after the other, that gained a negligible energy
         self._swinging = _Swinging(len(start.weights))
@@ -199,17 +200,25 @@ class Descent:
         length = float(np.abs(step).max(initial=0.0))
         last = self._is_last(length)
         unseen = last and self._steady <= STEADY_TOGETHER  # so near the end nobody asks what it does to the energy
-        energy = np.inf if unseen else built.error(self.values) * (1.0 + _RISE) + _RISE
+        energy = np.inf if unseen else self._error() * (1.0 + _RISE) + _RISE
         further = steps.propose(step)
         if further is not None and np.abs(further).max() > _LONGEST * length:
             further = None
         for proposed in self._tries(step, further):
             moved = self.values.retract(newton if proposed is step else self._by_key(newton, proposed))
-            if unseen or built.error(moved) <= energy:
+            own = 0.0 if unseen else self.graph.own_error(moved)
+            if unseen or self.graph.observed_error(moved) + own <= energy:
                 steps.took(proposed)
-                self.values, self._still = moved, False
+                self.values, self._own, self._still = moved, (None if unseen else moved, own), False
                 return last
         return None
+
+    def _error(self) -> float:
+        """Of the graph as it was built last, where it is: half of it is known from the step that led there."""
+        at, own = self._own
+        if at is not self.values:
+            own = self.graph.own_error(self.values)
+        return self.graph.observed_error(self.values, self.weights) + own
 
     def _tries(self, step: Array, further: Array | None) -> Iterator[Array]:
         """Steps in the order in which they are tried: an accelerated one, the plain one, a shorter one."""

@@ -52,6 +52,7 @@ class _Assessed:
         keypoints: (K,) weights.
         box: (4,) weights of the box's edges.
         energies: Of keypoints and box, nats.
+        loss: What `factors.mixture.Form.LOSS` makes of both, nats.
     """
 
     values: gtsam.Values
@@ -61,6 +62,7 @@ class _Assessed:
     keypoints: Array
     box: Array
     energies: tuple[float, float]
+    loss: float
 
     def answers(self, visibility: Array | None) -> bool:
         """Whether it was assessed with a visibility, or with None with that of its pose."""
@@ -253,13 +255,34 @@ class ObservationPart:
         if box is not None:
             told["box"] = self.share * edges
         if ground is not None and self.pose_key is not None:
-            pose, sigma = self.kernel.pose(values), ground.ground.height_sigma_at_depth(weights.depth)
-            rows, _ = ground_rows(ground.ground.normal, ground.ground.distance, pose[:3, :3], pose[:3, 3])
-            lean = rows[1:] / ground.ground.tilt_sigma
-            told["ground"] = self.share * float(0.5 * ((rows[0] / sigma) ** 2 + lean @ lean) + math.log(sigma))
+            sigma = ground.ground.height_sigma_at_depth(weights.depth)
+            told["ground"] = self.share * (self._off_ground(values, sigma) + math.log(sigma))
         if self.problem.energy.direction is not None:
             told["direction"] = self.share * float(self.problem.energy.direction.energy(self._hypothesis(values))[0])
         return told
+
+    def loss(self, values: gtsam.Values, weights: Weights) -> float:
+        """Error of the factor that `solved` told of the weights, nats: at the values where these were made for nothing.
+
+        It is what a step is judged by, and differs from the energy by what does not change as long as visibility does
+        not.
+        """
+        assert self._factor is not None
+        if self.compiled is None:
+            return float(self._factor.error(values))
+        loss = self._assess(values, weights.visibility).loss
+        ground = self.problem.energy.ground
+        if ground is not None and self.pose_key is not None:
+            loss += self._off_ground(values, ground.ground.height_sigma_at_depth(weights.depth))
+        return self.share * loss
+
+    def _off_ground(self, values: gtsam.Values, sigma: float) -> float:
+        """Half the squared deviation from the ground, whose height is known to sigma metres there."""
+        assert self.problem.energy.ground is not None
+        plane, pose = self.problem.energy.ground.ground, self.kernel.pose(values)
+        rows, _ = ground_rows(plane.normal, plane.distance, pose[:3, :3], pose[:3, 3])
+        lean = rows[1:] / plane.tilt_sigma
+        return 0.5 * float((rows[0] / sigma) ** 2 + lean @ lean)
 
     def projections(self, values: gtsam.Values) -> Array:
         """(K, 2) projected keypoints, pixels."""
@@ -273,10 +296,11 @@ class ObservationPart:
         shape, compiled = self.vehicle.shape, self.compiled
         assert compiled is not None
         seen = np.empty(shape.size) if visibility is None else visibility
-        keypoints, right, wrong, box, robust, edges = compiled.assess(
+        keypoints, right, wrong, box, robust, edges, loss = compiled.assess(
             self.kernel.pose(values), shape.coefficients(values), shape.offsets(values), seen, visibility is None
         )
-        self._last = _Assessed(values, seen, visibility is None, (right, wrong), keypoints, box, (robust, edges))
+        energies = robust, edges
+        self._last = _Assessed(values, seen, visibility is None, (right, wrong), keypoints, box, energies, loss)
         return self._last
 
     def _squares(self, values: gtsam.Values) -> Array:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from factors import L, M, O, P, X
+from factors.mixture import Form
 from fgrecon.core.options import Options
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph.graph import Graph, Seen
@@ -84,6 +85,18 @@ def test_each_term_is_the_independent_one(case):
     assert set(mine) == {name for name, term in case.energy.terms(x).items() if len(term)} - nothing
     for name, value in mine.items():
         assert value == pytest.approx(theirs[name], rel=1e-9, abs=1e-12)
+
+
+def test_what_a_step_is_judged_by_is_the_error_of_what_was_built(case):
+    """Whether the kernel knows it from the weights or GTSAM asks every factor; wherever visibility was looked at."""
+    graph, values = case.graph, case.values
+    for hold in (False, True):
+        weights = graph.reweigh(values, [case.weights], 1.0, hold=hold)
+        built = graph.build(weights, Form.NEWTON)
+        told = graph.observed_error(values, weights)
+        assert told == pytest.approx(graph.observed_error(values), rel=1e-12)
+        assert told + graph.own_error(values) == pytest.approx(built.error(values), rel=1e-12)
+        values = values.retract(built.linearize(values).optimize())
 
 
 def test_the_optimum_is_scipys(case):
