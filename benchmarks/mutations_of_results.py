@@ -239,8 +239,8 @@ DISCARDED = (
         GRAPH,
         (
             (
-                "        for factor in [*told, *own, *self.extra]:\n",
-                "        extra, self.extra = self.extra, []\n        for factor in [*told, *own, *extra]:\n",
+                "        for factor in [*own, *self.extra]:\n",
+                "        extra, self.extra = self.extra, []\n        for factor in [*own, *extra]:\n",
             ),
         ),
         (TEST_EXTRA,),
