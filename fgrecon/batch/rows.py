@@ -86,6 +86,7 @@ def solved_row(
         "image_size": camera.image_size,
         "box": _flat(box),
         "score": score,
+        "box_excess": finite(result.box_excess),
         "milliseconds": sum(result.milliseconds.values()),
     }
 
@@ -199,6 +200,7 @@ def reconstruction_of(row: Mapping[str, Any], category: Category) -> Reconstruct
         reasons=tuple(row.get("reasons") or ()),
         size_covariance=square("size_covariance"),
         regions=Regions(row.get("regions") or Regions.ASSUMED),
+        box_excess=_number(row.get("box_excess")),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -34,6 +35,7 @@ class Tally:
         done: Of these, done by now.
         statuses: Rows of results of this run, by status; an image gives one for each vehicle.
         errors: Those with an error, by its class and the field that it names.
+        box_excesses: By how much 2D boxes are larger than their vehicles look, of this run's rows that tell.
     """
 
     total: int
@@ -41,6 +43,7 @@ class Tally:
     done: int = 0
     statuses: Counter[str] = field(default_factory=Counter)
     errors: Counter[str] = field(default_factory=Counter)
+    box_excesses: array[float] = field(default_factory=lambda: array("d"))
 
     def add(self, table: Any) -> None:
         """Count a table of results."""
@@ -49,6 +52,7 @@ class Tally:
         kinds, fields = (table.column(name).to_pylist() for name in ("error_type", "error_field"))
         named = ((kind, place) for kind, place in zip(kinds, fields, strict=True) if kind is not None)
         self.errors.update(kind if place is None else f"{kind}: {place}" for kind, place in named)
+        self.box_excesses.extend(pc.drop_null(table.column("box_excess")).to_pylist())
 
 
 def run(

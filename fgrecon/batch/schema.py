@@ -54,6 +54,7 @@ def result_schema() -> Any:
         ("image_size", pa.list_(pa.int32())),
         ("box", _NUMBERS),
         ("score", _NUMBER),
+        ("box_excess", _NUMBER),
         ("focal_sigma", _NUMBER),
         ("milliseconds", _NUMBER),
     ]

@@ -57,6 +57,7 @@ def batch_command(
     from fgrecon.core.options import Options
     from fgrecon.core.reconstruction import Status
     from fgrecon.io.keypoints.names import parse_names
+    from fgrecon.solve.box_check import boxes_off, boxes_warning
 
     screen = terminal.screen()
     settings = scene.settings(Options(strategy=scene.strategy, box=box_model, keep_history=False))
@@ -103,6 +104,8 @@ def batch_command(
     for status, count in sorted(tally.statuses.items()):
         table.add_row(status, str(count))
     screen.print(table, f"{tally.done} of {tally.total} rows are done, {tally.before} of them before.")
+    if (off := boxes_off(tally.box_excesses)) is not None:
+        screen.warn(boxes_warning(off))
     screen.detail(*(f"{count} x {error}" for error, count in tally.errors.most_common()))
     screen.wrote(out)
     solved = {status.value for status in Status if status is not Status.FAILED}

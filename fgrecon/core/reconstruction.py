@@ -31,6 +31,11 @@ COMPACT = "fgrecon.reconstruction/2"
 _LARGE: Mapping[str, Any] = {"history": (), "graph": (), "surface_vertices": None, "surface_faces": None}
 """Fields that the compact form leaves out, and what stands for them."""
 
+_LATER = frozenset(
+    ("graph_iterations", "graph_gain", "facing_probability", "reasons", "size_covariance", "regions", "box_excess")
+)
+"""Fields that earlier files have not."""
+
 _STEPS = ("history", "graph")
 """Those of them that it can have."""
 
@@ -145,6 +150,8 @@ class Reconstruction:
         reasons: Clauses that say what makes the result weak, whatever its status.
         size_covariance: (3, 3) covariance of `box_size`, or None where it is not determined.
         regions: What the covariances rest on.
+        box_excess: By how much the 2D box is larger than the vehicle looks, as a fraction, negative where it is
+            smaller; NaN where there is none, or it is not wholly in the image.
     """
 
     status: Status
@@ -180,6 +187,7 @@ class Reconstruction:
     reasons: tuple[str, ...] = ()
     size_covariance: NDArray[np.float64] | None = None
     regions: Regions = Regions.ASSUMED
+    box_excess: float = float("nan")
 
     @property
     def pose(self) -> gtsam.Pose3:
@@ -294,9 +302,7 @@ class Reconstruction:
         if data.get("format") not in (FORMAT, COMPACT):
             raise InvalidInputError("format", data.get("format"), f"Give a result written as {COMPACT} or {FORMAT}.")
         absent = _LARGE if data["format"] == COMPACT else {}
-        # Earlier files have them not.
-        later = ("graph_iterations", "graph_gain", "facing_probability", "reasons", "size_covariance", "regions")
-        names = [f.name for f in fields(cls) if f.name in data or f.name not in (*later, *absent)]
+        names = [f.name for f in fields(cls) if f.name in data or f.name not in (*_LATER, *absent)]
         missing = [name for name in names if name not in data]
         if missing:
             raise InvalidInputError("reconstruction", f"no field {missing[0]}", "Give a whole result.")
@@ -378,6 +384,7 @@ _READERS: Mapping[str, Callable[[Any], Any]] = {
     "facing_probability": float,
     "reasons": tuple,
     "regions": Regions,
+    "box_excess": float,
     "message": str,
     "category": str,
     "prior": str,

@@ -6,16 +6,17 @@ visible alone, of the image at another size) pull every vehicle nearer or furthe
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.camera import Camera
+from fgrecon.core.camera import MIN_DEPTH, Camera
 from fgrecon.core.geometry import transform
 from fgrecon.solve.proposals.problem import Problem
 
-__all__ = ["box_off", "boxes_off", "boxes_warning"]
+__all__ = ["box_excess", "boxes_off", "boxes_warning"]
 
 Array = NDArray[np.float64]
 
@@ -25,8 +26,8 @@ _SURE = 3.0  # standard errors of the median
 _ERROR = 1.86  # standard error of a median times the root of the count, over the median absolute deviation
 
 
-def box_off(problem: Problem, camera_T_object: Array, coefficients: Array, camera: Camera) -> float | None:
-    """By how much a box is larger than its vehicle looks, as a fraction; None where it is not wholly in the image.
+def box_excess(problem: Problem, camera_T_object: Array, coefficients: Array, camera: Camera) -> float:
+    """By how much a box is larger than its vehicle looks, as a fraction; NaN where it is not wholly in the image.
 
     Args:
         problem: What was solved.
@@ -36,22 +37,22 @@ def box_off(problem: Problem, camera_T_object: Array, coefficients: Array, camer
     """
     box = problem.energy.box
     if box is None or not box.used.all():
-        return None
+        return float("nan")
     points = transform(camera_T_object, problem.model.box_points(problem.options.box.model).at(coefficients))
-    if points[:, 2].min() <= 0.0:
-        return None
+    if not points[:, 2].min() > MIN_DEPTH:
+        return float("nan")
     seen = points @ camera.matrix.T
     sides: Array = np.ptp(seen[:, :2] / seen[:, 2:], axis=0)
     return float(np.mean((box.edges[2:] - box.edges[:2]) / sides) - 1.0)
 
 
-def boxes_off(vehicles: Iterable[float | None]) -> float | None:
-    """By how much the boxes of several vehicles are larger than these look: `box_off` of each.
+def boxes_off(vehicles: Iterable[float]) -> float | None:
+    """By how much the boxes of several vehicles are larger than these look: `box_excess` of each.
 
     Returns:
         The median over those that tell, or None where it is as usual or they are too few.
     """
-    told = [off for off in vehicles if off is not None]
+    told = [excess for excess in vehicles if math.isfinite(excess)]
     if len(told) < _FEWEST:
         return None
     middle = float(np.median(told))

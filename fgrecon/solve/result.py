@@ -15,6 +15,7 @@ from fgrecon.core.geometry import view_azimuth
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status, rotation_y
 from fgrecon.core.status import Regions
+from fgrecon.solve.box_check import box_excess
 from fgrecon.solve.graph.adjust import Adjusted
 from fgrecon.solve.graph.covariance import Covariances, Spread, factorise, read_covariances
 from fgrecon.solve.graph.graph import Graph, Seen
@@ -207,6 +208,7 @@ def _result(
         facing_probability=facing,
         size_covariance=None if uncertainty is None else uncertainty.size,
         regions=_regions(problem),
+        box_excess=box_excess(problem, camera_T_object, coefficients, camera) if status.determined else float("nan"),
     )
     return weakened(found, reasons)
 

@@ -36,7 +36,7 @@ from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as named_size_prior
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.alone import Alone, Tried, each_alone, known_boxes
-from fgrecon.solve.box_check import box_off, boxes_off, boxes_warning
+from fgrecon.solve.box_check import boxes_off, boxes_warning
 from fgrecon.solve.detected import KnownBox
 from fgrecon.solve.focal import candidates, distinct_lengths, energies_of, focal_prior, log_ratio, starts
 from fgrecon.solve.graph.adjust import Adjusted, SolvedStage
@@ -186,11 +186,7 @@ def _reconstruct(
         own = range(first, first + len(some))
         numbers = tuple(number for number in own if number in each)
         ground, covariance = told.grounds.get(image, (plane, None))
-        off = boxes_off(
-            box_off(alone.vehicles[n].problem, each[n].camera_T_object, each[n].coefficients, told.camera)
-            for n in numbers
-            if each[n].status.determined
-        )
+        off = boxes_off(each[n].box_excess for n in numbers)
         message = told.message(image, sum(number in told.results for number in own), len(images))
         scenes.append(
             SceneReconstruction(

@@ -30,7 +30,7 @@ from fgrecon.core.size_prior import size_prior as named_size_prior
 from fgrecon.core.turned import turned_alternative
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.box_check import box_off, boxes_off
+from fgrecon.solve.box_check import box_excess, boxes_off
 from fgrecon.solve.facing import face_together, faced_anew
 from fgrecon.solve.graph.adjust import Adjusted
 from fgrecon.solve.pipeline import ground_plane, observe
@@ -235,7 +235,7 @@ class Tracker:
             The median over the vehicles, each by the median over its frames that are kept; None where it is as usual,
             or they are fewer than five.
         """
-        return boxes_off(_box_off(track) for track in self._tracks.values())
+        return boxes_off(_box_excess(track) for track in self._tracks.values())
 
     def forget(self, vehicle: int) -> None:
         """Let go of a vehicle, and of its past; one that is not there is none to let go of."""
@@ -266,11 +266,11 @@ def _faced(frame: Frame) -> tuple[Problem, PoseEstimate] | None:
     return other if other and believed.facing(rotation_y(other[1].camera_T_object)) > 0.5 else None
 
 
-def _box_off(track: _Track) -> float | None:
+def _box_excess(track: _Track) -> float:
     shape, frames = track.followed.shape[0], [past.frame for past in track.past]
-    found = [box_off(f.problem, f.pose.matrix(), shape, f.problem.camera) for f in frames]
-    told = [off for off in found if off is not None]
-    return float(np.median(told)) if told else None
+    found = np.array([box_excess(f.problem, f.pose.matrix(), shape, f.problem.camera) for f in frames])
+    told = found[np.isfinite(found)]
+    return float(np.median(told)) if len(told) else float("nan")
 
 
 def _estimates(name: int, pasts: Mapping[int, _Past], solved: WindowSolve, total: int) -> list[VehicleEstimate]:

@@ -43,7 +43,7 @@ def table_of(rows):
     return pa.table({name: [row.get(name) for row in rows] for name in names})
 
 
-ADDED = "facing_probability", "reasons", "size_covariance"
+ADDED = "facing_probability", "reasons", "size_covariance", "box_excess"
 """Columns that the first version had not."""
 
 
@@ -66,6 +66,7 @@ def test_rows_are_what_reconstruct_gives_to_the_last_bit(reconstructor, cars):
         )
         assert back.facing_probability == result.facing_probability
         assert back.reasons == result.reasons
+        np.testing.assert_array_equal(back.box_excess, result.box_excess)
         np.testing.assert_array_equal(back.size_covariance, result.size_covariance)
         assert [a.excess for a in back.alternatives] == [a.excess for a in result.alternatives]
         assert (back.status, back.message, back.prior) == (result.status, result.message, result.prior)

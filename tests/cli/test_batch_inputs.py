@@ -9,8 +9,11 @@ from typer.testing import CliRunner
 
 from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
+from tests.cars import CAMERA
 from tests.cli.conftest import INTRINSICS, car
 from tests.io.formats import CATEGORY, in_scheme, pascal_file
+from tests.solve.test_box_check import scaled
+from tests.solve.test_scene import street
 
 POINTS = np.array(car()["keypoints"])
 
@@ -86,3 +89,16 @@ def test_names_that_the_user_tells(tmp_path):
     refused = run("batch", theirs, INTRINSICS, "--out", tmp_path / "none", "--names", "p0=left_wing")
     assert isinstance(refused.exception, InvalidInputError)
     assert not (tmp_path / "none").exists()
+
+
+@pytest.mark.parametrize(("factor", "told"), [(1.0, False), (1.2, True)])
+def test_boxes_that_are_all_too_large_are_told_of(tmp_path, factor, told):
+    seen = [scaled(one, factor) for one in street(5, count=6)[1]]
+    cars = [{"keypoints": one.keypoints.tolist(), "box": one.box.tolist(), "id": str(i)} for i, one in enumerate(seen)]
+    (tmp_path / "cars.json").write_text(json.dumps({"K": CAMERA.matrix.tolist(), "instances": cars}))
+    options = ["--camera-height", "1.65", "--size-prior", "kitti"]
+    done = run("batch", tmp_path / "cars.json", "--out", tmp_path / "out", *options)
+    assert done.exit_code == 0, done.output
+    assert ("larger than their vehicles look" in " ".join(done.output.split())) == told
+    excesses = pq.read_table(tmp_path / "out").column("box_excess").to_pylist()
+    assert (np.median(excesses) > 0.05) == told
