@@ -62,9 +62,13 @@ def video_command(
         bool, typer.Option("--forget-ids", help="Follow without the labelled ids, as `fgrecon run` associates.")
     ] = False,
     estimate_motion: Annotated[
-        bool,
-        typer.Option("--estimate-motion", help="Follow with the camera's motion as well, as the images tell it."),
-    ] = False,
+        bool | None,
+        typer.Option(
+            "--estimate-motion/--no-estimate-motion",
+            help="Follow with the camera's motion as well, as the images tell it.",
+            show_default="with --track",
+        ),
+    ] = None,
     detect: Annotated[
         bool,
         typer.Option(
@@ -89,7 +93,8 @@ def video_command(
     """Find keypoints in every image of labelled drives, reconstruct cars and vans from their labelled boxes, and score.
 
     Boxes count that are at least 25 px high, largely occluded at most, and at most half outside the image. Each image
-    is taken on its own; with --track the same keypoints are followed over time as well. A box without a result counts
+    is taken on its own; with --track the same keypoints are followed over time as well, without a motion of the camera
+    and with the one that all images between the first and the last labelled one tell. A box without a result counts
     as 180 degrees and stays in. Intervals are of 95 %, by bootstrap over tracks. For a picture the worst images are
     solved once more after they were scored. --verbose tells every box.
 
@@ -109,6 +114,7 @@ def video_command(
         raise InvalidInputError("forget_ids", "true", "Give --track as well: single images have no ids.")
     if estimate_motion and not track:
         raise InvalidInputError("estimate_motion", "true", "Give --track as well: single images know no motion.")
+    moving = track if estimate_motion is None else estimate_motion
     if table is not None:
         check_ending(table, TABLE_FORMATS)
     screen = terminal.screen(json_out)
@@ -120,7 +126,7 @@ def video_command(
         track=track,
         detect=detect,
         forget_ids=forget_ids,
-        estimate_motion=estimate_motion,
+        estimate_motion=moving,
     )
     boxes = scored.boxes
 
@@ -144,7 +150,7 @@ def video_command(
         "together": how.together,
         "traffic": how.traffic,
         "track": track,
-        "estimate_motion": estimate_motion,
+        "estimate_motion": moving,
         "ids": "associated" if forget_ids or detect else "labelled",
         "boxes": "detected" if detect else "labelled",
         "missed": scored.missed,

@@ -154,8 +154,14 @@ class DriveOptions:
                 fix = "Give drives with vehicles that the detector finds."
                 raise InvalidInputError("drives", ", ".join(setups), fix)
             if track:
-                new_ids = forget_ids or detect
-                boxes = follow_boxes(frames, drives, setups, forget_ids=new_ids, estimate_motion=estimate_motion)
+                boxes = follow_boxes(
+                    frames,
+                    drives,
+                    setups,
+                    forget_ids=forget_ids or detect,
+                    estimate_motion=estimate_motion,
+                    advance=counting(advance, "Followed", (1 + estimate_motion) * len(frames)),
+                )
         missed = sum(frame.missed for frame in frames)
         return ScoredDrives(drives, files, setups, scene, ground, images, boxes, missed, frames)
 

@@ -8,7 +8,7 @@ are over the world then, and not scored. `ALONE` is each vehicle of each image b
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -58,6 +58,7 @@ def follow_boxes(
     *,
     forget_ids: bool = False,
     estimate_motion: bool = False,
+    advance: Callable[[str], None] = lambda _: None,
 ) -> list[VideoBox]:
     """The boxes with outcomes of `ALONE` (where all were solved together), `ONLINE`, `BATCH` and more beside their own.
 
@@ -68,12 +69,13 @@ def follow_boxes(
         forget_ids: Whether the vehicles are given ids anew, by association.
         estimate_motion: Whether to follow with the camera's motion as well, which all images between the first and the
             last tell; it needs the ground.
+        advance: Called with the drive's name after each of these frames that was followed, with the motion once more.
     """
     found: list[VideoBox] = []
     for drive in drives:
         own = [frame for frame in frames if frame.drive == drive.name]
         setup = setups[drive.name]
-        found += _follow(own, drive, setup, forget_ids=forget_ids, estimate_motion=estimate_motion)
+        found += _follow(own, drive, setup, advance, forget_ids=forget_ids, estimate_motion=estimate_motion)
     return found
 
 
@@ -95,11 +97,19 @@ def _records(seen: Sequence[ScoredFrame], drive: Drive, setup: Setup, *, moving:
 
 
 def _follow(
-    seen: Sequence[ScoredFrame], drive: Drive, setup: Setup, *, forget_ids: bool, estimate_motion: bool
+    seen: Sequence[ScoredFrame],
+    drive: Drive,
+    setup: Setup,
+    advance: Callable[[str], None],
+    *,
+    forget_ids: bool,
+    estimate_motion: bool,
 ) -> list[VideoBox]:
-    ways = [(ONLINE, BATCH, _estimates(seen, drive, setup, forget_ids=forget_ids, moving=False))]
-    if estimate_motion:
-        ways.append((ONLINE_MOVING, BATCH_MOVING, _estimates(seen, drive, setup, forget_ids=forget_ids, moving=True)))
+    ways = [
+        (online, batch, _estimates(seen, drive, setup, advance, forget_ids=forget_ids, moving=moving))
+        for online, batch, moving in ((ONLINE, BATCH, False), (ONLINE_MOVING, BATCH_MOVING, True))
+        if estimate_motion or not moving
+    ]
     frames, velocities = {frame.number: frame for frame in drive.frames}, labelled_velocities(drive)
     scored = []
     for frame in seen:
@@ -123,7 +133,13 @@ def _follow(
 
 
 def _estimates(
-    seen: Sequence[ScoredFrame], drive: Drive, setup: Setup, *, forget_ids: bool, moving: bool
+    seen: Sequence[ScoredFrame],
+    drive: Drive,
+    setup: Setup,
+    advance: Callable[[str], None],
+    *,
+    forget_ids: bool,
+    moving: bool,
 ) -> dict[tuple[int, int], tuple[VehicleEstimate | None, VehicleEstimate | None]]:
     """Of each labelled box that was followed, by frame and index, the estimate online and in batch."""
     tracker = Tracker(
@@ -144,6 +160,8 @@ def _estimates(
             identity = next((i for i, place in tracked.boxes.items() if place is one.box), None)
             if identity is not None:
                 named[box.frame, box.index] = identity
+        if record.number in boxes:
+            advance(drive.name)
     smoothed = {(identity, one.time): one for identity, past in tracker.smooth().items() for one in past}
     found = {label: online.get((label[0], identity)) for label, identity in named.items()}
     return {

@@ -55,9 +55,9 @@ def test_tables_files_and_which_network_scored_what(drives, weights, tmp_path):
     lines = (tmp_path / "r.md").read_text().splitlines()
     assert lines[0].startswith("| boxes | method | turned % ")
     assert {line.count("|") for line in lines} == {lines[0].count("|")}
-    assert [line.split(" | ")[0] for line in lines[2:]] == ["| cars, 2"] * 5 + ["| all, 4"] * 5
-    names = [line.split(" | ")[1] for line in lines[2:7]]
-    assert names == ["reconstruct_image", "epnp", "alone", "online", "batch"]
+    assert [line.split(" | ")[0] for line in lines[2:]] == ["| cars, 2"] * 7 + ["| all, 4"] * 7
+    names = [line.split(" | ")[1] for line in lines[2:9]]
+    assert names == ["reconstruct_image", "epnp", "alone", "online", "batch", "online_moving", "batch_moving"]
     assert "squared errors by covariance" in done.stdout
     made = json.loads(out.read_text())
     assert made["networks"] == [
@@ -69,7 +69,7 @@ def test_tables_files_and_which_network_scored_what(drives, weights, tmp_path):
     counts = {name: group["boxes"] for name, group in made["methods"]["epnp"]["regime"].items()}
     assert counts == {"cars_easy": 2, "cars_moderate": 2, "cars": 2, "vans": 2, "all": 4}
     rows = list(csv.DictReader(table.read_text().splitlines()))
-    assert len(rows) == len(made["boxes"]) == 20
+    assert len(rows) == len(made["boxes"]) == 28
     assert [float(row["degrees"]) for row in rows] == [row["degrees"] for row in made["boxes"]]
     assert sheet.stat().st_size > 1000
 
@@ -114,10 +114,13 @@ def test_ids_are_forgotten_only_where_vehicles_are_followed(drives, weights, tmp
     out = tmp_path / "r.json"
     done = run(drives[0], "--weights", weights, "--estimate-motion")
     assert done.exception.field == "estimate_motion"
-    done = run(drives[0], "--weights", weights, "--forget-ids", "--track", "--json", out)
+    done = run(drives[0], "--weights", weights, "--forget-ids", "--track", "--no-estimate-motion", "--json", out)
     assert done.exit_code == 0, done.output
-    given = json.loads(out.read_text())["given"]
+    made = json.loads(out.read_text())
+    given = made["given"]
     assert (given["ids"], given["boxes"], given["missed"]) == ("associated", "labelled", 0)
+    assert not given["estimate_motion"]
+    assert list(made["methods"])[-2:] == ["online", "batch"]
 
 
 def test_a_detector_that_finds_nothing_of_what_is_labelled_is_told(drives, weights):
