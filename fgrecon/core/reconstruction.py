@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fgrecon.core.brief import brief_repr
 from fgrecon.core.digits import shortened
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.history import GraphFactor, Iteration, read_graph_factor, read_iteration
 from fgrecon.core.observation import Observation
 from fgrecon.core.plain import array, indices, numbers, pairs, plain, square
 from fgrecon.core.plotting import DEFAULT_BACKEND, as_html, plotting_backend
@@ -44,36 +45,6 @@ TRUSTED = 0.5
 
 
 @dataclass(frozen=True)
-class Iteration:
-    """State after one step of the optimisation.
-
-    Attributes:
-        stage: `initialisation`, `pose`, `shape` or `joint`.
-        irls: Index of the weight update within the stage, from 0.
-        step: Index of the solver's iteration within that update, from 0.
-        camera_T_object: (4, 4) pose, maps object coordinates into the camera frame.
-        coefficients: (N,) shape coefficients lambda.
-        keypoints: (K, 3) keypoints in the object frame, free offsets included.
-        projections: (K, 2) their projections, pixels.
-        weights: (K,) weight of each keypoint in [0, 1].
-        energies: Energy by term, nats. That of keypoints and box is the robust one, which the weights stand for, so
-            that it can be compared between stages; a strategy without an energy of its own shows a substitute.
-    """
-
-    stage: str
-    irls: int
-    step: int
-    camera_T_object: NDArray[np.float64]
-    coefficients: NDArray[np.float64]
-    keypoints: NDArray[np.float64]
-    projections: NDArray[np.float64]
-    weights: NDArray[np.float64]
-    energies: Mapping[str, float]
-
-    __repr__ = brief_repr
-
-
-@dataclass(frozen=True)
 class Alternative:
     """Another pose that explains the keypoints.
 
@@ -90,21 +61,6 @@ class Alternative:
     probability: float = float("nan")
 
     __repr__ = brief_repr
-
-
-@dataclass(frozen=True)
-class GraphFactor:
-    """One factor of the graph that the result minimises, for drawing.
-
-    Attributes:
-        term: Its energy term, such as `reprojection`.
-        label: The keypoint or face that it is about; empty where the term has one factor.
-        variables: Names of the variables that it ties together, such as `X(v=0,t=0)` and `L(v=0)` (`factors.key_name`).
-    """
-
-    term: str
-    label: str
-    variables: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -367,16 +323,6 @@ def _alternative(data: Mapping[str, Any]) -> Alternative:
     return Alternative(array(data["camera_T_object"]), array(data["coefficients"]), excess, probability)
 
 
-def _iteration(data: Mapping[str, Any]) -> Iteration:
-    arrays = ("camera_T_object", "coefficients", "keypoints", "projections", "weights")
-    values: dict[str, Any] = {name: array(data[name]) for name in arrays}
-    return Iteration(data["stage"], data["irls"], data["step"], energies=numbers(data["energies"]), **values)
-
-
-def _graph_factor(data: Mapping[str, Any]) -> GraphFactor:
-    return GraphFactor(data["term"], data["label"], tuple(data["variables"]))
-
-
 _READERS: Mapping[str, Callable[[Any], Any]] = {
     "status": Status,
     "graph_iterations": int,
@@ -396,7 +342,7 @@ _READERS: Mapping[str, Callable[[Any], Any]] = {
     "energies": numbers,
     "milliseconds": numbers,
     "alternatives": lambda items: tuple(map(_alternative, items)),
-    "history": lambda items: tuple(map(_iteration, items)),
-    "graph": lambda items: tuple(map(_graph_factor, items)),
+    "history": lambda items: tuple(map(read_iteration, items)),
+    "graph": lambda items: tuple(map(read_graph_factor, items)),
     "faces": lambda faces: {name: tuple(keypoints) for name, keypoints in faces.items()},
 }

@@ -251,7 +251,7 @@ def _status(
     optimum: Optimum,
 ) -> tuple[Status, str]:
     if optimum.failure is not None:
-        return Status.FAILED, f"The shape stage failed ({optimum.failure}); this is the state before."
+        return Status.FAILED, f"The graph's solve failed ({optimum.failure}); this is the state before."
     if uncertainty is None:
         return Status.DEGENERATE, "The keypoints with any weight leave pose or shape undetermined."
     if optimum.unfinished is not None:

@@ -13,9 +13,11 @@ from fgrecon.io.catalogue import load_category
 from fgrecon.io.export import read_coco_keypoints, read_results, write_coco_keypoints
 from fgrecon.io.keypoint_file import parse_keypoints
 from fgrecon.io.track_file import parse_track
+from tests.cars import CAMERA
 from tests.conftest import REPOSITORY
 from tests.docs.pages import blocks
 from tests.io.test_coco_keypoints import make_labels
+from tests.solve.test_scene import street
 
 SCHEMAS = {path.name.partition(".")[0]: path for path in (REPOSITORY / "docs/schemas").glob("*.json")}
 EXAMPLE = blocks((REPOSITORY / "docs/formats.md").read_text(encoding="utf-8"), "json")[0]
@@ -63,6 +65,26 @@ def test_results_of_reconstruct_refused_ones_included(example, tmp_path):
     whole = json.loads((tmp_path / "whole.json").read_text(encoding="utf-8"))
     assert whole["instances"][0]["result"]["history"]
     check("results", whole)
+
+
+def test_the_steps_of_vehicles_that_were_solved_together(tmp_path):
+    cars = [{"keypoints": one.keypoints.tolist(), "box": one.box.tolist()} for one in street(5, count=2)[1]]
+    content = {"K": CAMERA.matrix.tolist(), "instances": [{"id": str(i), **car} for i, car in enumerate(cars)]}
+    (tmp_path / "cars.json").write_text(json.dumps(content), encoding="utf-8")
+    run(
+        "reconstruct",
+        tmp_path / "cars.json",
+        "--camera-height",
+        1.65,
+        "--together",
+        "--history",
+        "--json",
+        tmp_path / "out.json",
+    )
+    written = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))
+    stages = {step["stage"] for entry in written["instances"] for step in entry["result"]["history"]}
+    assert "scene" in stages
+    check("results", written)
 
 
 def test_results_of_the_first_release_have_a_schema_of_their_own(example, tmp_path):

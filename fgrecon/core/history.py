@@ -1,0 +1,72 @@
+"""What led to a result: the steps of the optimisation, and the factors of the graph that it ended in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.brief import brief_repr
+from fgrecon.core.plain import array, numbers
+
+__all__ = ["GraphFactor", "Iteration", "read_graph_factor", "read_iteration"]
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """State after one step of the optimisation.
+
+    Attributes:
+        stage: `initialisation`, `pose`, `shape` or `joint`; `scene` of vehicles that were solved together.
+        irls: Index of the weight update within the stage, from 0.
+        step: Index of the solver's iteration within that update, from 0.
+        camera_T_object: (4, 4) pose, maps object coordinates into the camera frame.
+        coefficients: (N,) shape coefficients lambda.
+        keypoints: (K, 3) keypoints in the object frame, free offsets included.
+        projections: (K, 2) their projections, pixels.
+        weights: (K,) weight of each keypoint in [0, 1].
+        energies: Energy by term, nats. That of keypoints and box is the robust one, which the weights stand for, so
+            that it can be compared between stages; a strategy without an energy of its own shows a substitute.
+    """
+
+    stage: str
+    irls: int
+    step: int
+    camera_T_object: NDArray[np.float64]
+    coefficients: NDArray[np.float64]
+    keypoints: NDArray[np.float64]
+    projections: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    energies: Mapping[str, float]
+
+    __repr__ = brief_repr
+
+
+@dataclass(frozen=True)
+class GraphFactor:
+    """One factor of the graph that the result minimises, for drawing.
+
+    Attributes:
+        term: Its energy term, such as `reprojection`.
+        label: The keypoint or face that it is about; empty where the term has one factor.
+        variables: Names of the variables that it ties together, such as `X(v=0,t=0)` and `L(v=0)` (`factors.key_name`).
+    """
+
+    term: str
+    label: str
+    variables: tuple[str, ...]
+
+
+def read_iteration(data: Mapping[str, Any]) -> Iteration:
+    """A step from plain values."""
+    arrays = ("camera_T_object", "coefficients", "keypoints", "projections", "weights")
+    values: dict[str, Any] = {name: array(data[name]) for name in arrays}
+    return Iteration(data["stage"], data["irls"], data["step"], energies=numbers(data["energies"]), **values)
+
+
+def read_graph_factor(data: Mapping[str, Any]) -> GraphFactor:
+    """A factor from plain values."""
+    return GraphFactor(data["term"], data["label"], tuple(data["variables"]))
