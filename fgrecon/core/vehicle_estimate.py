@@ -22,9 +22,10 @@ class VehicleEstimate:
         time: Of the frame, seconds.
         reconstruction: Pose in this frame's camera, shape, covariances and status.
         velocity: (3,) of its origin, metres per second: in the world and along its axes where `world_T_object` is
-            known, else relative to the camera and along the camera's axes. None in the first frame.
-        velocity_covariance: (3, 3) of it, along the same axes; None in the first frame, or where it cannot be had.
-        turn_rate: Rate of `rotation_y`, radians per second, in the same sense; None in the first frame.
+            known, else relative to the camera and along the camera's axes. None in the first frame, and where the
+            camera has come to its place in the world in an unknown way.
+        velocity_covariance: (3, 3) of it, along the same axes; None where that is, or where it cannot be had.
+        turn_rate: Rate of `rotation_y`, radians per second, in the same sense; None where the velocity is.
         facing_probability: How probably the vehicle faces where the pose says, within a quarter turn.
         world_T_object: (4, 4) pose in the world, or None where the camera's is not known.
         frames: How many frames of the vehicle it rests on.
@@ -44,5 +45,5 @@ class VehicleEstimate:
 
     @property
     def speed(self) -> float | None:
-        """Metres per second; None in the first frame."""
+        """Metres per second; None where the velocity is."""
         return None if self.velocity is None else float(np.linalg.norm(self.velocity))

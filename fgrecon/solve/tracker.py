@@ -39,7 +39,7 @@ from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import count, results
 from fgrecon.solve.road import GroundEvidence, KnownGround, Road, ground_evidence
 from fgrecon.solve.threads import single_threaded
-from fgrecon.solve.time.camera_way import CameraWay
+from fgrecon.solve.time.camera_way import CameraWay, Mark
 from fgrecon.solve.time.neighbours import neighbours_say, with_neighbours
 from fgrecon.solve.time.smooth import smooth
 from fgrecon.solve.time.vehicle import Followed
@@ -69,7 +69,7 @@ class _Track:
     followed: Followed
     time: float = -np.inf
     world_T_camera: gtsam.Pose3 | None = None
-    drift: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    mark: Mark = field(default_factory=Mark)
     past: list[_Past] = field(default_factory=list)
 
 
@@ -198,7 +198,7 @@ class Tracker:
         for name, (track, frame) in looked.items():
             track.followed.take(frame, plane)
             self._tracks[name] = track
-            track.time, track.world_T_camera, track.drift = time, place, self._way.covariance
+            track.time, track.world_T_camera, track.mark = time, place, self._way.here
             track.past.append(_Past(frame, place, known))
             if self._past is not None:
                 del track.past[: -self._past]
@@ -245,7 +245,7 @@ class Tracker:
         """Of the last frame."""
         followed, past = track.followed, track.past[-1]
         last = len(followed.solved.seen) - 1
-        return _estimates(name, {last: past}, followed.solved, followed.count)[0]
+        return _estimates(name, {last: past}, followed.solved, followed.rests_on)[0]
 
     def _smoothed(self, name: int, track: _Track, frames: Sequence[Frame]) -> list[VehicleEstimate]:
         pasts = {past.frame.number: past for past in track.past}
@@ -281,13 +281,17 @@ def _estimates(name: int, pasts: Mapping[int, _Past], solved: WindowSolve, total
     adjusted = solved.adjusted if alone else _with_alternatives(solved.adjusted, pasts, facings)
     counted = None if alone else count(adjusted.graph, adjusted.optimum, at_once=pasts)
     told = results(solved.seen, solved.starts, adjusted, {}, solved.extra, only=pasts, counted=counted)
+    found = []
     spreads = [None] * len(frames) if alone else velocity_covariances(solved, frames)
-    each = zip(pasts.values(), told, facings, spreads, strict=True)
-    return [_estimate(name, past, result, facing, total, spread, alone=alone) for past, result, facing, spread in each]
+    for (index, past), result, facing, spread in zip(pasts.items(), told, facings, spreads, strict=True):
+        # The world's velocity is not known where the camera has come to its place in an unknown way.
+        moving = not alone and solved.over_world[index] == (past.world_T_camera is not None)
+        found.append(_estimate(name, past, result, facing, total, spread if moving else None, moving=moving))
+    return found
 
 
 def _estimate(
-    name: int, past: _Past, result: Reconstruction, facing: float, total: int, spread: Array | None, *, alone: bool
+    name: int, past: _Past, result: Reconstruction, facing: float, total: int, spread: Array | None, *, moving: bool
 ) -> VehicleEstimate:
     frame, place = past.frame, past.world_T_camera
     pose = frame.pose.matrix()
@@ -295,7 +299,7 @@ def _estimate(
         result = replace(result, pose_covariance=past.known.considered(pose, result.pose_covariance))
     velocity: Array | None = None
     turn_rate: float | None = None
-    if not alone:
+    if moving:
         axes = pose[:3, :3] if place is None else place.rotation().matrix() @ pose[:3, :3]
         forward, left, turn_rate = frame.velocity.tolist()
         velocity = axes @ np.array([forward, 0.0, left])
@@ -341,7 +345,7 @@ def _step(track: _Track, time: float, place: gtsam.Pose3 | None, way: CameraWay)
         return None
     before = track.world_T_camera
     camera = None if before is None or place is None else before.between(place)
-    unsure = None if camera is None or place is None else way.since(track.drift, place)
+    unsure = None if camera is None or place is None else way.since(track.mark, place)
     if unsure is None:
         return FrameStep(time - track.time, None, np.zeros((6, 6)))
     return FrameStep(time - track.time, camera, unsure)

@@ -62,6 +62,16 @@ class CameraMotion:
     covariance: Array
     points: int
 
+    def then(self, later: CameraMotion) -> CameraMotion:
+        """This motion and the one that follows it, as one."""
+        rotation, way = later.previous_T_current[:3, :3].T, later.previous_T_current[:3, 3]
+        seen = np.zeros((6, 6))  # from the axes in between to those at the end
+        seen[:3, :3] = seen[3:, 3:] = rotation
+        seen[3:, :3] = rotation @ np.cross(way, np.eye(3))
+        covariance = seen @ self.covariance @ seen.T + later.covariance
+        motion = self.previous_T_current @ later.previous_T_current
+        return CameraMotion(motion, covariance, min(self.points, later.points))
+
 
 def camera_motion(
     before: NDArray[np.uint8],

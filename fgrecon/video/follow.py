@@ -22,6 +22,7 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.poses import CameraPoses
 from fgrecon.video.association import Association, Candidate, stands_at
+from fgrecon.video.egomotion import CameraMotion
 from fgrecon.video.records import FrameRecord, Sighting
 
 __all__ = ["DEFAULT_KIND", "Follower", "TrackedFrame", "VehicleTracker"]
@@ -127,6 +128,7 @@ class Follower:
     def __call__(self, record: FrameRecord) -> TrackedFrame:
         """The frame's vehicles; a frame that is not later than the one before is a gap."""
         if record.time <= self._time:
+            self._world.pass_by(record)
             problem = f"{record.name}: its time, {record.time:g} s, is not later than that of the frame before"
             return TrackedFrame(record.number, record.time, record.name, record.problem or problem)
         self._time = record.time
@@ -200,7 +202,21 @@ class _World:
         self._step: Array | None = None  # the last motion that was found, and how long it took
         self._passed = 0.0
         self._time: float | None = None
+        self._passed_by: CameraMotion | None = None  # the motion up to frames that were left out
         self._missed = self._lost = 0.0  # seconds without a motion: for which the camera went on, and had no place
+
+    def pass_by(self, record: FrameRecord) -> None:
+        """Leave a frame out; the next motion begins there all the same."""
+        if not self._moving or record.problem is not None or self._pose is None:
+            return
+        if record.motion is None:
+            self._passed_by, self._lost = None, self._lost + _MOMENT
+        else:
+            self._passed_by = self._since(record.motion)
+
+    def _since(self, motion: CameraMotion) -> CameraMotion:
+        """A motion, with that up to the frames that were left out before it."""
+        return motion if self._passed_by is None else self._passed_by.then(motion)
 
     def move(self, record: FrameRecord) -> tuple[Array | None, Array | None, Array | None]:
         """The camera's place, and how it came there.
@@ -223,7 +239,8 @@ class _World:
         if before is None:
             self._pose = np.eye(4)
             return self._pose, None, None
-        found = record.motion
+        found = None if record.motion is None else self._since(record.motion)
+        self._passed_by = None
         if found is not None:
             step, covariance = found.previous_T_current, found.covariance + _isotropic(_ANYHOW, self._lost)
             self._step, self._passed, self._missed, self._lost = step, passed, 0.0, 0.0

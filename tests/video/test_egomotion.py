@@ -1,5 +1,6 @@
 """The camera's own motion: from made-up points, from rendered images, and on KITTI's parked cars."""
 
+import gtsam
 import numpy as np
 import pytest
 
@@ -7,7 +8,7 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.geometry import exponential
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_drives import read_drive
-from fgrecon.video.egomotion import camera_motion, motion_of_points, tracked_points
+from fgrecon.video.egomotion import CameraMotion, camera_motion, motion_of_points, tracked_points
 from tests.video.streets import rendered
 
 CAMERA = Camera(np.array([[720.0, 0, 620], [0, 720.0, 180], [0, 0, 1]]), image_size=(1242, 375))
@@ -70,6 +71,20 @@ def test_a_standing_camera_stands_and_may_turn():
         assert np.abs(off[:3]).max() < np.radians(0.02)
         assert np.abs(off[3:]).max() < 1e-6
         assert 0.01 < np.sqrt(found.covariance[5, 5]) < 0.05
+
+
+def test_two_motions_are_one_as_gtsam_has_it():
+    rng = np.random.default_rng(0)
+    motions = [gtsam.Pose3.Expmap(rng.normal(size=6)) for _ in range(2)]
+    roots = rng.normal(size=(2, 6, 6))
+    first, second = (
+        CameraMotion(m.matrix(), r @ r.T, 9 - i) for i, (m, r) in enumerate(zip(motions, roots, strict=True))
+    )
+    both = first.then(second)
+    np.testing.assert_allclose(both.previous_T_current, motions[0].compose(motions[1]).matrix(), atol=1e-12)
+    seen = motions[1].inverse().AdjointMap()
+    np.testing.assert_allclose(both.covariance, seen @ first.covariance @ seen.T + second.covariance, atol=1e-9)
+    assert both.points == 8
 
 
 def test_the_ground_gives_the_scale():

@@ -68,6 +68,21 @@ def test_the_world_is_made_of_motions():
     assert [None if p is None else round(float(p[2, 3]), 6) for p in places] == [0.0, 1.0, 2.0, None, 4.0]
 
 
+def test_the_motion_up_to_a_frame_that_is_left_out_is_no_less_a_part_of_the_way():
+    """The next motion begins at its image; where it is not known, nothing is known of the way since."""
+    follow = follower(moving=True)
+    told = []
+    follow.tracker.update = lambda *_, motion_covariance, **__: told.append(motion_covariance) or {}
+    places = []
+    for number, time, motion in ((0, 0.0, None), (1, 0.1, step(1.0)), (2, 0.1, step(1.0)), (3, 0.2, step(1.0))):
+        places.append(follow(FrameRecord(number, time, f"{number}.png", None, (), motion)).world_T_camera)
+    assert [None if p is None else p[2, 3] for p in places] == [0.0, 1.0, None, 3.0]
+    assert np.diag(told[-1])[[0, 5]] == pytest.approx([2e-4, 2e-4])
+    follow(FrameRecord(4, 0.2, "4.png", None, (), None))
+    follow(FrameRecord(5, 0.3, "5.png", None, (), step(1.0)))
+    assert np.sqrt(told[-1][5, 5]) > 1.0
+
+
 def test_a_camera_whose_motion_is_lost_has_no_place():
     """It goes on for a second; later motions know that nothing is known of those between."""
     follow = follower(moving=True)

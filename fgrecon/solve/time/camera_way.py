@@ -2,42 +2,61 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CameraWay"]
+__all__ = ["CameraWay", "Mark"]
 
 Array = NDArray[np.float64]
 
-_ASTRAY = 1e9  # square metres: of a way that is less sure nothing is left of what came last
+_ASTRAY = 1e9  # square metres: of a way that is less sure rounding hides what comes next
+
+
+@dataclass(frozen=True, eq=False)
+class Mark:
+    """A place on a camera's way.
+
+    Attributes:
+        begun: Where the way begins on which it is.
+        covariance: (6, 6) of the way from there, in the axes of its beginning.
+    """
+
+    begun: gtsam.Pose3 | None = None
+    covariance: Array = field(default_factory=lambda: np.zeros((6, 6)))
 
 
 class CameraWay:
-    """How far the camera may be astray from its first place: what its motions leave unknown adds up.
+    """How far the camera may be astray from the beginning of its way: what its motions leave unknown adds up.
+
+    A way that is too unsure begins anew: nothing is known of how what was before lies to what comes then.
 
     Attributes:
-        covariance: (6, 6) of its way so far, in the axes of the first place.
+        here: Where the camera is.
     """
 
     def __init__(self) -> None:
         """Begin without a place."""
-        self._first: gtsam.Pose3 | None = None
-        self.covariance = np.zeros((6, 6))
+        self.here = Mark()
 
     def go(self, place: gtsam.Pose3 | None, covariance: Array | None) -> None:
         """Go on to a place, by a motion of this covariance in the axes there."""
         if place is None:
             return
-        self._first = self._first or place
+        begun = self.here.begun or place
+        total = self.here.covariance
         if covariance is not None:
-            by_motion = self._first.between(place).AdjointMap()
+            by_motion = begun.between(place).AdjointMap()
             with np.errstate(all="ignore"):
-                self.covariance = self.covariance + by_motion @ covariance @ by_motion.T
+                total = total + by_motion @ covariance @ by_motion.T
+        self.here = Mark(begun, total) if np.abs(total).max() < _ASTRAY else Mark(place)
 
-    def since(self, before: Array, place: gtsam.Pose3) -> Array | None:
-        """(6, 6) covariance of the way since it was `before`, in the axes of a place; None where rounding hides it."""
-        if self._first is None or not np.abs(self.covariance).max() < _ASTRAY:
+    def since(self, before: Mark, place: gtsam.Pose3) -> Array | None:
+        """(6, 6) covariance of the way since a mark, in the axes of a place; None where nothing is known of it."""
+        begun = self.here.begun
+        if begun is None or before.begun is not begun:
             return None
-        here = place.between(self._first).AdjointMap()
-        return np.asarray(here @ (self.covariance - before) @ here.T)
+        here = place.between(begun).AdjointMap()
+        return np.asarray(here @ (self.here.covariance - before.covariance) @ here.T)

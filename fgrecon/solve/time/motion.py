@@ -39,6 +39,7 @@ def link(
     *,
     carried: Array | None = None,
     share: float = 1.0,
+    alike: bool = True,
 ) -> list[gtsam.NonlinearFactor]:
     """The factors between two frames of vehicle 0.
 
@@ -50,6 +51,7 @@ def link(
         carried: (6, 6) covariance of the second pose, in the vehicle's own frame, by what is not known of the camera's
             motion; None where it is exact.
         share: Of their information that the factors have.
+        alike: Whether the velocities in both are of one kind: over the world, or relative to the camera.
     """
     first, second = frames
     if camera_motion is not None and model.wheeled:
@@ -61,6 +63,8 @@ def link(
     covariance = seconds * np.diag(own**2) + (0.0 if carried is None else carried)
     unsure = full_noise("motion", covariance / share)
     between = motion_factor(X(0, first), V(0, first), X(0, second), seconds, unsure, camera_motion)
+    if not alike:
+        return [between]
     root = np.sqrt(share)
     noise = diagonal_noise("walk", walk * np.sqrt(seconds) / root)
     return [between, gtsam.BetweenFactorVector(V(0, first), V(0, second), np.zeros(3), noise)]

@@ -10,7 +10,7 @@ to.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
@@ -58,7 +58,7 @@ class Followed:
 
     Attributes:
         frames: Those of the window.
-        count: How many there were in all.
+        count: How many there were in all; those that the last solve rests on are `rests_on`.
         shape: Lambda (N,) and offsets (K, 3).
         solved: The last solve.
     """
@@ -78,7 +78,13 @@ class Followed:
         self.frames: list[Frame] = []
         self.count = 0
         self._left: Marginal | None = None  # as if every image counted whole
-        self._way = _Way()
+        self._gone = 0  # frames that it stands for
+        self._way = self._ahead = _Way()  # up to the last frame that was taken, and up to the one that was looked at
+
+    @property
+    def rests_on(self) -> int:
+        """How many frames the last solve rests on: those of the window, and those of which something is left."""
+        return self._gone + len(self.frames)
 
     def look(self, problem: Problem, time: float, step: FrameStep | None) -> Frame:
         """Look at a frame by itself; `settle` and `take` are to follow.
@@ -92,8 +98,8 @@ class Followed:
             DegenerateProblemError: It determines no pose.
         """
         before = self.frames[-1] if self.frames else None
-        way = None if before is None or step is None else self._way.follow(before.pose, step)
-        frame = self._seen(problem, time, step, way)
+        said, self._ahead = (None, self._way) if before is None or step is None else self._way.on(before.pose, step)
+        frame = self._seen(problem, time, step, said)
         if before is None or step is None:
             frame.belief = Belief.none().told(frame.evidence)
             return frame
@@ -112,20 +118,24 @@ class Followed:
             return  # a single image; see `again`
         changed = face([*self.frames, frame], self.shape)
         if any(other is not frame for other in changed):
-            self._left = None  # what was left of earlier frames knows another side
+            self._forget()  # what was left of earlier frames knows another side
 
     def again(self, frame: Frame, problem: Problem, start: PoseEstimate) -> None:
         """Solve a vehicle's first frame once more, taken for another problem: what it shows is turned round."""
-        frame.problem, frame.start = problem, start
+        frame.problem = frame.given = problem
+        frame.start = start
         self._first(frame, start)
 
     def take(self, frame: Frame, ground: Ground | None) -> None:
         """Take a frame that was looked at, on a ground that may have been found meanwhile, and solve the window."""
         if frame.problem.ground is not ground:
-            frame.problem = frame.problem.on(ground)
+            turned = frame.problem is not frame.given
+            frame.given = frame.given.on(ground)
+            frame.problem = frame.problem.on(ground) if turned else frame.given
             if frame.step is None:
                 self._first(frame, _from(frame))
         self.frames.append(frame)
+        self._way = self._ahead
         self.count += 1
         if frame.step is not None:
             self._start_velocity()
@@ -147,8 +157,14 @@ class Followed:
         return frame
 
     def _foreseen(self, step: FrameStep) -> Array:
-        """(4, 4) where the vehicle should be if it goes on as it did."""
-        last, camera = self.frames[-1], gtsam.Pose3() if step.camera is None else step.camera
+        """(4, 4) where the vehicle should be if it goes on as it did, and so does a camera of unknown motion."""
+        last = self.frames[-1]
+        camera = step.camera or gtsam.Pose3()
+        if last.step is not None and last.known != (step.camera is not None):
+            camera = gtsam.Pose3()  # which a velocity relative to it counts already
+            if last.step.camera is not None:
+                share = step.seconds / last.step.seconds
+                camera = gtsam.Pose3.Expmap(share * gtsam.Pose3.Logmap(last.step.camera))
         return np.asarray(moved(last.pose, last.velocity, step.seconds, camera).matrix())
 
     def _first(self, frame: Frame, start: PoseEstimate) -> None:
@@ -160,17 +176,20 @@ class Followed:
         frame.poses = (here, *self.solved.adjusted.alternatives[0])
 
     def _start_velocity(self) -> None:
-        """A new frame goes on as the one before did; the second tells how both do."""
+        """A new frame goes on as the one before did; the second tells how both do, and one of another kind likewise."""
         *_, before, frame = self.frames
         assert frame.step is not None
-        if len(self.frames) == 2 and self._left is None:
+        another = before.step is not None and before.known != frame.known
+        if another and self._left is not None and len(self.frames) == 2:  # it knows a velocity of the other kind
+            self._left = self._left.fading([V(0, before.number)], 0.0)
+        if another or (len(self.frames) == 2 and self._left is None):
             camera = gtsam.Pose3() if frame.step.camera is None else frame.step.camera
             twist = gtsam.Pose3.Logmap(before.pose.inverse().compose(camera.compose(frame.pose))) / frame.step.seconds
             before.velocity = np.array([*np.clip(twist[[3, 5]], -_FAST, _FAST), 0.0])
         frame.velocity = before.velocity
 
     def _solve(self) -> None:
-        earlier = min(self.count, _COUNTED) - len(self.frames)
+        earlier = min(self.rests_on, _COUNTED) - len(self.frames)
         solved = solve_window(
             self.frames, self.shape, self.motion, earlier=earlier, left=self._left, most=_NEWTON, own=self.own
         )
@@ -196,17 +215,21 @@ class Followed:
         assert after is not None
         kept = float(np.exp(-after.seconds / _FADES))
         now = [X(0, self.frames[0].number), V(0, self.frames[0].number)]
+        self._gone += 1
         left = marginal(own, optimum.values, sorted(leaving)).scaled(1.0 / self.solved.share)
-        forgotten = 1.0 / _COUNTED if self.count >= _COUNTED else 0.0
+        forgotten = 1.0 / _COUNTED if self.rests_on >= _COUNTED else 0.0
         self._left = left.fading(now, kept).scaled(1.0 - forgotten)
 
     def _begin_again(self) -> None:
         """A window that cannot be solved ends: its last frame is the first of another."""
         last = self.frames[-1]
-        self.frames, self._left, last.step = [last], None, None
-        self.solved = solve_alone(last.problem, last.start, last.number)
-        state = self.solved.adjusted.optimum.state
-        self.shape, last.pose, last.weights = state.shapes[0], state.poses[0], state.weights[0]
+        self.frames, last.step, last.problem = [last], None, last.given
+        self._forget()
+        self._first(last, last.start)
+
+    def _forget(self) -> None:
+        """Go on without what was left of earlier frames."""
+        self._left, self._gone = None, 0
 
 
 def _from(frame: Frame) -> PoseEstimate:
@@ -259,24 +282,28 @@ def _move(frame: Frame, heading: float, shape: Held) -> None:
         if not p.excess > _DOUBTFUL and _apart(rotation_y(p.camera_T_object), heading) <= _ELSEWHERE
     ]
     if near:
-        frame.pose = gtsam.Pose3(min(near, key=lambda p: p.excess).camera_T_object)
+        frame.pose, frame.problem = gtsam.Pose3(min(near, key=lambda p: p.excess).camera_T_object), frame.given
         return
-    given = frame.problem
-    other = turned_round(given.observation, given.model.prior)
     pose = frame.pose.compose(gtsam.Pose3(HALF_TURN))
     if _apart(rotation_y(pose.matrix()), heading) > _ELSEWHERE:
         pose = _turned_to(frame.pose, heading)
-    end = _refined(given, pose, frame.weights, shape)
-    try:
-        turned = Problem.of(other, given.camera, given.model, given.ground, given.options)
-    except DegenerateProblemError:  # too few keypoints have a partner on the other side
-        pass
-    else:
-        as_turned = _refined(turned, pose, frame.weights, shape)
+    end = _refined(frame.problem, pose, frame.weights, shape)
+    other = _turned(frame.given) if frame.problem is frame.given else frame.given
+    if other is not None:
+        as_turned = _refined(other, pose, frame.weights, shape)
         if as_turned.energy + _ALIKE < end.energy:
-            end, frame.problem = as_turned, turned
+            end, frame.problem = as_turned, other
     refined = end.state.poses[0]
     frame.pose = refined if _apart(rotation_y(refined.matrix()), heading) <= _ELSEWHERE else pose
+
+
+def _turned(given: Problem) -> Problem | None:
+    """The problem with its keypoints turned round; None where too few have a partner on the other side."""
+    other = turned_round(given.observation, given.model.prior)
+    try:
+        return Problem.of(other, given.camera, given.model, given.ground, given.options)
+    except DegenerateProblemError:
+        return None
 
 
 def _refined(problem: Problem, pose: gtsam.Pose3, weights: Weights, shape: Held) -> Optimum:
@@ -285,34 +312,39 @@ def _refined(problem: Problem, pose: gtsam.Pose3, weights: Weights, shape: Held)
     return optimise(Graph([Seen(problem)], state, pose_free=True, hold_shape=True), state)
 
 
+@dataclass(frozen=True)
 class _Way:
-    """Where a vehicle has gone over the world, as far as the camera's own motion is known."""
+    """Where a vehicle has gone over the world, as far as the camera's own motion is known.
 
-    def __init__(self) -> None:
-        self._camera = gtsam.Pose3()  # in a world that begins with the vehicle
-        self._from: Array | None = None
+    Attributes:
+        camera: The camera, in a world that begins with the vehicle.
+        begun: (3,) where the way begins, or None.
+    """
 
-    def follow(self, pose: gtsam.Pose3, step: FrameStep) -> Array | None:
-        """What the way up to a frame says of the heading in the next one, if the vehicle has gone far enough.
+    camera: gtsam.Pose3 = field(default_factory=gtsam.Pose3)
+    begun: Array | None = None
+
+    def on(self, pose: gtsam.Pose3, step: FrameStep) -> tuple[Array | None, _Way]:
+        """What the way up to a frame says of the heading in the next one, and the way up to that.
 
         Args:
             pose: The vehicle in the frame.
             step: To the next one.
+
+        Returns:
+            (B,) logarithms, or None where the vehicle has not gone far enough; and the way.
         """
         if step.camera is None:
-            self._from = None
-            return None
-        place = np.asarray(self._camera.transformFrom(pose.translation()))
-        self._camera = self._camera.compose(step.camera)
-        if self._from is None:
-            self._from = place
-            return None
+            return None, replace(self, begun=None)
+        place = np.asarray(self.camera.transformFrom(pose.translation()))
+        camera = self.camera.compose(step.camera)
+        if self.begun is None:
+            return None, _Way(camera, place)
         sigma = float(np.hypot(_PLACE, _DEPTH * np.linalg.norm(pose.translation())))
-        moved = place - self._from
+        moved = place - self.begun
         if np.linalg.norm(moved) < max(_WAY, 4.0 * sigma):
-            return None
-        self._from = place
-        return motion_says(np.asarray(self._camera.rotation().unrotate(moved)), sigma)
+            return None, _Way(camera, self.begun)
+        return motion_says(np.asarray(camera.rotation().unrotate(moved)), sigma), _Way(camera, place)
 
 
 def _height(observation: Observation) -> float:

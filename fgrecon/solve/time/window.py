@@ -9,6 +9,9 @@ Images of one vehicle err alike (`ShapeOptions.common_error`): the more there we
 terms of the shape. Motion relative to a camera that moves in an unknown way only makes poses smooth, and counts by the
 same share. Where the camera's motion is known it is evidence of another kind, whose errors are its own: how much larger
 a parked car looks after one's own way says how far away it is, whatever its size. It counts whole.
+
+A frame's velocity is that up to the next frame, the last one's that from the frame before: over the world where the
+camera's motion is known from one to the other, else relative to the camera. One kind says nothing of the other.
 """
 
 from __future__ import annotations
@@ -84,6 +87,7 @@ class Frame:
         number: In the keys.
         time: Seconds.
         problem: What is given; the observation turned round where that is how it is taken.
+        given: The same as it was given; the poses are of it.
         start: Its proposals.
         poses: The poses that its keypoints allow, with energies of the whole.
         evidence: (B,) what it says of the heading, logarithms.
@@ -107,6 +111,11 @@ class Frame:
     velocity: Array = field(default_factory=lambda: np.zeros(3))
     belief: Belief = field(default_factory=Belief.none)
     neighbours: Array = field(default_factory=lambda: np.zeros(len(HEADINGS)))
+    given: Problem = None  # type: ignore[assignment]  # the problem, unless it is told
+
+    def __post_init__(self) -> None:
+        """Take the problem as it is given."""
+        self.given = self.given or self.problem
 
     def believe(self, before: Frame) -> None:
         """Take the belief of the frame before, with what this one says."""
@@ -135,6 +144,7 @@ class WindowSolve:
         extra: The factors of motion, and what is left of earlier frames.
         share: Of their information that the frames have.
         tied: The same of what ties them.
+        over_world: Whether the velocity of each is over the world; else it is relative to the camera.
     """
 
     seen: tuple[Seen, ...]
@@ -143,6 +153,7 @@ class WindowSolve:
     extra: tuple[gtsam.NonlinearFactor, ...]
     share: float = 1.0
     tied: float = 1.0
+    over_world: tuple[bool, ...] = ()
 
 
 def solve_alone(problem: Problem, start: PoseEstimate, number: int) -> WindowSolve:
@@ -206,7 +217,13 @@ def solve_window(
             frame.pose, frame.weights = pose, weights
             frame.velocity = optimum.state.others.atVector(V(0, frame.number))
     adjusted = Adjusted(optimum, (SolvedStage("track", graph, optimum.steps),), ((),) * len(frames))
-    return WindowSolve(seen, tuple(f.start for f in frames), adjusted, tuple(extra), share, tied)
+    starts = tuple(frame.start for frame in frames)
+    return WindowSolve(seen, starts, adjusted, tuple(extra), share, tied, tuple(_over_world(frames)))
+
+
+def _over_world(frames: Sequence[Frame]) -> list[bool]:
+    """Whether the velocity in each of several frames is over the world."""
+    return [after.known for after in (*frames[1:], frames[-1])]
 
 
 def velocity_covariances(solved: WindowSolve, frames: Sequence[Frame]) -> list[Array | None]:
@@ -238,17 +255,15 @@ def motion_factors(
 
     That a vehicle stands, or how fast one drives, is said once of each and not of each frame: it counts by the share.
     """
-    found = []
-    for before, frame in pairwise(frames):
+    found, over_world = [], _over_world(frames)
+    for (before, frame), kinds in zip(pairwise(frames), pairwise(over_world), strict=True):
         step = frame.step
         assert step is not None
         numbers = before.number, frame.number
-        carried = step.carried(frame.pose)
-        found += link(numbers, step.seconds, model, step.camera, carried=carried, share=tied)
-    for frame, after in zip(frames, [*frames[1:], frames[-1]], strict=True):
-        step = after.step
-        assert step is not None
-        seconds = min(step.seconds, _LONGEST)
-        known = step.camera is not None
+        carried, alike = step.carried(frame.pose), kinds[0] == kinds[1]
+        found += link(numbers, step.seconds, model, step.camera, carried=carried, share=tied, alike=alike)
+    for frame, after, known in zip(frames, [*frames[1:], frames[-1]], over_world, strict=True):
+        assert after.step is not None
+        seconds = min(after.step.seconds, _LONGEST)
         found += velocity_terms(frame.number, seconds, model, known=known, share=share, stands=stands)
     return found

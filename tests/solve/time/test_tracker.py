@@ -261,3 +261,85 @@ def test_what_cannot_be_used_is_refused():
         fgrecon.Tracker(past=0)
     with pytest.raises(InvalidInputError, match="joint"):
         fgrecon.Tracker(options=fgrecon.Options(shape=fgrecon.ShapeOptions(joint=False)))
+
+
+def parked(t):
+    """Place of a camera at 15 m/s after t tenths of a second, and a parked car's pose before it."""
+    place = upright(0.0, [0.0, 0.0, 1.5 * t])
+    return place, np.linalg.inv(place) @ upright(-np.pi / 2, [4.0, GROUND, 40.0])
+
+
+@pytest.mark.parametrize("unknown", [{9}, set(range(9))])
+def test_a_velocity_over_the_world_says_nothing_of_one_relative_to_the_camera(unknown):
+    """Where the camera's place is not known now and then, a parked car stands in the world all the same."""
+    rng, frames, poses = np.random.default_rng(0), [], []
+    for t in range(18):
+        place, pose = parked(t)
+        frames.append((0.1 * t, seen(pose, rng), None if t in unknown else place))
+        poses.append(pose)
+    online, smoothed = follow(frames)
+    for estimates in (online, smoothed):
+        for one in estimates[2:]:
+            if one.velocity is not None and one.world_T_object is not None:
+                assert one.speed < 1.0
+            elif one.velocity is not None:
+                assert one.velocity[2] < -6.0
+    assert online[10 if 9 in unknown else 9].velocity is None  # it has come there in an unknown way
+    known = [one.world_T_object[:3, 3] for t, one in enumerate(smoothed) if t >= 10]
+    assert np.ptp(known, axis=0).max() < 0.3
+
+
+def test_a_frame_that_was_turned_round_wrongly_is_turned_back():
+    """While two turned frames are believed the next ones are taken for turned; later ones say that they were not."""
+    rng, poses = np.random.default_rng(2), approaching(12)
+    given = [seen(pose, rng, turned=t < 2) for t, pose in enumerate(poses)]
+    _, smoothed = follow([(0.1 * t, one, None) for t, one in enumerate(given)])
+    assert min(one.reconstruction.weights.mean() for one in smoothed[2:]) > 0.5
+
+
+def test_after_a_vehicle_was_taken_for_another_its_frames_count_again():
+    """An id that passes on to another car: what the first one left behind no longer weighs on the second's shape."""
+    rng, shape = np.random.default_rng(0), np.array([2.0, 0.0, 0.0, 0.0, 0.0])
+    first, second = upright(1.6, [-3.0, GROUND, 14.0]), upright(-1.5, [3.0, GROUND, 14.0])
+    frames = [(0.1 * t, seen(first, rng) if t < 45 else seen(second, rng, shape=shape), None) for t in range(65)]
+    (*_, before), (*_, fresh), (*_, last) = (follow(some)[0] for some in (frames[:45], frames[45:], frames))
+    assert (before.frames, fresh.frames) == (45, 20)
+    assert last.frames < 20
+    assert last.reconstruction.coefficients[0] == pytest.approx(fresh.reconstruction.coefficients[0], abs=0.1)
+
+
+def test_a_camera_that_was_lost_for_long_is_known_again_afterwards():
+    rng, tracker, sure = np.random.default_rng(0), fgrecon.Tracker(size_prior="kitti"), 1e-6 * np.eye(6)
+    lost = 60.0**2 * np.diag([0.25] * 3 + [400.0] * 3)
+    for time, way, covariance in ((0.0, 0.0, sure), (50.0, 750.0, sure), (100.0, 1500.0, sure), (160.0, 1510.0, lost)):
+        place = upright(0.0, [0.0, 0.0, way])
+        tracker.update(time, {}, camera=CAMERA, world_T_camera=place, motion_covariance=covariance)
+    for t in range(12):
+        _, pose = parked(t)
+        place = upright(0.0, [0.0, 0.0, 1511.0 + 1.5 * t])
+        found = tracker.update(
+            161.0 + 0.1 * t,
+            {3: seen(pose, rng)},
+            camera=CAMERA,
+            ground=GROUND,
+            world_T_camera=place,
+            motion_covariance=sure,
+        )
+    assert found[3].speed < 1.0
+
+
+def test_a_frame_that_is_refused_is_no_part_of_the_way(monkeypatch):
+    """The camera's motion up to it is counted with the next one, once."""
+    ways = []
+    take = Followed.take
+    monkeypatch.setattr(Followed, "take", lambda self, *given: (take(self, *given), ways.append(self._way))[0])
+    rng, empty = np.random.default_rng(0), fgrecon.Observation(np.full((14, 2), np.nan), np.zeros(14))
+    few = np.full((14, 2), np.nan)
+    few[:2] = [[500.0, 200.0], [560.0, 210.0]]
+    tracker = fgrecon.Tracker(size_prior="kitti")
+    for t, given in enumerate([None, None, fgrecon.Observation(few, np.ones(14)), empty, None]):
+        place, pose = parked(t)
+        observation = seen(pose, rng) if given is None else given
+        tracker.update(0.1 * t, {3: observation}, camera=CAMERA, ground=GROUND, world_T_camera=place)
+    assert len(ways) == 3
+    np.testing.assert_allclose(ways[-1].camera.translation(), [0.0, 0.0, 6.0], atol=1e-9)
