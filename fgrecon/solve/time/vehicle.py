@@ -282,7 +282,11 @@ def _move(frame: Frame, heading: float, shape: Held) -> None:
         if not p.excess > _DOUBTFUL and _apart(rotation_y(p.camera_T_object), heading) <= _ELSEWHERE
     ]
     if near:
-        frame.pose, frame.problem = gtsam.Pose3(min(near, key=lambda p: p.excess).camera_T_object), frame.given
+        frame.pose = gtsam.Pose3(min(near, key=lambda p: p.excess).camera_T_object)
+        if frame.problem is not frame.given:
+            as_turned, end = (_refined(p, frame.pose, frame.weights, shape) for p in (frame.problem, frame.given))
+            if not as_turned.energy + _ALIKE < end.energy:
+                frame.problem = frame.given
         return
     pose = frame.pose.compose(gtsam.Pose3(HALF_TURN))
     if _apart(rotation_y(pose.matrix()), heading) > _ELSEWHERE:
