@@ -110,6 +110,7 @@ class Graph:
         self.vehicles: dict[int, VehiclePart] = {}
         self.observations: list[ObservationPart] = []
         counts = Counter(one.vehicle for one in seen)
+        self._more = {number: count - 1 + earlier for number, count in counts.items()}  # images beside one of its own
         for one, pose in zip(seen, state.poses, strict=True):
             if one.vehicle not in self.vehicles:
                 model, number = one.problem.model, one.vehicle
@@ -118,7 +119,7 @@ class Graph:
                 else:
                     self.vehicles[number] = vehicle_part(model, self.options, number)
             vehicle = self.vehicles[one.vehicle]
-            share = common_share(counts[one.vehicle] + earlier, self.options)
+            share = common_share(1 + self._more[one.vehicle], self.options)
             self.observations.append(
                 ObservationPart(
                     one.problem,
@@ -167,7 +168,8 @@ class Graph:
         number = part.vehicle.number
         state = State([part.pose(values)], {number: part.vehicle.read(values)}, [weights[index]])
         one = Seen(part.problem, number, part.image)
-        return Graph([one], state, pose_free=True, hold_shape=True, extra=self.extra), state
+        more = self._more[number]
+        return Graph([one], state, pose_free=True, hold_shape=True, extra=self.extra, earlier=more), state
 
     def check_in_front(self, values: gtsam.Values) -> None:
         """Refuse values with keypoints behind a camera.

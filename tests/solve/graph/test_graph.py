@@ -10,7 +10,7 @@ from factors import L, M, O, P, X
 from factors.mixture import Form
 from fgrecon.core.options import Options
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.graph.graph import Graph, Seen
+from fgrecon.solve.graph.graph import Graph, Seen, State
 from fgrecon.solve.graph.solver import minimise
 from fgrecon.solve.proposals.problem import keypoint_covariances
 from tests.solve.graph.energy import minimise_by_ceres, minimise_by_scipy
@@ -271,3 +271,13 @@ def test_a_held_shape_is_a_constant():
     np.testing.assert_array_equal(back.shapes[0][1], offsets)
     one, other = (graph.energies(graph.values(state), state.weights) for graph in (held, whole))
     assert one == pytest.approx({name: other[name] for name in one}, rel=1e-12)
+
+
+def test_an_image_that_is_solved_alone_counts_as_in_its_graph():
+    case = Case(joint=True, **SCENES["symmetric"])
+    pose, shape = case.state.poses[0], case.state.shapes[0]
+    seen = [Seen(case.problem), Seen(case.problem, image=1)]
+    state = State([pose, pose], {0: shape}, [case.weights, case.weights])
+    graph = Graph(seen, state, pose_free=True, earlier=3)
+    alone, _ = graph.alone(1, graph.values(state), state.weights)
+    assert alone.observations[0].share == graph.observations[1].share < 1.0
