@@ -69,3 +69,10 @@ def test_no_step_of_a_scene_raises_its_energy(number):
     found.one_more()
     assert found.faults == []
     assert found.steps > 50
+
+
+@pytest.mark.parametrize("number", [(48, 3810)])
+def test_what_a_soak_has_found_stays_mended(number):
+    """A scene whose ground is as good as undetermined."""
+    _, _, solve = problem([*number])
+    assert faults(solve()) == []

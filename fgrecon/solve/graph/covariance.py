@@ -108,10 +108,15 @@ def factorise(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.
 
 
 def covariance_of(marginals: gtsam.Marginals | Spread | None, key: int) -> Array | None:
-    """The covariance of a variable; None where there are no marginals, or it is not finite."""
+    """The covariance of a variable; None where there are no marginals, or it is not finite or cannot be had."""
     if marginals is None:
         return None
-    covariance = joint_covariance(marginals, [key])
+    try:
+        covariance = joint_covariance(marginals, [key])
+    except FactorCallbackError:
+        raise
+    except (RuntimeError, np.linalg.LinAlgError):  # as in `read_covariances`: others may be determined, this one is not
+        return None
     return covariance if np.isfinite(covariance).all() else None
 
 
