@@ -21,7 +21,7 @@ from fgrecon.batch.schema import EMPTY
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.options import Options
+from fgrecon.core.options import Options, checked_options
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as named_size_prior
@@ -88,7 +88,7 @@ class Reconstructor:
         self._prior, self._ground = prior, ground
         self._camera = None if camera is None else Camera.of(camera)
         self._size, self._names = size_prior, names
-        self._options = replace(Options() if options is None else options, keep_history=False)
+        self._options = replace(checked_options(options), keep_history=False)
         self._weights, self._threads = weights, threads
         self._pictures = Pictures()
 

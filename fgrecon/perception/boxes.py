@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.options import BoxModel, Options
+from fgrecon.core.options import BoxModel, Options, checked_options
 from fgrecon.io.boxes import NamedBox, read_boxes
 from fgrecon.perception.keypoints.detect import SMALLEST_BOX
 from fgrecon.perception.protocols import VehicleDetector, find_vehicles
@@ -75,7 +75,7 @@ def detected_boxes(image: NDArray[Any], least_score: float | None = None) -> lis
 
 def for_detected(options: Options | None) -> Options:
     """Settings for boxes that the package's detector found: an outline is one as it draws it."""
-    options = Options() if options is None else options
+    options = checked_options(options)
     if options.box.model is not BoxModel.SURFACE:
         return options
     return replace(options, box=replace(options.box, model=BoxModel.DETECTED))

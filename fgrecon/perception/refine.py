@@ -15,7 +15,7 @@ from fgrecon.core.camera import MIN_DEPTH, Camera, Ground
 from fgrecon.core.checks import as_shape
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
-from fgrecon.core.options import BoxModel, BoxOptions, Options
+from fgrecon.core.options import BoxModel, BoxOptions, Options, checked_options
 from fgrecon.core.refined_box import RefinedBox
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
@@ -69,7 +69,9 @@ def refine_boxes(
         InvalidInputError: An argument cannot be used; names it, its value and the fix.
     """
     errors = BoxErrors() if box_errors is None else box_errors
-    settings = Options(box=BoxOptions(model=BoxModel.CUBOID), keep_history=False) if options is None else options
+    if options is None:
+        options = Options(box=BoxOptions(model=BoxModel.CUBOID), keep_history=False)
+    settings = checked_options(options, joint=True)
     pixels = read_image(image) if isinstance(image, str | Path) else as_rgb8(image)
     seen_by = Camera.of(camera)
     if seen_by.image_size is None:
