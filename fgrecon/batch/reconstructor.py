@@ -30,7 +30,7 @@ from fgrecon.io.keypoint_file import Instance
 from fgrecon.io.keypoints.names import Names, NamesLike, parse_names
 from fgrecon.io.keypoints.reader import parse_any_keypoints
 from fgrecon.perception.boxes import for_detected
-from fgrecon.perception.keypoints.detect import SMALLEST_BOX, KeypointCascade, check_box, shipped_cascade
+from fgrecon.perception.keypoints.detect import KeypointCascade, check_box, large_enough, shipped_cascade
 from fgrecon.perception.keypoints.sessions import at_most
 from fgrecon.perception.protocols import find_keypoints
 from fgrecon.perception.vehicles.detect import NanodetVehicleDetector, Vehicles
@@ -184,7 +184,7 @@ class Reconstructor:
         vehicle_detector, cascade = self._networks
         given = task.get("boxes")
         found = vehicle_detector(image) if given is None else _given(given, image)
-        large = (found.boxes[:, 2:] - found.boxes[:, :2]).max(axis=1, initial=0.0) >= SMALLEST_BOX
+        large = large_enough(found.boxes)
         boxes, scores = found.boxes[large], found.scores[large]
         if not len(boxes):
             yield {**origin, "status": EMPTY}

@@ -21,7 +21,7 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.images import read_image
-from fgrecon.perception.keypoints.detect import SMALLEST_BOX, as_rgb8, shipped_cascade
+from fgrecon.perception.keypoints.detect import SMALLEST_BOX, as_rgb8, large_enough, shipped_cascade
 from fgrecon.perception.protocols import KeypointDetector, find_keypoints
 from fgrecon.solve.refine import refined
 from fgrecon.solve.scene import reconstruct_scene
@@ -82,7 +82,7 @@ def refine_boxes(
     limits = np.array([pixels.shape[1], pixels.shape[0]] * 2) - 1.0
     where = np.array([g if o else _projected(b, seen_by) for b, g, o in zip(boxes, given, own, strict=True)])
     where = np.clip(where.reshape(-1, 4), 0.0, limits)
-    looked = np.flatnonzero((where[:, 2:] - where[:, :2]).min(axis=1, initial=np.inf) >= SMALLEST_BOX).tolist()
+    looked = np.flatnonzero(large_enough(where)).tolist()
     shape_prior = load_prior(prior)
     networks = shipped_cascade() if keypoint_detector is None else keypoint_detector
     found = find_keypoints(networks, pixels, where[looked], shape_prior.category) if len(looked) else []
