@@ -301,8 +301,8 @@ def _together(
         priors.append(focal_prior(known, alone.camera))
     for number, one in solved.items():
         priors += one.own(number)
-        free = replace(one.problem, ground=None, energy=replace(one.problem.energy, ground=None))
-        seen.append(Seen(free if image_of[number] in standing else one.problem, vehicle=number))
+        problem = one.problem.on(None) if image_of[number] in standing else one.problem
+        seen.append(Seen(problem, vehicle=number))
     states = [one.adjusted.optimum.state for one in solved.values()]
     state = State(
         poses=[state.poses[0] for state in states],
