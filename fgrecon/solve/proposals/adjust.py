@@ -137,11 +137,7 @@ def _starts(problem: Problem, initial: Box3D | float | Array | None) -> Hypothes
         parts.append(from_pose(foreseen, model.prior.dimension))
     else:
         parts.append(_from_aspnp(problem))
-    return Hypotheses(
-        np.concatenate([p.rotation for p in parts]),
-        np.concatenate([p.translation for p in parts]),
-        np.concatenate([p.coefficients for p in parts]),
-    )
+    return Hypotheses.joined(parts)
 
 
 def _from_aspnp(problem: Problem) -> Hypotheses:
