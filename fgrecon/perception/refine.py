@@ -14,6 +14,7 @@ from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import MIN_DEPTH, Camera, Ground
 from fgrecon.core.checks import as_shape
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import box_around
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import BoxModel, BoxOptions, Options, checked_options
 from fgrecon.core.refined_box import RefinedBox
@@ -117,4 +118,4 @@ def _projected(box: Box3D, camera: Camera) -> Array:
     if not len(ahead):
         return np.zeros(4)
     pixels = camera.distort(camera.project(ahead))
-    return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
+    return box_around(pixels)

@@ -19,6 +19,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.geometry import turn_between
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Alternative
 from fgrecon.core.robust import StrategyName
@@ -27,7 +28,7 @@ from fgrecon.solve.graph.facing import decide, is_turned
 from fgrecon.solve.graph.graph import Graph, Seen, State
 from fgrecon.solve.graph.observation import Weights
 from fgrecon.solve.graph.optimise import Optimum, Step, optimise
-from fgrecon.solve.proposals.adjust import DISTINCT, PoseEstimate, distinct, turn_between
+from fgrecon.solve.proposals.adjust import DISTINCT, PoseEstimate, distinct
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.wider import lower_poses
 

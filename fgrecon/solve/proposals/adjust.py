@@ -25,7 +25,7 @@ from fgrecon.solve.proposals.search import search
 from fgrecon.solve.proposals.starts import at_azimuths, from_box3d, from_pose, view_box
 from fgrecon.solve.proposals.terms import Hypotheses
 
-__all__ = ["DISTINCT", "PoseEstimate", "adjust_pose", "distinct", "turn_between"]
+__all__ = ["DISTINCT", "PoseEstimate", "adjust_pose", "distinct"]
 
 Array = NDArray[np.float64]
 
@@ -175,12 +175,6 @@ def _by_algorithm1(problem: Problem) -> PoseEstimate:
         alternatives=tuple(Alternative(pose, zero[-1], float("nan")) for pose in result.others),
         history=_history(problem, path, result.weights),
     )
-
-
-def turn_between(first: Array, second: Array) -> float:
-    """Angle between the rotations of two poses (4, 4), radians."""
-    cosine = (np.trace(first[:3, :3].T @ second[:3, :3]) - 1.0) / 2.0
-    return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
 def distinct(poses: Sequence[Array] | Array) -> list[int]:
