@@ -30,8 +30,8 @@ def markdown(boxes: Sequence[VideoBox]) -> str:
     regimes = group_boxes(boxes)["regime"]
     for group in _GROUPS:
         some = regimes.get(group, [])
-        for name in methods_of(some):
-            lines.append(markdown_row([f"{group}, {len(some)}", name, *_cells(summarise_boxes(some, name))]))
+        named = f"{group}, {len(some)}"
+        lines += [markdown_row([named, name, *_cells(summarise_boxes(some, name))]) for name in methods_of(some)]
     return "".join(lines)
 
 
