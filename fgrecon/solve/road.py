@@ -5,10 +5,10 @@
              vehicles            vehicles            vehicles
 
 A camera nods, and the road bends; both change slowly, and in the long run the ground is as near to what is told as that
-says (`Ground`). Each frame is one step: what its vehicles say, with poses and shapes eliminated
-(`fgrecon.solve.scene`), one factor from the ground before, and what is left of that. Vehicles that are seen again err
-alike: they count by the time that has passed. How sure the ground is goes by a second chain, in which they count as
-their keypoints do for covariances.
+says (`Ground`). Each frame is one step: what its vehicles say, with poses and shapes eliminated (`ground_evidence`),
+one factor from the ground before, and what is left of that. Vehicles that are seen again err alike: they count by the
+time that has passed. How sure the ground is goes by a second chain, in which they count as their keypoints do for
+covariances.
 """
 
 from __future__ import annotations
