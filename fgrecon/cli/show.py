@@ -15,8 +15,8 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
-from fgrecon.cli.batch import Outcome, Task
 from fgrecon.cli.deliver import recordings_of
+from fgrecon.cli.reconstruct_work import Outcome, Task
 from fgrecon.cli.settings import Settings, plain_camera, plain_settings
 from fgrecon.cli.terminal import Screen
 from fgrecon.core.camera import Ground
