@@ -59,8 +59,8 @@ def compare(count: int, seed: int) -> int:
     verified: list[bool] = []
     find_minima = _polynomial.minima
 
-    def recorded(S: Array, L: Array) -> _polynomial.Minima:
-        found = find_minima(S, L)
+    def recorded(S: Array, L: Array, *, every: bool = True) -> _polynomial.Minima:
+        found = find_minima(S, L, every=every)
         verified.append(found.complete)
         return found
 
@@ -117,7 +117,7 @@ def clock(seed: int) -> None:
     weights = rng.uniform(0.1, 1.0, size=14)
     caught: list[tuple[Array, Array]] = []
     find_minima = _polynomial.minima
-    _polynomial.minima = lambda S, L: caught.append((S, L)) or find_minima(S, L)
+    _polynomial.minima = lambda S, L, **how: caught.append((S, L)) or find_minima(S, L, **how)
     aspnp(points, image_points, weights)
     _polynomial.minima = find_minima
     S, L = (form / np.linalg.norm(form) for form in caught[0])

@@ -23,6 +23,7 @@ import numpy as np
 
 import fgrecon
 from fgrecon.core.errors import FgreconError
+from fgrecon.core.geometry import turn_between
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Alternative, Status
@@ -34,7 +35,7 @@ from fgrecon.simulation.vehicles import KITTI_CAMERA, simulate_many
 from fgrecon.solve.graph.adjust import adjust
 from fgrecon.solve.graph.graph import Seen
 from fgrecon.solve.pipeline import observe
-from fgrecon.solve.proposals.adjust import adjust_pose, turn_between
+from fgrecon.solve.proposals.adjust import adjust_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.search import search
 from fgrecon.solve.proposals.starts import at_azimuths, view_box

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fgrecon
-from fgrecon.core.geometry import yaw_rotation
+from fgrecon.core.geometry import box_around, yaw_rotation
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.simulation import KITTI_CAMERA
 
@@ -37,7 +37,7 @@ def observed(prior: ShapePrior, frame: int, car: int, rng: np.random.Generator) 
     rotation = yaw_rotation(np.array([0.6 * np.sin(phase) + 1.2 * car]))[0]
     place = np.array([-3.0 + 6.0 * car, _HEIGHT, 20.0 + 8.0 * np.sin(0.7 * phase)])
     pixels = KITTI_CAMERA.project(prior.mean @ rotation.T + place)
-    box = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
+    box = box_around(pixels)
     noisy = pixels + _NOISE * float((box[2:] - box[:2]).max()) * rng.normal(size=pixels.shape)
     x, _, z = -rotation.T @ place
     turn = 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS - np.arctan2(z, x)

@@ -15,7 +15,7 @@ from factors._terms cimport MAJORISED, WEIGHTED, cross, mixture, project, robust
 import numpy as np
 
 cdef double PI = 3.14159265358979323846
-cdef double LEAST = 1e-3  # metres: depth at which nearer points are evaluated (`factors.projection.MIN_DEPTH`)
+cdef double LEAST = 1e-3  # metres: depth at which nearer points are evaluated (`factors.projection.LEAST_DEPTH`)
 cdef double FARTHEST = 40.0  # softnesses behind the outermost point beyond which one has no share in an extent
 
 cdef inline double kink(double behind, double softness) noexcept nogil:

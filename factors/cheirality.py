@@ -14,12 +14,13 @@ import numpy as np
 
 from factors.errors import DegenerateProblemError
 from factors.guard import Evaluation, guarded_factor
-from factors.kernel import MIN_DEPTH, ProjectionKernel
+from factors.kernel import ProjectionKernel
+from factors.projection import SHALLOWEST
 
 __all__ = ["check_in_front", "cheirality_factor"]
 
 
-def cheirality_factor(kernel: ProjectionKernel, min_depth: float = 10 * MIN_DEPTH) -> gtsam.CustomFactor:
+def cheirality_factor(kernel: ProjectionKernel, min_depth: float = SHALLOWEST) -> gtsam.CustomFactor:
     """Barrier: 1 row, 0 where every keypoint lies deeper than `min_depth` (metres), else infinity; Jacobian zero.
 
     The optimisation must start in front of the camera: see `check_in_front`.
@@ -31,7 +32,7 @@ def cheirality_factor(kernel: ProjectionKernel, min_depth: float = 10 * MIN_DEPT
     return guarded_factor("cheirality", 1.0, kernel.keys, kernel.dims, 1, callback, allow_infinite=True)
 
 
-def check_in_front(kernel: ProjectionKernel, values: gtsam.Values, min_depth: float = 10 * MIN_DEPTH) -> None:
+def check_in_front(kernel: ProjectionKernel, values: gtsam.Values, min_depth: float = SHALLOWEST) -> None:
     """Refuse a start with keypoints behind the camera, from where no step is ever accepted.
 
     Raises:

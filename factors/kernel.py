@@ -1,8 +1,8 @@
 """One evaluation of all keypoints per linearisation point.
 
 What costs in a Python factor is numpy's overhead per call, not the arithmetic. `ProjectionKernel` therefore projects
-all keypoints at once, with all their Jacobians, and thin factors read their rows; each keypoint keeps a factor, and
-with it a robust weight, of its own.
+all keypoints at once, with all their Jacobians, and thin factors read their rows: by default one factor has all that an
+image says of a vehicle (`factors.observation`); with a robust loss of GTSAM's each keypoint has a factor of its own.
 
 The equations are those of `factors.projection`, which the search for proposals evaluates for many poses at once.
 """
@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from factors.checks import finite_array
 from factors.errors import InvalidInputError
-from factors.projection import MIN_DEPTH, by_pose, pixel_jacobian, project
+from factors.projection import by_pose, pixel_jacobian, project
 from factors.shape import LinearShape
 
-__all__ = ["MIN_DEPTH", "Projection", "ProjectionKernel"]
+__all__ = ["Projection", "ProjectionKernel"]
 
 
 @dataclass(slots=True)
@@ -32,7 +32,7 @@ class Projection:
     Attributes:
         pixels: (K, 2) pixels; finite also for points behind the camera, where they mean nothing.
         depths: (K,) depths in the camera frame, metres; positive in front.
-        camera: (K, 3) points in the camera frame, metres, at least `MIN_DEPTH` deep.
+        camera: (K, 3) points in the camera frame, metres, at least `LEAST_DEPTH` of `factors.projection` deep.
         points: (K, 3) points in the object frame, metres.
         rotation: (3, 3) of camera_T_object.
         matrix: (3, 3) intrinsics.

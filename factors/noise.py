@@ -19,12 +19,21 @@ from factors.checks import finite_array
 from factors.errors import InvalidInputError
 from factors.losses import RobustLoss
 
-__all__ = ["Noise", "as_noise", "diagonal_noise", "full_noise", "keypoint_noise", "keypoint_whiteners"]
+__all__ = [
+    "SMALLEST_WEIGHT",
+    "Noise",
+    "as_noise",
+    "diagonal_noise",
+    "full_noise",
+    "keypoint_noise",
+    "keypoint_whiteners",
+]
 
 Noise = gtsam.noiseModel.Base | float
 """A noise model, or one sigma for every row of the residual, in the residual's unit."""
 
-_SMALLEST_WEIGHT = 1e-12
+SMALLEST_WEIGHT = 1e-12
+"""A keypoint of less weight is left out."""
 
 
 def keypoint_noise(
@@ -51,7 +60,7 @@ def keypoint_noise(
     """
     if not (np.isfinite(weight) and weight >= 0):
         raise InvalidInputError("weight", weight, "Give a finite weight >= 0.")
-    if weight < _SMALLEST_WEIGHT:
+    if weight < SMALLEST_WEIGHT:
         return None
     noise: gtsam.noiseModel.Base
     if covariance is None:
@@ -96,7 +105,7 @@ def keypoint_whiteners(weights: ArrayLike, sigma: float, covariances: ArrayLike 
         result[:, 0] = 1.0 / np.sqrt(S[:, 0, 0])
         result[:, 2] = np.sqrt(S[:, 0, 0] / determinants)
         result[:, 1] = -S[:, 0, 1] / S[:, 0, 0] * result[:, 2]
-    return result * np.sqrt(np.where(array < _SMALLEST_WEIGHT, 0.0, array))[:, None]
+    return result * np.sqrt(np.where(array < SMALLEST_WEIGHT, 0.0, array))[:, None]
 
 
 def full_noise(field: str, covariance: ArrayLike) -> gtsam.noiseModel.Gaussian:

@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 from factors.box import OUTWARD, crease_rows, projected_extents
 from factors.ground import ground_rows
 from factors.guard import Evaluation, guarded_factor
-from factors.kernel import MIN_DEPTH, ProjectionKernel
+from factors.kernel import ProjectionKernel
 from factors.mixture import Form, robust_rows
+from factors.projection import SHALLOWEST
 
 __all__ = ["BoxRows", "GroundRows", "ObservationRows", "observation_factor"]
 
 Array = NDArray[np.float64]
-
-_SHALLOWEST = 10 * MIN_DEPTH  # as in `factors.cheirality`
 
 
 @dataclass(frozen=True)
@@ -112,7 +111,7 @@ class ObservationRows:
         form = self.form if want_jacobian or self.form is Form.WEIGHTED else Form.LOSS
         evaluate = self._by_numpy if self.compiled is None else self._by_kernel
         nearest, residual, jacobian = evaluate(values, form, want_jacobian)
-        if not _SHALLOWEST < nearest < np.inf:
+        if not SHALLOWEST < nearest < np.inf:
             return np.full(self.rows, np.inf), None if jacobian is None else np.zeros_like(jacobian)
         if self.share != 1.0:
             residual *= self.share**0.5

@@ -14,16 +14,19 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MIN_DEPTH", "by_pose", "cross", "pixel_jacobian", "project"]
+__all__ = ["LEAST_DEPTH", "SHALLOWEST", "by_pose", "cross", "pixel_jacobian", "project"]
 
 Array = NDArray[np.float64]
 
-MIN_DEPTH = 1e-3
+LEAST_DEPTH = 1e-3
 """Depth in metres below which a point counts as behind the camera; the projection is evaluated at this depth there."""
+
+SHALLOWEST = 10 * LEAST_DEPTH
+"""The barrier's depth in metres: it keeps every keypoint of a vehicle deeper, where the projection is the true one."""
 
 
 def project(
-    matrix: Array, rotation: Array, translation: Array, points: Array, min_depth: float = MIN_DEPTH
+    matrix: Array, rotation: Array, translation: Array, points: Array, min_depth: float = LEAST_DEPTH
 ) -> tuple[Array, Array, Array]:
     """Project points.
 

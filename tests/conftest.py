@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy loads: the tests run on all cores already
@@ -43,3 +44,19 @@ def scene():
 def content(scene):
     """A fresh copy that a test may spoil."""
     return json.loads(json.dumps(make_track(scene.prior, [0.3, 1.9, -2.5])))
+
+
+@pytest.fixture
+def start():
+    """Starts programs, and ends them with the test."""
+    started = []
+
+    def begin(arguments):
+        process = subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        started.append(process)
+        return process
+
+    yield begin
+    for process in started:
+        process.terminate()
+        process.wait(timeout=20)

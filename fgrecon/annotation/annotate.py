@@ -22,7 +22,7 @@ from fgrecon.core.detection import Detection
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_drives import Drive, DriveFrame
-from fgrecon.perception.keypoints.detect import SMALLEST_BOX
+from fgrecon.perception.keypoints.detect import large_enough
 from fgrecon.perception.protocols import KeypointDetector, find_keypoints
 
 __all__ = ["Annotation", "LeftOut", "Reason", "Wanted", "annotate"]
@@ -131,7 +131,7 @@ def _seen(
     camera = replace(frame.calibration.camera, image_size=(width, height))
     boxes = np.clip(frame.objects.box[rows], 0.0, [width - 1.0, height - 1.0] * 2)
     sides = boxes[:, 2:] - boxes[:, :2]
-    within = (sides >= 1.0).all(axis=1) & (sides.max(axis=1) >= SMALLEST_BOX)
+    within = (sides >= 1.0).all(axis=1) & large_enough(boxes)
     left += [_left_out(frame, row, Reason.OUTSIDE) for row in rows[~within]]
     found = find_keypoints(detector, image, boxes[within], prior.category)
     return [_Member(frame, int(row), camera, one) for row, one in zip(rows[within], found, strict=True)]

@@ -19,7 +19,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any, Generic, Protocol, TypeVar
 
 from fgrecon.core.errors import FgreconError
-from fgrecon.core.processes import single_threaded
+from fgrecon.core.processes import keep, one_thread_each, run_kept
 
 __all__ = ["STARTS", "Worker", "WorkerDiedError", "drive", "work"]
 
@@ -66,13 +66,13 @@ class _Process(Generic[Piece, Result]):
         """Let it work on a piece."""
         if self._pool is not None:
             try:
-                return self._pool.submit(_call, piece)
+                return self._pool.submit(run_kept, piece)
             except BrokenProcessPool:  # it died while it had nothing to do
                 self._pool.shutdown(wait=False)
         self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"))
-        with single_threaded():
+        with one_thread_each():
             self._begun = self._pool.submit(_begin, self._function)
-        return self._pool.submit(_call, piece)
+        return self._pool.submit(run_kept, piece)
 
     def bury(self) -> bool:
         """Leave a dead process behind; the next piece has a new one.
@@ -202,16 +202,12 @@ def _after_death(
     return False
 
 
-_function: Callable[[Any], Any]
-
-
 def _begin(function: Callable[[Any], Any]) -> int:
     """Make a worker ready; its process number.
 
     The user's Ctrl-C is for the parent, which ends its workers; a parent that is killed can end none, so they look.
     """
-    global _function  # noqa: PLW0603 - what a worker does, sent to it once
-    _function = function
+    keep(function)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_follow_parent, daemon=True).start()
     return os.getpid()
@@ -222,7 +218,3 @@ def _follow_parent() -> None:
     assert parent is not None
     parent.join()
     os._exit(1)
-
-
-def _call(piece: Any) -> Any:
-    return _function(piece)

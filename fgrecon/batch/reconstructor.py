@@ -21,7 +21,7 @@ from fgrecon.batch.schema import EMPTY
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.options import Options
+from fgrecon.core.options import Options, checked_options
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as named_size_prior
@@ -30,7 +30,7 @@ from fgrecon.io.keypoint_file import Instance
 from fgrecon.io.keypoints.names import Names, NamesLike, parse_names
 from fgrecon.io.keypoints.reader import parse_any_keypoints
 from fgrecon.perception.boxes import for_detected
-from fgrecon.perception.keypoints.detect import SMALLEST_BOX, KeypointCascade, check_box, shipped_cascade
+from fgrecon.perception.keypoints.detect import KeypointCascade, check_box, large_enough, shipped_cascade
 from fgrecon.perception.keypoints.sessions import at_most
 from fgrecon.perception.protocols import find_keypoints
 from fgrecon.perception.vehicles.detect import NanodetVehicleDetector, Vehicles
@@ -88,7 +88,7 @@ class Reconstructor:
         self._prior, self._ground = prior, ground
         self._camera = None if camera is None else Camera.of(camera)
         self._size, self._names = size_prior, names
-        self._options = replace(Options() if options is None else options, keep_history=False)
+        self._options = replace(checked_options(options), keep_history=False)
         self._weights, self._threads = weights, threads
         self._pictures = Pictures()
 
@@ -184,7 +184,7 @@ class Reconstructor:
         vehicle_detector, cascade = self._networks
         given = task.get("boxes")
         found = vehicle_detector(image) if given is None else _given(given, image)
-        large = (found.boxes[:, 2:] - found.boxes[:, :2]).max(axis=1, initial=0.0) >= SMALLEST_BOX
+        large = large_enough(found.boxes)
         boxes, scores = found.boxes[large], found.scores[large]
         if not len(boxes):
             yield {**origin, "status": EMPTY}

@@ -13,6 +13,7 @@ from fgrecon.cli.common import check_outputs, headed_table
 from fgrecon.cli.labelled_drives import DriveOptions, DrivesArgument
 from fgrecon.cli.options import JsonOption, LabelledScene, MarkdownOption, fitting_names
 from fgrecon.cli.terminal import Terminal
+from fgrecon.core.text import number_or_dash
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from rich.table import Table
@@ -212,9 +213,9 @@ def _table(boxes: list[VideoBox], method: str) -> Table:
                 *(["-" if s is None else f"{s.value:.1f}" for s in (score.silent, score.network_turned_round)] * whole),
                 f"{score.median_metres:.2f}",
                 f"{score.mean_metres:.2f}",
-                _number(score.mean_absolute_size_error, 100.0, ".0f"),
-                _number(score.jitter_degrees, 1.0, ".2f"),
-                _number(score.jitter_metres, 1.0, ".2f"),
+                number_or_dash(score.mean_absolute_size_error, ".0f", 100.0),
+                number_or_dash(score.jitter_degrees, ".2f"),
+                number_or_dash(score.jitter_metres, ".2f"),
                 str(score.refused),
             )
         table.add_section()
@@ -236,17 +237,13 @@ def _consistency_table(boxes: list[VideoBox]) -> Table:
         for name in DIMENSIONS:
             one = score.consistency.get(name)
             cells += ["-"] * 3 if one is None else [f"{one.mean:.2f}", f"{one.median:.2f}", f"{one.inside:.1f}"]
-        table.add_row(method, *cells, _number(score.median_velocity, 1.0, ".2f"))
+        table.add_row(method, *cells, number_or_dash(score.median_velocity, ".2f"))
     sure = summarise_boxes(boxes, methods_of(boxes)[0]).consistency
     bounds = [(one.low, one.high) for one in sure.values()]
     if bounds:
         cells = [text for low, high in bounds for text in (f"{low:.2f}-{high:.2f}", "1.00", "95.0")]
         table.add_row("right covariances", *cells)
     return table
-
-
-def _number(value: float | None, factor: float, digits: str) -> str:
-    return "-" if value is None else format(factor * value, digits)
 
 
 def _cell(share: Interval, tracks: int) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
-    from fgrecon.cli.batch import Outcome
+    from fgrecon.cli.reconstruct_work import Outcome
     from fgrecon.core.category import Category
     from fgrecon.core.vehicle_mesh import VehicleMesh
 

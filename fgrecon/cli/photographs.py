@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.cli import batch, show
-from fgrecon.cli.batch import Outcome, Task
+from fgrecon.cli import reconstruct_work, show
 from fgrecon.cli.common import about_camera
 from fgrecon.cli.models import with_closest
 from fgrecon.cli.options import CameraOptions, VehicleBoxes
 from fgrecon.cli.picture_tasks import is_image, read_image_tasks
+from fgrecon.cli.reconstruct_work import Outcome, Task
 from fgrecon.cli.settings import Settings
 from fgrecon.cli.terminal import Screen
 from fgrecon.cli.together import Scene, grounds_of, solve_same_camera, solve_together, wants_together
@@ -159,7 +159,7 @@ def _apart(photographs: Sequence[PhotographFile], how: PhotographWork, screen: S
             if joint or wants_together(seen.tasks):
                 outcomes, scenes = solve_together(seen.tasks, how.settings, screen)
             else:
-                outcomes = [batch.run(task, how.settings) for task in seen.tasks]
+                outcomes = [reconstruct_work.run(task, how.settings) for task in seen.tasks]
             _deliver(seen, outcomes, scenes, how, screen)
             for scene in scenes:
                 if scene.result.camera.focal_sigma:
@@ -249,7 +249,7 @@ def _deliver(seen: _Seen, outcomes: list[Outcome], scenes: list[Scene], how: Pho
         pixels = read_photograph(one.image)[0] if seen.pixels is None else seen.pixels
         grounds = grounds_of(seen.tasks, settings, scenes)
         screen.wrote(*show.draw(_ending(one, ".png"), outcomes, pixels, grounds, sheet=False))
-    if not batch.check_any(one.image, outcomes):
+    if not reconstruct_work.check_any(one.image, outcomes):
         first = next(outcome for outcome in outcomes)
         raise first.error or InvalidInputError("image", str(one.image), "Solving failed on every vehicle.")
 

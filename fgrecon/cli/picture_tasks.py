@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.cli.batch import Task
 from fgrecon.cli.options import VehicleBoxes
+from fgrecon.cli.reconstruct_work import Task
 from fgrecon.cli.settings import CameraSource
 from fgrecon.cli.terminal import Screen
 from fgrecon.core.category import Category

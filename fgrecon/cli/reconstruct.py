@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
     import numpy as np
     from numpy.typing import NDArray
 
-    from fgrecon.cli.batch import Outcome
+    from fgrecon.cli.reconstruct_work import Outcome
     from fgrecon.cli.terminal import Screen
     from fgrecon.cli.together import Scene
     from fgrecon.core.camera import Ground
@@ -169,7 +169,7 @@ def reconstruct_command(
 
     Without a camera the focal length is the one in the photograph's EXIF data, or one that its cars tell together.
     """
-    from fgrecon.cli import batch, photographs, picture_tasks, show
+    from fgrecon.cli import photographs, picture_tasks, reconstruct_work, show
     from fgrecon.cli.together import grounds_of, solve_together, wants_together
     from fgrecon.core.options import Options, ShapeOptions
     from fgrecon.io.images import read_photograph
@@ -212,20 +212,22 @@ def reconstruct_command(
         )
     else:
         image = None if drawings.image is None else drawings.image.name
-        tasks, ignored = batch.read_tasks(file, settings.prior.category, source, names, image)
+        tasks, ignored = reconstruct_work.read_tasks(file, settings.prior.category, source, names, image)
     if settings.ground is None and tasks:
         shown = tasks[0].instance.image or (None if path is None else path.name)
-        screen.print(*batch.ground_of(source, shown))
+        screen.print(*reconstruct_work.ground_of(source, shown))
     scenes: list[Scene] = []
     if together is None:
         together = pictured and solving.joint
     if together or wants_together(tasks):
         outcomes, scenes = solve_together(tasks, settings, screen)
     elif jobs == 1:
-        outcomes = [batch.run(task, settings) for task in screen.watch(tasks, "Vehicles")]
+        outcomes = [reconstruct_work.run(task, settings) for task in screen.watch(tasks, "Vehicles")]
     else:
         with screen.bar() as advance:
-            outcomes = batch.run_all(tasks, settings, jobs, lambda done: advance("Vehicles", done, len(tasks)))
+            outcomes = reconstruct_work.run_all(
+                tasks, settings, jobs, lambda done: advance("Vehicles", done, len(tasks))
+            )
 
     outcomes = with_closest(outcomes, models)
     show.print_table(screen, outcomes)
@@ -241,6 +243,6 @@ def reconstruct_command(
     if delivery.wanted:
         recordings = show.recordings(outcomes, photograph, grounds)
         delivery.deliver(recordings, screen, several=len(grounds) > 1 or len(recordings) > 1)
-    if not batch.check_any(file, outcomes):
+    if not reconstruct_work.check_any(file, outcomes):
         screen.fail("No vehicle could be reconstructed.")
         raise typer.Exit(1)

@@ -15,13 +15,14 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
-from fgrecon.cli.batch import Outcome, Task
 from fgrecon.cli.deliver import recordings_of
+from fgrecon.cli.reconstruct_work import Outcome, Task
 from fgrecon.cli.settings import Settings, plain_camera, plain_settings
 from fgrecon.cli.terminal import Screen
 from fgrecon.core.camera import Ground
 from fgrecon.core.digits import shortened
 from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.geometry import box_around
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.text import printable
 from fgrecon.solve.track import TrackReconstruction
@@ -231,7 +232,7 @@ def _shown(outcomes: Sequence[Outcome]) -> list[Shown]:
             measured = seen.keypoints[seen.measured]
             if not len(measured):
                 continue
-            box = np.concatenate([measured.min(axis=0), measured.max(axis=0)])
+            box = box_around(measured)
         words = "" if short else name if len(name) <= _WORDS else f"{name[: _WORDS - 1]}…"
         model = None if outcome.closest is None else outcome.closest.model
         shown.append(Shown(number, box, outcome.result, words, name=name if short else str(number + 1), model=model))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from fgrecon.cli.batch import Outcome, Task
+from fgrecon.cli.reconstruct_work import Outcome, Task
 from fgrecon.cli.settings import Settings
 from fgrecon.cli.terminal import Screen
 from fgrecon.core.camera import Ground

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from fgrecon.cli.batch import Task, read_tasks, run
+from fgrecon.cli.reconstruct_work import Task, read_tasks, run
 from fgrecon.cli.settings import CameraSource, Settings, plain_settings
 from fgrecon.cli.show import SCHEMA_VERSION, entry_of
 from fgrecon.cli.show import details as result_details

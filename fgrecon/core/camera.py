@@ -22,7 +22,7 @@ ANY_FOCAL_SIGMA = 0.5
 """Standard deviation of the focal length's logarithm there: 95 % of such cameras see 24 to 114 degrees."""
 
 MIN_DEPTH = 0.3
-"""Nothing may be nearer to the camera than this, metres."""
+"""Nothing may be nearer to the camera than this, metres; `factors.projection` has the depths of its own barrier."""
 
 _LARGEST_SIGMA = 2.0  # of a focal length's logarithm: five times longer or shorter is no lens any more
 _SIZE = "Give width and height in whole pixels."

@@ -10,11 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 from factors.checks import has_shape, shape_words
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["as_finite", "as_shape", "one_word"]
+__all__ = ["as_finite", "as_rigid", "as_shape", "one_word"]
 
 _NUMBERS = (
     "biufO"  # numpy's kinds; an array of objects may hold numbers, and whether it does shows when it is converted
 )
+
+_LAST_ROW = 1e-6  # by so much 0 0 0 1 may be off
 
 
 def as_shape(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: str = "") -> NDArray[np.float64]:
@@ -49,6 +51,28 @@ def as_finite(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: 
         place = f"[{', '.join(map(str, where))}]" if where else ""
         raise InvalidInputError(field + place, float(array[where]), fix or "Give finite numbers only.")
     return array
+
+
+def as_rigid(field: str, value: ArrayLike, tolerance: float) -> NDArray[np.float64]:
+    """A rigid motion as a matrix (4, 4), as it is given.
+
+    Args:
+        field: Its name.
+        value: [R t; 0 0 0 1].
+        tolerance: By how much an element of R R^T may differ from the identity's: digits were lost.
+
+    Raises:
+        InvalidInputError: It has another shape, an element is not finite, R is no rotation (it mirrors, say), or the
+            last row is another.
+    """
+    fix = "Give a rigid motion [R t; 0 0 0 1] with a rotation R (3, 3)."
+    matrix = as_finite(field, value, (4, 4), fix)
+    rotation, last = matrix[:3, :3], np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)).max()
+    with np.errstate(over="ignore", invalid="ignore"):  # of enormous numbers, which no tolerance takes
+        off = np.abs(rotation @ rotation.T - np.eye(3)).max()
+    if not off <= tolerance or np.linalg.det(rotation) < 0.0 or last > _LAST_ROW:
+        raise InvalidInputError(field, matrix.tolist(), fix)
+    return matrix
 
 
 def one_word(field: str, value: Any) -> str:

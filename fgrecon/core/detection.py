@@ -14,7 +14,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.observation import Observation, as_directions
 
-__all__ = ["Detection", "calibrated_facing", "facing_probability", "half_around"]
+__all__ = ["Detection", "at_direction", "calibrated_facing", "facing_probability", "half_around"]
 
 _SUREST = 1e-6
 
@@ -68,6 +68,15 @@ class Detection:
             if ((visible < 0) | (visible > 1)).any():
                 raise InvalidInputError("detection.visible", visible.tolist(), "Give probabilities from 0 to 1.")
             object.__setattr__(self, "visible", visible)
+
+
+def at_direction(values: NDArray[np.float64], azimuth: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(M,) values at azimuths (M,), radians, linearly between those (A,) of directions as in `Detection`."""
+    bins = len(values)
+    place = np.mod(azimuth, 2.0 * np.pi) / (2.0 * np.pi) * bins
+    low, share = place.astype(int) % bins, place % 1.0
+    found: NDArray[np.float64] = (1.0 - share) * values[low] + share * values[(low + 1) % bins]
+    return found
 
 
 def facing_probability(directions: NDArray[np.float64], azimuth: float) -> float:

@@ -9,11 +9,13 @@ from factors.projection import cross, pixel_jacobian
 
 __all__ = [
     "MIRROR",
+    "box_around",
     "cross",
     "exponential",
     "pixel_jacobian",
     "position_covariance",
     "transform",
+    "turn_between",
     "view_azimuth",
     "yaw_rotation",
 ]
@@ -68,3 +70,14 @@ def position_covariance(camera_T_object: Array, pose_covariance: Array) -> Array
 def transform(a_T_b: Array, points: Array) -> Array:
     """Points (..., 3) of frame b in frame a, by the pose (4, 4)."""
     return points @ a_T_b[:3, :3].T + a_T_b[:3, 3]
+
+
+def turn_between(first: Array, second: Array) -> float:
+    """Angle between two rotations (3, 3), or those of two poses (4, 4), radians."""
+    cosine = (np.trace(first[:3, :3].T @ second[:3, :3]) - 1.0) / 2.0
+    return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def box_around(points: Array) -> Array:
+    """(4,) x1, y1, x2, y2 of the smallest upright box around points (n, 2)."""
+    return np.concatenate([points.min(axis=0), points.max(axis=0)])

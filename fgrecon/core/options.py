@@ -14,7 +14,7 @@ from fgrecon.core.robust import RobustStrategy
 from fgrecon.core.robust import strategy as named_strategy
 from fgrecon.core.settings import check_settings, choice, choice_or_none, count, flag, number, one_of
 
-__all__ = ["BoxModel", "BoxOptions", "KeypointOptions", "Options", "SearchOptions", "ShapeOptions"]
+__all__ = ["BoxModel", "BoxOptions", "KeypointOptions", "Options", "SearchOptions", "ShapeOptions", "checked_options"]
 
 _HALF = 0.5  # of a box: an edge that is further off is none of it
 
@@ -261,6 +261,25 @@ class Options:
         for name, value in settings.items():
             object.__setattr__(self, name, value)
         check_settings(self, "options")
+
+
+def checked_options(options: Options | None, *, joint: bool = False) -> Options:
+    """The options, or the defaults for None.
+
+    Args:
+        options: As they are given.
+        joint: Whether pose and shape have to move together.
+
+    Raises:
+        InvalidInputError: They are none, or have `joint` off where it is needed.
+    """
+    if options is None:
+        return Options()
+    if not isinstance(options, Options):
+        raise InvalidInputError("options", options, "Give an `fgrecon.Options`.")
+    if joint and not options.shape.joint:
+        raise InvalidInputError("options.shape.joint", value=False, fix="Let pose and shape move: joint=True.")
+    return options
 
 
 @cache

@@ -1,12 +1,14 @@
 """Settings as frozen dataclasses whose fields say what they take: checked once, where they are made.
 
-@dataclass(frozen=True)
-class Example:
-sigma: float = number(0.03, least=1e-6)
-joint: bool = flag(default=True)
+A group of settings is written as::
 
-def __post_init__(self) -> None:
-check_settings(self, "options.example")
+    @dataclass(frozen=True)
+    class Example:
+        sigma: float = number(0.03, least=1e-6)
+        joint: bool = flag(default=True)
+
+        def __post_init__(self) -> None:
+            check_settings(self, "options.example")
 """
 
 from __future__ import annotations

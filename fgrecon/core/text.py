@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-__all__ = ["distinct", "printable"]
+from collections.abc import Iterable
+
+__all__ = ["distinct", "markdown_row", "number_or_dash", "printable"]
 
 
 def printable(text: str, most: int = 4000) -> str:
@@ -26,3 +28,14 @@ def distinct(name: str, taken: set[str]) -> str:
         own = f"{name}-{number}"
     taken.add(own)
     return own
+
+
+def markdown_row(cells: Iterable[str]) -> str:
+    """A row of a Markdown table with its line's end; no cell ends it or begins another one."""
+    told = (cell.replace("|", "\\|").replace("\n", " ") for cell in cells)
+    return f"| {' | '.join(told)} |\n"
+
+
+def number_or_dash(value: float | None, digits: str, factor: float = 1.0) -> str:
+    """A number, times a factor, in a format such as `.2f`; a dash for None."""
+    return "-" if value is None else format(factor * value, digits)

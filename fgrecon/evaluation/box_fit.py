@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.detector_calibration import BoxSource
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.geometry import yaw_rotation
+from fgrecon.core.geometry import box_around, yaw_rotation
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.evaluation.video_frames import ScoredFrame
 from fgrecon.io.kitti_drives import Drive, DriveFrame
@@ -59,7 +59,7 @@ def _outline(frame: DriveFrame, index: int, plain: VehicleModel) -> Array:
     points = plain.outline.mean * (objects.size[index] / plain.dimension_mean)[[0, 2, 1]]
     place = objects.location[index] + frame.calibration.label_offset
     pixels = frame.calibration.camera.project(points @ yaw_rotation(float(objects.rotation_y[index])).T + place)
-    return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
+    return box_around(pixels)
 
 
 def fit_boxes(seen: Sequence[SeenBox]) -> BoxSource:

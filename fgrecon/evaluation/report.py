@@ -25,6 +25,7 @@ from rich.table import Table
 
 from fgrecon.core.metrics import THRESHOLDS, instances_within, orientation_precision
 from fgrecon.core.plain import finite
+from fgrecon.core.text import markdown_row, number_or_dash
 from fgrecon.evaluation.methods import SceneKnowledge
 from fgrecon.evaluation.run import MethodScores
 from fgrecon.io.track_file import Track
@@ -164,7 +165,7 @@ def markdown(scores: Sequence[MethodScores]) -> str:
     """The same table as Markdown."""
     alignment = ["---", *["---:"] * (len(_HEADINGS) - 2), "---"]
     rows = [list(_HEADINGS), alignment, *(_cells(entry) for entry in scores)]
-    return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+    return "".join(map(markdown_row, rows))
 
 
 def machine() -> dict[str, Any]:
@@ -205,12 +206,8 @@ def _cells(scores: MethodScores) -> list[str]:
         f"{entry['mae_deg']:.2f}",
         f"{entry['median_deg']:.2f}",
         *(f"{value:.1f}" for value in entry["aop"].values()),
-        _number(entry["median_translation_m"]),
-        *(_number(entry["ms"][stage]) for stage in STAGES),
+        number_or_dash(entry["median_translation_m"], ".2f"),
+        *(number_or_dash(entry["ms"][stage], ".2f") for stage in STAGES),
         str(len(entry["failures"])),
         scores.prior,
     ]
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f}"

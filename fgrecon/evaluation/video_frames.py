@@ -7,10 +7,9 @@ labelled box has the one that overlaps it most, by more than half; a label witho
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
-from multiprocessing import get_context
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from fgrecon.core.detection import facing_probability
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import FAILURE_DEGREES
-from fgrecon.core.processes import single_threaded
+from fgrecon.core.processes import processes_with
 from fgrecon.evaluation.kitti_devkit import match_detections
 from fgrecon.evaluation.kitti_images import Setup, reconstruct_boxes
 from fgrecon.evaluation.methods import SceneKnowledge, Solver, select
@@ -142,14 +141,14 @@ def score_frames(
     """
     select(rivals)  # refuse before the work
     tasks = [(drive.name, frame) for drive in drives for frame in looks_at(drive, setups[drive.name])]
+    make = partial(_Worker, setups, scene, tuple(rivals))
     scored: list[ScoredFrame] = []
     with ExitStack() as stack:
         if jobs > 1:
-            stack.enter_context(single_threaded())
-            pool = ProcessPoolExecutor(jobs, get_context("spawn"), _start, (setups, scene, tuple(rivals)))
-            found: Iterator[ScoredFrame] = stack.enter_context(pool).map(_run, tasks)
+            pool, run = stack.enter_context(processes_with(make, jobs))
+            found: Iterator[ScoredFrame] = pool.map(run, tasks)
         else:
-            found = map(_Worker(setups, scene, rivals), tasks)
+            found = map(make(), tasks)
         for frame in found:
             scored.append(frame)
             advance(frame.drive)
@@ -169,19 +168,6 @@ class _Worker:
     def __call__(self, task: _Task) -> ScoredFrame:
         drive, frame = task
         return _score_frame(drive, frame, self.setups[drive], self.solvers)
-
-
-_worker: _Worker | None = None
-
-
-def _start(setups: Mapping[str, Setup], scene: SceneKnowledge, rivals: Sequence[str]) -> None:
-    global _worker  # noqa: PLW0603 - a process pool has no other place for what its processes keep
-    _worker = _Worker(setups, scene, rivals)
-
-
-def _run(task: _Task) -> ScoredFrame:
-    assert _worker is not None
-    return _worker(task)
 
 
 def _score_frame(drive: str, frame: DriveFrame, setup: Setup, rivals: Mapping[str, Solver]) -> ScoredFrame:

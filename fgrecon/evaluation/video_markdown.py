@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from fgrecon.core.text import markdown_row, number_or_dash
 from fgrecon.evaluation.regions import DIMENSIONS
 from fgrecon.evaluation.video_images import VideoBox
 from fgrecon.evaluation.video_summary import BoxSummary, group_boxes, methods_of, summarise_boxes
@@ -25,13 +26,12 @@ def markdown(boxes: Sequence[VideoBox]) -> str:
     distribution, both 1 where covariances are right, and the percent within the 95 % region. In brackets are 95 %
     intervals by bootstrap over tracks.
     """
-    lines = [_line(_HEADINGS), _line(["---"] * 2 + ["---:"] * (len(_HEADINGS) - 2))]
+    lines = [markdown_row(_HEADINGS), markdown_row(["---"] * 2 + ["---:"] * (len(_HEADINGS) - 2))]
     regimes = group_boxes(boxes)["regime"]
     for group in _GROUPS:
         some = regimes.get(group, [])
-        lines += [
-            _line([f"{group}, {len(some)}", name, *_cells(summarise_boxes(some, name))]) for name in methods_of(some)
-        ]
+        named = f"{group}, {len(some)}"
+        lines += [markdown_row([named, name, *_cells(summarise_boxes(some, name))]) for name in methods_of(some)]
     return "".join(lines)
 
 
@@ -42,8 +42,8 @@ def _cells(score: BoxSummary) -> list[str]:
         _within(score, "median_metres", 3),
         _within(score, "mean_metres", 3),
         _within(score, "mean_absolute_size_error", 1, 100.0),
-        _number(score.jitter_degrees, 1.0, ".2f"),
-        _number(score.jitter_metres, 1.0, ".3f"),
+        number_or_dash(score.jitter_degrees, ".2f"),
+        number_or_dash(score.jitter_metres, ".3f"),
     ]
     for name in DIMENSIONS:
         one = score.consistency.get(name)
@@ -57,11 +57,3 @@ def _within(score: BoxSummary, name: str, digits: int, factor: float = 1.0) -> s
     if one is None:
         return "-"
     return f"{factor * one.value:.{digits}f}" if score.tracks < 2 else one.shown(digits, factor)
-
-
-def _number(value: float | None, factor: float, digits: str) -> str:
-    return "-" if value is None else format(factor * value, digits)
-
-
-def _line(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(cells)} |\n"

@@ -7,6 +7,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.geometry import transform
 from fgrecon.io.json_fields import Fields
 from fgrecon.io.nuscenes import NuScenesTables, pose_of
 
@@ -39,7 +40,7 @@ def cuboid_boxes(tables: NuScenesTables, image: str, kind: str) -> list[tuple[st
         if label.data.get("sample_token") == sample and _category(tables, label) == kind:
             width, length, height = label.numbers("size", (3,))
             camera_T_object = camera_T_world @ pose_of(label)
-            corners = _CORNERS * [length, width, height] @ camera_T_object[:3, :3].T + camera_T_object[:3, 3]
+            corners = transform(camera_T_object, _CORNERS * [length, width, height])
             if corners[:, 2].min() < _NEAREST:
                 continue
             pixels = corners @ matrix.T

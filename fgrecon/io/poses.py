@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.checks import as_rigid
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.json_fields import numbers, read_json
 
@@ -119,12 +120,8 @@ def _checked(pose: Array, place: str) -> Array:
     Raises:
         InvalidInputError: It is no rigid motion.
     """
-    turn = pose[:3, :3]
-    good = np.isfinite(pose).all() and np.abs(turn @ turn.T - np.eye(3)).max() < _RIGID and np.linalg.det(turn) > 0
-    if not good or np.abs(pose[3] - [0, 0, 0, 1]).max() > 1e-9:
-        raise InvalidInputError(place, pose.tolist(), "Give a rotation and a translation.")
-    left, _, right = np.linalg.svd(turn)
-    exact = pose.copy()
+    exact = as_rigid(place, pose, _RIGID).copy()
+    left, _, right = np.linalg.svd(exact[:3, :3])
     exact[:3, :3] = left @ right
     return exact
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.geometry import MIRROR, pixel_jacobian
+from fgrecon.core.geometry import MIRROR, pixel_jacobian, transform
 from fgrecon.io.annotations.offsets import robust_offset
 from fgrecon.io.json_fields import Fields, read_json
 from fgrecon.training.priors.apollo79 import Apollo79
@@ -80,8 +80,7 @@ class MarkedCar:
     @property
     def in_camera(self) -> Array:
         """(14, 3) true keypoints in the camera frame, metres."""
-        points: Array = self.shape @ self.camera_T_object[:3, :3].T + self.camera_T_object[:3, 3]
-        return points
+        return transform(self.camera_T_object, self.shape)
 
     @property
     def extent(self) -> float:

@@ -21,7 +21,7 @@ from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.geometry import transform
 from fgrecon.core.metrics import FAILURE_DEGREES, keypoint_error, rotation_error
 from fgrecon.core.options import BoxModel, KeypointOptions, Options
-from fgrecon.core.processes import single_threaded
+from fgrecon.core.processes import one_thread_each
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
@@ -132,7 +132,7 @@ def score_known_shapes(
         else:
             todo.append((group, path))
     advance(len(found), len(cars.cars))
-    with single_threaded(), ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+    with one_thread_each(), ProcessPoolExecutor(workers, get_context("spawn")) as pool:
         waiting = {
             pool.submit(_score_model, models, cars.camera, group, told_by_others(models, cars, group)): (group, path)
             for group, path in todo

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from fgrecon.core.text import markdown_row
 from fgrecon.evaluation import report
 from fgrecon.evaluation.bootstrap import Interval
 from fgrecon.paper.run import Page
@@ -47,7 +48,7 @@ def markdown(page: Page) -> str:
             parts.append(f"{table.note}\n")
         rows = [("", *table.columns), ("---", *("---:" for _ in table.columns))]
         rows += [(label, *(table.text(cell) for cell in cells)) for label, cells in table.rows]
-        parts.append("".join(f"| {' | '.join(row)} |\n" for row in rows))
+        parts.append("".join(map(markdown_row, rows)))
     parts.append("## Run\n")
     parts.append("\n\n".join(_run(page)) + "\n")
     return "\n".join(parts)

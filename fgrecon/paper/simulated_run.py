@@ -5,15 +5,15 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass, fields
+from functools import partial
 from importlib import metadata
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 
-from fgrecon.core.processes import single_threaded
+from fgrecon.core.processes import processes_with
 from fgrecon.core.robust import StrategyName
 from fgrecon.evaluation.methods import SceneKnowledge
 from fgrecon.io.catalogue import load_category
@@ -142,7 +142,7 @@ class _Worker:
         self.mean = of_fleet(scene.prior, scene.size).mean
         self.solvers: dict[str, tuple[RowSolver, ...]] = {}
 
-    def run(self, job: _Job) -> int:
+    def __call__(self, job: _Job) -> int:
         """Write the job's scores; the number of instances."""
         name = job.condition.name
         if name not in self.solvers:
@@ -151,19 +151,6 @@ class _Worker:
         instances = [instance for frame in job.frames for instance in simulate_frame(frame, fleet)]
         score_instances(instances, job.condition.rows, self.solvers[name], self.mean).write(job.path)
         return len(instances)
-
-
-_worker: _Worker | None = None
-
-
-def _start(scene: SceneKnowledge, vehicles: Sequence[Vehicle], sizes: np.ndarray, seed: int) -> None:
-    global _worker  # noqa: PLW0603 - a process pool has no other place for what its processes keep
-    _worker = _Worker(scene, vehicles, sizes, seed)
-
-
-def _run(job: _Job) -> int:
-    assert _worker is not None
-    return _worker.run(job)
 
 
 def run_conditions(
@@ -197,8 +184,7 @@ def run_conditions(
     """
     vehicles = vehicles_of(models)
     outcomes: dict[str, ConditionResult] = {}
-    made_with = (scene, vehicles, models.size, seed)
-    with single_threaded(), ProcessPoolExecutor(workers, get_context("spawn"), _start, made_with) as pool:
+    with processes_with(partial(_Worker, scene, vehicles, models.size, seed), workers) as (pool, run):
         for condition in conditions:
             place = folder / condition.name
             place.mkdir(parents=True, exist_ok=True)
@@ -208,7 +194,7 @@ def run_conditions(
             missing = [job for job in jobs if stored(job.path, Scores.read) is None]
             advance(condition.name, len(jobs) - len(missing), len(jobs))
             started, solved = time.perf_counter(), 0
-            waiting = [pool.submit(_run, job) for job in missing]
+            waiting = [pool.submit(run, job) for job in missing]
             for done, future in enumerate(as_completed(waiting), start=len(jobs) - len(missing) + 1):
                 solved += future.result()
                 advance(condition.name, done, len(jobs))

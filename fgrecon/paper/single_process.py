@@ -14,7 +14,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
 
-from fgrecon.core.processes import single_threaded
+from fgrecon.core.processes import one_thread_each
 from fgrecon.core.robust import StrategyName
 from fgrecon.evaluation import report
 from fgrecon.evaluation.methods import METHODS, SceneKnowledge, select
@@ -71,7 +71,7 @@ def measure(
         seed: Seed of everything random.
         advance: Told the step, how much of it is done, and how much there is.
     """
-    with single_threaded(), ProcessPoolExecutor(1, get_context("spawn")) as alone:
+    with one_thread_each(), ProcessPoolExecutor(1, get_context("spawn")) as alone:
         by_hand = [alone.submit(_real_table, *_REAL_TRACKS, tracks, scene)]
         by_hand += [alone.submit(_real_table, *_REAL_IMAGES, images, scene)]
         timed = alone.submit(_times, instances, scene, seed)

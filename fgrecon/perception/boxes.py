@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.options import BoxModel, Options
+from fgrecon.core.options import BoxModel, Options, checked_options
 from fgrecon.io.boxes import NamedBox, read_boxes
-from fgrecon.perception.keypoints.detect import SMALLEST_BOX
+from fgrecon.perception.keypoints.detect import large_enough
 from fgrecon.perception.protocols import VehicleDetector, find_vehicles
 from fgrecon.perception.vehicles.detect import NanodetVehicleDetector, Vehicles
 
@@ -75,7 +75,7 @@ def detected_boxes(image: NDArray[Any], least_score: float | None = None) -> lis
 
 def for_detected(options: Options | None) -> Options:
     """Settings for boxes that the package's detector found: an outline is one as it draws it."""
-    options = Options() if options is None else options
+    options = checked_options(options)
     if options.box.model is not BoxModel.SURFACE:
         return options
     return replace(options, box=replace(options.box, model=BoxModel.DETECTED))
@@ -103,5 +103,5 @@ def large_vehicles(image: NDArray[np.uint8], detector: VehicleDetector) -> Vehic
         InvalidInputError: The image is none, or the detector returns something else.
     """
     found = find_vehicles(detector, image)
-    large = np.flatnonzero((found.boxes[:, 2:] - found.boxes[:, :2]).max(axis=1) >= SMALLEST_BOX)
+    large = np.flatnonzero(large_enough(found.boxes))
     return Vehicles(found.boxes[large], found.scores[large], tuple(found.kinds[i] for i in large if found.kinds))

@@ -16,7 +16,7 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite
 from fgrecon.core.detection import Detection
 from fgrecon.core.errors import AssumedCameraWarning, FgreconError
-from fgrecon.core.options import Options
+from fgrecon.core.options import Options, checked_options
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
@@ -104,8 +104,8 @@ def reconstruct_detections(
     Raises:
         InvalidInputError: An argument cannot be used.
     """
-    joint = options is None or options.shape.joint
-    if (together and joint) or camera.focal_sigma:
+    options = checked_options(options)
+    if (together and options.shape.joint) or camera.focal_sigma:
         scene = reconstruct_scene(
             [detection.evidence for detection in detections],
             camera,
@@ -171,6 +171,7 @@ def reconstruct_image(
         AssumedCameraWarning: No camera is given, and the file does not tell one.
     """
     camera, boxes, keypoint_detector = _of_first_release(camera, boxes, keypoint_detector, detector)
+    options = checked_options(options)
     shape_prior = load_prior(prior)
     pixels, told = read_photograph(image) if isinstance(image, str | Path) else (as_rgb8(image), None)
     sized = _camera(told if camera is None else camera, pixels)

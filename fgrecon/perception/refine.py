@@ -14,14 +14,15 @@ from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import MIN_DEPTH, Camera, Ground
 from fgrecon.core.checks import as_shape
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import box_around
 from fgrecon.core.observation import Observation
-from fgrecon.core.options import BoxModel, BoxOptions, Options
+from fgrecon.core.options import BoxModel, BoxOptions, Options, checked_options
 from fgrecon.core.refined_box import RefinedBox
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.images import read_image
-from fgrecon.perception.keypoints.detect import SMALLEST_BOX, as_rgb8, shipped_cascade
+from fgrecon.perception.keypoints.detect import SMALLEST_BOX, as_rgb8, large_enough, shipped_cascade
 from fgrecon.perception.protocols import KeypointDetector, find_keypoints
 from fgrecon.solve.refine import refined
 from fgrecon.solve.scene import reconstruct_scene
@@ -69,7 +70,9 @@ def refine_boxes(
         InvalidInputError: An argument cannot be used; names it, its value and the fix.
     """
     errors = BoxErrors() if box_errors is None else box_errors
-    settings = Options(box=BoxOptions(model=BoxModel.CUBOID), keep_history=False) if options is None else options
+    if options is None:
+        options = Options(box=BoxOptions(model=BoxModel.CUBOID), keep_history=False)
+    settings = checked_options(options, joint=True)
     pixels = read_image(image) if isinstance(image, str | Path) else as_rgb8(image)
     seen_by = Camera.of(camera)
     if seen_by.image_size is None:
@@ -80,7 +83,7 @@ def refine_boxes(
     limits = np.array([pixels.shape[1], pixels.shape[0]] * 2) - 1.0
     where = np.array([g if o else _projected(b, seen_by) for b, g, o in zip(boxes, given, own, strict=True)])
     where = np.clip(where.reshape(-1, 4), 0.0, limits)
-    looked = np.flatnonzero((where[:, 2:] - where[:, :2]).min(axis=1, initial=np.inf) >= SMALLEST_BOX).tolist()
+    looked = np.flatnonzero(large_enough(where)).tolist()
     shape_prior = load_prior(prior)
     networks = shipped_cascade() if keypoint_detector is None else keypoint_detector
     found = find_keypoints(networks, pixels, where[looked], shape_prior.category) if len(looked) else []
@@ -115,4 +118,4 @@ def _projected(box: Box3D, camera: Camera) -> Array:
     if not len(ahead):
         return np.zeros(4)
     pixels = camera.distort(camera.project(ahead))
-    return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
+    return box_around(pixels)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from fgrecon.core.brief import brief_repr
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import transform
 
 __all__ = ["Body", "Fragments", "Paint", "Picture", "pixel_rays", "rasterise", "render", "sky", "to_rgb"]
 
@@ -147,7 +148,7 @@ def render(bodies: Sequence[Body], camera: Camera, background: Array, supersampl
     picture = Picture(
         to_rgb(background), np.full((height, width), np.inf), np.full((height, width), -1, dtype=np.int16)
     )
-    seen = [b.vertices @ b.camera_T_object[:3, :3].T + b.camera_T_object[:3, 3] for b in bodies]
+    seen = [transform(b.camera_T_object, b.vertices) for b in bodies]
     vertices = np.concatenate(seen)
     first_vertex = np.cumsum([0] + [len(b.vertices) for b in bodies])
     faces = np.concatenate([b.faces + start for b, start in zip(bodies, first_vertex, strict=False)])

@@ -15,6 +15,7 @@ from fgrecon.core.brief import brief_repr
 from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import box_around
 from fgrecon.core.observation import Observation
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.simulation.keypoint_noise import HOURGLASS, OUTLIER, NoiseModel, Twins
@@ -129,7 +130,7 @@ def simulate(
     outline = camera.distort(camera.project(surface))
     limit = np.array(camera.image_size or (np.inf, np.inf), dtype=np.float64) - 1.0
     lowest = 0.0 if camera.image_size else -np.inf
-    box = np.concatenate([outline.min(axis=0), outline.max(axis=0)])
+    box = box_around(outline)
     measured_box = box + noise.box_sigma * rng.standard_normal(4)
     box, measured_box = (np.clip(b.reshape(2, 2), lowest, limit).ravel() for b in (box, measured_box))
     if not (np.diff(measured_box.reshape(2, 2), axis=0) >= 2.0).all():

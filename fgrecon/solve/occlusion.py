@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.camera import MIN_DEPTH
+from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.solve.vehicle.visibility import clearance, probability
 
@@ -27,7 +28,7 @@ def with_occlusion(results: Sequence[Reconstruction]) -> tuple[Reconstruction, .
     """The vehicles of one image, whose keypoints are as visible as the nearer of them leave them."""
     if len(results) < 2:
         return tuple(results)
-    points = [one.wireframe @ one.camera_T_object[:3, :3].T + one.camera_T_object[:3, 3] for one in results]
+    points = [transform(one.camera_T_object, one.wireframe) for one in results]
     pixels = [_projected(one) for one in points]
     seen = [one.visibility for one in results]
     for there, other in enumerate(results):
@@ -61,7 +62,7 @@ def _placed(result: Reconstruction) -> tuple[Array, tuple[Array, Array]] | None:
     """
     if result.surface_vertices is None or not np.isfinite(result.camera_T_object).all():
         return None
-    vertices: Array = result.surface_vertices @ result.camera_T_object[:3, :3].T + result.camera_T_object[:3, 3]
+    vertices = transform(result.camera_T_object, result.surface_vertices)
     if not vertices[:, 2].min() > MIN_DEPTH:
         return None
     around = vertices[:, :2] / vertices[:, 2:]

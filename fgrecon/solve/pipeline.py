@@ -18,7 +18,7 @@ from fgrecon.core.category import Category
 from fgrecon.core.checks import as_finite, as_shape
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
-from fgrecon.core.options import Options
+from fgrecon.core.options import Options, checked_options
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
@@ -83,9 +83,7 @@ def reconstruct(
         InvalidInputError: An argument cannot be used; names it, its value and the fix.
         DegenerateProblemError: The keypoints do not determine a pose.
     """
-    options = Options() if options is None else options
-    if not isinstance(options, Options):
-        raise InvalidInputError("options", options, "Give an `fgrecon.Options`.")
+    options = checked_options(options)
     shape_prior = load_prior(prior)
     camera = Camera.of(intrinsics, distortion)
     if camera.focal_sigma:

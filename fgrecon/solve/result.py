@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from fgrecon.core.deferred import Deferred
 from fgrecon.core.detection import calibrated_facing, facing_probability
-from fgrecon.core.geometry import view_azimuth
+from fgrecon.core.geometry import transform, view_azimuth
+from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status, rotation_y
 from fgrecon.core.status import Regions
@@ -155,7 +156,7 @@ def _result(
     coefficients, offsets = optimum.state.shapes[part.vehicle.number]
     camera_T_object = optimum.state.poses[index].matrix()
     wireframe = prior.keypoints(coefficients, offsets)
-    in_camera = wireframe @ camera_T_object[:3, :3].T + camera_T_object[:3, 3]
+    in_camera = transform(camera_T_object, wireframe)
     surface = occluder(prior)
     vertices = surface.vertices(coefficients)
     centre = -camera_T_object[:3, :3].T @ camera_T_object[:3, 3]
@@ -267,7 +268,7 @@ def _status(
     close = [a for a in alternatives if a.excess <= options.ambiguity_margin]
     if close:
         turn = rotation_y(close[0].camera_T_object) - rotation_y(camera_T_object)
-        degrees = abs(np.rad2deg((turn + np.pi) % (2.0 * np.pi) - np.pi))
+        degrees = abs(np.rad2deg(float(wrap_angle(turn))))
         return Status.AMBIGUOUS, f"A pose turned by {degrees:.0f} degrees is only {close[0].excess:.1f} nats worse."
     if facing < _SURE_FACING:
         return Status.AMBIGUOUS, f"The detector's directions leave {100 * (1 - facing):.0f} % for the other facing."

@@ -5,10 +5,10 @@
              vehicles            vehicles            vehicles
 
 A camera nods, and the road bends; both change slowly, and in the long run the ground is as near to what is told as that
-says (`Ground`). Each frame is one step: what its vehicles say, with poses and shapes eliminated
-(`fgrecon.solve.scene`), one factor from the ground before, and what is left of that. Vehicles that are seen again err
-alike: they count by the time that has passed. How sure the ground is goes by a second chain, in which they count as
-their keypoints do for covariances.
+says (`Ground`). Each frame is one step: what its vehicles say, with poses and shapes eliminated (`ground_evidence`),
+one factor from the ground before, and what is left of that. Vehicles that are seen again err alike: they count by the
+time that has passed. How sure the ground is goes by a second chain, in which they count as their keypoints do for
+covariances.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from fgrecon.core.errors import FactorCallbackError
 from fgrecon.solve.graph.graph import Graph, Seen, State
 from fgrecon.solve.graph.optimise import optimise
 from fgrecon.solve.graph.vehicle import Held
-from fgrecon.solve.standing import OWN_HEIGHT, OWN_SLOPE, Standing
+from fgrecon.solve.standing import LEAST_HEIGHT, OWN_HEIGHT, OWN_SLOPE, Standing, own_deviations
 from fgrecon.solve.time.window import Frame
 
 __all__ = ["GroundEvidence", "KnownGround", "Road", "ground_evidence"]
@@ -43,7 +43,6 @@ _NEAR, _FAR = 10.0, 40.0  # metres: depths at which the uncertainty is that of t
 _LEAST_KEPT = 1e-6
 _ROUNDS = 3  # of a solve that is nearly linear
 _STEPS = 1  # Newton's, of the vehicles of a frame together: each begins near its minimum
-_LEAST_HEIGHT = 0.2  # metres; a camera is above the road
 
 
 @dataclass(frozen=True)
@@ -279,7 +278,7 @@ def _ground(told: Ground, frame: GroundFrame, known: _Known) -> KnownGround:
     ground = replace(
         told,
         normal=normal,
-        distance=max(distance, _LEAST_HEIGHT),
+        distance=max(distance, LEAST_HEIGHT),
         height_sigma=float(np.sqrt(height)),
         slope_sigma=float(np.sqrt(slope)),
     )
@@ -293,4 +292,5 @@ def _covariance(known: Marginal) -> Array:
 
 def _own_variance(told: Ground, depth: float) -> float:
     """Of a vehicle's origin off the ground, what is its own, square metres."""
-    return (OWN_HEIGHT * told.height_sigma) ** 2 + (OWN_SLOPE * told.slope_sigma * depth) ** 2
+    by_height, by_slope = own_deviations(told, depth)
+    return by_height**2 + by_slope**2

@@ -26,9 +26,8 @@ from numpy.typing import ArrayLike, NDArray
 from factors.keys import F
 from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera, Ground
-from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
-from fgrecon.core.options import Options
+from fgrecon.core.options import Options, checked_options
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.scene_reconstruction import SceneReconstruction
 from fgrecon.core.shape_prior import ShapePrior
@@ -147,9 +146,7 @@ def reconstruct_scenes(
 def _settings(
     options: Options | None, prior: ShapePrior | str | Path, size_prior: SizePrior | str | None
 ) -> tuple[Options, ShapePrior, SizePrior | None]:
-    chosen = Options() if options is None else options
-    if not chosen.shape.joint:
-        raise InvalidInputError("options.shape.joint", value=False, fix="Let pose and shape move: joint=True.")
+    chosen = checked_options(options, joint=True)
     return chosen, load_prior(prior), None if size_prior is None else named_size_prior(size_prior)
 
 
@@ -304,8 +301,8 @@ def _together(
         priors.append(focal_prior(known, alone.camera))
     for number, one in solved.items():
         priors += one.own(number)
-        free = replace(one.problem, ground=None, energy=replace(one.problem.energy, ground=None))
-        seen.append(Seen(free if image_of[number] in standing else one.problem, vehicle=number))
+        problem = one.problem.on(None) if image_of[number] in standing else one.problem
+        seen.append(Seen(problem, vehicle=number))
     states = [one.adjusted.optimum.state for one in solved.values()]
     state = State(
         poses=[state.poses[0] for state in states],

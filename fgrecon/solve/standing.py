@@ -23,15 +23,16 @@ from fgrecon.core.camera import Ground
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.solve.weakness import off_ground
 
-__all__ = ["OWN_HEIGHT", "OWN_SLOPE", "OWN_TILT", "Standing"]
+__all__ = ["LEAST_HEIGHT", "OWN_HEIGHT", "OWN_SLOPE", "OWN_TILT", "Standing", "own_deviations"]
 
 Array = NDArray[np.float64]
 
 OWN_HEIGHT, OWN_SLOPE, OWN_TILT = 0.35, 0.15, 0.5
 """Shares of a told ground's deviations that are each vehicle's own; chosen on KITTI's video (docs/method.md)."""
+LEAST_HEIGHT = 0.2
+"""Metres: a camera is above the road."""
 _WIDE = (0.5, 0.3, 0.1)  # metres, radians, radians: prior of height, pitch and roll where no ground is told
 _OUTLYING = 3.0  # standard deviations from which on a contact counts less
-_LEAST_HEIGHT = 0.2  # metres; a camera is above the road
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ class Standing:
     def ground(self, values: gtsam.Values) -> Ground:
         """The ground at some values."""
         normal, distance = self.frame.plane(values.atVector(self.key))
-        return replace(self.nominal, normal=normal, distance=max(distance, _LEAST_HEIGHT))
+        return replace(self.nominal, normal=normal, distance=max(distance, LEAST_HEIGHT))
 
     def doubt(self, result: Reconstruction, told: Ground | None, values: gtsam.Values) -> list[str]:
         """The clause of a vehicle that does not stand on the ground that was told, or else on that of the others."""
@@ -89,7 +90,7 @@ def _seen_ground(poses: Mapping[int, Array]) -> Ground:
     normal = down / np.linalg.norm(down)
     distance = float(np.median([pose[:3, 3] @ normal for pose in poses.values()]))
     upright = normal if normal[1] > 0.0 else np.array([0.0, 1.0, 0.0])
-    return Ground(upright, max(distance, _LEAST_HEIGHT))
+    return Ground(upright, max(distance, LEAST_HEIGHT))
 
 
 def _contact_noise(ground: Ground, depth: float) -> gtsam.noiseModel.Robust:
@@ -98,6 +99,11 @@ def _contact_noise(ground: Ground, depth: float) -> gtsam.noiseModel.Robust:
     return RobustLoss.of(Loss.CAUCHY, _OUTLYING).wrap(diagonal_noise("contact", np.array([height, tilt, tilt, tilt])))
 
 
+def own_deviations(ground: Ground, depth: float) -> tuple[float, float]:
+    """How far a vehicle's origin lies off the ground of the others by its height and slope, metres (1 sigma each)."""
+    return OWN_HEIGHT * ground.height_sigma, OWN_SLOPE * ground.slope_sigma * depth
+
+
 def _own_height(ground: Ground, depth: float) -> float:
     """How far a vehicle's origin may lie off the ground of the others, metres (1 sigma)."""
-    return float(np.hypot(OWN_HEIGHT * ground.height_sigma, OWN_SLOPE * ground.slope_sigma * depth))
+    return float(np.hypot(*own_deviations(ground, depth)))

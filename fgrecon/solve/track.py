@@ -25,7 +25,7 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.deferred import Deferred
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
 from fgrecon.core.observation import Observation
-from fgrecon.core.options import Options
+from fgrecon.core.options import Options, checked_options
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
@@ -84,9 +84,7 @@ def reconstruct_track(
         InvalidInputError: An argument cannot be used; names it, its value and the fix.
         DegenerateProblemError: No image determines a pose.
     """
-    options = Options() if options is None else options
-    if not options.shape.joint:
-        raise InvalidInputError("options.shape.joint", value=False, fix="Let pose and shape move: joint=True.")
+    options = checked_options(options, joint=True)
     shape_prior = load_prior(prior)
     plane = ground_plane(ground)
     fleet = None if size_prior is None else named_size_prior(size_prior)

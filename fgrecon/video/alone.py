@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera, Ground
-from fgrecon.core.detection import facing_probability
 from fgrecon.core.errors import FgreconError
-from fgrecon.core.geometry import view_azimuth
 from fgrecon.core.observation import Observation
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.solve.pipeline import reconstruct
@@ -60,15 +58,13 @@ class SingleImages:
                 refused[identity] = error
                 continue
             pose = result.camera_T_object
-            told = observation.azimuth
-            seen_from = float(view_azimuth(pose[:3, :3], pose[:3, 3]))
             found[identity] = VehicleEstimate(
                 id=identity,
                 time=time,
                 reconstruction=result,
                 velocity=None,
                 turn_rate=None,
-                facing_probability=float("nan") if told is None else facing_probability(told, seen_from),
+                facing_probability=result.facing_probability,
                 world_T_object=None if world_T_camera is None else world_T_camera @ pose,
             )
             self._tracks.setdefault(identity, []).append(found[identity])

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.geometry import transform
+from fgrecon.core.geometry import box_around, transform
 
 __all__ = ["Association", "AssociationSettings", "Candidate", "GatedAssociation", "overlaps", "stands_at"]
 
@@ -171,7 +171,7 @@ class GatedAssociation:
         later = points + ahead * velocity
         if not (points[:, 2].min() > 1.0 and later[:, 2].min() > 1.0):  # too near for a box of projections
             return
-        now, then = (_as_state(_around(camera.project(p))) for p in (points, later))
+        now, then = (_as_state(box_around(camera.project(p))) for p in (points, later))
         self._tracks[identity] = replace(track, shift=(then - now) / ahead, told=True)
 
     def _costs(self, time: float, identities: Sequence[int], candidates: Sequence[Candidate]) -> Array:
@@ -287,7 +287,3 @@ def _as_state(box: Array) -> Array:
 def _as_box(state: Array) -> Array:
     half = np.exp(state[2:]) / 2
     return np.concatenate([state[:2] - half, state[:2] + half])
-
-
-def _around(pixels: Array) -> Array:
-    return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])

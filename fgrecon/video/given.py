@@ -20,6 +20,7 @@ import numpy as np
 from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import box_around
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.keypoint_file import Instance, parse_keypoints
 from fgrecon.io.kitti_tracking import read_tracking
@@ -125,6 +126,6 @@ def _sighting(instance: Instance, path: Path) -> tuple[int, Sighting]:
     points = observation.keypoints[observation.measured]
     if not len(points):
         raise InvalidInputError(f"{place}: keypoints", "none", "Give at least one, or leave the instance out.")
-    around = np.concatenate([points.min(axis=0), points.max(axis=0)])
+    around = box_around(points)
     box = around if observation.box is None else observation.box
     return number, Sighting(box, 1.0, instance.track, observation, instance.kind)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.frames import SourceFrame
-from fgrecon.perception.keypoints.detect import SMALLEST_BOX, check_box
+from fgrecon.perception.keypoints.detect import check_box, large_enough
 from fgrecon.perception.protocols import KeypointDetector, VehicleDetector, find_keypoints, find_vehicles
 from fgrecon.video.records import FrameRecord, Sighting
 
@@ -64,7 +64,7 @@ class FrameLook:
             assert self._vehicles is not None
             vehicles = find_vehicles(self._vehicles, image)
             each = zip(vehicles.boxes, vehicles.scores, vehicles.kinds or [None] * len(vehicles), strict=True)
-            found = [Sighting(box, float(score), None, None, kind) for box, score, kind in each if _large(box)]
+            found = [Sighting(box, float(score), None, None, kind) for box, score, kind in each if large_enough(box)]
         limits = np.array([image.shape[1], image.shape[0]] * 2) - 1.0
         bare = [place for place, s in enumerate(found) if s.observation is None and _usable(s.box, image, limits)]
         boxes = np.array([np.clip(found[place].box, 0.0, limits) for place in bare]).reshape(-1, 4)
@@ -75,10 +75,6 @@ class FrameLook:
                 one = found[place]
                 found[place] = replace(one, box=box, observation=replace(detection.evidence, box=box))
         return found
-
-
-def _large(box: NDArray[np.float64]) -> bool:
-    return bool((box[2:] - box[:2]).max() >= SMALLEST_BOX)
 
 
 def _usable(box: NDArray[np.float64], image: NDArray[np.uint8], limits: NDArray[np.float64]) -> bool:

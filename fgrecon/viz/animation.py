@@ -19,7 +19,7 @@ from fgrecon.io.files import check_ending, write_bytes
 from fgrecon.io.video import check_video, write_video
 from fgrecon.viz import style
 from fgrecon.viz.describe import describe_errors, total_energy
-from fgrecon.viz.geometry import BOX_EDGES, as_image, box_corners, crop_around, image_points
+from fgrecon.viz.geometry import BOX_EDGES, as_image, crop_around, image_points, outline_corners
 from fgrecon.viz.marks import draw_box, draw_crop, draw_edges, draw_keypoints, draw_true_box, unit
 from fgrecon.viz.picture import as_rgb, new_figure, place_axes, split_edges
 from fgrecon.viz.style import Side
@@ -133,7 +133,7 @@ def _draw_ground(axes: Any, result: Reconstruction, truth: Truth | None) -> None
     """The view from above, around the result, with the box of the truth."""
     x, _, z = np.nan_to_num(result.location)
     if truth is not None and truth.box_size is not None:
-        corners = transform(truth.camera_T_object, box_corners(truth.box_size)[BOX_EDGES[:4, 0]])[[0, 1, 2, 3, 0]]
+        corners = transform(truth.camera_T_object, outline_corners(truth.box_size)[BOX_EDGES[:4, 0]])[[0, 1, 2, 3, 0]]
         axes.plot(corners[:, 0], corners[:, 2], color=unit(style.TRUTH), linewidth=1.2, zorder=2)
     start = result.history[0]
     away = transform(start.camera_T_object, start.keypoints)[:, [0, 2]] - (x, z)

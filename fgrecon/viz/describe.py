@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import TRUSTED, Iteration, Reconstruction
+from fgrecon.core.text import markdown_row
 from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR, Truth
 
@@ -103,8 +104,7 @@ def summary_table(reconstruction: Reconstruction, observation: Observation, trut
     ]
     if truth is not None:
         rows.append(("Error against the truth", describe_errors(truth, result.camera_T_object, result.wireframe)))
-    lines = "\n".join(f"| {name} | {value.replace('|', '/')} |" for name, value in rows)
-    return f"| | |\n|---|---|\n{lines}\n"
+    return "".join(["| | |\n|---|---|\n", *map(markdown_row, rows)])
 
 
 def scene_table(vehicles: Sequence[tuple[str, Reconstruction]]) -> str:
@@ -118,9 +118,9 @@ def scene_table(vehicles: Sequence[tuple[str, Reconstruction]]) -> str:
                 f"{np.degrees(result.rotation_y):.1f}",
                 ", ".join(f"{metres:.2f}" for metres in result.box_size),
             ]
-        rows.append("| " + " | ".join(cell.replace("|", "/") for cell in cells) + " |")
+        rows.append(markdown_row(cells))
     heading = "| | status | x, y, z [m] | yaw [°] | l, w, h [m] |\n|---|---|---|---|---|\n"
-    return heading + "\n".join(rows) + "\n"
+    return heading + "".join(rows)
 
 
 def track_table(track: TrackReconstruction, errors: Sequence[Mapping[str, float]]) -> str:
@@ -137,8 +137,7 @@ def track_table(track: TrackReconstruction, errors: Sequence[Mapping[str, float]
         if errors:
             values = [error[measure] for error in errors]
             rows.append((name, f"mean {np.mean(values):.2f}{unit}, median {np.median(values):.2f}{unit}"))
-    lines = "\n".join(f"| {name} | {value.replace('|', '/')} |" for name, value in rows)
-    return f"| | |\n|---|---|\n{lines}\n"
+    return "".join(["| | |\n|---|---|\n", *map(markdown_row, rows)])
 
 
 def _alternatives(reconstruction: Reconstruction) -> str:

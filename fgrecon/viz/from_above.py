@@ -15,7 +15,7 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.geometry import position_covariance, transform
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.viz import style
-from fgrecon.viz.geometry import box_corners, ellipse, level_axes
+from fgrecon.viz.geometry import ellipse, level_axes, outline_corners
 from fgrecon.viz.marks import unit
 from fgrecon.viz.overlay import Shown
 from fgrecon.viz.tags import Plates
@@ -127,7 +127,7 @@ def draw_scene_from_above(
     plates = Plates(axes, font)
     for vehicle in vehicles:
         if vehicle.truth is not None and vehicle.truth.box_size is not None:
-            corners = transform(vehicle.truth.camera_T_object, box_corners(vehicle.truth.box_size))[:4] @ flat.T
+            corners = transform(vehicle.truth.camera_T_object, outline_corners(vehicle.truth.box_size))[:4] @ flat.T
             _path(axes, corners, style.TRUTH, 1.0, (0, (5.0, 1.0, 1.0, 1.0)), closed=True, zorder=4)
         if vehicle.trail is not None and len(vehicle.trail) > 1:
             _path(axes, vehicle.trail @ flat.T, style.categorical(vehicle.identity), 0.6, "-", zorder=3)
@@ -164,7 +164,7 @@ def _outline(
     """(4, 3) footprint, and (2, 3) the middle and the tip of the heading's arrow; camera frame."""
     length = float(result.box_size[0])
     nose = np.array([(0.0, 0.0, 0.0), (length / 2 + arrow, 0.0, 0.0)])
-    return transform(pose, box_corners(result.box_size))[:4], transform(pose, nose)
+    return transform(pose, outline_corners(result.box_size))[:4], transform(pose, nose)
 
 
 def _covariance(vehicle: Shown, level: NDArray[np.float64]) -> NDArray[np.float64] | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgrecon.core.box3d import box_corners
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import cross, transform
@@ -13,7 +14,6 @@ from fgrecon.core.observation import Observation
 __all__ = [
     "BOX_EDGES",
     "as_image",
-    "box_corners",
     "crop_around",
     "ellipse",
     "ellipsoids",
@@ -21,6 +21,7 @@ __all__ = [
     "ground_lines",
     "image_points",
     "level_axes",
+    "outline_corners",
     "resolution",
     "vertex_normals",
 ]
@@ -31,8 +32,9 @@ Box = tuple[float, float, float, float]
 BOX_EDGES = np.array(
     [(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)], dtype=np.int64
 )
-"""(12, 2) edges of the corners that `box_corners` gives; the first four bound the bottom face."""
+"""(12, 2) edges of the corners that `outline_corners` gives; the first four bound the bottom face."""
 
+_AROUND = [5, 4, 0, 1, 7, 6, 2, 3]  # of the corners that `fgrecon.core.box3d.box_corners` gives
 _NEAR = 0.1
 _FAR_PIXEL = 1e5
 
@@ -76,14 +78,12 @@ def image_points(
     return pixels
 
 
-def box_corners(size: NDArray[np.float64]) -> NDArray[np.float64]:
+def outline_corners(size: NDArray[np.float64]) -> NDArray[np.float64]:
     """(8, 3) corners of a vehicle's box of length, width, height in the object frame: bottom face first, metres.
 
     In each face the order is front left, front right, rear right, rear left.
     """
-    length, width, height = size
-    bottom = np.array([(length, 0, width), (length, 0, -width), (-length, 0, -width), (-length, 0, width)]) / 2
-    return np.concatenate([bottom, bottom - (0, height, 0)])
+    return box_corners(size)[_AROUND]
 
 
 def crop_around(

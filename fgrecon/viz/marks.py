@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.observation import Observation
 from fgrecon.viz import style
-from fgrecon.viz.geometry import BOX_EDGES, Box, box_corners, image_points, resolution
+from fgrecon.viz.geometry import BOX_EDGES, Box, image_points, outline_corners, resolution
 from fgrecon.viz.style import Side
 from fgrecon.viz.truth import Truth
 
@@ -95,7 +95,7 @@ def draw_badge(axes: Any, text: str) -> None:
 def draw_true_box(axes: Any, truth: Truth, camera: Camera) -> None:
     """The true 3D box in the image; nothing where its size is not known."""
     if truth.box_size is not None:
-        corners = image_points(camera, truth.camera_T_object, box_corners(truth.box_size))
+        corners = image_points(camera, truth.camera_T_object, outline_corners(truth.box_size))
         _draw_lines(axes, corners[BOX_EDGES], style.TRUTH, 0.9, 0.9, zorder=2)
 
 

@@ -17,7 +17,7 @@ from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.vehicle_mesh import VehicleMesh
 from fgrecon.viz import style
-from fgrecon.viz.geometry import BOX_EDGES, as_image, box_corners, image_points
+from fgrecon.viz.geometry import BOX_EDGES, as_image, image_points, outline_corners
 from fgrecon.viz.truth import Truth
 
 __all__ = ["Shown", "annotated"]
@@ -95,7 +95,7 @@ def _draw_vehicle(canvas: NDArray[np.uint8], vehicle: Shown, camera: Camera, wid
     _lines(canvas, np.array([[(x1, y1), (x2, y1), (x2, y2), (x1, y2), (x1, y1)]]), colour, 1)
     if vehicle.result is not None and vehicle.pose is not None:
         result = vehicle.result
-        corners = image_points(camera, result.camera_T_object, box_corners(result.box_size))
+        corners = image_points(camera, result.camera_T_object, outline_corners(result.box_size))
         _lines(canvas, corners[BOX_EDGES[:4]], colour, width)
         wireframe = image_points(camera, result.camera_T_object, result.wireframe)
         if x2 - x1 > _CASED:
@@ -126,7 +126,7 @@ def _draw_above(canvas: NDArray[np.uint8], vehicles: Sequence[Shown]) -> None:
         if vehicle.result is None or vehicle.pose is None:
             continue
         colour = style.categorical(vehicle.identity)
-        corners = box_corners(vehicle.result.box_size)[:4]
+        corners = outline_corners(vehicle.result.box_size)[:4]
         ahead = np.array([[0.5 * vehicle.result.box_size[0], 0, 0], [0.5 * vehicle.result.box_size[0] + 1.5, 0, 0]])
         outline = at(transform(vehicle.result.camera_T_object, corners))
         _lines(panel, outline[[0, 1, 2, 3, 0]][None], colour, 2)

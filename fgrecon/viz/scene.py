@@ -13,10 +13,10 @@ from fgrecon.viz import entities, style
 from fgrecon.viz.columns import Column, column, fixed_columns, strip_column
 from fgrecon.viz.geometry import (
     BOX_EDGES,
-    box_corners,
     ellipsoids,
     ground_grid,
     image_points,
+    outline_corners,
     resolution,
     vertex_normals,
 )
@@ -99,7 +99,7 @@ def log_truth(play: Playback, truth: Truth) -> None:
     pose = truth.camera_T_object
     play.at_start(entities.TRUTH_3D, _pose_columns(pose[None]))
     if truth.box_size is not None:
-        corners = box_corners(truth.box_size)
+        corners = outline_corners(truth.box_size)
         pixels = image_points(play.camera, pose, corners)
         play.once(f"{entities.TRUTH_3D}/box", **line_style(3, style.TRUTH, _LINE))
         play.at_start(f"{entities.TRUTH_3D}/box", [strip_column(rr.LineStrips3D, corners[None, BOX_EDGES])])
@@ -204,7 +204,7 @@ def log_result(play: Playback) -> None:
 
     result = play.reconstruction
     play.once(entities.VEHICLE_BOX, **line_style(3, style.SCREEN_INK, 0.75))
-    corners = box_corners(result.box_size)[None, BOX_EDGES]
+    corners = outline_corners(result.box_size)[None, BOX_EDGES]
     play.at_result(entities.VEHICLE_BOX, [strip_column(rr.LineStrips3D, corners)])
     if result.surface_vertices is not None and result.surface_faces is not None:
         colour = (*style.SURFACE, _SURFACE_ALPHA)

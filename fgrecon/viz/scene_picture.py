@@ -18,7 +18,7 @@ from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Status
 from fgrecon.viz import style
 from fgrecon.viz.from_above import DASHES, draw_scene_from_above, ellipse_scale, extent_from_above, name_of
-from fgrecon.viz.geometry import BOX_EDGES, as_image, box_corners, ground_lines, level_axes, resolution
+from fgrecon.viz.geometry import BOX_EDGES, as_image, ground_lines, level_axes, outline_corners, resolution
 from fgrecon.viz.marks import draw_crop, draw_paths
 from fgrecon.viz.model_overlay import render_models
 from fgrecon.viz.occlusion import DepthImage, depth_image, pieces_of, runs_of
@@ -215,10 +215,10 @@ def _draw_vehicle(
     assert vehicle.pose is not None
     result, colour = vehicle.result, style.categorical(vehicle.identity)
     if vehicle.truth is not None and vehicle.truth.box_size is not None:
-        true = transform(vehicle.truth.camera_T_object, box_corners(vehicle.truth.box_size))[BOX_EDGES]
+        true = transform(vehicle.truth.camera_T_object, outline_corners(vehicle.truth.box_size))[BOX_EDGES]
         seen, hidden = runs_of(pieces_of(true), camera, depth)
         draw_paths(axes, [*seen, *hidden], style.TRUTH, 0.6, (0, (5.0, 1.0, 1.0, 1.0)), zorder=2)
-    box = transform(vehicle.pose, box_corners(result.box_size))[BOX_EDGES]
+    box = transform(vehicle.pose, outline_corners(result.box_size))[BOX_EDGES]
     seen, hidden = runs_of(pieces_of(box), camera, depth)
     draw_paths(axes, hidden, colour, 0.4, (0, (1.0, 1.5)), zorder=2, casing=False, alpha=_HIDDEN)
     draw_paths(axes, seen, colour, 0.55, DASHES[result.status], zorder=4)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.viz import style
-from fgrecon.viz.geometry import BOX_EDGES, box_corners
+from fgrecon.viz.geometry import BOX_EDGES, outline_corners
 from fgrecon.viz.marks import draw_edges, unit
 from fgrecon.viz.style import Side
 from fgrecon.viz.truth import Truth
@@ -61,7 +61,7 @@ def draw_from_above(
     if truth is not None and truth.box_size is not None:
         boxes.append((truth.camera_T_object, truth.box_size, style.TRUTH, "--"))
     for pose, size, colour, line in boxes:
-        corners = transform(pose, box_corners(size)[BOX_EDGES[:4, 0]])
+        corners = transform(pose, outline_corners(size)[BOX_EDGES[:4, 0]])
         nose = transform(pose, np.array([(size[0] / 2, 0, 0), (size[0] / 2 + 0.8, 0, 0)]))
         for path in (corners[[0, 1, 2, 3, 0]], nose):
             axes.plot(path[:, 0], path[:, 2], color=unit(colour), linestyle=line, linewidth=1.0, zorder=2)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.geometry import box_around
 from fgrecon.viz import style
 from fgrecon.viz.marks import unit
 
@@ -37,7 +38,7 @@ class Plates:
     def keep_free(self, points: NDArray[np.float64]) -> None:
         """Let no plate cover the rectangle around points (n, 2) of the axes' own coordinates."""
         placed = self._points(points)
-        self.taken.append(np.concatenate([placed.min(axis=0), placed.max(axis=0)]))
+        self.taken.append(box_around(placed))
 
     def put(self, text: str, outline: NDArray[np.float64], towards: Iterable[Place], colour: style.Colour) -> None:
         """Put a plate near what it names, where it covers least; a line leads to it from farther away.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.checks import as_finite, as_shape
+from fgrecon.core.checks import as_finite, as_rigid, as_shape
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import orientation_error, translation_error
 from fgrecon.core.reconstruction import rotation_y
@@ -18,6 +18,8 @@ __all__ = ["ORIENTATION_ERROR", "SHAPE_ERROR", "TRANSLATION_ERROR", "Truth"]
 ORIENTATION_ERROR = "orientation_deg"
 TRANSLATION_ERROR = "translation_m"
 SHAPE_ERROR = "keypoints_m"
+
+_RIGID = 1e-5  # by so much a rotation may fail to be one: single precision does
 
 
 @dataclass(frozen=True)
@@ -40,11 +42,7 @@ class Truth:
         Raises:
             InvalidInputError: A wrong shape, a pose that is no rigid motion, or a size that is not positive.
         """
-        pose = as_finite("truth.camera_T_object", self.camera_T_object, (4, 4))
-        rotation = pose[:3, :3]
-        proper = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) and np.linalg.det(rotation) > 0
-        if not proper or not np.allclose(pose[3], (0, 0, 0, 1)):
-            raise InvalidInputError("truth.camera_T_object", pose.tolist(), "Give [R t; 0 0 0 1] with a rotation R.")
+        pose = as_rigid("truth.camera_T_object", self.camera_T_object, _RIGID)
         object.__setattr__(self, "camera_T_object", pose)
         if self.box_size is not None:
             size = as_finite("truth.box_size", self.box_size, (3,), "Give length, width and height in metres.")

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.geometry import transform
 from fgrecon.viz import style
-from fgrecon.viz.geometry import BOX_EDGES, box_corners
+from fgrecon.viz.geometry import BOX_EDGES, outline_corners
 from fgrecon.viz.overlay import Shown
 from fgrecon.viz.overview import STATES, named_boxes, state_view
 from fgrecon.viz.sinks import APPLICATION, Recording, connected
@@ -126,7 +126,7 @@ def log_shown_frame(stream: Any, frame: ShownFrame, camera: Camera) -> None:
         flat += list(result.wireframe_uv[result.edges])
         flat_colours += [colour] * len(result.edges)
         world_T_object = world_T_camera @ result.camera_T_object
-        lines = [*box_corners(result.box_size)[BOX_EDGES], *result.wireframe[result.edges]]
+        lines = [*outline_corners(result.box_size)[BOX_EDGES], *result.wireframe[result.edges]]
         solid += [transform(world_T_object, line) for line in lines]
         solid_colours += [colour] * len(lines)
         if vehicle.trail is not None and len(vehicle.trail) > 1:

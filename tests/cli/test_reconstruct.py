@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from fgrecon.cli import batch, main
+from fgrecon.cli import main, reconstruct_work
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
 from fgrecon.core.reconstruction import Reconstruction, Status
@@ -281,7 +281,7 @@ def test_a_solver_that_fails_on_all_gives_exit_code_1(write, instance, monkeypat
     def failing(*arguments, **settings):
         return replace(pipeline.reconstruct(*arguments, **settings), status=Status.FAILED, message="made to fail")
 
-    monkeypatch.setattr(batch, "reconstruct", failing)
+    monkeypatch.setattr(reconstruct_work, "reconstruct", failing)
     done = run(write(instance), INTRINSICS)
     assert done.exit_code == 1
     assert "made to fail" in done.stdout
@@ -293,7 +293,9 @@ def test_a_solver_that_fails_on_all_gives_exit_code_1(write, instance, monkeypat
 def test_the_table_has_a_few_words_and_verbose_has_all_of_them(write, monkeypatch):
     long = "The solver was stopped early: " + "near a minimum, " * 9
     degenerate = {"status": Status.DEGENERATE, "message": long}
-    monkeypatch.setattr(batch, "reconstruct", lambda *a, **k: replace(pipeline.reconstruct(*a, **k), **degenerate))
+    monkeypatch.setattr(
+        reconstruct_work, "reconstruct", lambda *a, **k: replace(pipeline.reconstruct(*a, **k), **degenerate)
+    )
     file = write([car() | {"id": "a"}, car() | {"id": "b", "box": [5, 5, 5, 9]}])
     shown = run(file, INTRINSICS)
     assert shown.exit_code == 0, shown.output

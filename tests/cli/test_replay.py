@@ -2,8 +2,6 @@
 
 import json
 import socket
-import subprocess
-import time
 import urllib.request
 
 import pytest
@@ -15,6 +13,7 @@ from fgrecon.viz import Sight, record, record_scene, replay
 from fgrecon.viz.sinks import LOOPBACK, check_viewer, free_port, viewer_command
 from tests.cli.conftest import INTRINSICS
 from tests.viz.made_up import STAGES, make_example
+from tests.viz.viewers import listening, wait_for
 
 
 def run(*arguments):
@@ -26,37 +25,6 @@ def recording(tmp_path_factory):
     car = make_example()
     path = tmp_path_factory.mktemp("replay") / "car.rrd"
     return record(path, car.reconstruction, car.observation, car.camera)
-
-
-def listening(port):
-    try:
-        with socket.create_connection((LOOPBACK, port), timeout=1.0):
-            return True
-    except OSError:
-        return False
-
-
-def wait_for(condition, seconds=20.0):
-    until = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < until
-        time.sleep(0.05)
-
-
-@pytest.fixture
-def start():
-    """Starts programs, and ends them with the test."""
-    started = []
-
-    def begin(arguments):
-        process = subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        started.append(process)
-        return process
-
-    yield begin
-    for process in started:
-        process.terminate()
-        process.wait(timeout=20)
 
 
 def test_summary_prints_stages_iterations_and_energies(recording):
@@ -149,7 +117,7 @@ def test_connect_sends_the_recording_to_a_viewer_that_listens(write, instance, t
 @pytest.mark.parametrize("address", ["nowhere", "127.0.0.1:", "127.0.0.1:99999", "127.0.0.1:FREE"])
 def test_an_address_without_a_viewer_is_refused_before_solving(write, instance, address, monkeypatch):
     address = address.replace("FREE", str(free_port()))
-    monkeypatch.setattr("fgrecon.cli.batch.run", pytest.fail)
+    monkeypatch.setattr("fgrecon.cli.reconstruct_work.run", pytest.fail)
     done = run("reconstruct", write(instance), INTRINSICS, "--connect", address)
     assert "connect" in str(done.exception)
     with pytest.raises(ValueError, match="connect"):

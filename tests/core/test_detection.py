@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fgrecon.core.detection import Detection
+from fgrecon.core.detection import Detection, at_direction
 from fgrecon.core.observation import Observation
 
 SEEN = Observation(np.array([[1.0, 2.0], [30.0, 4.0], [5.0, 60.0]]), np.ones(3))
@@ -38,3 +38,9 @@ def test_a_mirror_image_keeps_the_front_and_swaps_the_sides(values):
     here, mirrored = Detection(SEEN, azimuth), Detection(SEEN, np.roll(azimuth[::-1], 1))
     assert mirrored.front_probability == pytest.approx(here.front_probability)
     assert mirrored.left_probability == pytest.approx(1.0 - here.left_probability)
+
+
+def test_between_two_directions_lies_what_is_between_their_values():
+    values, width = np.array([1.0, 5.0, 2.0, 4.0]), np.pi / 2.0
+    found = at_direction(values, width * np.array([0.0, 1.0, 1.5, 3.5, -0.5, -1e-20, 4.25]))
+    np.testing.assert_allclose(found, [1.0, 5.0, 3.5, 2.5, 2.5, 1.0, 2.0])

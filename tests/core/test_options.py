@@ -5,10 +5,25 @@ import dataclasses
 import numpy as np
 import pytest
 
+import fgrecon
+from fgrecon.batch.reconstructor import Reconstructor
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.options import BoxModel, BoxOptions, KeypointOptions, Options, SearchOptions, ShapeOptions
+from fgrecon.core.options import (
+    BoxModel,
+    BoxOptions,
+    KeypointOptions,
+    Options,
+    SearchOptions,
+    ShapeOptions,
+    checked_options,
+)
 from fgrecon.core.robust import RobustStrategy, StrategyName, strategy
+from fgrecon.perception.boxes import for_detected
+from fgrecon.perception.from_image import reconstruct_detections
+from tests.cars import CAMERA
 
+PIXELS = np.full((14, 2), np.nan)
+IMAGE = np.zeros((60, 80, 3), dtype=np.uint8)
 GROUPS = {"keypoints": KeypointOptions, "box": BoxOptions, "search": SearchOptions, "shape": ShapeOptions}
 NUMBERS = [
     (kind, group, field.name)
@@ -103,3 +118,32 @@ def test_the_first_releases_names_still_work(old, new):
 def test_the_first_releases_meaning_of_a_confidence_still_works():
     with pytest.warns(DeprecationWarning, match="said with it"):
         assert Options(confidence_midpoint=0.5).confidence_midpoint == 0.5
+
+
+def test_options_of_a_call():
+    assert checked_options(None, joint=True) == Options()
+    proposals = Options(shape=ShapeOptions(joint=False))
+    assert checked_options(proposals) is proposals
+    with pytest.raises(InvalidInputError, match=r"options\.shape\.joint"):
+        checked_options(proposals, joint=True)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda options: fgrecon.reconstruct(PIXELS, CAMERA, options=options),
+        lambda options: fgrecon.reconstruct_track([], CAMERA, options=options),
+        lambda options: fgrecon.reconstruct_scene([], CAMERA, options=options),
+        lambda options: fgrecon.reconstruct_scenes([], CAMERA, options=options),
+        lambda options: fgrecon.reconstruct_image(IMAGE, CAMERA, [], options=options),
+        lambda options: fgrecon.refine_boxes(IMAGE, [], CAMERA, options=options),
+        lambda options: reconstruct_detections([], CAMERA, options=options),
+        for_detected,
+        lambda options: Reconstructor(options=options),
+    ],
+)
+@pytest.mark.parametrize("options", [3, "tukey", ShapeOptions()])
+def test_whoever_takes_options_refuses_what_is_none(call, options):
+    with pytest.raises(InvalidInputError) as caught:
+        call(options)
+    assert caught.value.field == "options"

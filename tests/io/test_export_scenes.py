@@ -192,6 +192,7 @@ def test_images_files(tmp_path):
     np.testing.assert_array_equal(read.world_T_camera, WORLD)
     for bad, field in (
         ({"a": {"world_T_camera": np.ones((4, 4)).tolist()}}, "a.world_T_camera"),
+        ({"a": {"world_T_camera": np.diag([1.0, 1.0, -1.0, 1.0]).tolist()}}, "a.world_T_camera"),
         ({"a": {"sample_token": 3}}, "a.sample_token"),
         ({"a": {"image_id": [1]}}, "a.image_id"),
         ([], str(file)),

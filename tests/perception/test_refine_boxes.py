@@ -10,6 +10,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import yaw_rotation
 from fgrecon.core.observation import Observation
 from fgrecon.io.catalogue import load_prior
+from fgrecon.perception.keypoints.detect import large_enough
 
 CAMERA = Camera.of([700.0, 700.0, 600.0, 180.0])
 IMAGE = np.zeros((370, 1220, 3), dtype=np.uint8)
@@ -91,6 +92,23 @@ def test_a_box_outside_the_image_stays_and_says_why():
     assert (beside.changed, beside.box is outside, beside.result) == (False, True, None)
     assert "pixels" in beside.message
     assert fgrecon.refine_boxes(IMAGE, [], CAMERA, keypoint_detector=Detector()) == []
+
+
+def test_it_looks_where_other_functions_look():
+    """The longer side counts, and what lies beside the image has none."""
+    detector, upright, tiny, beside = (
+        Detector(),
+        [600.0, 160.0, 606.0, 190.0],
+        [5.0, 5.0, 11.0, 12.0],
+        [-9.0, 5, -2, 60],
+    )
+    given = [moved(box) for box in TRUE]
+    found = fgrecon.refine_boxes(
+        IMAGE, given, CAMERA, corners=[upright, tiny, beside], keypoint_detector=detector, ground=1.65
+    )
+    assert detector.boxes.tolist() == [upright]
+    assert ["pixels" in one.message for one in found][1:] == [True, True]
+    assert large_enough(np.array([upright, tiny, beside])).tolist() == [True, False, True]
 
 
 def test_errors_say_how_far_a_box_may_move():

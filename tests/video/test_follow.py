@@ -136,8 +136,10 @@ def test_single_images_tell_their_facing_and_why_they_refuse():
     few = replace(first[0], keypoints=np.where(np.arange(14)[:, None] < 1, first[0].keypoints, np.nan), box=None)
     tracker = SingleImages(prior="car14")
     found = tracker.update(0.0, {1: replace(first[0], azimuth=towards), 2: first[0], 3: few}, camera=KITTI_CAMERA)
-    assert 0.0 <= found[1].facing_probability <= 1.0
-    assert np.isnan(found[2].facing_probability)
+    for estimate in found.values():
+        assert 0.0 < estimate.facing_probability < 1.0
+        assert estimate.facing_probability == estimate.reconstruction.facing_probability
+    assert found[1].facing_probability != found[2].facing_probability  # directions and energies
     assert tracker.refused.keys() == {3}
     assert tracker.smooth()[1] == [found[1]]
 

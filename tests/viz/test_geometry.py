@@ -16,11 +16,11 @@ from fgrecon.core.observation import Observation
 from fgrecon.viz import Truth
 from fgrecon.viz.geometry import (
     BOX_EDGES,
-    box_corners,
     crop_around,
     ellipsoids,
     ground_grid,
     image_points,
+    outline_corners,
     resolution,
     vertex_normals,
 )
@@ -85,10 +85,11 @@ def test_ellipsoids_are_the_covariances(roots: np.ndarray) -> None:
 
 
 def test_box_stands_on_its_origin() -> None:
-    corners = box_corners(np.array([4.0, 1.8, 1.5]))
+    corners = outline_corners(np.array([4.0, 1.8, 1.5]))
     assert corners.min(axis=0).tolist() == [-2.0, -1.5, -0.9]  # y points down
     assert corners.max(axis=0).tolist() == [2.0, 0.0, 0.9]
-    assert corners[0].tolist() == [2.0, 0.0, 0.9]  # front left, on the ground
+    around = [[2.0, 0.9], [2.0, -0.9], [-2.0, -0.9], [-2.0, 0.9]]  # front left, front right, rear right, rear left
+    assert corners[:, [0, 2]].tolist() == 2 * around
     lengths = np.linalg.norm(corners[BOX_EDGES[:, 0]] - corners[BOX_EDGES[:, 1]], axis=1)
     assert sorted(lengths.round(9)) == [1.5] * 4 + [1.8] * 4 + [4.0] * 4
     assert (corners[np.unique(BOX_EDGES[:4])][:, 1] == 0).all()

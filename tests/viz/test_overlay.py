@@ -8,8 +8,9 @@ import pytest
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.viz import style
 from fgrecon.viz.overlay import Shown, annotated
-from fgrecon.viz.sinks import free_port
+from fgrecon.viz.sinks import LOOPBACK, free_port, viewer_command
 from fgrecon.viz.video_recording import LiveRecording, ShownFrame, video_recording_of
+from tests.viz.viewers import listening, wait_for
 
 
 def near(image, colour, tolerance=40):
@@ -89,17 +90,30 @@ def test_a_recording_has_images_cars_and_plots(example, tmp_path):
     assert {*wanted, "/plots/speed/3", "/plots/yaw/3", "/states/3", "/log"} <= entities
 
 
-def test_a_viewer_is_sent_each_frame_as_it_comes(example):
-    import rerun as rr
+@pytest.mark.filterwarnings("ignore:RRD file has no footer")  # the viewer is not at the end of it
+def test_a_viewer_is_sent_each_frame_as_it_comes(example, tmp_path, start):
+    from rerun.chunk import RrdReader
 
-    port = free_port()
-    viewer = rr.RecordingStream("viewer")
-    viewer.serve_grpc(grpc_port=port)
-    live = LiveRecording("drive", f"127.0.0.1:{port}", example.camera)
+    port, received = free_port(), tmp_path / "received.rrd"
+    start(viewer_command("--port", str(port), "--save", str(received)))
+    wait_for(lambda: listening(port))
+
+    def frames(entity):
+        """The frames in which the viewer has something at a place."""
+        try:
+            chunks = [chunk for chunk in RrdReader(received).stream() if chunk.entity_path == entity]
+        except (OSError, ValueError):  # not there yet, or amid a message
+            return []
+        return sorted({number for chunk in chunks for number in chunk.to_record_batch()["frame"].to_pylist()})
+
+    live = LiveRecording("drive", f"{LOOPBACK}:{port}", example.camera)
     for number in range(3):
         live.add(ShownFrame(number, 0.1 * number, None, (shown(example),)))
+        wait_for(lambda number=number: frames("/image/boxes") == [*range(number + 1)])
+    live.add(ShownFrame(7, 0.7, None, problem="torn"))
     live.end()
-    viewer.disconnect()
+    for entity, wanted in {"/log": [7], "/image/boxes": [0, 1, 2, 7], "/world/cars": [0, 1, 2, 7]}.items():
+        wait_for(lambda entity=entity, wanted=wanted: frames(entity) == wanted)
 
 
 def test_nobody_listens(example):

@@ -163,5 +163,5 @@ def test_ten_vehicles_take_less_than_five_megabytes(sights, example, tmp_path) -
 
 def test_the_table_has_a_row_for_each(example) -> None:
     table = scene_table([("a|b", example.reconstruction), ("c", failed(example))])
-    assert table.splitlines()[2].startswith("| a/b | converged | 2.50, 1.65, 9.00 |")
+    assert table.splitlines()[2].startswith(r"| a\|b | converged | 2.50, 1.65, 9.00 |")
     assert table.splitlines()[3] == "| c | failed |"

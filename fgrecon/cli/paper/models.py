@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from fgrecon.cli.common import check_outputs
 from fgrecon.cli.options import DATA, DataOption, JsonOption, MarkdownOption
 from fgrecon.cli.terminal import Terminal
+from fgrecon.core.text import markdown_row
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from fgrecon.paper.closest_models import ClosestModelRanks
@@ -54,7 +55,7 @@ def models_command(
     }
     screen.write_json(json.dumps(document, indent=2) + "\n")
     lines = [_HEADS, ("---", *("---:" for _ in _HEADS[1:])), *rows]
-    text = "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    text = "".join(map(markdown_row, lines))
     screen.write_text(markdown, f"{len(found.names)} cars, {found.count} models.\n\n{text}\n{note}\n")
 
 

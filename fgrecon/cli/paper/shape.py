@@ -13,6 +13,7 @@ from fgrecon.cli.common import check_outputs
 from fgrecon.cli.options import DATA, KITTI_CAMERA_HEIGHT, DataOption, JsonOption, MarkdownOption
 from fgrecon.cli.progress import counting
 from fgrecon.cli.terminal import Terminal
+from fgrecon.core.text import markdown_row
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from fgrecon.cli.terminal import Screen
@@ -181,5 +182,5 @@ def _print(parts: Sequence[tuple[str, Cells]], screen: Screen) -> None:
 
 
 def _markdown(title: str, rows: Cells) -> str:
-    lines = [f"**{title}**", "", f"| {' | '.join(rows[0])} |", f"|---{'|---:' * (len(rows[0]) - 1)}|"]
-    return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows[1:])]) + "\n"
+    alignment = f"|---{'|---:' * (len(rows[0]) - 1)}|\n"
+    return "".join([f"**{title}**\n\n", markdown_row(rows[0]), alignment, *map(markdown_row, rows[1:])])

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.brief import brief_repr
+from fgrecon.core.checks import as_rigid
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.json_fields import Fields, read_json
@@ -32,6 +33,7 @@ EVERY = "*"
 """Name of what holds for every image that is not named."""
 
 _VISIBLE = 0.5
+_RIGID = 1e-3  # by so much a rotation may fail to be one: text of some digits does
 _FORWARD_LEFT_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """From axes x forward, y left, z up, as robots and nuScenes have them, to the object frame."""
 
@@ -78,8 +80,8 @@ def _info(fields: Fields) -> ImageInfo:
     if number is not None and not (isinstance(number, int | str) and not isinstance(number, bool)):
         raise InvalidInputError(f"{fields.where}image_id", number, "Give an integer or a text.")
     pose = fields.numbers("world_T_camera", (4, 4)) if "world_T_camera" in fields else None
-    if pose is not None and not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-3):
-        raise InvalidInputError(f"{fields.where}world_T_camera", pose.tolist(), "Give a rotation and a translation.")
+    if pose is not None:
+        pose = as_rigid(f"{fields.where}world_T_camera", pose, _RIGID)
     return ImageInfo(
         sample_token=fields.get("sample_token", str) if "sample_token" in fields else None,
         image_id=number,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fgrecon.core.geometry import box_around
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.io.export.frames import score
 from fgrecon.io.export.results import NamedResult
@@ -34,9 +34,5 @@ def _row(item: NamedResult) -> list[float]:
     length, width, height = result.box_size
     yaw = result.rotation_y
     alpha = float(wrap_angle(yaw - np.arctan2(x, z)))
-    box = _box(result.wireframe_uv) if item.box is None else item.box
+    box = box_around(result.wireframe_uv) if item.box is None else item.box
     return [_UNKNOWN, _UNKNOWN, alpha, *box, height, width, length, x, y, z, yaw, score(item)]
-
-
-def _box(pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])

@@ -33,6 +33,7 @@ __all__ = [
     "as_rgb8",
     "check_box",
     "detect_keypoints",
+    "large_enough",
     "shipped_cascade",
 ]
 
@@ -318,6 +319,13 @@ def as_rgb8(image: NDArray[Any]) -> NDArray[np.uint8]:
     return np.asarray(colours, dtype=np.uint8)
 
 
+def large_enough(boxes: Array) -> NDArray[np.bool_]:
+    """Whether there are keypoints to see in boxes (..., 4): sides that are longer than 0, one of `SMALLEST_BOX`."""
+    sides = boxes[..., 2:] - boxes[..., :2]
+    large: NDArray[np.bool_] = (sides > 0.0).all(axis=-1) & (sides.max(axis=-1) >= SMALLEST_BOX)
+    return large
+
+
 def check_box(box: Array, image: NDArray[np.uint8], field: str = "box") -> None:
     """Refuse a box in which no keypoints can be found.
 
@@ -328,7 +336,7 @@ def check_box(box: Array, image: NDArray[np.uint8], field: str = "box") -> None:
     size = box[2:] - box[:2]
     if not (size > 0).all():
         raise InvalidInputError(field, box.tolist(), "Give x1 < x2 and y1 < y2 in pixels.")
-    if size.max() < SMALLEST_BOX:
+    if not large_enough(box):
         raise InvalidInputError(field, box.tolist(), f"Give a vehicle of at least {SMALLEST_BOX:g} pixels.")
     inner = np.minimum(box[2:], [width - 0.5, height - 0.5]) - np.maximum(box[:2], -0.5)
     if not (inner > 0).all() or inner.prod() < _INSIDE * size.prod():

@@ -19,14 +19,16 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.geometry import turn_between
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Alternative
 from fgrecon.core.robust import StrategyName
+from fgrecon.core.turned import HALF_TURN
 from fgrecon.solve.graph.facing import decide, is_turned
 from fgrecon.solve.graph.graph import Graph, Seen, State
 from fgrecon.solve.graph.observation import Weights
 from fgrecon.solve.graph.optimise import Optimum, Step, optimise
-from fgrecon.solve.proposals.adjust import DISTINCT, PoseEstimate, distinct, turn_between
+from fgrecon.solve.proposals.adjust import DISTINCT, PoseEstimate, distinct
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.wider import lower_poses
 
@@ -42,7 +44,6 @@ _NOTHING = 0.3  # keypoints that the detector holds right, in all: with less the
 _AGAIN = 3  # searches from there at most, each from a better pose than the one before
 _BETTER = 0.5  # nats: what is lower by less is no other result
 _ROUNDS = 3  # of images that change over to another proposal
-_HALF_TURN = np.diag([-1.0, 1.0, -1.0, 1.0])  # about the object's own y axis
 
 
 @dataclass(frozen=True)
@@ -280,7 +281,7 @@ def _basins(
         if others or turn_between(poses[i], start.camera_T_object) > DISTINCT:
             others.append(start.camera_T_object)
         if doubt and not any(is_turned(poses[i], other) for other in others):
-            others.append(poses[i] @ _HALF_TURN)
+            others.append(poses[i] @ HALF_TURN)
         found.append(_held(one, here, others, extra))
     return found
 

@@ -17,8 +17,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.geometry import turn_between
 from fgrecon.core.reconstruction import Alternative
-from fgrecon.solve.proposals.adjust import turn_between
 
 __all__ = ["decide", "is_turned"]
 

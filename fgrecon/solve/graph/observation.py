@@ -24,6 +24,7 @@ from factors import F, ProjectionKernel, RobustLoss, X
 from factors.box import projected_extents
 from factors.ground import ground_rows
 from factors.mixture import Form
+from factors.noise import SMALLEST_WEIGHT
 from factors.observation import BoxRows, GroundRows, ObservationRows, observation_factor
 from fgrecon.core.camera import Camera
 from fgrecon.core.robust import StrategyName
@@ -31,13 +32,11 @@ from fgrecon.solve.graph.vehicle import VehiclePart
 from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
 from fgrecon.solve.proposals.terms import Hypotheses
 
-__all__ = ["SMALLEST_WEIGHT", "ObservationPart", "Weights"]
+__all__ = ["ObservationPart", "Weights"]
 
 Array = NDArray[np.float64]
 
 _SMALLEST_EDGE = 1e-6  # a box edge of less weight says nothing
-SMALLEST_WEIGHT = 1e-12
-"""A keypoint of less weight is left out."""
 
 
 @dataclass(frozen=True)

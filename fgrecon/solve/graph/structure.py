@@ -8,9 +8,10 @@ import gtsam
 import numpy as np
 
 from factors import decode_key, key_name
+from factors.noise import SMALLEST_WEIGHT
 from fgrecon.core.reconstruction import GraphFactor
 from fgrecon.solve.graph.graph import Graph
-from fgrecon.solve.graph.observation import SMALLEST_WEIGHT, ObservationPart, Weights
+from fgrecon.solve.graph.observation import ObservationPart, Weights
 
 __all__ = ["graph_factors"]
 

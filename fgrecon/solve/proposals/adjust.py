@@ -25,7 +25,7 @@ from fgrecon.solve.proposals.search import search
 from fgrecon.solve.proposals.starts import at_azimuths, from_box3d, from_pose, view_box
 from fgrecon.solve.proposals.terms import Hypotheses
 
-__all__ = ["DISTINCT", "PoseEstimate", "adjust_pose", "distinct", "turn_between"]
+__all__ = ["DISTINCT", "PoseEstimate", "adjust_pose", "distinct"]
 
 Array = NDArray[np.float64]
 
@@ -137,11 +137,7 @@ def _starts(problem: Problem, initial: Box3D | float | Array | None) -> Hypothes
         parts.append(from_pose(foreseen, model.prior.dimension))
     else:
         parts.append(_from_aspnp(problem))
-    return Hypotheses(
-        np.concatenate([p.rotation for p in parts]),
-        np.concatenate([p.translation for p in parts]),
-        np.concatenate([p.coefficients for p in parts]),
-    )
+    return Hypotheses.joined(parts)
 
 
 def _from_aspnp(problem: Problem) -> Hypotheses:
@@ -179,12 +175,6 @@ def _by_algorithm1(problem: Problem) -> PoseEstimate:
         alternatives=tuple(Alternative(pose, zero[-1], float("nan")) for pose in result.others),
         history=_history(problem, path, result.weights),
     )
-
-
-def turn_between(first: Array, second: Array) -> float:
-    """Angle between the rotations of two poses (4, 4), radians."""
-    cosine = (np.trace(first[:3, :3].T @ second[:3, :3]) - 1.0) / 2.0
-    return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
 def distinct(poses: Sequence[Array] | Array) -> list[int]:

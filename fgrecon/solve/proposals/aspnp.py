@@ -31,6 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.checks import as_finite, as_shape
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
+from fgrecon.core.geometry import transform
 from fgrecon.solve.proposals import _polynomial
 
 __all__ = ["PnPSolution", "aspnp", "aspnp_cost"]
@@ -140,7 +141,7 @@ def aspnp_cost(
     """
     points, image_points, weights = _checked(points, image_points, weights)
     pose = as_finite("camera_T_object", camera_T_object, (4, 4))
-    in_camera = points @ pose[:3, :3].T + pose[:3, 3]
+    in_camera = transform(pose, points)
     depth = float(weights @ in_camera[:, 2] / weights.sum())
     if depth <= 0:
         return float("inf")

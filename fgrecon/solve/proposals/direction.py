@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgrecon.core.detection import at_direction
 from fgrecon.core.geometry import view_azimuth
 from fgrecon.solve.proposals.terms import Hypotheses, Quadratic
 
@@ -42,11 +43,7 @@ class DirectionTerm:
 
     def energy(self, h: Hypotheses) -> Array:
         """(H,) energies of the hypotheses, nats."""
-        bins = len(self.azimuth)
-        place = np.mod(view_azimuth(h.rotation, h.translation), 2.0 * np.pi) / (2.0 * np.pi) * bins
-        low, share = place.astype(int) % bins, place % 1.0
-        probability = self.probability
-        here = (1.0 - share) * probability[low] + share * probability[(low + 1) % bins]
+        here = at_direction(self.probability, view_azimuth(h.rotation, h.translation))
         return np.asarray(-np.log(here), dtype=np.float64)
 
     def add(self, total: Quadratic, h: Hypotheses) -> None:

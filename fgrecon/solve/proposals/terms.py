@@ -9,6 +9,7 @@ perturbation, radians), translation in the camera frame (metres), coefficients.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,6 +35,15 @@ class Hypotheses:
     rotation: Array
     translation: Array
     coefficients: Array
+
+    @classmethod
+    def joined(cls, parts: Sequence[Hypotheses]) -> Hypotheses:
+        """Those of all parts, one after the other."""
+        return cls(
+            np.concatenate([part.rotation for part in parts]),
+            np.concatenate([part.translation for part in parts]),
+            np.concatenate([part.coefficients for part in parts]),
+        )
 
     def __len__(self) -> int:
         """Number of hypotheses."""

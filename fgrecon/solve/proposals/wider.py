@@ -61,7 +61,9 @@ def lower_poses(problem: Problem, camera_T_object: Array, coefficients: Array, a
     energy = float(total.energy[0])
 
     def starts(all_round: int, about: int) -> Hypotheses:
-        return _joined([_all_round(problem, all_round, again), _about(camera_T_object, coefficients, about, again)])
+        return Hypotheses.joined(
+            [_all_round(problem, all_round, again), _about(camera_T_object, coefficients, about, again)]
+        )
 
     left = [search(problem.energy, starts(_ALL_ROUND, _ABOUT), _FIRST, _KEEP).hypotheses]
     each = starts(_EACH, _EACH)
@@ -70,7 +72,7 @@ def lower_poses(problem: Problem, camera_T_object: Array, coefficients: Array, a
     for keypoint in wrong[np.argsort(-right[wrong], kind="stable")][:_MOST_TOLD].tolist():
         told = _taken_for_right(problem.energy, keypoint)
         left.append(search(told, each, _TOLD, _TOLD_KEEP).hypotheses)
-    found = search(problem.energy, _joined(left), _LAST, {})
+    found = search(problem.energy, Hypotheses.joined(left), _LAST, {})
     poses, kept = found.hypotheses.matrices(), [camera_T_object]
     lower: list[Alternative] = []
     for i in np.flatnonzero(found.energy < energy - _LOWER).tolist():
@@ -80,14 +82,6 @@ def lower_poses(problem: Problem, camera_T_object: Array, coefficients: Array, a
             if len(lower) == _MOST:
                 break
     return lower
-
-
-def _joined(parts: list[Hypotheses]) -> Hypotheses:
-    return Hypotheses(
-        np.concatenate([part.rotation for part in parts]),
-        np.concatenate([part.translation for part in parts]),
-        np.concatenate([part.coefficients for part in parts]),
-    )
 
 
 def _taken_for_right(energy: PoseEnergy, keypoint: int) -> PoseEnergy:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 import factors
 from factors import L, LinearShape, M, O, ProjectionKernel, RobustLoss, X
-from fgrecon.core.geometry import MIRROR
+from fgrecon.core.geometry import MIRROR, turn_between
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.annotations.offsets import robust_offset
 from fgrecon.training.keypoints.labels import ShapeFit
@@ -148,7 +148,7 @@ def relabel_shape(
     points = prior.keypoints(fit.coefficients, fit.offsets)
     projected = np.array([car.project(points) for car in corrected])
     support = _support(found.keypoints - projected, covariance, weights)
-    turned = np.array([_angle(a.rotation, b.rotation) for a, b in zip(cars, corrected, strict=True)])
+    turned = np.array([turn_between(a.rotation, b.rotation) for a, b in zip(cars, corrected, strict=True)])
     trusted = (support >= _SUPPORT) & (turned < _DISAGREES)
     labels = projected.copy()
     for number, car in enumerate(corrected):
@@ -300,8 +300,3 @@ def _optimise(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.
 
 def _pose(car: PosedCar) -> gtsam.Pose3:
     return gtsam.Pose3(gtsam.Rot3(car.rotation), car.translation)
-
-
-def _angle(first: Array, second: Array) -> float:
-    """Angle between two rotations, radians."""
-    return float(np.arccos(np.clip((np.trace(first.T @ second) - 1.0) / 2.0, -1.0, 1.0)))

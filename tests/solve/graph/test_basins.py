@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 
 from factors import X
+from fgrecon.core.geometry import turn_between
 from fgrecon.core.reconstruction import Alternative
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph.adjust import adjust
 from fgrecon.solve.graph.graph import Seen
-from fgrecon.solve.proposals.adjust import DISTINCT, adjust_pose, turn_between
+from fgrecon.solve.proposals.adjust import DISTINCT, adjust_pose
 from tests.cars import observe, pose_problem, yaw_pose
 from tests.settings import options as make_options
 from tests.solve.graph.support import constant, half_a_car, problem_of, solve

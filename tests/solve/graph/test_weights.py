@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from factors import stacked_reprojection_factor
+from factors.noise import SMALLEST_WEIGHT
 from fgrecon.core.observation import Observation
 from fgrecon.solve.graph.graph import Seen
-from fgrecon.solve.graph.observation import SMALLEST_WEIGHT
 from fgrecon.solve.graph.optimise import SETTLED
 from fgrecon.solve.graph.solver import minimise
 from fgrecon.solve.proposals.adjust import adjust_pose

@@ -10,11 +10,12 @@ import pytest
 
 from benchmarks.bench_minima import Case, problem
 from factors import L
+from fgrecon.core.geometry import turn_between
 from fgrecon.core.options import ShapeOptions
 from fgrecon.solve.graph import adjust as module
 from fgrecon.solve.graph.adjust import adjust
 from fgrecon.solve.graph.graph import Seen
-from fgrecon.solve.proposals.adjust import adjust_pose, turn_between
+from fgrecon.solve.proposals.adjust import adjust_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.terms import Hypotheses
 from fgrecon.solve.proposals.wider import lower_poses

@@ -1,0 +1,44 @@
+"""What arrays are checked for."""
+
+import numpy as np
+import pytest
+
+from fgrecon.core.checks import as_rigid
+from fgrecon.core.errors import InvalidInputError
+from tests.cars import yaw_pose
+
+POSE = yaw_pose(0.7, np.array([1.0, 2.0, 30.0]))
+
+
+def _with(row, column, value):
+    matrix = POSE.copy()
+    matrix[row, column] = value
+    return matrix
+
+
+def test_a_rigid_motion_is_taken_as_it_is():
+    np.testing.assert_array_equal(as_rigid("pose", POSE, 1e-9), POSE)
+    rounded = np.round(POSE, 3)
+    np.testing.assert_array_equal(as_rigid("pose", rounded.tolist(), 1e-2), rounded)
+    with pytest.raises(InvalidInputError):
+        as_rigid("pose", rounded, 1e-5)
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [
+        POSE @ np.diag([1.0, 1.0, -1.0, 1.0]),
+        -POSE,
+        POSE @ np.diag([1.1, 1.0, 1.0, 1.0]),
+        _with(0, 0, 1e200),
+        _with(3, 1, 0.1),
+        _with(3, 3, 2.0),
+        _with(2, 3, np.nan),
+        _with(0, 0, np.inf),
+        POSE[:3],
+        "here",
+    ],
+)
+def test_what_is_no_rigid_motion_is_named(matrix):
+    with pytest.raises(InvalidInputError, match=r"pose.*rigid motion"):
+        as_rigid("pose", matrix, 1e-2)
