@@ -191,7 +191,10 @@ def ground_evidence(
     for factor in map(built.at, range(built.size())):
         if list(factor.keys()) != [G(0)]:
             speaking.add(factor)
-    found = marginal(speaking, values, [key for key in values.keys() if key != G(0)])  # noqa: SIM118 - no mapping
+    try:
+        found = marginal(speaking, values, [key for key in values.keys() if key != G(0)])  # noqa: SIM118 - no mapping
+    except np.linalg.LinAlgError:  # vehicles that determine nothing
+        return None
     if not (np.isfinite(found.matrix).all() and np.isfinite(found.right).all()):
         return None
     return GroundEvidence(found, max(one.problem.common_factor for one in seen))

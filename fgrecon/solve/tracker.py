@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from factors.marginals import Marginal
 from fgrecon.core.camera import Camera, Ground
-from fgrecon.core.checks import as_finite
+from fgrecon.core.checks import as_finite, as_rigid
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.observation import Observation
-from fgrecon.core.options import Options
+from fgrecon.core.options import Options, checked_options
 from fgrecon.core.reconstruction import Reconstruction, rotation_y
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
@@ -50,6 +50,7 @@ __all__ = ["Tracker"]
 
 Array = NDArray[np.float64]
 
+_RIGID = 1e-4  # of a place's rotation: more digits than that are seldom lost
 _ROUNDED = 1e-9  # share of the largest number of a covariance that is none
 
 
@@ -110,9 +111,7 @@ class Tracker:
         Raises:
             InvalidInputError: An argument cannot be used; names it, its value and the fix.
         """
-        options = Options() if options is None else options
-        if not options.shape.joint:
-            raise InvalidInputError("options.shape.joint", value=False, fix="Let pose and shape move: joint=True.")
+        options = checked_options(options, joint=True)
         if window < 2:
             raise InvalidInputError("window", window, "Give at least 2 frames.")
         if past is not None and past < 1:
@@ -161,7 +160,7 @@ class Tracker:
         if not time > self._time:
             raise InvalidInputError("time", time, f"Give frames in order: the last one was at {self._time:g} s.")
         seen_by, plane = Camera.of(camera), ground_plane(ground)
-        place = None if world_T_camera is None else _pose("world_T_camera", world_T_camera)
+        place = None if world_T_camera is None else gtsam.Pose3(as_rigid("world_T_camera", world_T_camera, _RIGID))
         moved = None if motion_covariance is None else _covariance(motion_covariance)
         self._time = time
         self._way.go(place, moved)
@@ -349,14 +348,6 @@ def _step(track: _Track, time: float, place: gtsam.Pose3 | None, way: CameraWay)
     if unsure is None:
         return FrameStep(time - track.time, None, np.zeros((6, 6)))
     return FrameStep(time - track.time, camera, unsure)
-
-
-def _pose(name: str, given: ArrayLike) -> gtsam.Pose3:
-    matrix = as_finite(name, given, (4, 4))
-    rotation = matrix[:3, :3]
-    if not (np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) and np.linalg.det(rotation) > 0.0):
-        raise InvalidInputError(name, matrix.tolist(), "Give a rigid motion: a rotation (3, 3) and metres.")
-    return gtsam.Pose3(matrix)
 
 
 def _covariance(given: ArrayLike) -> Array:

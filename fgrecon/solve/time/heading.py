@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.detection import at_direction, half_around
 from fgrecon.core.geometry import view_azimuth, yaw_rotation
 from fgrecon.core.metrics import wrap_angle
 
@@ -56,10 +57,7 @@ _ELSEWHERE = 1e-4  # probability in a second that it faces elsewhere altogether
 
 def half(heading: float) -> Array:
     """(B,) share of each bin that is within a quarter turn of a heading."""
-    width = 2.0 * np.pi / _BINS
-    off = np.abs(wrap_angle(HEADINGS - heading))
-    share: Array = np.clip((np.pi / 2.0 - off) / width + 0.5, 0.0, 1.0)
-    return share
+    return half_around(heading, _BINS)
 
 
 _HALVES = np.array([half(heading) for heading in HEADINGS])
@@ -131,11 +129,8 @@ def directions_say(azimuth: Array | None, location: Array) -> Array:
     """(B,) logarithms of what the network's directions (A,) say of a vehicle at a place (3,) in the camera's frame."""
     if azimuth is None:
         return np.zeros(_BINS)
-    bins = len(azimuth)
     seen = view_azimuth(yaw_rotation(HEADINGS), np.broadcast_to(location, (_BINS, 3)))
-    place = np.mod(seen, 2.0 * np.pi) / (2.0 * np.pi) * bins
-    low, share = place.astype(int) % bins, place % 1.0
-    density = ((1.0 - share) * azimuth[low] + share * azimuth[(low + 1) % bins]) * bins
+    density = at_direction(azimuth, seen) * len(azimuth)
     said: Array = np.log((1.0 - _SAYS_NOTHING) * density + _SAYS_NOTHING)
     return said
 
