@@ -12,7 +12,7 @@ from typing import Any
 import pyarrow.compute as pc
 
 from fgrecon.batch.inputs import InputFile
-from fgrecon.batch.parts import Parts, begin, claimed
+from fgrecon.batch.parts import Parts, begin, claimed, refuse_video
 from fgrecon.batch.pool import work
 from fgrecon.batch.reconstructor import Reconstructor
 from fgrecon.batch.rows import lost_rows, single_tasks, storable
@@ -85,7 +85,7 @@ def run(
         What was done.
 
     Raises:
-        InvalidInputError: The folder holds another run, or the prior cannot be loaded.
+        InvalidInputError: The folder holds another run or a video's, or the prior cannot be loaded.
         MissingPackageError: Ray is not installed.
         WorkerDiedError: Workers cannot even begin.
     """
@@ -93,6 +93,7 @@ def run(
         raise InvalidInputError("jobs", jobs, "Give at least one.")
     reconstructor.prior  # noqa: B018 - a prior that cannot be loaded is told before the workers start
     folder = Path(out)
+    refuse_video(folder)
     begin(folder, settings or {})
     with claimed(folder):
         parts = Parts(folder)

@@ -70,6 +70,16 @@ def test_a_folder_is_for_one_kind_of_run(cars, tmp_path):
     assert "no _run.json" in str(batch(few, "--out", tmp_path / "out").exception)
 
 
+def test_a_folder_of_a_videos_run_is_refused(cars, tmp_path):
+    (tmp_path / "records").mkdir()
+    (tmp_path / "records" / "_run.json").write_text("{}")
+    refused = batch(cars[0], "--out", tmp_path).exception
+    assert isinstance(refused, InvalidInputError)
+    assert refused.field == "out"
+    assert "a video's run" in refused.value
+    assert [p.name for p in tmp_path.iterdir()] == ["records"]
+
+
 def test_poison_becomes_a_row_and_the_unlucky_are_tried_again(cars, tmp_path):
     file, expected = cars
     content = [json.loads(line) for line in file.read_text().splitlines()[:6]]
