@@ -95,7 +95,7 @@ class Job:
         return {
             "source": str(path.resolve()) if path.exists() else ask.source,
             "bytes": path.stat().st_size if path.is_file() else None,
-            "fps": ask.frames.fps,
+            "fps": DEFAULT_RATE if self.source.assumed_rate else ask.frames.fps,
             "every": ask.frames.every,
             "start": ask.frames.start,
             "end": ask.frames.end,

@@ -96,6 +96,16 @@ def test_again_it_looks_at_nothing_and_other_options_are_solved(drive, whole, tm
     assert np.abs(np.subtract(before, after)).max() > 1e-3
 
 
+def test_frames_per_second_that_were_assumed_may_be_told_later(drive, tmp_path):
+    images, file = drive
+    arguments = (images, "--tracks", file, "--end", 0.3, "--out", tmp_path / "out")
+    assert "10 frames per second are assumed" in run(*arguments).stderr
+    told = run(*arguments, "--fps", 10)
+    assert told.exit_code == 0, told.output
+    with pytest.raises(InvalidInputError, match=r"other settings \(fps\)"):
+        raise run(*arguments, "--fps", 20).exception
+
+
 def test_the_ground_is_shared_where_one_is_told(drive, tmp_path):
     """Without one there is nothing to share; with one the two cars are solved on it, or each alone."""
     images, file = drive
