@@ -186,7 +186,7 @@ def refuse_video(folder: Path) -> None:
         InvalidInputError: It is such a folder.
     """
     if (folder / RECORDS / RUN).exists():
-        raise InvalidInputError("out", f"{folder}, the folder of a video's run", "Give another folder.")
+        raise InvalidInputError("out", str(folder), "Give another folder: this one has a video's run.")
 
 
 def refuse_batch(folder: Path) -> None:
@@ -196,7 +196,7 @@ def refuse_batch(folder: Path) -> None:
         InvalidInputError: It is such a folder.
     """
     if (folder / RUN).exists():
-        raise InvalidInputError("out", f"{folder}, the folder of a batch", "Give another folder.")
+        raise InvalidInputError("out", str(folder), "Give another folder: this one has a batch's results.")
 
 
 @contextmanager

@@ -77,7 +77,7 @@ def test_a_folder_of_a_videos_run_is_refused(cars, tmp_path):
     refused = batch(cars[0], "--out", tmp_path).exception
     assert isinstance(refused, InvalidInputError)
     assert refused.field == "out"
-    assert "a video's run" in refused.value
+    assert "a video's run" in refused.fix
     assert [p.name for p in tmp_path.iterdir()] == ["records"]
 
 

@@ -283,7 +283,7 @@ def test_what_cannot_be_done_is_refused_before_the_work(drive, tmp_path, argumen
 def test_a_folder_of_a_batch_is_refused(drive, tmp_path):
     (tmp_path / "_run.json").write_text("{}")
     refused = run(drive[0], "--out", tmp_path, "--tracks", drive[1]).exception
-    assert (refused.field, "a batch" in refused.value) == ("out", True)
+    assert (refused.field, "a batch" in refused.fix) == ("out", True)
     assert [p.name for p in tmp_path.iterdir()] == ["_run.json"]
 
 
