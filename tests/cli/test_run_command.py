@@ -1,5 +1,6 @@
 """`fgrecon run`: its files, what it refuses, and what is left when it is killed or interrupted."""
 
+import io
 import json
 import os
 import re
@@ -80,6 +81,42 @@ def test_its_tables_agree(whole):
     document = json.loads((out.parent / "run.json").read_text())
     assert document["tracks"] == [{"id": i, "frames": 8, "first": 3, "last": 11} for i in (10, 11)]
     assert (document["estimates"], document["stopped"]) == (len(rows), False)
+
+
+def export(out, name, *options):
+    done = CliRunner().invoke(main.app, ["export", str(out), str(out.parent / name), *map(str, options)])
+    if done.exception is not None:
+        raise done.exception
+    return (out.parent / name).read_bytes()
+
+
+def test_its_frames_are_exported_at_their_times(whole):
+    reader = pytest.importorskip("mcap.reader", reason="mcap is not installed: pip install fgrecon[mcap]")
+    out, _ = whole
+    messages = list(reader.make_reader(io.BytesIO(export(out, "w.mcap", "--format", "foxglove"))).iter_messages())
+    frames = [json.loads(text) for text in (out / "frames.jsonl").read_text().splitlines()]
+    assert [m.log_time for _, _, m in messages] == [round(frame["time"] * 1e9) for frame in frames]
+    entities = [json.loads(m.data)["entities"] for _, _, m in messages]
+    assert [[e["id"] for e in found] for found in entities] == [
+        [str(v["id"]) for v in frame["vehicles"] if v["result"] is not None] for frame in frames
+    ]
+    first = frames[0]["vehicles"][0]["result"]
+    cube = entities[0][0]["cubes"][0]["size"]
+    assert list(cube.values()) == pytest.approx(first["box_size"], abs=1e-6)
+
+
+def test_its_frames_are_images_for_coco_and_have_tables_already(whole):
+    out, _ = whole
+    (out.parent / "i.json").write_text(json.dumps({"000003": {"image_id": 7}}))
+    arguments = ("c.json", "--format", "coco", "--images", out.parent / "i.json")
+    found = json.loads(export(out, *arguments))
+    assert {entry["image_id"] for entry in found} >= {7, "000004.png"}
+    for name in ("x.csv", "x.txt", "x.glb"):
+        with pytest.raises(InvalidInputError, match=r"tracks\.csv.*tracks\.txt"):
+            export(out, name)
+    (torn := out.parent / "torn.jsonl").write_text('{"format": "fgrecon.video-frame/1"}\n')
+    with pytest.raises(InvalidInputError, match="line 1"):
+        export(torn, "x.json", "--format", "coco")
 
 
 def test_again_it_looks_at_nothing_and_other_options_are_solved(drive, whole, tmp_path):
