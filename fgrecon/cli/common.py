@@ -18,6 +18,7 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
 __all__ = [
     "PartOfImage",
     "about_camera",
+    "check_folder",
     "check_output",
     "check_outputs",
     "chosen_boxes",
@@ -148,6 +149,19 @@ def check_output(path: Path | None) -> None:
 
     if path is not None and (path.is_dir() or not path.resolve().parent.is_dir()):
         raise InvalidInputError("output", str(path), "Give a file in a folder that exists.")
+
+
+def check_folder(path: Path) -> None:
+    """Refuse a folder of results that cannot be made, before the work.
+
+    Raises:
+        InvalidInputError: It is a file, or would be in one.
+    """
+    from fgrecon.core.errors import InvalidInputError
+
+    there = next(part for part in (path, *path.resolve().parents) if part.exists())
+    if not there.is_dir():
+        raise InvalidInputError("out", str(path), f"Give another folder: {there} is a file.")
 
 
 def check_outputs(json_out: str | None, *paths: Path | None) -> None:

@@ -239,17 +239,12 @@ def _shown(outcomes: Sequence[Outcome]) -> list[Shown]:
 
 
 def draw_moving(path: Path, outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None) -> list[Path]:
-    """Animate the optimisation of the only result; nothing where there is none.
+    """Animate the optimisation of the only vehicle; nothing where it has no result.
 
     Returns:
         The files written.
-
-    Raises:
-        InvalidInputError: There are several.
     """
     found = [outcome for outcome in outcomes if outcome.result is not None]
-    if len(found) > 1:
-        raise InvalidInputError("animation", f"{len(found)} vehicles", "Reconstruct one vehicle to animate it.")
     for outcome in found:
         assert outcome.result is not None
         animate(path, outcome.result, outcome.task.observation, outcome.task.camera, image=image)

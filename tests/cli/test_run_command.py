@@ -307,6 +307,7 @@ def test_a_viewer_sees_it_while_it_goes_on(drive, tmp_path):
         (["--save", "a.mp4"], "save"),
         (["--picture", "a.bmp"], "a.bmp"),
         (["--picture-frame", "5"], "picture_frame"),
+        (["--picture-frame", "99", "--picture", "a.png"], "picture_frame"),
         (["--end", "0"], "end"),
     ],
 )
@@ -314,6 +315,26 @@ def test_what_cannot_be_done_is_refused_before_the_work(drive, tmp_path, argumen
     done = run(drive[0], "--out", tmp_path / "out", *arguments)
     assert isinstance(done.exception, InvalidInputError), done.output
     assert done.exception.field == field
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_that_cannot_be_made_is_refused_before_a_camera_is_sought(drive, tmp_path, monkeypatch):
+    monkeypatch.setattr("fgrecon.cli.run_job.found_camera", pytest.fail)
+    (tmp_path / "a.txt").touch()
+    for out in (tmp_path / "a.txt", tmp_path / "a.txt" / "deeper"):
+        refused = run(drive[0], "--out", out).exception
+        assert (refused.field, "is a file" in refused.fix) == ("out", True)
+
+
+@pytest.mark.parametrize(("options", "number"), [((), 99), (("--every", 3), 4), ((), -1)])
+def test_a_frame_that_a_video_cannot_have(drive, tmp_path, options, number):
+    pytest.importorskip("av", reason="PyAV is not installed: pip install fgrecon[video]")
+    with write_video(tmp_path / "drive.mp4", rate=10) as add:
+        for _ in range(6):
+            add(np.zeros((96, 128, 3), np.uint8))
+    picture = ("--picture", tmp_path / "a.png", "--picture-frame", number)
+    done = run(tmp_path / "drive.mp4", "--out", tmp_path / "out", *picture, *options)
+    assert done.exception.field == "picture_frame"
     assert not (tmp_path / "out").exists()
 
 

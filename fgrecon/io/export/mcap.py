@@ -91,7 +91,9 @@ def _moments(
     """
     found = by_image(results)
     seen = {name for image in found for name in (image, Path(image).name, Path(image).stem, EVERY)}
-    empty = {name: [] for name, info in images.items() if name not in seen and info.timestamp is not None}
+    empty: dict[str, list[NamedResult]] = {
+        name: [] for name, info in images.items() if name not in seen and info.timestamp is not None
+    }
     moments = []
     for number, (image, items) in enumerate((found | empty).items()):
         info = info_of(image, images)
