@@ -45,7 +45,11 @@ def ground_plane(plane: str | None, height: float | None) -> tuple[Ground, str] 
     if plane is not None and height is not None:
         raise InvalidInputError("camera_height", height, "Give either --camera-height or --ground.")
     if height is not None:
-        return Ground.level(height), f"level camera {height:g} m above the ground"
+        try:
+            level = Ground.level(height)
+        except InvalidInputError as error:
+            raise InvalidInputError("camera_height", height, error.fix) from error
+        return level, f"level camera {height:g} m above the ground"
     if plane is None:
         return None
     nx, ny, nz, distance = parse_numbers("ground", plane, "nx,ny,nz,d: four numbers", (4,))

@@ -56,7 +56,7 @@ FORMAT = f"fgrecon.reconstructions/{SCHEMA_VERSION}"
 
 _TRUSTED = 0.5  # weight from which a keypoint counts as trusted
 _HEADINGS = ("id", "status", "yaw °", "x, y, z m", "l, w, h m", "trusted", "message")
-_CLAUSE = 60  # characters of a message in the table
+_CLAUSE = 200  # characters of a message in the table, which wraps it
 _WIDE = 130  # columns of the terminal that leave it that room
 _PLATE, _WORDS = 6, 24  # characters of a vehicle's name on its plate in a picture, and beside its numbers
 _TOGETHER = 40  # vehicles of an image that one recording has at most
