@@ -33,7 +33,7 @@ def read_folder(folder: Path, prior: ShapePrior | str | Path | None = None) -> l
         InvalidInputError: It is no such folder, or the prior is not to be found.
     """
     if not (folder / RUN).is_file():
-        raise InvalidInputError("results", str(folder), "Give a folder that `fgrecon batch` wrote.")
+        raise InvalidInputError("results", str(folder), "Give a folder that `fgrecon batch` or `fgrecon run` wrote.")
     settings = read_json(folder / RUN)["settings"]
     shape = load_prior(prior if prior is not None else settings.get("prior_file") or settings.get("prior", "car14"))
     surfaces = Surfaces(settings, shape)

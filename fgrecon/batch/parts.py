@@ -19,10 +19,13 @@ from fgrecon.io.isolated import Isolated
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.stored import MADE_AGAIN, stored
 
-__all__ = ["RUN", "Parts", "begin", "claimed"]
+__all__ = ["RECORDS", "RUN", "Parts", "begin", "claimed", "refuse_batch", "refuse_video"]
 
 RUN = "_run.json"
 """What the run is: readers of Parquet folders leave names alone that begin with an underscore."""
+
+RECORDS = "records"
+"""Folder within that of a video's run, whose parts are no results."""
 
 _AT_ONCE = 512
 """Rows of a part that are looked at together."""
@@ -174,6 +177,26 @@ def begin(folder: Path, settings: Mapping[str, Any], run_format: str = FORMAT, *
         names = [name for name, value in told["settings"].items() if before.get("settings", {}).get(name) != value]
         what = f"{folder}, a run with other settings ({', '.join(names) or 'another format'})"
         raise InvalidInputError("out", what, "Give another folder for these.")
+
+
+def refuse_video(folder: Path) -> None:
+    """Keep results of a batch out of the folder of a video's run: readers would mix their tables.
+
+    Raises:
+        InvalidInputError: It is such a folder.
+    """
+    if (folder / RECORDS / RUN).exists():
+        raise InvalidInputError("out", str(folder), "Give another folder: this one has a video's run.")
+
+
+def refuse_batch(folder: Path) -> None:
+    """Keep a video's run out of the folder of a batch; see `refuse_video`.
+
+    Raises:
+        InvalidInputError: It is such a folder.
+    """
+    if (folder / RUN).exists():
+        raise InvalidInputError("out", str(folder), "Give another folder: this one has a batch's results.")
 
 
 @contextmanager

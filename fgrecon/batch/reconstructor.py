@@ -145,7 +145,8 @@ class Reconstructor:
 
     def _solve(self, task: Mapping[str, Any], origin: Row) -> Iterator[Row]:
         if task.get("problem") is not None:
-            raise InvalidInputError("source", task["problem"], "Give a file that can be read.")
+            fix = f"Give a file that can be read: {task['problem']}"
+            raise InvalidInputError("source", task.get("source"), fix)
         if task.get("image") is not None:
             yield from self._image(task, origin)
             return

@@ -12,7 +12,7 @@ from typing import Any
 import pyarrow.compute as pc
 
 from fgrecon.batch.inputs import InputFile
-from fgrecon.batch.parts import Parts, begin, claimed
+from fgrecon.batch.parts import Parts, begin, claimed, refuse_video
 from fgrecon.batch.pool import work
 from fgrecon.batch.reconstructor import Reconstructor
 from fgrecon.batch.rows import lost_rows, single_tasks, storable
@@ -35,6 +35,7 @@ class Tally:
         done: Of these, done by now.
         statuses: Rows of results of this run, by status; an image gives one for each vehicle.
         errors: Those with an error, by its class and the field that it names.
+        words: Of each of these errors what the first row says, which has the fix.
         box_excesses: By how much 2D boxes are larger than their vehicles look, of this run's rows that tell.
     """
 
@@ -43,15 +44,19 @@ class Tally:
     done: int = 0
     statuses: Counter[str] = field(default_factory=Counter)
     errors: Counter[str] = field(default_factory=Counter)
+    words: dict[str, str] = field(default_factory=dict)
     box_excesses: array[float] = field(default_factory=lambda: array("d"))
 
     def add(self, table: Any) -> None:
         """Count a table of results."""
         self.done += len(pc.unique(table.column("row_id")))
         self.statuses.update(table.column("status").to_pylist())
-        kinds, fields = (table.column(name).to_pylist() for name in ("error_type", "error_field"))
-        named = ((kind, place) for kind, place in zip(kinds, fields, strict=True) if kind is not None)
-        self.errors.update(kind if place is None else f"{kind}: {place}" for kind, place in named)
+        columns = (table.column(name).to_pylist() for name in ("error_type", "error_field", "error"))
+        for kind, place, words in zip(*columns, strict=True):
+            if kind is not None:
+                name = kind if place is None else f"{kind}: {place}"
+                self.errors[name] += 1
+                self.words.setdefault(name, words)
         self.box_excesses.extend(pc.drop_null(table.column("box_excess")).to_pylist())
 
 
@@ -85,7 +90,7 @@ def run(
         What was done.
 
     Raises:
-        InvalidInputError: The folder holds another run, or the prior cannot be loaded.
+        InvalidInputError: The folder holds another run or a video's, or the prior cannot be loaded.
         MissingPackageError: Ray is not installed.
         WorkerDiedError: Workers cannot even begin.
     """
@@ -93,6 +98,7 @@ def run(
         raise InvalidInputError("jobs", jobs, "Give at least one.")
     reconstructor.prior  # noqa: B018 - a prior that cannot be loaded is told before the workers start
     folder = Path(out)
+    refuse_video(folder)
     begin(folder, settings or {})
     with claimed(folder):
         parts = Parts(folder)

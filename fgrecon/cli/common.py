@@ -18,6 +18,7 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
 __all__ = [
     "PartOfImage",
     "about_camera",
+    "check_folder",
     "check_output",
     "check_outputs",
     "chosen_boxes",
@@ -44,7 +45,11 @@ def ground_plane(plane: str | None, height: float | None) -> tuple[Ground, str] 
     if plane is not None and height is not None:
         raise InvalidInputError("camera_height", height, "Give either --camera-height or --ground.")
     if height is not None:
-        return Ground.level(height), f"level camera {height:g} m above the ground"
+        try:
+            level = Ground.level(height)
+        except InvalidInputError as error:
+            raise InvalidInputError("camera_height", height, error.fix) from error
+        return level, f"level camera {height:g} m above the ground"
     if plane is None:
         return None
     nx, ny, nz, distance = parse_numbers("ground", plane, "nx,ny,nz,d: four numbers", (4,))
@@ -148,6 +153,19 @@ def check_output(path: Path | None) -> None:
 
     if path is not None and (path.is_dir() or not path.resolve().parent.is_dir()):
         raise InvalidInputError("output", str(path), "Give a file in a folder that exists.")
+
+
+def check_folder(path: Path) -> None:
+    """Refuse a folder of results that cannot be made, before the work.
+
+    Raises:
+        InvalidInputError: It is a file, or would be in one.
+    """
+    from fgrecon.core.errors import InvalidInputError
+
+    there = next(part for part in (path, *path.resolve().parents) if part.exists())
+    if not there.is_dir():
+        raise InvalidInputError("out", str(path), f"Give another folder: {there} is a file.")
 
 
 def check_outputs(json_out: str | None, *paths: Path | None) -> None:

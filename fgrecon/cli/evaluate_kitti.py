@@ -22,6 +22,7 @@ from fgrecon.cli.options import (
 )
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.choices import BoxModel, TrafficSide
+from fgrecon.core.errors import InvalidInputError
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from rich.table import Table
@@ -47,8 +48,18 @@ class KittiFolders:
     calib: Annotated[Path | None, _folder("Calibration files", "calib")] = None
 
     def paths(self) -> tuple[Path, Path, Path]:
-        """Folders of images, labels and calibrations."""
+        """Folders of images, labels and calibrations.
+
+        Raises:
+            InvalidInputError: One is not told, and there are no data in KITTI's layout.
+        """
         training = self.data / "kitti_object" / "training"
+        if None in (self.images, self.labels, self.calib) and not training.is_dir():
+            fix = (
+                "Give --data FOLDER (or FGRECON_DATA), which has kitti_object/training, or all of --images, --labels "
+                "and --calib."
+            )
+            raise InvalidInputError("data", str(self.data), fix)
         return (
             self.images or training / "image_2",
             self.labels or training / "label_2",
@@ -102,9 +113,10 @@ def kitti_command(
     check_outputs(json_out, picture)
     delivery.check()
     screen = terminal.screen(json_out)
+    paths = folders.paths()
     setup, origin = _setup(boxes, labelled, weights, traffic, together=together)
     names = None if split is None else read_image_set(split)
-    frames, problems = kitti_images.read_frames(*folders.paths(), names, boxes.boxes)
+    frames, problems = kitti_images.read_frames(*paths, names, boxes.boxes)
     cars = [car for frame in screen.watch(frames, "Images") for car in kitti_images.score_frame(frame, setup)]
 
     kind = "detected" if boxes.boxes else "labelled"

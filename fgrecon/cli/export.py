@@ -27,7 +27,7 @@ def export_command(
         Path,
         typer.Argument(
             metavar="RESULTS",
-            help="Results as written by --json of reconstruct or track, or demo; or a batch's folder.",
+            help="Results as written by --json of reconstruct or track, or demo; or the folder of a batch or run.",
         ),
     ],
     out: Annotated[
@@ -64,19 +64,26 @@ def export_command(
     PLY and GLB: surfaces and wireframes in the camera frame. CSV and Parquet: one row per vehicle. TXT: KITTI's result
     lines, in the frame of KITTI's labels where the results know it. JSON: nuScenes' detections, or COCO's keypoints
     with cuboids. MCAP: Foxglove's scenes, or ROS 2's Detection3DArray. --verbose names the vehicles.
+
+    Of a video's run JSON and MCAP are made, with the times of the frames; its folder has tables already.
     """
-    from fgrecon.io.export import export, read_images_file, read_results
+    from fgrecon.io.export import export, read_images_file, read_results, read_video_frames
     from fgrecon.io.export.files import check_format
+    from fgrecon.io.export.video_frames import check_video_format, frames_file
 
     check_format(out, kind)
     check_output(out)
-    if results.is_dir():
+    told = None if images is None else read_images_file(images)
+    if (frames := frames_file(results)) is not None:
+        check_video_format(out, kind)
+        found, told = read_video_frames(frames, told)
+    elif results.is_dir():
         from fgrecon.batch import read_folder
 
         found = read_folder(results, prior)
     else:
         found = read_results(results, prior)
-    export(out, found, kind, None if images is None else read_images_file(images))
+    export(out, found, kind, told)
     screen = terminal.screen()
     for vehicle in found:
         screen.detail(f"{vehicle.name}: {vehicle.result.status.value}")

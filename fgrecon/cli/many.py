@@ -17,6 +17,9 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
 
 __all__ = ["batch_command"]
 
+_TOLD = 3
+"""Errors that are told where nothing could be reconstructed."""
+
 
 def batch_command(
     inputs: Annotated[
@@ -47,7 +50,8 @@ def batch_command(
     with a vehicle is in its row (status, error), and the others go on. Cars in images and videos are found by the
     shipped networks. --verbose tells how often which error came.
 
-    Exit code 0: at least one vehicle was reconstructed, or all was done before; 1: none; 2: bad usage or input.
+    Exit code 0: at least one vehicle was reconstructed, or all was done before; 1: none; 2: bad usage, or none since
+    every row is bad input.
     """
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
@@ -106,9 +110,12 @@ def batch_command(
     screen.print(table, f"{tally.done} of {tally.total} rows are done, {tally.before} of them before.")
     if (off := boxes_off(tally.box_excesses)) is not None:
         screen.warn(boxes_warning(off))
-    screen.detail(*(f"{count} x {error}" for error, count in tally.errors.most_common()))
     screen.wrote(out)
     solved = {status.value for status in Status if status is not Status.FAILED}
-    if tally.statuses and not solved & set(tally.statuses):
-        screen.fail("No vehicle could be reconstructed.")
-        raise typer.Exit(1)
+    if not tally.statuses or solved & set(tally.statuses):
+        screen.detail(*(f"{count} x {error}" for error, count in tally.errors.most_common()))
+        return
+    screen.fail("No vehicle could be reconstructed.")
+    for error, count in tally.errors.most_common(None if screen.verbose else _TOLD):
+        screen.fail(f"{count} x {tally.words[error]}")
+    raise typer.Exit(2 if set(tally.statuses) == {"refused"} else 1)

@@ -105,13 +105,15 @@ def wanted(files: Sequence[Path], out: Path | None, *, pictures: bool) -> list[P
     return [PhotographFile(image, out / distinct(image.stem, taken)) for image in images]
 
 
-def refuse(json_out: str | None, drawn: bool, recorded: bool, box: Sequence[str] | None) -> None:
+def refuse(
+    json_out: str | None, drawn: bool, recorded: bool, box: Sequence[str] | None, ids: Sequence[str] | None
+) -> None:
     """Refuse what is said of one photograph where there may be several.
 
     Raises:
         InvalidInputError: Something is.
     """
-    given = {"json": json_out is not None, "picture": drawn, "save": recorded, "box": bool(box)}
+    given = {"json": json_out is not None, "picture": drawn, "save": recorded, "box": bool(box), "id": bool(ids)}
     fixes = {"picture": "Give --pictures, for one of each image.", "box": "Give --boxes or --detect."}
     for field, used in given.items():
         if used:

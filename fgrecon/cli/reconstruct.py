@@ -30,12 +30,15 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
     import numpy as np
     from numpy.typing import NDArray
 
-    from fgrecon.cli.reconstruct_work import Outcome
+    from fgrecon.cli.reconstruct_work import Outcome, Task
     from fgrecon.cli.terminal import Screen
     from fgrecon.cli.together import Scene
     from fgrecon.core.camera import Ground
 
 __all__ = ["reconstruct_command"]
+
+_NAMED = 8
+"""Vehicles that an error names."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,24 @@ class Solving:
             "--free-offsets/--no-free-offsets", help="Let every keypoint leave the shape prior by a small offset."
         ),
     ] = True
+    ids: Annotated[
+        list[str] | None,
+        typer.Option("--id", metavar="NAME", help="Take only this vehicle of the file or image; may be repeated."),
+    ] = None
+
+    def chosen(self, tasks: list[Task]) -> list[Task]:
+        """The vehicles that are wanted.
+
+        Raises:
+            InvalidInputError: There is none of a name.
+        """
+        if self.ids is None:
+            return tasks
+        known = {task.instance.name for task in tasks}
+        for name in self.ids:
+            if name not in known:
+                raise InvalidInputError("id", name, f"Give one of {_listed(sorted(known))}.")
+        return [task for task in tasks if task.instance.name in self.ids]
 
 
 @dataclass(frozen=True)
@@ -70,7 +91,8 @@ class Drawings:
         typer.Option("--sheet", help="Let --picture have a part of the image for each; of one vehicle the stages."),
     ] = False
     animation: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Animate the optimisation of a single vehicle (gif, mp4).")
+        Path | None,
+        typer.Option(metavar="FILE", help="Animate the optimisation of one vehicle, of several with --id (gif, mp4)."),
     ] = None
 
     @property
@@ -94,6 +116,16 @@ class Drawings:
         if self.sheet and self.picture is None:
             raise InvalidInputError("sheet", "without --picture", "Say with --picture where it is to be written.")
 
+    def check_vehicles(self, tasks: Sequence[Task]) -> None:
+        """Refuse before the work to animate several vehicles.
+
+        Raises:
+            InvalidInputError: There are several.
+        """
+        if self.animation is not None and len(tasks) > 1:
+            names = _listed([task.instance.name for task in tasks])
+            raise InvalidInputError("animation", f"{len(tasks)} vehicles", f"Choose one with --id: {names}.")
+
     def draw(
         self,
         outcomes: Sequence[Outcome],
@@ -108,9 +140,6 @@ class Drawings:
             photograph: (H, W, 3), or None.
             grounds: The ground of each image, by its name.
             screen: Where it is said.
-
-        Raises:
-            InvalidInputError: Several are to be animated.
         """
         from fgrecon.cli import show
 
@@ -118,6 +147,11 @@ class Drawings:
             screen.wrote(*show.draw(self.picture, outcomes, photograph, grounds, sheet=self.sheet))
         if self.animation is not None:
             screen.wrote(*show.draw_moving(self.animation, outcomes, photograph))
+
+
+def _listed(names: Sequence[str]) -> str:
+    """The names, or the first of very many."""
+    return ", ".join(names[:_NAMED]) + (", ..." if len(names) > _NAMED else "")
 
 
 def reconstruct_command(
@@ -191,7 +225,9 @@ def reconstruct_command(
         fix = "Give several images and --out, and let their vehicles be solved together."
         raise InvalidInputError("same_camera", "without --out, or with --apart or --no-joint", fix)
     if several is not None:
-        photographs.refuse(json_out, drawings.wanted or drawings.image is not None, delivery.wanted, boxes.box)
+        photographs.refuse(
+            json_out, drawings.wanted or drawings.image is not None, delivery.wanted, boxes.box, solving.ids
+        )
         how = photographs.PhotographWork(
             camera, boxes, settings, solving.box_model, together, models, history, pictures, same_camera
         )
@@ -213,6 +249,8 @@ def reconstruct_command(
     else:
         image = None if drawings.image is None else drawings.image.name
         tasks, ignored = reconstruct_work.read_tasks(file, settings.prior.category, source, names, image)
+    tasks = solving.chosen(tasks)
+    drawings.check_vehicles(tasks)
     if settings.ground is None and tasks:
         shown = tasks[0].instance.image or (None if path is None else path.name)
         screen.print(*reconstruct_work.ground_of(source, shown))

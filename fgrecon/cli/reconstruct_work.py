@@ -23,6 +23,7 @@ from fgrecon.core.vehicle_mesh import ClosestModel
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.keypoint_file import Instance
 from fgrecon.io.keypoints import NOT_JSON, parse_any_keypoints, read_any_keypoints
+from fgrecon.io.other_inputs import refuse_other_file
 from fgrecon.io.track_file import parse_track
 from fgrecon.solve.pipeline import reconstruct
 
@@ -100,6 +101,7 @@ def read_tasks(
     Raises:
         InvalidInputError: The file is malformed, or a vehicle has no camera.
     """
+    refuse_other_file(path)
     offset = None
     ignored: tuple[str, ...] = ()
     data = None if path.suffix.lower() in NOT_JSON else read_json(path)

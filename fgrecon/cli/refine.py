@@ -50,7 +50,7 @@ def refine_command(
     folders of KITTI's layout it is found. nuScenes' boxes need --camera with the folder of its tables. Locations are in
     the frame of KITTI's labels where the calibration says where that is. --verbose lists every box of several images.
 
-    Exit code 0: at least one box was refined; 1: none; 2: bad usage or input.
+    Exit code 0: at least one box was refined; 1: none; 2: bad usage, or no image that can be used.
     """
     from fgrecon.cli import refine_work
     from fgrecon.core.options import BoxOptions, Options
@@ -72,11 +72,17 @@ def refine_command(
         weights=weights,
     )
     work = refine_work.Refiner(how)
-    done = []
+    done: list[refine_work.Done] = []
+    waiting: list[refine_work.Done] = []  # nothing is written as long as no image can be used
     for one in screen.watch(found, "Images"):
         done.append(work(one))
-        if boxes.is_dir():
-            write_text(out / one.source.name, text_of(one.objects, done[-1].changed))
+        waiting.append(done[-1])
+        if boxes.is_dir() and any(image.error is None for image in waiting):
+            refine_work.write_each(out, waiting)
+            waiting.clear()
+    refine_work.check_any(done)
+    if boxes.is_dir():
+        refine_work.write_each(out, waiting)
     changed = {number: text for one in done for number, text in one.changed.items()}
     if submission is not None:
         write_text(out, submission.text(changed))

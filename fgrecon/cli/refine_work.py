@@ -24,13 +24,14 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.refined_box import RefinedBox
 from fgrecon.core.text import printable
-from fgrecon.io.box_lines import Boxed, BoxedImage
+from fgrecon.io.box_lines import Boxed, BoxedImage, text_of
+from fgrecon.io.files import write_text
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_calibration import calibration_beside, read_calibration
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.refine import refine_boxes
 
-__all__ = ["FORMAT", "KINDS", "Done", "RefineWork", "Refiner", "document", "show"]
+__all__ = ["FORMAT", "KINDS", "Done", "RefineWork", "Refiner", "check_any", "document", "show", "write_each"]
 
 FORMAT = "fgrecon.refined-boxes/1"
 KINDS = "Car", "Van", "car"
@@ -139,6 +140,28 @@ class Refiner:
                 raise InvalidInputError("camera", f"none for {image}", fix)
             camera, offset = beside.camera, beside.label_offset
         return source.complete(camera, declared=False), np.zeros(3) if offset is None else offset
+
+
+def check_any(done: Sequence[Done]) -> None:
+    """See that at least one image could be used.
+
+    Raises:
+        FgreconError: None could; it is the first one's error.
+    """
+    errors = [one.error for one in done if one.error is not None]
+    if errors and len(errors) == len(done):
+        raise errors[0]
+
+
+def write_each(out: Path, done: Sequence[Done]) -> None:
+    """Write the boxes of images, of each to a file of its own.
+
+    Raises:
+        InvalidInputError: A file cannot be written.
+    """
+    for one in done:
+        lines: list[Any] = [*one.image.objects]
+        write_text(out / one.image.source.name, text_of(lines, one.changed))
 
 
 def show(screen: Screen, done: Sequence[Done]) -> None:

@@ -38,11 +38,14 @@ def replay_command(
         "127.0.0.1"
     ),
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of --web; 0 for a free one.")] = _WEB_PORT,
+    data_port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port that the viewer has its data from; 0 for a free one.")
+    ] = 0,
 ) -> None:
     """Play a recording in rerun's viewer.
 
-    The servers that it starts listen on this machine alone, unless --bind says otherwise. --summary --verbose prints
-    the whole log.
+    The servers that it starts listen on this machine alone, unless --bind says otherwise. Through a tunnel both ports
+    of --web are needed: --port for the page, --data-port for the recording. --summary --verbose prints the whole log.
     """
     from fgrecon.viz.replay import read
 
@@ -54,24 +57,30 @@ def replay_command(
     if json_out is not None:
         screen.write_json(json.dumps(_document(recording, content), allow_nan=False) + "\n")
     if not summary and json_out is None:
-        _become(_viewer(recording, bind, port, screen, web=web))
+        _become(_viewer(recording, bind, port, data_port, screen, web=web))
 
 
-def _viewer(recording: Path, bind: str, port: int, screen: Screen, *, web: bool) -> list[str]:
+def _viewer(recording: Path, bind: str, port: int, data_port: int, screen: Screen, *, web: bool) -> list[str]:
     """The viewer's command line; tells where to find it in a browser."""
     from urllib.parse import quote
 
-    from fgrecon.viz.sinks import free_port, viewer_command
+    from fgrecon.viz.sinks import free_port, has_display, reachable, viewer_command
 
-    server = free_port(bind)
+    if not web and not has_display():
+        from fgrecon.core.errors import InvalidInputError
+
+        fix = "Give --web to look at it in a browser, or --summary to print its numbers."
+        raise InvalidInputError("display", "none", fix)
+    server = data_port or free_port(bind)
     if not web:
         return viewer_command("--port", str(server), str(recording), bind=bind)
     page = port or free_port(bind)
-    host = "127.0.0.1" if bind in ("0.0.0.0", "::") else bind  # noqa: S104 - what a browser here can open
+    host = reachable(bind)
     source = quote(f"rerun+http://{host}:{server}/proxy", safe="")
     screen.print(f"Open http://{host}:{page}?url={source} in a browser; end with Ctrl-C.")
     ports = ("--port", str(server), "--web-viewer-port", str(page))
-    return viewer_command(*ports, "--serve-web", str(recording), bind=bind)
+    allowed = ("--cors-allow-origin", f"http://{host}:{page}")  # else only pages of this machine get the data
+    return viewer_command(*ports, *allowed, "--serve-web", str(recording), bind=bind)
 
 
 def _become(command: list[str]) -> None:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.cli.common import about_camera
+from fgrecon.batch.parts import refuse_batch
+from fgrecon.cli.common import about_camera, check_folder
 from fgrecon.cli.options import SceneOptions
 from fgrecon.cli.run_options import FrameOptions, MotionOptions
 from fgrecon.cli.settings import CameraSource, Settings
@@ -24,6 +25,7 @@ from fgrecon.io.frames import (
     FrameSource,
     ImageFrames,
     NumberedFrames,
+    VideoFrames,
     numbered_frames,
     open_frames,
 )
@@ -95,7 +97,7 @@ class Job:
         return {
             "source": str(path.resolve()) if path.exists() else ask.source,
             "bytes": path.stat().st_size if path.is_file() else None,
-            "fps": ask.frames.fps,
+            "fps": DEFAULT_RATE if self.source.assumed_rate else ask.frames.fps,
             "every": ask.frames.every,
             "start": ask.frames.start,
             "end": ask.frames.end,
@@ -118,6 +120,8 @@ def prepare(ask: Request, screen: Screen) -> Job:
         InvalidInputError: Something cannot be used; names it.
         MissingPackageError: A package for videos is not installed.
     """
+    check_folder(ask.out)
+    refuse_batch(ask.out)
     if ask.video is not None:
         check_video(ask.video)
     if ask.picture is not None:
@@ -140,9 +144,20 @@ def prepare(ask: Request, screen: Screen) -> Job:
     model = ask.box_model or source_has
     settings = replace(settings, options=replace(settings.options, box=replace(settings.options.box, model=model)))
     moving = _moving(ask, source, settings)
+    if ask.picture_frame is not None and not _may_have(source, ask.picture_frame):
+        raise InvalidInputError("picture_frame", ask.picture_frame, "Give the number of one of the frames.")
     poses = None if motion.poses is None else read_poses(motion.poses)
     camera, offset = _camera(ask, source, given, settings, screen)
     return Job(ask, source, camera, offset, settings, given, poses, moving)
+
+
+def _may_have(source: FrameSource, number: int) -> bool:
+    """Whether there can be a frame of this number; what a video's head tells may be a frame too few."""
+    if not isinstance(source, VideoFrames):
+        return number in source.numbers
+    every, starts = source.choice.every, source.choice.start == 0.0
+    last = source.count * every if starts and source.count is not None else number
+    return 0 <= number <= last and number % every == 0
 
 
 def _moving(ask: Request, source: FrameSource, settings: Settings) -> bool:

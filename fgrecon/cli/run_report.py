@@ -48,7 +48,6 @@ def perform(job: Job, viewer: Viewer, screen: Screen) -> VideoRun:
     ground = settings.ground
     follower = Follower(tracker, association, job.camera, ground=ground, poses=job.poses, moving=job.moving)
     motion = MotionLook(job.camera, ground) if job.moving and ground is not None else None
-    ask.out.mkdir(parents=True, exist_ok=True)
     with screen.bar() as advance, _on_interrupt() as stopped, _live(job, viewer) as show:
 
         def report(run: VideoRun, frame: SourceFrame | None) -> None:

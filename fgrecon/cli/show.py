@@ -57,7 +57,7 @@ FORMAT = f"fgrecon.reconstructions/{SCHEMA_VERSION}"
 
 _TRUSTED = 0.5  # weight from which a keypoint counts as trusted
 _HEADINGS = ("id", "status", "yaw °", "x, y, z m", "l, w, h m", "trusted", "message")
-_CLAUSE = 60  # characters of a message in the table
+_CLAUSE = 200  # characters of a message in the table, which wraps it
 _WIDE = 130  # columns of the terminal that leave it that room
 _PLATE, _WORDS = 6, 24  # characters of a vehicle's name on its plate in a picture, and beside its numbers
 _TOGETHER = 40  # vehicles of an image that one recording has at most
@@ -240,17 +240,12 @@ def _shown(outcomes: Sequence[Outcome]) -> list[Shown]:
 
 
 def draw_moving(path: Path, outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None) -> list[Path]:
-    """Animate the optimisation of the only result; nothing where there is none.
+    """Animate the optimisation of the only vehicle; nothing where it has no result.
 
     Returns:
         The files written.
-
-    Raises:
-        InvalidInputError: There are several.
     """
     found = [outcome for outcome in outcomes if outcome.result is not None]
-    if len(found) > 1:
-        raise InvalidInputError("animation", f"{len(found)} vehicles", "Reconstruct one vehicle to animate it.")
     for outcome in found:
         assert outcome.result is not None
         animate(path, outcome.result, outcome.task.observation, outcome.task.camera, image=image)

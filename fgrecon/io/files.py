@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import os
+import shutil
 import tempfile
 import time
 from collections.abc import Collection, Iterator
@@ -28,7 +29,7 @@ def write_bytes(path: str | Path, content: bytes) -> Path:
 
     The content goes to a temporary file in the same folder, to the disk, and then takes the place of `path` in one
     step. When anything fails, `path` is as before and the temporary file is gone. Missing folders are not created:
-    a mistyped path should not succeed.
+    a mistyped path should not succeed. What exists and is no file (a pipe, a device) is written to and stays.
 
     Returns:
         The path written to.
@@ -61,6 +62,10 @@ def replacing(path: str | Path) -> Iterator[Path]:
         InvalidInputError: As from `write_bytes`.
     """
     try:
+        if _is_special(Path(path)):
+            with _copied_to(Path(path)) as part:
+                yield part
+            return
         # Follow a link, so that the file behind it is replaced and not the link.
         target = Path(path).resolve()
         if target.is_dir():
@@ -82,6 +87,22 @@ def replacing(path: str | Path) -> Iterator[Path]:
         raise InvalidInputError(
             str(path), reason, "Give a file in a folder that exists and can be written to."
         ) from error
+
+
+def _is_special(path: Path) -> bool:
+    """Whether there is something that is neither a file nor a folder, by links or not: it must not be replaced."""
+    return path.exists() and not (path.is_file() or path.is_dir())
+
+
+@contextmanager
+def _copied_to(path: Path) -> Iterator[Path]:
+    """A temporary file, whose content goes to a pipe or device at the end: some writers go back in what they write."""
+    with tempfile.TemporaryDirectory(prefix="fgrecon-") as folder:
+        part = Path(folder) / "part"
+        part.touch()
+        yield part
+        with part.open("rb") as content, path.open("wb", buffering=0) as target:
+            shutil.copyfileobj(content, target)
 
 
 def _clear(target: Path) -> None:

@@ -283,7 +283,8 @@ def _files(source: str) -> list[Path]:
     images = [p for p in found if p.suffix.lower() in IMAGES]
     if not images:
         fix = f"Give a video ({', '.join(VIDEOS)}), a folder of images, or a pattern that finds images."
-        raise InvalidInputError("source", source, fix)
+        known = path.exists() or set(source) & set("*?[")
+        raise InvalidInputError("source", source, fix if known else f"There is no such file or folder. {fix}")
     return images
 
 

@@ -42,6 +42,7 @@ from fgrecon.core.checks import one_word
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.io.json_fields import Fields, numbers, read_json
+from fgrecon.io.other_inputs import refuse_results
 
 __all__ = ["Instance", "KeypointFile", "parse_camera", "parse_keypoints", "read_keypoints"]
 
@@ -147,8 +148,9 @@ def parse_keypoints(data: Any, category: Category, where: str = "") -> KeypointF
         where: Put in front of every field that an error names.
 
     Raises:
-        InvalidInputError: A field is missing or of the wrong kind.
+        InvalidInputError: A field is missing or of the wrong kind, or these are results.
     """
+    refuse_results(data, where)
     records, camera, ignored = [data], None, set[str]()
     if isinstance(data, list):
         records = data

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from fgrecon.batch.parts import Parts, begin, claimed
+from fgrecon.batch.parts import RECORDS, Parts, begin, claimed, refuse_batch
 from fgrecon.io.frames import FrameSource, SourceFrame
 from fgrecon.video.follow import Follower, TrackedFrame
 from fgrecon.video.look import FrameLook
@@ -37,8 +37,8 @@ from fgrecon.video.records import (
 
 __all__ = ["MOTIONS", "RECORDS", "VideoRun", "run_video"]
 
-RECORDS, MOTIONS = "records", "motions"
-"""Folders of the stored records and of the camera's motions within that of the run."""
+MOTIONS = "motions"
+"""Folder of the camera's motions within that of the run, beside the stored records' (`RECORDS`)."""
 
 
 @dataclass
@@ -114,11 +114,12 @@ def run_video(
         The run.
 
     Raises:
-        InvalidInputError: The folder holds another run, or one that is going on.
+        InvalidInputError: The folder holds another run or a batch, or one that is going on.
 
     Warns:
         DamagedFileWarning: Stored records are damaged; their frames, and those after them, are looked at again.
     """
+    refuse_batch(out)
     begin(out / RECORDS, settings, FORMAT)
     run = VideoRun(source.count)
     with claimed(out / RECORDS):

@@ -24,6 +24,8 @@ __all__ = [
     "check_viewer",
     "connected",
     "free_port",
+    "has_display",
+    "reachable",
     "start_viewer",
     "viewer_command",
 ]
@@ -34,6 +36,9 @@ per application, and ours zooms to the vehicle: two recordings in one viewer mus
 
 LOOPBACK = "127.0.0.1"
 """Address that every server listens on unless told otherwise; rerun's own default is all addresses."""
+
+_ALL = ("0.0.0.0", "::")  # noqa: S104 - what users may give
+_ANYWHERE = ("192.0.2.1", 9)  # an address of documentation, which is no machine's
 
 _PATIENCE = 15.0  # seconds for a viewer to start listening
 _SETTLING = 1.0  # seconds for it to open its window
@@ -206,6 +211,25 @@ def free_port(bind: str = LOOPBACK) -> int:
             return int(probe.getsockname()[1])
     except OSError as error:
         raise InvalidInputError("bind", bind, f"Give an address of this machine ({error.strerror}).") from error
+
+
+def reachable(bind: str) -> str:
+    """How an address that servers listen on is written into a browser's; of all addresses this machine's own."""
+    if bind in _ALL:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.connect(_ANYWHERE)  # nothing is sent: the system only chooses the way
+                return str(probe.getsockname()[0])
+            except OSError:  # there is no network
+                return LOOPBACK
+    return f"[{bind}]" if ":" in bind else bind
+
+
+def has_display() -> bool:
+    """Whether a window can be opened here, as far as the environment tells."""
+    if not sys.platform.startswith("linux"):
+        return True
+    return any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"))
 
 
 def start_viewer(bind: str = LOOPBACK) -> str:

@@ -22,6 +22,7 @@ from fgrecon.batch.parts import Parts
 from fgrecon.batch.schema import task_schema
 from fgrecon.cli import main
 from fgrecon.core.errors import DamagedFileWarning, InvalidInputError, MissingPackageError
+from fgrecon.io.images import write_png
 from tests.batch.support import Deadly, instances, results, untimed, write_lines
 from tests.conftest import REPOSITORY
 
@@ -68,6 +69,16 @@ def test_a_folder_is_for_one_kind_of_run(cars, tmp_path):
     assert "other settings" in str(other.exception)
     (tmp_path / "out" / "_run.json").unlink()
     assert "no _run.json" in str(batch(few, "--out", tmp_path / "out").exception)
+
+
+def test_a_folder_of_a_videos_run_is_refused(cars, tmp_path):
+    (tmp_path / "records").mkdir()
+    (tmp_path / "records" / "_run.json").write_text("{}")
+    refused = batch(cars[0], "--out", tmp_path).exception
+    assert isinstance(refused, InvalidInputError)
+    assert refused.field == "out"
+    assert "a video's run" in refused.fix
+    assert [p.name for p in tmp_path.iterdir()] == ["records"]
 
 
 def test_poison_becomes_a_row_and_the_unlucky_are_tried_again(cars, tmp_path):
@@ -150,15 +161,27 @@ def test_a_damaged_part_is_named_and_its_rows_are_computed_again(cars, tmp_path)
     assert {name: untimed(row) for name, row in results(tmp_path / "out").items()} == expected
 
 
-def test_nothing_solved_is_exit_code_1_and_bad_usage_2(tmp_path):
+def test_nothing_solved_is_exit_code_1_and_bad_input_2(tmp_path):
     bad = write_lines(tmp_path / "bad.jsonl", ["{", "[]", '{"id": "\\ud800"}'])
-    done = batch(bad, "--out", tmp_path / "out", "--verbose")
-    assert done.exit_code == 1
-    assert "1 x InvalidInputError: instance\n" in done.stdout
+    done = batch(bad, "--out", tmp_path / "out")
+    assert done.exit_code == 2
     assert "refused" in done.stdout
+    write_png(tmp_path / "dark.png", np.zeros((64, 96, 3), np.uint8))
+    assert batch(bad, tmp_path / "dark.png", "--out", tmp_path / "dark").exit_code == 1  # a good image, without a car
     for arguments, field in ((["none.jsonl"], "input"), ([bad, "--prior", "none"], "prior")):
         assert batch(*arguments, "--out", tmp_path / "x").exception.field == field
     assert not (tmp_path / "x").exists()
+
+
+def test_where_nothing_is_solved_the_commonest_errors_say_what_to_do(tmp_path):
+    keypoints = instances(1)[0]["keypoints"]
+    bare = [{"keypoints": keypoints}] * 3  # no camera
+    others = ["{", {"keypoints": keypoints, "K": [1, 2]}, {"keypoints": 1}, {"keypoints": keypoints, "box": 1}]
+    file = write_lines(tmp_path / "bare.jsonl", [*bare, *others])
+    done = batch(file, "--out", tmp_path / "out")
+    said = done.stderr.partition("No vehicle could be reconstructed.\n")[2].splitlines()
+    assert said[0] == "fgrecon: 3 x intrinsics: got nothing. Give K with the row, or a camera for all of them."
+    assert len(said) == 3
 
 
 class Copying(Reconstructor):

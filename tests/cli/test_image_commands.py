@@ -167,6 +167,15 @@ def test_kitti_without_images_is_refused(street, weights):
         assert done.exception.field == field
 
 
+def test_kitti_without_data_says_how_to_give_them(street, monkeypatch):
+    monkeypatch.setenv("FGRECON_DATA", str(street / "none"))
+    for more in ((), ("--images", street / "image_2")):
+        refused = run("evaluate", "kitti", *more).exception
+        assert (refused.field, refused.value) == ("data", str(street / "none"))
+        assert "--data" in refused.fix
+        assert "FGRECON_DATA" in refused.fix
+
+
 def test_kitti_with_detected_boxes_from_an_overlap_on(street, weights):
     boxes = street / "boxes.txt"
     boxes.write_text("000001.png 2 0.9 20 20 110 60\n")  # two thirds of the labelled box

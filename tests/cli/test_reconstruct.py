@@ -8,14 +8,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner
 
 from fgrecon.cli import main, reconstruct_work
+from fgrecon.cli.show import print_table
+from fgrecon.cli.terminal import Screen
 from fgrecon.core.camera import Camera
-from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
+from fgrecon.core.errors import DegenerateProblemError, FgreconError, InvalidInputError
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.images import read_image, write_png
+from fgrecon.io.keypoint_file import Instance
 from fgrecon.solve import pipeline
 from fgrecon.viz.replay import read as replay
 from tests.docs.test_schemas import check
@@ -243,7 +247,9 @@ def test_bad_input_names_the_field(write, instance, spoil, field):
         ([INTRINSICS, "--prior", "none"], "prior"),
         ([INTRINSICS, "--ground", "0,1,0"], "ground"),
         ([INTRINSICS, "--ground", "0,1,0,1.6", "--camera-height", "1.6"], "camera_height"),
-        ([INTRINSICS, "--camera-height", "nan"], "ground.distance"),
+        ([INTRINSICS, "--camera-height", "nan"], "camera_height"),
+        ([INTRINSICS, "--camera-height", "-1.65"], "camera_height"),
+        ([INTRINSICS, "--ground", "0,1,0,-1.6"], "ground.distance"),
         ([INTRINSICS, "--size-prior", "big"], "size_prior"),
         ([INTRINSICS, "--size-prior", "4,1.8,-1"], "size_prior.mean"),
         ([INTRINSICS, "--image", "none.png"], "image"),
@@ -256,6 +262,19 @@ def test_bad_options_name_the_field(write, instance, arguments, field):
     done = run(write(instance), *arguments)
     assert isinstance(done.exception, InvalidInputError), done.output
     assert done.exception.field == field
+
+
+@pytest.mark.parametrize("width", [100, 132, 180])
+def test_reasons_are_whole_in_the_table_and_below_it(capsys, width):
+    reason = "The keypoints with any weight leave pose or shape undetermined and " + "so on " * 9 + "to the end"
+    nothing = Instance("car", np.full((14, 2), np.nan))
+    outcome = reconstruct_work.Outcome(reconstruct_work.Task(nothing, Camera(K)), None, FgreconError(reason))
+    screen = Screen(error=False, quiet=False, verbose=False, progress=False)
+    screen.console = Console(width=width, highlight=False, soft_wrap=True)
+    print_table(screen, [outcome])
+    shown = capsys.readouterr().out
+    assert max(map(len, shown.splitlines())) <= width or width == 100
+    assert set(reason.split()) <= set(shown.split())
 
 
 def test_an_image_that_is_none_and_one_of_another_size(write, instance, tmp_path):

@@ -3,6 +3,7 @@
 import json
 import socket
 import urllib.request
+from urllib.parse import quote
 
 import pytest
 from typer.testing import CliRunner
@@ -60,6 +61,7 @@ def test_what_is_no_recording_is_refused(tmp_path, flag, monkeypatch):
 
 @pytest.mark.parametrize("flags", [(), ("--web",), ("--bind", "127.0.0.2")])
 def test_the_viewer_listens_on_this_machine_alone_unless_told(recording, monkeypatch, flags):
+    monkeypatch.setenv("DISPLAY", ":0")
     commands = []
     monkeypatch.setattr(command, "_become", commands.append)
     done = run("replay", recording, *flags)
@@ -69,6 +71,57 @@ def test_the_viewer_listens_on_this_machine_alone_unless_told(recording, monkeyp
     bind = flags[1] if "--bind" in flags else LOOPBACK
     assert commands[0][commands[0].index("--bind") + 1] == bind
     assert ("--serve-web" in commands[0]) == ("--web" in flags)
+
+
+def test_without_a_display_it_says_what_to_do(recording, monkeypatch):
+    monkeypatch.setattr("sys.platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(command, "_become", pytest.fail)
+    refused = run("replay", recording).exception
+    assert refused.field == "display"
+    assert "--web" in refused.fix
+    assert "--summary" in refused.fix
+
+
+@pytest.mark.parametrize(
+    ("bind", "host"), [("::1", "[::1]"), ("127.0.0.1", "127.0.0.1"), ("0.0.0.0", "10.1.2.3"), ("::", "10.1.2.3")]
+)
+def test_the_address_is_one_that_a_browser_can_open(recording, monkeypatch, bind, host):
+    class Probe(socket.socket):
+        def connect(self, _):
+            pass
+
+        def getsockname(self):
+            return ("10.1.2.3", 5)
+
+    commands = []
+    monkeypatch.setattr(command, "_become", commands.append)
+    monkeypatch.setattr("fgrecon.viz.sinks.socket.socket", Probe)
+    shown = run("replay", recording, "--web", "--bind", bind, "--port", 7001, "--data-port", 7002).stdout
+    assert f"http://{host}:7001?url=rerun%2Bhttp%3A%2F%2F{quote(host)}%3A7002%2Fproxy " in shown
+    assert commands[0][commands[0].index("--port") + 1] == "7002"
+
+
+def test_a_page_of_another_name_gets_the_data_and_others_do_not(recording, monkeypatch, start):
+    """Browsers ask before they read from another port; the viewer's server allows this machine's pages alone."""
+    commands = []
+    monkeypatch.setattr(command, "_become", commands.append)
+    monkeypatch.setattr("fgrecon.viz.sinks.reachable", lambda _: "street.example")
+    page, data = free_port(), free_port()
+    run("replay", recording, "--web", "--port", page, "--data-port", data)
+    start(commands[0])
+    wait_for(lambda: listening(data))
+
+    def allowed(origin):
+        asked = {"Origin": origin, "Access-Control-Request-Method": "POST"}
+        request = urllib.request.Request(f"http://{LOOPBACK}:{data}/x", headers=asked, method="OPTIONS")
+        with urllib.request.urlopen(request, timeout=10) as answer:
+            return answer.headers["access-control-allow-origin"]
+
+    for origin in (f"http://street.example:{page}", f"http://localhost:{page}"):
+        assert allowed(origin) == origin
+    assert allowed("http://other.example") is None
 
 
 def test_the_web_viewer_is_served_on_the_loopback_address(recording, monkeypatch, start):

@@ -1,5 +1,6 @@
 """`fgrecon run`: its files, what it refuses, and what is left when it is killed or interrupted."""
 
+import io
 import json
 import os
 import re
@@ -82,6 +83,42 @@ def test_its_tables_agree(whole):
     assert (document["estimates"], document["stopped"]) == (len(rows), False)
 
 
+def export(out, name, *options):
+    done = CliRunner().invoke(main.app, ["export", str(out), str(out.parent / name), *map(str, options)])
+    if done.exception is not None:
+        raise done.exception
+    return (out.parent / name).read_bytes()
+
+
+def test_its_frames_are_exported_at_their_times(whole):
+    reader = pytest.importorskip("mcap.reader", reason="mcap is not installed: pip install fgrecon[mcap]")
+    out, _ = whole
+    messages = list(reader.make_reader(io.BytesIO(export(out, "w.mcap", "--format", "foxglove"))).iter_messages())
+    frames = [json.loads(text) for text in (out / "frames.jsonl").read_text().splitlines()]
+    assert [m.log_time for _, _, m in messages] == [round(frame["time"] * 1e9) for frame in frames]
+    entities = [json.loads(m.data)["entities"] for _, _, m in messages]
+    assert [[e["id"] for e in found] for found in entities] == [
+        [str(v["id"]) for v in frame["vehicles"] if v["result"] is not None] for frame in frames
+    ]
+    first = frames[0]["vehicles"][0]["result"]
+    cube = entities[0][0]["cubes"][0]["size"]
+    assert list(cube.values()) == pytest.approx(first["box_size"], abs=1e-6)
+
+
+def test_its_frames_are_images_for_coco_and_have_tables_already(whole):
+    out, _ = whole
+    (out.parent / "i.json").write_text(json.dumps({"000003": {"image_id": 7}}))
+    arguments = ("c.json", "--format", "coco", "--images", out.parent / "i.json")
+    found = json.loads(export(out, *arguments))
+    assert {entry["image_id"] for entry in found} >= {7, "000004.png"}
+    for name in ("x.csv", "x.txt", "x.glb"):
+        with pytest.raises(InvalidInputError, match=r"tracks\.csv.*tracks\.txt"):
+            export(out, name)
+    (torn := out.parent / "torn.jsonl").write_text('{"format": "fgrecon.video-frame/1"}\n')
+    with pytest.raises(InvalidInputError, match="line 1"):
+        export(torn, "x.json", "--format", "coco")
+
+
 def test_again_it_looks_at_nothing_and_other_options_are_solved(drive, whole, tmp_path):
     images, file = drive
     arguments = (images, "--tracks", file, "--fps", 10, "--out", tmp_path / "out")
@@ -94,6 +131,16 @@ def test_again_it_looks_at_nothing_and_other_options_are_solved(drive, whole, tm
     before = [row["length"] for row in pq.read_table(whole[0] / "tracks.parquet").to_pylist()][:4]
     after = [row["length"] for row in pq.read_table(tmp_path / "out" / "tracks.parquet").to_pylist()][:4]
     assert np.abs(np.subtract(before, after)).max() > 1e-3
+
+
+def test_frames_per_second_that_were_assumed_may_be_told_later(drive, tmp_path):
+    images, file = drive
+    arguments = (images, "--tracks", file, "--end", 0.3, "--out", tmp_path / "out")
+    assert "10 frames per second are assumed" in run(*arguments).stderr
+    told = run(*arguments, "--fps", 10)
+    assert told.exit_code == 0, told.output
+    with pytest.raises(InvalidInputError, match=r"other settings \(fps\)"):
+        raise run(*arguments, "--fps", 20).exception
 
 
 def test_the_ground_is_shared_where_one_is_told(drive, tmp_path):
@@ -260,6 +307,7 @@ def test_a_viewer_sees_it_while_it_goes_on(drive, tmp_path):
         (["--save", "a.mp4"], "save"),
         (["--picture", "a.bmp"], "a.bmp"),
         (["--picture-frame", "5"], "picture_frame"),
+        (["--picture-frame", "99", "--picture", "a.png"], "picture_frame"),
         (["--end", "0"], "end"),
     ],
 )
@@ -268,6 +316,33 @@ def test_what_cannot_be_done_is_refused_before_the_work(drive, tmp_path, argumen
     assert isinstance(done.exception, InvalidInputError), done.output
     assert done.exception.field == field
     assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_that_cannot_be_made_is_refused_before_a_camera_is_sought(drive, tmp_path, monkeypatch):
+    monkeypatch.setattr("fgrecon.cli.run_job.found_camera", pytest.fail)
+    (tmp_path / "a.txt").touch()
+    for out in (tmp_path / "a.txt", tmp_path / "a.txt" / "deeper"):
+        refused = run(drive[0], "--out", out).exception
+        assert (refused.field, "is a file" in refused.fix) == ("out", True)
+
+
+@pytest.mark.parametrize(("options", "number"), [((), 99), (("--every", 3), 4), ((), -1)])
+def test_a_frame_that_a_video_cannot_have(drive, tmp_path, options, number):
+    pytest.importorskip("av", reason="PyAV is not installed: pip install fgrecon[video]")
+    with write_video(tmp_path / "drive.mp4", rate=10) as add:
+        for _ in range(6):
+            add(np.zeros((96, 128, 3), np.uint8))
+    picture = ("--picture", tmp_path / "a.png", "--picture-frame", number)
+    done = run(tmp_path / "drive.mp4", "--out", tmp_path / "out", *picture, *options)
+    assert done.exception.field == "picture_frame"
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_of_a_batch_is_refused(drive, tmp_path):
+    (tmp_path / "_run.json").write_text("{}")
+    refused = run(drive[0], "--out", tmp_path, "--tracks", drive[1]).exception
+    assert (refused.field, "a batch" in refused.fix) == ("out", True)
+    assert [p.name for p in tmp_path.iterdir()] == ["_run.json"]
 
 
 def test_a_codec_that_is_missing_is_told_before_the_work(drive, tmp_path, monkeypatch):

@@ -106,7 +106,14 @@ def test_an_animation_of_one_vehicle(write, instance, tmp_path):
     done = run("reconstruct", write(instance), INTRINSICS, "--no-joint", "--animation", tmp_path / "a.gif")
     assert done.exit_code == 0, done.output
     assert (tmp_path / "a.gif").read_bytes()[:4] == b"GIF8"
-    two = {"instances": [instance, instance]}
-    done = run("reconstruct", write(two), INTRINSICS, "--animation", tmp_path / "b.gif")
-    assert "animation" in str(done.exception)
+    two = write({"instances": [{**instance, "id": name} for name in ("near", "far")]})
+    made = ("--animation", tmp_path / "b.gif", "--json", tmp_path / "b.json")
+    done = run("reconstruct", two, INTRINSICS, *made)
+    assert done.exception.field == "animation"
+    assert "--id: near, far" in done.exception.fix
+    assert not (tmp_path / "b.json").exists(), "it is refused before the work"
+    assert run("reconstruct", two, INTRINSICS, *made, "--id", "far").exit_code == 0
+    assert [entry["id"] for entry in json.loads((tmp_path / "b.json").read_text())["instances"]] == ["far"]
+    assert (tmp_path / "b.gif").read_bytes()[:4] == b"GIF8"
+    assert run("reconstruct", two, INTRINSICS, "--id", "none").exception.field == "id"
     assert "gif, mp4" in str(run("reconstruct", write(instance), INTRINSICS, "--animation", "b.png").exception)

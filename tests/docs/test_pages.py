@@ -95,3 +95,21 @@ def test_the_figures_of_the_readme_are_those_of_the_tables():
     shown = [row for row in rows(text) if row[0] not in ("method", "boxes") and not row[0].startswith("---")]
     assert len(shown) >= 6
     assert [row for row in shown if not any(set(row) <= cells for cells in made)] == []
+
+
+def test_a_folder_of_results_has_one_content():
+    """Whoever tries one page after the other in one folder is not refused: a batch's folder is for one kind of run."""
+    filled = {}
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        for words in map(shlex.split, commands(text)):
+            if words[1] in ("batch", "run") and "--out" in words:
+                out = words.index("--out") + 1
+                told = tuple(words[2:out]) if words[1] == "batch" else words[2]
+                filled.setdefault(words[out], set()).add((words[1], told))
+        for block in (*blocks(text, "python"), *blocks(text, "py")):
+            found = re.findall(r'(?:sources_of\(.*?\), |look, follower, Path\()"(\w+)"', block)
+            for name in found:
+                filled.setdefault(name, set()).add(("python", block))
+    assert {"sized", "solved", "followed", "tracked"} <= set(filled)
+    assert {name: told for name, told in filled.items() if len(told) > 1} == {}

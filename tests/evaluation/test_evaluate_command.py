@@ -130,7 +130,7 @@ def test_a_method_that_fails_everywhere_gives_exit_code_1(content, track):
         (["--prior", "none.npz"], "prior"),
         (["--ground", "0,1,0"], "ground"),
         (["--ground", "0,-1,0,1.6"], "ground.normal"),
-        (["--camera-height", "-1"], "ground.distance"),
+        (["--camera-height", "-1"], "camera_height"),
         (["--camera-height", "1.6", "--ground", "0,1,0,1.6"], "camera_height"),
         (["--json", "no/such/folder/out.json"], "output"),
         (["--per-frame", "/"], "output"),

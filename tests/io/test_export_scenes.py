@@ -146,6 +146,16 @@ def test_foxglove(cars, images, tmp_path):
     np.testing.assert_allclose(points[3], edge)
 
 
+def test_an_image_without_a_vehicle_has_a_message_without_one(cars, images, tmp_path):
+    reader = pytest.importorskip("mcap.reader", reason="mcap is not installed: pip install fgrecon[mcap]")
+    known = {"folder/c.png": ImageInfo(timestamp=3.0), "d": ImageInfo(), **images}
+    content = export(tmp_path / "f.mcap", cars, "foxglove", known).read_bytes()
+    found = [message for _, _, message in reader.make_reader(io.BytesIO(content)).iter_messages()]
+    assert [message.log_time for message in found] == [2_500_000_000, 3_000_000_000, 3_250_000_000]
+    assert [len(json.loads(message.data)["entities"]) for message in found] == [2, 0, 1]
+    assert len(json.loads(found[1].data)["deletions"]) == 1
+
+
 def test_ros_2(cars, tmp_path):
     reader = pytest.importorskip("mcap_ros2.reader", reason="mcap-ros2-support is not installed")
     content = export(tmp_path / "r.mcap", cars, "vision_msgs").read_bytes()

@@ -1,6 +1,9 @@
 """Files are written whole or not at all."""
 
 import os
+import stat
+from pathlib import Path
+from threading import Thread
 
 import pytest
 
@@ -49,3 +52,40 @@ def test_no_folder(tmp_path):
     with pytest.raises(InvalidInputError, match="folder"):
         write_text(tmp_path, "x")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("linked", [False, True])
+def test_a_pipe_is_written_to_and_stays_one(tmp_path, linked):
+    pipe = named = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    if linked:
+        named = tmp_path / "link"
+        named.symlink_to(pipe)
+    read = []
+    reader = Thread(target=lambda: read.append(pipe.read_bytes()), daemon=True)
+    reader.start()
+    content = bytes(range(256)) * 1000  # more than a pipe holds
+    assert write_bytes(named, content) == named
+    reader.join(timeout=60)
+    assert read == [content]
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+    assert {p.name for p in tmp_path.iterdir()} == {pipe.name, named.name}
+
+
+def test_a_pipe_whose_reader_goes_away_is_told(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reader = Thread(target=lambda: pipe.open("rb").close(), daemon=True)
+    reader.start()
+    with pytest.raises(InvalidInputError, match=r"pipe.*Broken pipe"):
+        write_bytes(pipe, bytes(1 << 20))
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+
+
+@pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="the system does not name open files")
+def test_an_open_pipe_by_its_number_as_shells_name_it():
+    end, start = os.pipe()
+    write_text(f"/proc/self/fd/{start}", "x")
+    assert os.read(end, 9) == b"x"
+    os.close(end)
+    os.close(start)

@@ -1,15 +1,16 @@
 """Results as files for other programs: meshes, tables, results of KITTI, nuScenes and COCO, messages in MCAP.
 
 `export` chooses by the ending of the name; `read_results` reads what `fgrecon reconstruct --json`, `fgrecon demo` and
-`fgrecon track --json` write. trimesh, pyarrow and mcap are imported on use. `read_images_file` reads
-what other programs want to know of the images. Keypoint labels have a file of their own, COCO's:
-`write_coco_keypoints` and `read_coco_keypoints`.
+`fgrecon track --json` write, `read_video_frames` the frames of `fgrecon run`. trimesh, pyarrow and mcap are imported on
+use. `read_images_file` reads what other programs want to know of the images. Keypoint labels have a file of their own,
+COCO's: `write_coco_keypoints` and `read_coco_keypoints`.
 """
 
 from fgrecon.io.export.coco_keypoints import read_coco_keypoints, write_coco_keypoints
 from fgrecon.io.export.files import FORMATS, KINDS, export
 from fgrecon.io.export.frames import ImageInfo, read_images_file
 from fgrecon.io.export.results import NamedResult, read_results
+from fgrecon.io.export.video_frames import read_video_frames
 
 __all__ = [
     "FORMATS",
@@ -20,5 +21,6 @@ __all__ = [
     "read_coco_keypoints",
     "read_images_file",
     "read_results",
+    "read_video_frames",
     "write_coco_keypoints",
 ]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from fgrecon.core.errors import MissingPackageError
 from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.sides import SURFACE
-from fgrecon.io.export.frames import ImageInfo, box_in, by_image, info_of, plain_quaternion, plain_vector, score
+from fgrecon.io.export.frames import EVERY, ImageInfo, box_in, by_image, info_of, plain_quaternion, plain_vector, score
 from fgrecon.io.export.messages import DETECTIONS, SCENE_UPDATE
 from fgrecon.io.export.results import NamedResult
 
@@ -84,11 +85,21 @@ def detections_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageI
 def _moments(
     results: Sequence[NamedResult], images: Mapping[str, ImageInfo]
 ) -> Iterator[tuple[int, ImageInfo, list[NamedResult]]]:
-    """Time in nanoseconds, what is known of the image, and vehicles, of every image."""
-    for number, (image, items) in enumerate(by_image(results).items()):
+    """Time in nanoseconds, what is known of the image, and vehicles, of every image.
+
+    Images without vehicles whose times are known are among them: what was seen before is gone there.
+    """
+    found = by_image(results)
+    seen = {name for image in found for name in (image, Path(image).name, Path(image).stem, EVERY)}
+    empty: dict[str, list[NamedResult]] = {
+        name: [] for name, info in images.items() if name not in seen and info.timestamp is not None
+    }
+    moments = []
+    for number, (image, items) in enumerate((found | empty).items()):
         info = info_of(image, images)
         seconds = number * _PERIOD if info.timestamp is None else info.timestamp
-        yield round(seconds * _NANO), info, items
+        moments.append((round(seconds * _NANO), info, items))
+    yield from sorted(moments, key=lambda moment: moment[0])
 
 
 def _time(nanoseconds: int, rest: str) -> dict[str, int]:

@@ -17,6 +17,7 @@ from fgrecon.io.keypoints.names import Names, NamesLike, naming_of, parse_names,
 from fgrecon.io.keypoints.objects import object_records
 from fgrecon.io.keypoints.records import NOT_JSON, named_records
 from fgrecon.io.keypoints.translate import translated
+from fgrecon.io.other_inputs import refuse_other_file
 
 __all__ = ["keypoints_from", "parse_any_keypoints", "read_any_keypoints"]
 
@@ -37,6 +38,7 @@ def read_any_keypoints(
     Raises:
         InvalidInputError: The file cannot be read or is none of these, or a value is malformed; names file and field.
     """
+    refuse_other_file(path)
     if path.suffix.lower() not in NOT_JSON:
         return parse_any_keypoints(read_json(path), category, names, image, where=f"{path}: ")
     known = None if names is None else parse_names(names, category)

@@ -17,6 +17,7 @@ from fgrecon.io.json_fields import read_json
 from fgrecon.io.keypoints.carfusion import carfusion_records
 from fgrecon.io.keypoints.coco import annotation_records, is_annotations
 from fgrecon.io.keypoints.names import naming_of
+from fgrecon.io.other_inputs import refuse_results
 
 __all__ = ["NOT_JSON", "keypoint_records", "named_records"]
 
@@ -45,6 +46,7 @@ def keypoint_records(path: Path, category: Category) -> list[Any]:
         return _frames(data, path)
     if is_annotations(data):
         return [record for record, _ in annotation_records(data, f"{path}: ")]
+    refuse_results(data, f"{path}: ")
     if not isinstance(data, Mapping) or "instances" not in data:
         return data if isinstance(data, list) else [data]
     if not isinstance(data["instances"], list):

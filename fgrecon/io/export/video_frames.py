@@ -1,0 +1,95 @@
+"""The results of a video's run as results by name, with the time of each frame and where its camera was."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from fgrecon.core.checks import as_finite
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.io.export.files import check_format
+from fgrecon.io.export.frames import ImageInfo, info_of
+from fgrecon.io.export.results import NamedResult
+from fgrecon.io.json_fields import parse_json
+
+__all__ = ["check_video_format", "frames_file", "read_video_frames"]
+
+_FILE = "frames.jsonl"
+_FORMAT = "fgrecon.video-frame/1"
+_OF_IMAGES = ("nuscenes", "coco", "foxglove", "vision_msgs")
+
+
+def frames_file(path: Path) -> Path | None:
+    """The frames' file of a folder that `fgrecon run` wrote, or that file itself; None for other results."""
+    if path.is_dir():
+        return path / _FILE if (path / _FILE).is_file() else None
+    return path if path.suffix.lower() == ".jsonl" else None
+
+
+def check_video_format(path: Path, kind: str | None = None) -> None:
+    """Refuse kinds of files that do not tell frames apart.
+
+    Args:
+        path: The file to write.
+        kind: One of `KINDS`, or None for what the ending says.
+
+    Raises:
+        InvalidInputError: The kind is no file's, or one of these; says which tables the run has written.
+    """
+    if (found := check_format(path, kind)) not in _OF_IMAGES:
+        fix = (
+            f"`fgrecon run` has written tracks.csv, tracks.parquet, tracks.txt (KITTI's tracking) and {_FILE} there. "
+            "Give .mcap or .json for another file."
+        )
+        raise InvalidInputError("format", f"{found} for a video", fix)
+
+
+def read_video_frames(
+    path: Path, images: Mapping[str, ImageInfo] | None = None
+) -> tuple[list[NamedResult], dict[str, ImageInfo]]:
+    """The vehicles of all frames, those that were refused left out, and what is known of the frames.
+
+    Args:
+        path: `frames.jsonl` of `fgrecon run`.
+        images: What else is known of the frames, by their names; goes before the file.
+
+    Returns:
+        The vehicles, named by their ids and their frames as images; and the frames by their names, all of them.
+
+    Raises:
+        InvalidInputError: The file cannot be read or is no such; names the line.
+    """
+    results: list[NamedResult] = []
+    infos: dict[str, ImageInfo] = {}
+    try:
+        with path.open(encoding="utf-8") as lines:
+            for number, line in enumerate(lines, start=1):
+                try:
+                    _add(parse_json(line), results, infos)
+                except (LookupError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
+                    fix = "Give the file as `fgrecon run` wrote it."
+                    raise InvalidInputError(f"{path}: line {number}", str(error), fix) from error
+    except OSError as error:
+        raise InvalidInputError("file", str(path), f"Give a file that can be read ({error.strerror}).") from error
+    return results, {name: _with(info, info_of(name, images or {})) for name, info in infos.items()}
+
+
+def _add(frame: Any, results: list[NamedResult], infos: dict[str, ImageInfo]) -> None:
+    if frame["format"] != _FORMAT:
+        raise ValueError(f"format {frame['format']}")
+    image, pose = str(frame["name"]), frame["world_T_camera"]
+    placed = None if pose is None else as_finite("world_T_camera", pose, (4, 4))
+    infos[image] = ImageInfo(timestamp=float(frame["time"]), world_T_camera=placed)
+    for vehicle in frame["vehicles"]:
+        if vehicle["result"] is not None:
+            result, box = Reconstruction.from_dict(vehicle["result"]), as_finite("box", vehicle["box"], (4,))
+            results.append(NamedResult(str(vehicle["id"]), result, box, image=image))
+
+
+def _with(own: ImageInfo, told: ImageInfo) -> ImageInfo:
+    """What is told of a frame, and where that says nothing what the run knows."""
+    names = [field.name for field in fields(ImageInfo)]
+    return ImageInfo(*(getattr(told, n) if getattr(told, n) is not None else getattr(own, n) for n in names))
