@@ -51,6 +51,7 @@ def test_the_picture_is_read_with_the_boxes(folder, tmp_path):
     assert done.exit_code == 0, done.output
     assert len(json.loads(out.read_text())["instances"]) == 3
     assert run("reconstruct", out, "--calib", folder / "calib.txt", "-q").output == ""
+    assert "without a meaning" not in run("reconstruct", out, "--calib", folder / "calib.txt").output
 
 
 def test_the_track(folder):
