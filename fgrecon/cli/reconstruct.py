@@ -170,6 +170,7 @@ def reconstruct_command(
     Without a camera the focal length is the one in the photograph's EXIF data, or one that its cars tell together.
     """
     from fgrecon.cli import batch, photographs, picture_tasks, show
+    from fgrecon.cli.doubts import about_fits, about_keypoints
     from fgrecon.cli.together import grounds_of, solve_together, wants_together
     from fgrecon.core.options import Options, ShapeOptions
     from fgrecon.io.images import read_photograph
@@ -206,6 +207,7 @@ def reconstruct_command(
     photograph, own = (None, None) if path is None else read_photograph(path, camera.whole)
     source = camera.source(photograph, own)
     ignored: tuple[str, ...] = ()
+    doubts: list[str] = []
     if pictured and photograph is not None:
         tasks = picture_tasks.read_image_tasks(
             file, photograph, source, settings.prior.category, boxes, solving.box_model, screen
@@ -213,6 +215,7 @@ def reconstruct_command(
     else:
         image = None if drawings.image is None else drawings.image.name
         tasks, ignored = batch.read_tasks(file, settings.prior.category, source, names, image)
+        doubts = about_keypoints(tasks)
     if settings.ground is None and tasks:
         shown = tasks[0].instance.image or (None if path is None else path.name)
         screen.print(*batch.ground_of(source, shown))
@@ -233,6 +236,9 @@ def reconstruct_command(
         screen.print(*found.lines())
         if found.result.camera.focal_sigma:
             screen.warn(about_camera(found.result.camera, own))
+    if not pictured:
+        for line in doubts or about_fits(outcomes):
+            screen.warn(line)
     if ignored:
         screen.print(f"Fields of the file without a meaning here: {', '.join(ignored)}.")
     screen.write_json(show.document(file, outcomes, settings, [scene.plain() for scene in scenes], history=history))
