@@ -22,6 +22,7 @@ from fgrecon.cli.options import (
 )
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.choices import BoxModel, TrafficSide
+from fgrecon.core.text import counted
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from rich.table import Table
@@ -119,7 +120,8 @@ def kitti_command(
     cars = [car for frame in screen.watch(frames, "Images") for car in kitti_images.score_frame(frame, setup)]
 
     kind = "detected" if boxes.boxes else "labelled"
-    screen.print(f"{len(frames)} images, {len(cars)} cars, {kind} boxes; {origin}.", _table(cars))
+    images = counted(len(frames), "image")
+    screen.print(f"{images}, {counted(len(cars), 'car')}, {kind} boxes; {origin}.", _table(cars))
     for car in cars:
         error = car.failure or f"{car.degrees:.1f} degrees, {car.metres:.2f} m"
         screen.detail(f"{car.frame}/{car.index}: {error}")

@@ -11,6 +11,7 @@ import typer
 from fgrecon.cli.commands import add_command
 from fgrecon.cli.common import check_output
 from fgrecon.cli.terminal import Terminal
+from fgrecon.core.text import counted
 
 __all__ = ["app"]
 
@@ -44,7 +45,7 @@ def detect_command(
     lines: list[str] = []
     for path in screen.watch(images, "Images"):
         found = detector(read_image(path))
-        screen.detail(f"{path}: {len(found.boxes)} cars")
+        screen.detail(f"{path}: {counted(len(found.boxes), 'car')}")
         for box, score in zip(found.boxes, found.scores, strict=True):
             corners = " ".join(f"{number:.2f}" for number in box)
             lines.append(f"{path.name} 2 {score:.3f} {corners} {BoxModel.DETECTED}\n")

@@ -2,7 +2,18 @@
 
 from __future__ import annotations
 
-__all__ = ["distinct", "printable"]
+__all__ = ["counted", "distinct", "printable"]
+
+
+def counted(count: int, thing: str, things: str | None = None) -> str:
+    """How many there are, in words: `1 car`, `2 cars`.
+
+    Args:
+        count: How many.
+        thing: What one is called.
+        things: What several are called, where that is not the same with an s.
+    """
+    return f"{count} {thing if count == 1 else things or f'{thing}s'}"
 
 
 def printable(text: str, most: int = 4000) -> str:

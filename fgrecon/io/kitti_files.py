@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.text import counted
 from fgrecon.io.files import write_text
 
 __all__ = [
@@ -321,7 +322,9 @@ def read_detections(path: Path, frames: Sequence[str]) -> tuple[dict[str, Object
             rows[frame].append(detection)
         else:
             strangers[frame] += 1
-    problems += [Fault(Defect.UNKNOWN_FRAME, f, f"{n} detections in {path}") for f, n in sorted(strangers.items())]
+    problems += [
+        Fault(Defect.UNKNOWN_FRAME, f, f"{counted(n, 'detection')} in {path}") for f, n in sorted(strangers.items())
+    ]
     problems += [Fault(Defect.MISSING_FRAME, f, f"no detection in {path}") for f, found in rows.items() if not found]
     return {frame: _detected(found) for frame, found in rows.items()}, problems
 
