@@ -54,6 +54,14 @@ def test_the_picture_is_read_with_the_boxes(folder, tmp_path):
     assert "without a meaning" not in run("reconstruct", out, "--calib", folder / "calib.txt").output
 
 
+def test_the_detector_finds_two_of_the_rendered_cars(folder, tmp_path):
+    """As the guide to photographs says, and the third with less of a score."""
+    arguments = (folder / "street.png", "--detect", "--calib", folder / "calib.txt", "--camera-height", "1.65")
+    for more, count in (((), 2), (("--min-score", "0.3"), 3)):
+        done = run("reconstruct", *arguments, *more, "--json", "-")
+        assert len(json.loads(done.stdout)["instances"]) == count
+
+
 def test_the_track(folder):
     done = run("track", folder / "TRACK.json", "--size-prior", "kitti", "--verbose")
     assert done.exit_code == 0, done.output
