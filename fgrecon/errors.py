@@ -2,6 +2,7 @@
 
 from fgrecon.core.errors import (
     AssumedCameraWarning,
+    ChildNotBegunError,
     DamagedFileWarning,
     DegenerateProblemError,
     FactorCallbackError,
@@ -12,6 +13,7 @@ from fgrecon.core.errors import (
 
 __all__ = [
     "AssumedCameraWarning",
+    "ChildNotBegunError",
     "DamagedFileWarning",
     "DegenerateProblemError",
     "FactorCallbackError",

@@ -37,7 +37,7 @@ def ground_plane(plane: str | None, height: float | None) -> tuple[Ground, str] 
         height: Height of a level camera, metres.
 
     Raises:
-        InvalidInputError: Both are given, or one is not a plane.
+        InvalidInputError: Both are given, one is not a plane, or the camera would be higher than 100 metres.
     """
     from fgrecon.core.camera import Ground
     from fgrecon.core.errors import InvalidInputError
@@ -55,7 +55,7 @@ def ground_plane(plane: str | None, height: float | None) -> tuple[Ground, str] 
     nx, ny, nz, distance = parse_numbers("ground", plane, "nx,ny,nz,d: four numbers", (4,))
     import numpy as np
 
-    return Ground(np.array([nx, ny, nz]), distance), f"plane {plane}"
+    return Ground(np.array([nx, ny, nz]), distance).told(), f"plane {plane}"
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import typer
 from fgrecon.cli.common import check_outputs, headed_table
 from fgrecon.cli.options import JsonOption
 from fgrecon.cli.terminal import Terminal
+from fgrecon.core.text import counted
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from collections.abc import Mapping, Sequence
@@ -73,7 +74,7 @@ def boxes_command(
     if not all(scored.values()):
         raise InvalidInputError("drive", str(folder), "Give labelled cars or vans of at least 25 pixels.")
     curves = {name: precisions(drive, boxes, frames) for name, boxes in sources.items()}
-    screen.print(f"{len(frames)} images.", _groups(scored), _curves(curves))
+    screen.print(f"{counted(len(frames), 'image')}.", _groups(scored), _curves(curves))
     for name, vehicles in scored.items():
         for one in vehicles:
             told = f"{one.metres:.2f} m, {one.degrees:.1f} degrees, IoU {one.overlap:.2f}" if one.found else "no box"

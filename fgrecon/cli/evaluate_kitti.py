@@ -23,6 +23,7 @@ from fgrecon.cli.options import (
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.choices import BoxModel, TrafficSide
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.text import counted
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from rich.table import Table
@@ -82,7 +83,18 @@ class KittiBoxes:
     overlap: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Overlap with the labelled box that a detected one must exceed.")
     ] = 0.7
-    box_model: Annotated[BoxModel, typer.Option(help="What the 2D boxes enclose.")] = BoxModel.CUBOID
+    box_model: Annotated[
+        BoxModel | None,
+        typer.Option(help="What the 2D boxes enclose.", show_default="cuboid; what lines of FILE say"),
+    ] = None
+
+    @property
+    def enclose(self) -> BoxModel:
+        """What they enclose."""
+        from fgrecon.io.kitti_files import stated_model
+
+        stated = stated_model(self.boxes) if self.boxes is not None and self.box_model is None else None
+        return self.box_model or stated or BoxModel.CUBOID
 
 
 def kitti_command(
@@ -120,7 +132,8 @@ def kitti_command(
     cars = [car for frame in screen.watch(frames, "Images") for car in kitti_images.score_frame(frame, setup)]
 
     kind = "detected" if boxes.boxes else "labelled"
-    screen.print(f"{len(frames)} images, {len(cars)} cars, {kind} boxes; {origin}.", _table(cars))
+    images = counted(len(frames), "image")
+    screen.print(f"{images}, {counted(len(cars), 'car')}, {kind} boxes; {origin}.", _table(cars))
     for car in cars:
         error = car.failure or f"{car.degrees:.1f} degrees, {car.metres:.2f} m"
         screen.detail(f"{car.frame}/{car.index}: {error}")
@@ -131,7 +144,7 @@ def kitti_command(
         "overlap": boxes.overlap,
         "ground": origin,
         "size_prior": labelled.size_prior,
-        "box_model": boxes.box_model.value,
+        "box_model": setup.options.box.model.value,
         "together": together,
         "traffic": traffic,
         "network": setup.detector.provenance,
@@ -166,7 +179,7 @@ def _setup(
         prior=load_prior(labelled.prior),
         ground=plane,
         size_prior=None if labelled.size_prior == "none" else size_prior(labelled.size_prior),
-        options=Options(box=boxes.box_model, traffic=traffic),
+        options=Options(box=boxes.enclose, traffic=traffic),
         overlap=boxes.overlap,
         together=together,
     )

@@ -12,6 +12,7 @@ import typer
 from fgrecon.cli.options import LabelledScene, TogetherOption, TrafficOption, WeightsOption
 from fgrecon.cli.progress import counting
 from fgrecon.core.choices import BoxModel
+from fgrecon.core.text import counted
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from fgrecon.cli.terminal import Screen
@@ -66,7 +67,8 @@ class ScoredDrives:
     def in_words(self) -> str:
         """How much it is, and on which ground."""
         missed = f", {self.missed} more not found" if self.missed else ""
-        return f"{len(self.drives)} drives, {self.images} images, {len(self.boxes)} boxes{missed}; {self.ground}."
+        drives, images = counted(len(self.drives), "drive"), counted(self.images, "image")
+        return f"{drives}, {images}, {counted(len(self.boxes), 'box', 'boxes')}{missed}; {self.ground}."
 
     def networks(self) -> list[dict[str, Any]]:
         """Of each network its file, the drives that it scored, and what it has learnt from."""

@@ -21,7 +21,7 @@ from fgrecon.cli.together import Scene, grounds_of, solve_same_camera, solve_tog
 from fgrecon.core.camera import Camera
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import FgreconError, InvalidInputError
-from fgrecon.core.text import distinct
+from fgrecon.core.text import counted, distinct
 from fgrecon.core.vehicle_mesh import VehicleMesh
 from fgrecon.io.files import write_text
 from fgrecon.io.images import IMAGES, read_photograph
@@ -142,7 +142,7 @@ def reconstruct_each(photographs: Sequence[PhotographFile], how: PhotographWork,
         else:
             count += sum(outcome.result is not None for outcome in outcomes)
     done = len(photographs) - len(nothing)
-    screen.print(f"{count} vehicles in {done} of {len(photographs)} images.")
+    screen.print(f"{counted(count, 'vehicle')} in {done} of {counted(len(photographs), 'image')}.")
     for line in nothing:
         screen.fail(line)
     return not nothing
@@ -187,7 +187,7 @@ def _same_camera(photographs: Sequence[PhotographFile], how: PhotographWork, scr
         return
     solved = solve_same_camera([(one.file.image.name, one.tasks) for one in seen], how.settings)
     counts = [sum(outcome.result is not None for outcome in outcomes) for outcomes, _ in solved]
-    cars = f"the {sum(counts)} cars of {sum(map(bool, counts))} images"
+    cars = f"the {counted(sum(counts), 'car')} of {counted(sum(map(bool, counts)), 'image')}"
     screen.warn(about_camera(solved[0][1].result.camera, seen[0].own, cars))
     for one_seen, (outcomes, scene) in zip(seen, solved, strict=True):
         try:

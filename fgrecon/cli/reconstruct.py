@@ -204,6 +204,7 @@ def reconstruct_command(
     Without a camera the focal length is the one in the photograph's EXIF data, or one that its cars tell together.
     """
     from fgrecon.cli import photographs, picture_tasks, reconstruct_work, show
+    from fgrecon.cli.doubts import about_fits, about_keypoints
     from fgrecon.cli.together import grounds_of, solve_together, wants_together
     from fgrecon.core.options import Options, ShapeOptions
     from fgrecon.io.images import read_photograph
@@ -251,6 +252,7 @@ def reconstruct_command(
         tasks, ignored = reconstruct_work.read_tasks(file, settings.prior.category, source, names, image)
     tasks = solving.chosen(tasks)
     drawings.check_vehicles(tasks)
+    doubts = [] if pictured else about_keypoints(tasks)
     if settings.ground is None and tasks:
         shown = tasks[0].instance.image or (None if path is None else path.name)
         screen.print(*reconstruct_work.ground_of(source, shown))
@@ -273,6 +275,9 @@ def reconstruct_command(
         screen.print(*found.lines())
         if found.result.camera.focal_sigma:
             screen.warn(about_camera(found.result.camera, own))
+    if not pictured:
+        for line in doubts or about_fits(outcomes):
+            screen.warn(line)
     if ignored:
         screen.print(f"Fields of the file without a meaning here: {', '.join(ignored)}.")
     screen.write_json(show.document(file, outcomes, settings, [scene.plain() for scene in scenes], history=history))

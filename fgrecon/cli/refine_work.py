@@ -23,7 +23,7 @@ from fgrecon.core.box3d import BoxErrors
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.refined_box import RefinedBox
-from fgrecon.core.text import printable
+from fgrecon.core.text import counted, printable
 from fgrecon.io.box_lines import Boxed, BoxedImage, text_of
 from fgrecon.io.files import write_text
 from fgrecon.io.images import read_image
@@ -186,8 +186,8 @@ def show(screen: Screen, done: Sequence[Done]) -> None:
     changed = [box for _, _, box in rows if box.changed]
     round_ = sum(box.turned_round for box in changed)
     screen.print(
-        f"{len(changed)} of {len(rows)} boxes in {len(done)} images were refined, {round_} of them turned round; "
-        f"{len(rows) - len(changed)} stay as they are."
+        f"{len(changed)} of {counted(len(rows), 'box', 'boxes')} in {counted(len(done), 'image')} were refined, "
+        f"{round_} of them turned round; {len(rows) - len(changed)} stay as they are."
     )
 
 

@@ -42,6 +42,7 @@ def track_command(
     Exit code 0: every track was solved; 1: one failed; 2: bad usage or input.
     """
     from fgrecon.cli import track_report
+    from fgrecon.cli.doubts import about_keypoints
     from fgrecon.core.options import Options
     from fgrecon.core.reconstruction import Status
 
@@ -56,6 +57,8 @@ def track_command(
     for track in solved:
         screen.print(f"{track.name}: {track.result.status.value}: {track.result.message}")
         screen.detail(*track_report.details(track))
+        for line in about_keypoints(track.tasks):
+            screen.warn(f"{track.name}: {line}")
     screen.write_json(track_report.document(solved, settings, history=history))
     if picture is not None:
         track_report.draw(picture, solved)

@@ -11,6 +11,7 @@ import typer
 from fgrecon.cli.commands import add_command
 from fgrecon.cli.common import check_output
 from fgrecon.cli.terminal import Terminal
+from fgrecon.core.text import counted
 
 __all__ = ["app"]
 
@@ -27,13 +28,14 @@ def detect_command(
     terminal: Terminal,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="File to write.", show_default="the output")] = None,
 ) -> None:
-    """Find cars. The lines, `image class score x1 y1 x2 y2`, are what --boxes of other commands reads (score from 0.5).
+    """Find cars. The lines, `image class score x1 y1 x2 y2 detected`, are what --boxes of other commands reads.
 
-    Its boxes enclose the outline: give --box-model surface beside them, where --detect knows. --verbose tells how many
-    cars each image has.
+    It takes those with a score from 0.5, and what the boxes enclose from the last word. --verbose tells how
+    many cars each image has.
 
     Exit code 1: no car in any image.
     """
+    from fgrecon.core.choices import BoxModel
     from fgrecon.io.images import read_image
     from fgrecon.perception.vehicles import NanodetVehicleDetector
 
@@ -43,9 +45,10 @@ def detect_command(
     lines: list[str] = []
     for path in screen.watch(images, "Images"):
         found = detector(read_image(path))
-        screen.detail(f"{path}: {len(found.boxes)} cars")
+        screen.detail(f"{path}: {counted(len(found.boxes), 'car')}")
         for box, score in zip(found.boxes, found.scores, strict=True):
-            lines.append(f"{path.name} 2 {score:.3f} {' '.join(f'{number:.2f}' for number in box)}\n")
+            corners = " ".join(f"{number:.2f}" for number in box)
+            lines.append(f"{path.name} 2 {score:.3f} {corners} {BoxModel.DETECTED}\n")
     if out is None:
         sys.stdout.write("".join(lines))
     else:

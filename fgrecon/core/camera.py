@@ -27,6 +27,7 @@ MIN_DEPTH = 0.3
 _LARGEST_SIGMA = 2.0  # of a focal length's logarithm: five times longer or shorter is no lens any more
 _SIZE = "Give width and height in whole pixels."
 _NARROWEST, _FARTHEST = 1e-9, 1e6  # metres, radians: what a ground is known to, and how high a camera is at most
+_HIGHEST = 100.0  # metres, of a camera as somebody tells it: more are millimetres or centimetres
 _LARGEST = 1e9
 """No focal length is longer, in pixels; beyond, squares of numbers soon overflow."""
 
@@ -269,7 +270,22 @@ class Ground:
         """The same at one depth."""
         return math.hypot(self.height_sigma, self.slope_sigma * depth)
 
+    def told(self) -> Ground:
+        """Itself, as somebody told it: an estimate may be wilder.
+
+        Raises:
+            InvalidInputError: The camera is higher than any that looks at vehicles.
+        """
+        if self.distance > _HIGHEST:
+            fix = f"Give the camera's height in metres, at most {_HIGHEST:g}."
+            raise InvalidInputError("ground.distance", self.distance, fix)
+        return self
+
     @classmethod
     def level(cls, camera_height: float) -> Ground:
-        """The ground under a level camera at a height in metres (KITTI: 1.65)."""
-        return cls(np.array([0.0, 1.0, 0.0]), camera_height)
+        """The ground under a level camera at a height in metres (KITTI: 1.65).
+
+        Raises:
+            InvalidInputError: It is not positive, or is more than 100 metres.
+        """
+        return cls(np.array([0.0, 1.0, 0.0]), camera_height).told()

@@ -13,6 +13,7 @@ from factors.errors import (
 
 __all__ = [
     "AssumedCameraWarning",
+    "ChildNotBegunError",
     "DamagedFileWarning",
     "DegenerateProblemError",
     "FactorCallbackError",
@@ -32,6 +33,14 @@ class MissingPackageError(FgreconError, ImportError):
     def __init__(self, package: str, purpose: str) -> None:
         self.package = package
         super().__init__(f"{purpose} needs {package}, which is not installed here. Run: pip install {package}")
+
+
+class ChildNotBegunError(FgreconError, RuntimeError):
+    """The process that decodes a file did not begin: that is not about the file, but about the place."""
+
+    def __init__(self, why: str) -> None:
+        fix = "Look at what Python printed, at the free memory, and at multiprocessing.set_executable."
+        super().__init__(f"The process that decodes files did not begin: {why}. {fix}")
 
 
 class AssumedCameraWarning(UserWarning):

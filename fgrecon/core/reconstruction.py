@@ -176,8 +176,9 @@ class Reconstruction:
             turn = np.degrees(self.rotation_y)
             lines.append(f"  rotation_y {turn:.1f} degrees, location ({x:.2f}, {y:.2f}, {z:.2f}) m")
             lines.append(f"  length {length:.2f} m, width {width:.2f} m, height {height:.2f} m")
-        trusted, time = np.count_nonzero(self.weights >= TRUSTED), sum(self.milliseconds.values())
-        lines.append(f"  {trusted} of {len(self.weights)} keypoints trusted, prior {self.prior}, {time:.0f} ms")
+        trusted = np.count_nonzero(self.weights >= TRUSTED)
+        time = f", {sum(self.milliseconds.values()):.0f} ms" if self.milliseconds else ""  # of an image it has it
+        lines.append(f"  {trusted} of {len(self.weights)} keypoints trusted, prior {self.prior}{time}")
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.text import counted
 
 __all__ = ["SceneReconstruction"]
 
@@ -47,7 +48,8 @@ class SceneReconstruction:
 
     def __repr__(self) -> str:
         """A few lines: the ground, and a line for each vehicle."""
-        lines = [f"SceneReconstruction: {len(self.vehicles)} vehicles, {len(self.refused)} refused. {self.message}"]
+        vehicles = counted(len(self.vehicles), "vehicle")
+        lines = [f"SceneReconstruction: {vehicles}, {len(self.refused)} refused. {self.message}"]
         if self.focal_lengths:
             told = f"{self.camera.matrix[0, 0]:.0f} px, known to {100 * self.camera.focal_sigma:.0f} %"
             others = ", ".join(

@@ -4,7 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-__all__ = ["distinct", "markdown_row", "number_or_dash", "printable"]
+__all__ = ["counted", "distinct", "markdown_row", "number_or_dash", "printable"]
+
+
+def counted(count: int, thing: str, things: str | None = None) -> str:
+    """How many there are, in words: `1 car`, `2 cars`.
+
+    Args:
+        count: How many.
+        thing: What one is called.
+        things: What several are called, where that is not the same with an s.
+    """
+    return f"{count} {thing if count == 1 else things or f'{thing}s'}"
 
 
 def printable(text: str, most: int = 4000) -> str:

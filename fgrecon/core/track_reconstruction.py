@@ -14,6 +14,7 @@ from fgrecon.core.brief import brief_repr
 from fgrecon.core.plotting import DEFAULT_BACKEND, as_html, plotting_backend
 from fgrecon.core.reconstruction import GraphFactor, Reconstruction, Status
 from fgrecon.core.table import as_arrow, as_pandas
+from fgrecon.core.text import counted
 
 __all__ = ["JointStep", "TrackReconstruction"]
 
@@ -80,11 +81,11 @@ class TrackReconstruction:
     def __repr__(self) -> str:
         """A few lines: how it ended, the images, the size and the time."""
         lines = [f"TrackReconstruction: {self.status.value}. {self.message}"]
-        lines.append(f"  {len(self.frames)} images solved, {len(self.refused)} refused")
+        lines.append(f"  {counted(len(self.frames), 'image')} solved, {len(self.refused)} refused")
         if self.frames:
             length, width, height = self.box_size
             lines.append(f"  length {length:.2f} m, width {width:.2f} m, height {height:.2f} m")
-        lines.append(f"  {len(self.history)} joint steps, {sum(self.milliseconds.values()):.0f} ms")
+        lines.append(f"  {counted(len(self.history), 'joint step')}, {sum(self.milliseconds.values()):.0f} ms")
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:

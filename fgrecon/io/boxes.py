@@ -52,13 +52,13 @@ def read_boxes(
     """The cars of an image in a file.
 
     KITTI's boxes enclose the projected 3D box, and so do those of detectors trained on them and nuScenes' projected
-    cuboids; those of COCO and YOLO the outline.
+    cuboids; those of COCO and YOLO the outline. Lines of detections may say it themselves.
 
     Args:
         file: KITTI label or result file (object or tracking, type `Car`), detections with lines
-            `image class score x1 y1 x2 y2`, YOLO's lines `class x y w h [score]` in parts of the image (cars are class
-            2, or the line `car` of a `classes.txt` beside the file), COCO JSON, the folder of nuScenes' tables; or a
-            folder with such a file for each image, of its name.
+            `image class score x1 y1 x2 y2 [box model]`, YOLO's lines `class x y w h [score]` in parts of the image
+            (cars are class 2, or the line `car` of a `classes.txt` beside the file), COCO JSON, the folder of nuScenes'
+            tables; or a folder with such a file for each image, of its name.
         image: Name of the image, without ending.
         size: Width and height of the image, pixels, which YOLO's boxes need.
         least_score: Boxes of a lower score are left out; None for 0.5, and all of KITTI's results, whose scores are
@@ -152,7 +152,7 @@ def _of_line(words: list[str], line: str, image: str) -> _Box | _Relative | None
     found = parse_detection(line)
     if DETECTION_CLASSES.get(found.label) != "Car" or Path(found.image).stem != image:
         return None
-    return _Box(np.array(found.box), BoxModel.CUBOID, named=False, score=found.score)
+    return _Box(np.array(found.box), found.model or BoxModel.CUBOID, named=False, score=found.score)
 
 
 def _is_integer(word: str) -> bool:

@@ -3,30 +3,43 @@
 Some decoders (SciPy's for MATLAB files, rerun's for recordings, those of ONNX) do not raise on damaged content but end
 the process. A child process that dies is an error like any other. It is started when it is first asked, which takes
 about a second, and serves until it is closed. Its memory is limited where the system can do that (Linux).
+
+The child is an interpreter of its own that gets pickles through a pipe, and none of `multiprocessing`'s processes:
+those run the caller's script once more, which then needs a main guard. Whoever reads a file must not need one.
 """
 
 from __future__ import annotations
 
 import os
+import pickle
+import subprocess
 import sys
+import traceback
 from collections.abc import Callable
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures import TimeoutError as LateError
-from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
+from contextlib import suppress
+from io import BytesIO
+from multiprocessing.spawn import get_executable
 from types import TracebackType
-from typing import ParamSpec, Self, TypeVar
+from typing import IO, Any, ParamSpec, Self, TypeVar
 
-from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.errors import ChildNotBegunError, InvalidInputError
 from fgrecon.io.arrays import LARGEST, largest_bytes
 
-__all__ = ["Isolated"]
+__all__ = ["Isolated", "serve"]
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
 _ROOM = 8  # times what a file may unpack to: for the decoder itself, its threads and copies
 _FIX = f"Give an undamaged file; for a large one raise the environment variable {LARGEST}, in bytes."
+_CHILD = """\
+import pickle, sys
+sys.path[:], memory = pickle.load(sys.stdin.buffer)
+from fgrecon.io.isolated import serve
+serve(memory)
+"""
 
 
 class Isolated:
@@ -39,7 +52,7 @@ class Isolated:
             seconds: After which a piece of work is given up, the start of the process included.
         """
         self._seconds = seconds
-        self._pool: ProcessPoolExecutor | None = None
+        self._child: _Child | None = None
 
     def __enter__(self) -> Self:
         """Itself."""
@@ -53,14 +66,9 @@ class Isolated:
 
     def close(self) -> None:
         """End the process, whatever it is doing."""
-        pool, self._pool = self._pool, None
-        if pool is None:
-            return
-        processes = list((pool._processes or {}).values())  # noqa: SLF001  # no public way to end what hangs
-        pool.shutdown(wait=False, cancel_futures=True)
-        for process in processes:
-            process.kill()
-            process.join()
+        child, self._child = self._child, None
+        if child is not None:
+            child.end()
 
     def __call__(self, source: str, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
         """The result of a function of a module, called in the child; what it raises is raised here.
@@ -73,13 +81,19 @@ class Isolated:
 
         Raises:
             InvalidInputError: The child died of it, took too long, or took too much memory.
+            ChildNotBegunError: The child died before it began with it, or could not be started at all.
         """
-        if self._pool is None:
-            self._pool = ProcessPoolExecutor(1, get_context("spawn"), _begin, (_ROOM * largest_bytes(),))
-        future: Future[T] = self._pool.submit(work, *args, **kwargs)
+        if getattr(sys, "frozen", False):  # there is no interpreter to start: its executable is the whole program
+            return work(*args, **kwargs)
+        if self._child is None:
+            self._child = _Child(_ROOM * largest_bytes())
         try:
-            return future.result(self._seconds)
-        except BrokenProcessPool as error:
+            answer: T = self._child.ask((work, args, kwargs), self._seconds)
+            return answer
+        except ChildNotBegunError:
+            self.close()
+            raise
+        except _DiedError as error:
             self.close()
             raise InvalidInputError(source, "damaged: it kills its decoder", _FIX) from error
         except MemoryError as error:
@@ -90,12 +104,112 @@ class Isolated:
             raise InvalidInputError(source, value, "Give an undamaged file.") from error
 
 
-def _begin(memory: int) -> None:
-    """Limit the child's memory, and close its error stream: decoders print pages when they die; the parent tells."""
+class _DiedError(Exception):
+    """The child died of its work."""
+
+
+class _Child:
+    """The process, and a thread that speaks with it, so that an answer can be waited for no longer than is wanted."""
+
+    def __init__(self, memory: int) -> None:
+        """Start it.
+
+        Raises:
+            ChildNotBegunError: There is no such program, or there are too many processes.
+        """
+        command = [os.fsdecode(get_executable()), "-P", "-c", _CHILD]
+        try:
+            pipe = subprocess.PIPE
+            self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe)  # noqa: S603  # this interpreter
+        except OSError as error:
+            raise ChildNotBegunError(f"{command[0]}: {error}") from error
+        self._memory, self._begun = memory, False
+        self._thread = ThreadPoolExecutor(1)
+
+    def ask(self, job: tuple[Any, ...], seconds: float) -> Any:
+        """What the child answers; what it raises is raised.
+
+        Raises:
+            ChildNotBegunError: It died before it had begun.
+            _DiedError: It died later.
+            LateError: There is no answer yet.
+        """
+        good, answer = _load(BytesIO(self._thread.submit(self._exchange, pickle.dumps(job)).result(seconds)))
+        if good:
+            return answer
+        raise answer
+
+    def _exchange(self, job: bytes) -> bytes:
+        jobs, answers = self._process.stdin, self._process.stdout
+        assert jobs is not None
+        assert answers is not None
+        try:
+            if not self._begun:
+                pickle.dump((sys.path, self._memory), jobs)
+                jobs.flush()
+                self._begun = bool(_load(answers))
+            pickle.dump(job, jobs)
+            jobs.flush()
+            answer: bytes = _load(answers)
+        except (EOFError, OSError, pickle.UnpicklingError) as error:  # the pipe's other end died, maybe half-way
+            if self._begun:
+                raise _DiedError from error
+            raise ChildNotBegunError(f"it ended with exit code {self._process.wait()}") from error
+        return answer
+
+    def end(self) -> None:
+        """End it, whatever it is doing."""
+        self._process.kill()
+        self._process.wait()
+        self._thread.shutdown()
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                with suppress(OSError):  # what it was still to be told
+                    pipe.close()
+
+
+def serve(memory: int) -> None:
+    """Answer one piece of work after the other until the parent closes the pipe; what the child runs.
+
+    Args:
+        memory: How much it may take, bytes.
+    """
+    _limit(memory)
+    jobs, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
+    silence = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(silence, 1)  # answers go there: whoever prints must not be taken for one
+    pickle.dump("begun", answers)
+    answers.flush()
+    os.dup2(silence, 2)  # decoders print pages when they die; the parent tells
+    with suppress(EOFError):
+        while True:
+            pickle.dump(_answer(_load(jobs)), answers)
+            answers.flush()
+
+
+def _limit(memory: int) -> None:
     if sys.platform == "linux":
         import resource
 
         _, most = resource.getrlimit(resource.RLIMIT_DATA)
         limit = memory if most == resource.RLIM_INFINITY else min(memory, most)
         resource.setrlimit(resource.RLIMIT_DATA, (limit, most))
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+
+
+def _answer(job: bytes) -> bytes:
+    """Whether a piece of work went well, and what it returned or raised, pickled."""
+    try:
+        work, args, kwargs = _load(BytesIO(job))
+        return pickle.dumps((True, work(*args, **kwargs)))
+    except Exception as error:  # noqa: BLE001  # raised by the parent
+        error.add_note(traceback.format_exc())
+        try:
+            answer = pickle.dumps((False, error))
+            _load(BytesIO(answer))
+        except Exception:  # noqa: BLE001  # some errors do not survive that
+            return pickle.dumps((False, RuntimeError(f"{type(error).__name__}: {error}")))
+        return answer
+
+
+def _load(pipe: IO[bytes]) -> Any:
+    return pickle.load(pipe)  # noqa: S301  # both ends are ours

@@ -63,6 +63,8 @@ _INSTANCE_FIELDS = {
     "track",
     "kind",
 } | _CAMERA_FIELDS
+_TOLD_FIELDS = {"visible", "front_probability", "left_probability"}
+"""What `fgrecon keypoints detect` tells beside what is read: nobody need wonder that it is left out."""
 _FILE_FIELDS = {"instances"} | _CAMERA_FIELDS
 
 
@@ -167,7 +169,7 @@ def parse_keypoints(data: Any, category: Category, where: str = "") -> KeypointF
         if instance.name in instances:
             raise InvalidInputError(f"{place}id", instance.name, "Give every instance an id of its own.")
         instances[instance.name] = instance
-        ignored |= set(record) - _INSTANCE_FIELDS
+        ignored |= set(record) - _INSTANCE_FIELDS - _TOLD_FIELDS
     return KeypointFile(tuple(instances.values()), tuple(sorted(ignored)))
 
 
@@ -226,11 +228,15 @@ def _per_keypoint(fields: Fields, field: str, category: Category, shape: tuple[i
             fix = f"Give one for each of the {category.size} keypoints of {category.name}, or give them by name."
             raise InvalidInputError(place, f"{len(given)} elements", fix)
         return fields.numbers(field, (category.size, *shape), missing=True)
-    places = [category.index(name, place) for name in given]
+    unknown = [str(name) for name in given if name not in category.keypoints]
+    if unknown:  # and not left out: it may be a typing error, which would lose a keypoint
+        ours = ", ".join(category.keypoints)
+        fix = f"Use the keypoints of {category.name} ({ours}), say which one it is with --names, or take it out."
+        raise InvalidInputError(place, ", ".join(unknown), fix)
     array = np.full((category.size, *shape), np.nan)
-    for index, (name, value) in zip(places, given.items(), strict=True):
+    for name, value in given.items():
         if value is not None:
-            array[index] = numbers(value, shape, f"{place}.{name}", missing=True)
+            array[category.index(name)] = numbers(value, shape, f"{place}.{name}", missing=True)
     return array
 
 

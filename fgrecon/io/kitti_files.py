@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from enum import StrEnum
 from pathlib import Path
@@ -17,7 +18,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.text import counted
 from fgrecon.io.files import write_text
 
 __all__ = [
@@ -36,6 +39,7 @@ __all__ = [
     "read_image_set",
     "read_labels",
     "read_results",
+    "stated_model",
     "write_results",
 ]
 
@@ -77,12 +81,21 @@ class Fault:
 
 
 class DetectionLine(NamedTuple):
-    """One line of a file of detections: image, number of the class, score, and x1, y1, x2, y2 in pixels."""
+    """One line of a file of detections.
+
+    Attributes:
+        image: Name of the image.
+        label: Number of the class.
+        score: How sure the detector is.
+        box: x1, y1, x2, y2 in pixels.
+        model: What the box encloses, where the line says it.
+    """
 
     image: str
     label: str
     score: float
     box: list[float]
+    model: BoxModel | None
 
 
 def count_defects(problems: Iterable[Fault]) -> dict[str, int]:
@@ -167,14 +180,34 @@ def parse_object(line: str, *, scored: bool = False) -> tuple[str, list[float]]:
 def parse_detection(line: str) -> DetectionLine:
     """A line `image class score x1 y1 x2 y2` of a file of detections; the image's name may hold spaces.
 
+    A box model (`detected`) may stand behind it, in each line: files of detections are joined and parts taken out.
+
     Raises:
         ValueError: The line is none.
     """
-    words = line.rsplit(maxsplit=_DETECTION_COLUMNS - 1)
+    numbers, _, last = line.rstrip().rpartition(" ")
+    model = BoxModel(last) if last in set(BoxModel) else None
+    words = (line if model is None else numbers).rsplit(maxsplit=_DETECTION_COLUMNS - 1)
     if len(words) != _DETECTION_COLUMNS or not words[1].isdecimal():
         raise ValueError(f"'{line}' is not: image, class, score, x1, y1, x2, y2")
     score, *box = _finite(words[2:], line)
-    return DetectionLine(words[0].strip(), words[1], score, box)
+    return DetectionLine(words[0].strip(), words[1], score, box, model)
+
+
+def stated_model(path: Path) -> BoxModel | None:
+    """What the boxes of a file of detections enclose, where its lines say it.
+
+    Raises:
+        InvalidInputError: The file cannot be read, or its lines do not agree.
+    """
+    found: set[BoxModel | None] = set()
+    for line in _read(path).splitlines():
+        with suppress(ValueError):  # told by whoever reads the boxes
+            found.add(parse_detection(line).model)
+    if len(found) > 1:
+        kinds = ", ".join(sorted("nothing" if model is None else model for model in found))
+        raise InvalidInputError(str(path), f"boxes that enclose {kinds}", "Say it of all with --box-model.")
+    return found.pop() if found else None
 
 
 def _finite(words: Sequence[str], line: str) -> list[float]:
@@ -289,7 +322,9 @@ def read_detections(path: Path, frames: Sequence[str]) -> tuple[dict[str, Object
             rows[frame].append(detection)
         else:
             strangers[frame] += 1
-    problems += [Fault(Defect.UNKNOWN_FRAME, f, f"{n} detections in {path}") for f, n in sorted(strangers.items())]
+    problems += [
+        Fault(Defect.UNKNOWN_FRAME, f, f"{counted(n, 'detection')} in {path}") for f, n in sorted(strangers.items())
+    ]
     problems += [Fault(Defect.MISSING_FRAME, f, f"no detection in {path}") for f, found in rows.items() if not found]
     return {frame: _detected(found) for frame, found in rows.items()}, problems
 

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fgrecon.core.brief import brief_repr
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite
 from fgrecon.core.detection import Detection
@@ -51,7 +50,15 @@ class FromImage:
     error: FgreconError | None
     camera: Camera | None = None
 
-    __repr__ = brief_repr
+    def __repr__(self) -> str:
+        """A line: the box, and how it ended and where the vehicle is, or why it was refused."""
+        box = self.detection.observation.box
+        where = "" if box is None else f"box ({', '.join(f'{number:.0f}' for number in box)}): "
+        if self.result is None:
+            return f"{type(self).__name__}({where}refused, {self.error})"
+        (x, y, z), yaw = self.result.location, np.degrees(self.result.rotation_y)
+        pose = f"({x:.2f}, {y:.2f}, {z:.2f}) m, yaw {yaw:.1f} degrees"
+        return f"{type(self).__name__}({where}{self.result.status.value} at {pose})"
 
 
 def direction_penalty(detection: Detection, camera_T_object: ArrayLike) -> float:

@@ -112,10 +112,12 @@ def ground_plane(ground: Ground | float | None) -> Ground | None:
     """The plane, or that of a level camera at a height in metres.
 
     Raises:
-        InvalidInputError: It is neither a plane nor a positive number.
+        InvalidInputError: It is neither a plane nor a positive number, or the camera is higher than 100 metres.
     """
-    if ground is None or isinstance(ground, Ground):
-        return ground
+    if ground is None:
+        return None
+    if isinstance(ground, Ground):
+        return ground.told()
     return _level(float(as_finite("ground", ground, (), "Give a `Ground`, or the camera's height in metres.")))
 
 
@@ -143,7 +145,8 @@ def observe(
     """The observation that is solved from: checked against the prior's category, and freed of lens distortion.
 
     Raises:
-        InvalidInputError: An array has the wrong shape or values, or something is given twice.
+        InvalidInputError: An array has the wrong shape or values, something is given twice, or the box lies outside
+            of the image.
     """
     category = prior.category
     given = {"confidence": confidence, "box": box, "covariance": covariance}
@@ -166,11 +169,21 @@ def observe(
             None if covariance is None else as_shape("covariance", covariance, (category.size, 2, 2)),
             options.confidence_midpoint,
         )
+    _check_in_image(seen.box, camera)
     seen = seen.of_at_least(options.keypoints.least_confidence)
     if camera.distortion is None:
         return seen
     ideal_box = None if seen.box is None else camera.undistort(seen.box.reshape(2, 2)).ravel()
     return replace(seen, keypoints=camera.undistort(seen.keypoints), box=ideal_box)
+
+
+def _check_in_image(box: Array | None, camera: Camera) -> None:
+    """Refuse a box of which nothing is in the image, where its size is known; edges of one may lie outside."""
+    if box is None or camera.image_size is None:
+        return
+    width, height = camera.image_size
+    if box[2] <= -0.5 or box[3] <= -0.5 or box[0] >= width - 0.5 or box[1] >= height - 0.5:
+        raise InvalidInputError("box", box.tolist(), f"Give a box in the image of {width} x {height} pixels.")
 
 
 def _fix(category: Category) -> str:

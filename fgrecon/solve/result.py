@@ -16,6 +16,7 @@ from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status, rotation_y
 from fgrecon.core.status import Regions
+from fgrecon.core.text import counted
 from fgrecon.solve.box_check import box_excess
 from fgrecon.solve.graph.adjust import Adjusted
 from fgrecon.solve.graph.covariance import Covariances, Spread, factorise, read_covariances
@@ -36,6 +37,7 @@ _SURE_FACING = 0.8
 """Less is ambiguous: 80 % of the cars that are turned round on KITTI's video, and 6 % of the others."""
 _ABSURD = 5.0  # times longer, wider or higher than the prior's mean, or as many times less: no such vehicle
 _LOOSE = np.deg2rad(30.0)  # a rotation known no better than this is not determined
+_SMALL_TURN = 10  # degrees: of a pose that is turned by less it is told how far away it is
 
 
 @dataclass(frozen=True)
@@ -268,8 +270,12 @@ def _status(
     close = [a for a in alternatives if a.excess <= options.ambiguity_margin]
     if close:
         turn = rotation_y(close[0].camera_T_object) - rotation_y(camera_T_object)
-        degrees = abs(np.rad2deg(float(wrap_angle(turn))))
-        return Status.AMBIGUOUS, f"A pose turned by {degrees:.0f} degrees is only {close[0].excess:.1f} nats worse."
+        degrees = round(abs(np.rad2deg(float(wrap_angle(turn)))))
+        told = f"turned by {counted(degrees, 'degree')}"
+        if degrees < _SMALL_TURN:
+            metres = np.linalg.norm(close[0].camera_T_object[:3, 3] - camera_T_object[:3, 3])
+            told = f"{metres:.2f} m and {counted(degrees, 'degree')} away"
+        return Status.AMBIGUOUS, f"A pose {told} is only {close[0].excess:.1f} nats worse."
     if facing < _SURE_FACING:
         return Status.AMBIGUOUS, f"The detector's directions leave {100 * (1 - facing):.0f} % for the other facing."
     return Status.CONVERGED, "The pose search and the graph found one pose and a minimum there."

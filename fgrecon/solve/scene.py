@@ -232,7 +232,7 @@ class _Told:
         if not count or not shared:
             return "They were solved one by one."
         others = f", as were {len(self.results) - count} of other images" if images > 1 else ""
-        return f"{count} were solved together with {' and '.join(shared)}{others}."
+        return f"{count} {'was' if count == 1 else 'were'} solved together with {' and '.join(shared)}{others}."
 
 
 def _result(one: Alone) -> Reconstruction:

@@ -134,8 +134,8 @@ def reconstruct_track(
 
 def _status(results: list[Reconstruction], refused: Mapping[int, str]) -> tuple[Status, str]:
     """The worst of the frames, and how many images there are."""
-    count = f"{len(results)} images share one shape"
-    left_out = f", {len(refused)} were refused" if refused else ""
+    count = f"{len(results)} images share one shape" if len(results) > 1 else "1 image tells the shape"
+    left_out = f", {len(refused)} {'was' if len(refused) == 1 else 'were'} refused" if refused else ""
     for status in (Status.FAILED, Status.DEGENERATE, Status.AMBIGUOUS):
         members = [result for result in results if result.status is status]
         if members:

@@ -141,17 +141,18 @@ def test_kitti_is_scored_by_regime(street, weights):
     ]
     (car,) = document["cars"]
     assert (car["frame"], car["index"]) == ("000001", 1)
-    assert document["given"]["boxes"] == "labels"
+    assert (document["given"]["boxes"], document["given"]["box_model"]) == ("labels", "cuboid")
     assert (street / "sheet.png").exists()
     errors = replay.read(street / "cars-000001-1.rrd").scalars["error/orientation_deg"]
     assert errors.values[-1, 0] == pytest.approx(car["degrees"])
 
 
 def test_a_car_without_a_detection_counts_as_wrong(street, weights):
-    (street / "d.txt").write_text("x/000001.png 2 0.9 120 20 150 60\n")
+    (street / "d.txt").write_text("x/000001.png 2 0.9 120 20 150 60 detected\n")
     done = kitti(street, weights, "--boxes", street / "d.txt", "--json", street / "r.json")
     assert done.exit_code == 1, done.output
     document = json.loads((street / "r.json").read_text())
+    assert document["given"]["box_model"] == "detected"  # as the file's line says
     assert document["regimes"][0]["mean_degrees"] == 180.0
     assert document["regimes"][0]["median_metres"] is None
     assert document["cars"][0]["failure"] == "no detection"

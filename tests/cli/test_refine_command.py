@@ -52,7 +52,7 @@ def test_the_samples_boxes_are_refined(sample, tmp_path):
     boxes.write_text((sample / "detections.txt").read_text() + CARE + "\n")
     done = run("refine", boxes, sample / "street.png", "--calib", sample / "calib.txt", "--out", out, "--json", told)
     assert done.exit_code == 0, done.output
-    assert "3 of 3 boxes in 1 images were refined" in done.stdout
+    assert "3 of 3 boxes in 1 image were refined" in done.stdout
     before, after = read_box_lines(boxes), read_box_lines(out)
     assert after[3].text == CARE
     assert [line.kind for line in after] == [line.kind for line in before]

@@ -51,6 +51,28 @@ def test_the_picture_is_read_with_the_boxes(folder, tmp_path):
     assert done.exit_code == 0, done.output
     assert len(json.loads(out.read_text())["instances"]) == 3
     assert run("reconstruct", out, "--calib", folder / "calib.txt", "-q").output == ""
+    assert "without a meaning" not in run("reconstruct", out, "--calib", folder / "calib.txt").output
+
+
+def test_a_keypoint_file_gives_what_the_image_gives(folder, tmp_path):
+    """Once it is told what the boxes enclose and that its cars are of one image, as the guide says."""
+    boxes, calib = ("--boxes", folder / "boxes.txt"), ("--calib", folder / "calib.txt", "--json", "-")
+    found = tmp_path / "found.json"
+    assert run("keypoints", "detect", folder / "street.png", *boxes, "--json", found).exit_code == 0
+    image = run("reconstruct", folder / "street.png", *boxes, *calib)
+    file = run("reconstruct", found, "--box-model", "cuboid", "--together", *calib)
+    untold = run("reconstruct", found, *calib)
+    places = [[car["location"] for car in json.loads(done.stdout)["instances"]] for done in (image, file, untold)]
+    assert places[1] == [pytest.approx(place, abs=1e-6) for place in places[0]]
+    assert places[2] != [pytest.approx(place, abs=0.05) for place in places[0]]
+
+
+def test_the_detector_finds_two_of_the_rendered_cars(folder, tmp_path):
+    """As the guide to photographs says, and the third with less of a score."""
+    arguments = (folder / "street.png", "--detect", "--calib", folder / "calib.txt", "--camera-height", "1.65")
+    for more, count in (((), 2), (("--min-score", "0.3"), 3)):
+        done = run("reconstruct", *arguments, *more, "--json", "-")
+        assert len(json.loads(done.stdout)["instances"]) == count
 
 
 def test_the_track(folder):

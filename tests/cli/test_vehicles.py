@@ -75,11 +75,25 @@ def test_detections_are_what_boxes_reads(images, scene):
     out = images / "found.txt"
     assert run("vehicles", "detect", images / "car.png", images / "nothing.png", "--out", out).exit_code == 0
     (line,) = out.read_text().splitlines()
-    name, kind, score, *box = line.split()
-    assert (name, kind) == ("car.png", "2")
+    name, kind, score, *box, encloses = line.split()
+    assert (name, kind, encloses) == ("car.png", "2", "detected")
     assert 0.5 < float(score) <= 1.0
     assert box_overlap(np.array([box], dtype=float), scene.observation.box[None])[0, 0] > 0.75
     assert run("keypoints", "detect", images / "car.png", "--boxes", out).exit_code == 0
+
+
+def test_written_detections_give_what_detect_gives(images, tmp_path):
+    """They were taken for projected 3D boxes, as those of a detector trained on KITTI are."""
+    out = tmp_path / "found.txt"
+    assert run("vehicles", "detect", images / "car.png", "--out", out).exit_code == 0
+    depths = []
+    for boxes in (["--detect"], ["--boxes", out], ["--boxes", out, "--box-model", "cuboid"]):
+        done = run("reconstruct", images / "car.png", *boxes, "--intrinsics=700,700,620,180", "--json", "-")
+        assert done.exit_code == 0, done.output
+        (entry,) = json.loads(done.stdout)["instances"]
+        depths.append(entry["location"][2])
+    assert depths[0] == pytest.approx(depths[1], abs=0.01)  # lines have a hundredth of a pixel
+    assert abs(depths[0] - depths[2]) > 0.05
 
 
 def test_exit_code_of_finding_nothing(images):

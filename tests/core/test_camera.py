@@ -195,3 +195,13 @@ def test_a_part_of_the_image_sees_the_same():
 def test_a_part_outside_the_image_is_refused(part):
     with pytest.raises(InvalidInputError):
         Camera.of_field_of_view(1242, 375).cropped(*part)
+
+
+def test_a_camera_is_not_as_high_as_a_mountain():
+    """Millimetres and centimetres are told from metres; what is estimated may be anything."""
+    for height in (1650.0, 165.0):
+        with pytest.raises(InvalidInputError, match=r"ground\.distance: got 1650?\.0\. .* in metres, at most 100"):
+            Ground.level(height)
+        with pytest.raises(InvalidInputError, match="in metres"):
+            Ground(np.array([0.0, 1.0, 0.0]), height).told()
+    assert Ground.level(99.0).distance == 99.0

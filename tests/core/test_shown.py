@@ -3,6 +3,7 @@
 import importlib.metadata
 import io
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,6 +15,7 @@ from fgrecon.core.errors import InvalidInputError, MissingPackageError
 from fgrecon.core.observation import Observation
 from fgrecon.core.plotting import plotting_backend
 from fgrecon.core.reconstruction import Status
+from fgrecon.core.text import counted
 from fgrecon.core.track_reconstruction import JointStep, TrackReconstruction
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.export.results import NamedResult
@@ -40,6 +42,16 @@ def test_a_result_is_told_in_a_few_lines():
     assert len(lines) == 4
 
 
+def test_a_result_of_an_image_has_no_time_of_its_own():
+    assert repr(replace(made_up(np.random.default_rng(0)), milliseconds={})).endswith("trusted, prior made up")
+
+
+@pytest.mark.parametrize(("count", "told"), [(0, "0 boxes"), (1, "1 box"), (2, "2 boxes")])
+def test_one_thing_is_no_things(count, told):
+    assert counted(count, "box", "boxes") == told
+    assert counted(count, "car") == f"{count} car{'' if count == 1 else 's'}"
+
+
 def test_a_result_without_a_pose_is_told_as_well():
     result = made_up(np.random.default_rng(0))
     object.__setattr__(result, "camera_T_object", np.full((4, 4), np.nan))
@@ -50,7 +62,7 @@ def test_a_track_is_told_in_a_few_lines():
     lines = repr(made_up_track()).splitlines()
     assert lines[0] == "TrackReconstruction: converged. Both share one shape."
     assert lines[1] == "  2 images solved, 1 refused"
-    assert lines[-1] == "  1 joint steps, 9 ms"
+    assert lines[-1] == "  1 joint step, 9 ms"
 
 
 def test_data_with_large_arrays_is_told_in_a_line():

@@ -2,7 +2,9 @@
 
 import io
 import os
+import pickle
 import signal
+import subprocess
 import sys
 import time
 import zipfile
@@ -11,7 +13,7 @@ import numpy as np
 import pytest
 
 from fgrecon.core.category import Category
-from fgrecon.core.errors import DamagedFileWarning, InvalidInputError
+from fgrecon.core.errors import ChildNotBegunError, DamagedFileWarning, InvalidInputError
 from fgrecon.io.annotations.npz import read_npz
 from fgrecon.io.arrays import LARGEST, read_arrays
 from fgrecon.io.catalogue import load_category, load_prior, save_prior
@@ -66,6 +68,95 @@ def test_a_child_that_takes_too_much_memory_is_refused(monkeypatch):
         with pytest.raises(InvalidInputError, match=f"more than fits into memory.*{LARGEST}"):
             child("large", fill, 1 << 30)
         assert child("b", double, 3) == 6
+
+
+UNGUARDED = """
+from tests.io.test_isolated import Isolated, double
+
+print("once")
+with Isolated() as child:
+    print(child("a", double, 2), child("b", double, 3))
+"""
+
+
+@pytest.mark.parametrize("how", ["script", "stdin", "command"])
+def test_a_script_needs_no_main_guard(tmp_path, how):
+    """A child that ran the script again would print once more, and start a child of its own."""
+    (tmp_path / "script.py").write_text(UNGUARDED)
+    program = {"script": ["script.py"], "stdin": ["-"], "command": ["-c", UNGUARDED]}[how]
+    done = subprocess.run(
+        [sys.executable, *program],
+        input=UNGUARDED if how == "stdin" else "",
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(REPOSITORY)},
+        check=False,
+    )
+    assert (done.stdout.split(), done.stderr, done.returncode) == (["once", "4", "6"], "", 0)
+
+
+def shout(number):
+    os.write(1, b"not an answer")
+    os.write(2, b"nor this")
+    return number
+
+
+def test_what_a_decoder_prints_is_no_answer(capfd):
+    with Isolated() as child:
+        assert child("a", shout, 2) == 2
+    assert capfd.readouterr() == ("", "")
+
+
+def unpicklable(_):
+    return lambda: 1
+
+
+class OddError(Exception):
+    """One that cannot be made again from its arguments."""
+
+    def __init__(self, first, second):
+        super().__init__(f"{first} and {second}")
+
+
+def raise_odd(_):
+    raise OddError(1, 2)
+
+
+def test_what_a_pipe_cannot_carry_is_an_error_and_not_the_files_fault():
+    with Isolated() as child:
+        with pytest.raises((AttributeError, pickle.PicklingError), match="unpicklable"):
+            child("a", unpicklable, 0)
+        with pytest.raises(RuntimeError, match="OddError: 1 and 2"):
+            child("a", raise_odd, 0)
+        with pytest.raises(TypeError) as caught:
+            child("a", double, None)
+        assert "in double" in caught.value.__notes__[0]  # where in the child
+        assert child("b", double, 3) == 6
+
+
+def test_a_child_that_never_began_is_not_the_files_fault(monkeypatch, tmp_path, capfd):
+    broken = tmp_path / "fgrecon"
+    broken.mkdir()
+    (broken / "__init__.py").write_text("raise SystemExit(7)")
+    with monkeypatch.context() as patch, Isolated() as child:
+        patch.syspath_prepend(tmp_path)
+        with pytest.raises(ChildNotBegunError, match="exit code 7"):
+            child("fine", double, 2)
+    with monkeypatch.context() as patch, Isolated() as child:
+        patch.setattr("fgrecon.io.isolated.get_executable", lambda: str(tmp_path / "no-python"))
+        with pytest.raises(ChildNotBegunError, match="no-python"):
+            child("fine", double, 2)
+        patch.undo()
+        assert child("fine", double, 2) == 4
+    assert capfd.readouterr().out == ""
+
+
+def test_a_frozen_program_decodes_by_itself(monkeypatch):
+    """Its executable is the program: started for a child, it would start children without end."""
+    monkeypatch.setattr(sys, "frozen", True, raising=False)
+    with Isolated() as child:
+        assert child("a", os.getpid) == os.getpid()
 
 
 def npz(**members):

@@ -78,9 +78,20 @@ def test_the_centre_of_several_points():
     assert instance.keypoints[CATEGORY.index("left_headlight")].tolist() == [15, 30]
     assert instance.confidence[CATEGORY.index("left_headlight")] == 0.5
     assert np.isfinite(instance.keypoints[:, 0]).sum() == 2
+    assert file.ignored == ("keypoint other",)
     del points["b"]
     (instance,) = parse_any_keypoints({"keypoints": points}, CATEGORY, names=PAIRS).instances
     assert np.isnan(instance.keypoints[CATEGORY.index("left_headlight")]).all()
+
+
+def test_a_typing_error_does_not_lose_a_keypoint():
+    points = {"left_front_wheel": [1.0, 2.0], "left_fornt_roof": [3.0, 4.0], "antenna": [5.0, 6.0]}
+    with pytest.raises(InvalidInputError, match=r"left_fornt_roof, antenna\..*with --names") as error:
+        parse_any_keypoints({"keypoints": points}, CATEGORY)
+    assert error.value.field == "keypoints"
+    (instance,) = parse_any_keypoints([{"keypoints": points}], CATEGORY, "left_fornt_roof=left_front_roof").instances
+    assert instance.keypoints[CATEGORY.index("left_front_roof")].tolist() == [3, 4]
+    assert instance.keypoints[CATEGORY.index("left_front_wheel")].tolist() == [1, 2]
 
 
 def test_points_without_names_are_called_by_their_numbers():

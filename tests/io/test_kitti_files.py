@@ -3,17 +3,20 @@
 import numpy as np
 import pytest
 
+from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.kitti_files import (
     Defect,
     Objects,
     count_defects,
     format_results,
+    parse_detection,
     parse_objects,
     read_detections,
     read_image_set,
     read_labels,
     read_results,
+    stated_model,
     write_results,
 )
 
@@ -115,6 +118,24 @@ def test_detections_by_frame_with_defects(tmp_path):
     assert found["000001"].box[0].tolist() == [10, 20, 110, 90]
     assert len(found["000002"]) == 0
     assert count_defects(problems) == {"missing frame": 1, "unknown frame": 1, "malformed line": 3}
+
+
+def test_what_detected_boxes_enclose_stands_in_their_lines(tmp_path):
+    path = tmp_path / "detections.txt"
+    line = "x/my street.png 2 0.9 10 20 110 90"
+    assert parse_detection(line)._replace(model=BoxModel.DETECTED) == parse_detection(f"{line} detected\n")
+    for text, stated in [
+        ("", None),
+        (line, None),
+        (f"{line} detected\n\nmalformed\n{line} detected", BoxModel.DETECTED),
+    ]:
+        path.write_text(text)
+        assert stated_model(path) is stated
+    path.write_text(f"{line} detected\n{line}\n{line} surface")
+    with pytest.raises(InvalidInputError, match=r"detected, nothing, surface. Say it of all with --box-model"):
+        stated_model(path)
+    with pytest.raises(ValueError, match="is not"):
+        parse_detection(f"{line} wide")
 
 
 @pytest.mark.parametrize(("text", "match"), [("", "no frame"), ("000001\n000002\n000001\n", "000001")])

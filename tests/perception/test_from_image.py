@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from fgrecon.core.camera import Camera
+from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import orientation_error
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.io.catalogue import load_prior
-from fgrecon.perception.from_image import direction_penalty, reconstruct_detection
+from fgrecon.perception.from_image import direction_penalty, reconstruct_detection, reconstruct_detections
 from fgrecon.perception.keypoints.crops import crop_of
 from fgrecon.perception.keypoints.detect import CascadeDetection
 from fgrecon.solve.track import reconstruct_track
@@ -100,3 +101,18 @@ def test_in_a_track_the_directions_of_all_images_count():
         track = reconstruct_track([told.evidence, unsure.evidence, told.evidence], CAMERA, options=FAST)
         turns = [frame.rotation_y for frame in track.frames]
         assert orientation_error(turns, [rotation_y(pose)] * 3).max() < 30.0
+
+
+def test_a_vehicle_is_told_in_a_line():
+    seen = detection(pose_at(0.8), np.full(14, 0.9), azimuth_of(pose_at(0.8)))
+    other = detection(pose_at(0.8, (-4.0, 1.6, 18.0)), np.full(14, 0.9), azimuth_of(pose_at(0.8)))
+    found, _ = reconstruct_detections([seen, other], CAMERA, options=FAST)
+    x1, y1, x2, y2 = seen.observation.box
+    (x, y, z), yaw = found.result.location, np.degrees(found.result.rotation_y)
+    assert repr(found) == (
+        f"FromImage(box ({x1:.0f}, {y1:.0f}, {x2:.0f}, {y2:.0f}): {found.result.status.value} "
+        f"at ({x:.2f}, {y:.2f}, {z:.2f}) m, yaw {yaw:.1f} degrees)"
+    )
+    assert " ms" not in repr(found.result)
+    refused = replace(found, result=None, error=InvalidInputError("box", 1, "Give another."))
+    assert repr(refused).endswith(": refused, box: got 1. Give another.)")

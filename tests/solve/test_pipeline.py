@@ -312,3 +312,20 @@ def test_a_detectors_covariance_counts(seen):
         after = solve(replace(observation, keypoints=shifted), covariance=covariance).wireframe_uv
         moves.append(np.abs(after - before).max())
     assert moves[1] < 0.5 * moves[0]
+
+
+def test_a_box_outside_of_the_image_is_refused(seen):
+    """A car that is cut off has edges outside; one of which nothing is in the image is in another."""
+    observation, _ = seen
+    width, height = 1242, 375
+    sized = replace(CAMERA, image_size=(width, height))
+    inside = solve(observation, sized)
+    assert_same(untimed(inside), untimed(solve(observation)))
+    x, y, right, bottom = observation.box
+    for box in ([-300, y, 5, bottom], [x, y, right, 500], [width - 5, y, width + 200, bottom]):
+        solve(observation, sized, box=np.array(box))
+    for box in ([-300, y, -5, bottom], [x, 400, right, 500], [width + 5, y, width + 200, bottom], [x, -90, right, -9]):
+        with pytest.raises(InvalidInputError, match="image of 1242 x 375 pixels") as error:
+            solve(observation, sized, box=np.array(box))
+        assert error.value.field == "box"
+        solve(observation, box=np.array(box))  # nobody knows how large the image is

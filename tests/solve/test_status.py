@@ -87,6 +87,18 @@ def test_another_pose_within_the_margin_is_ambiguous(solved, status_of, margin):
         assert ("turned by 180 degrees" in message) == (expected is Status.AMBIGUOUS)
 
 
+def test_a_pose_that_is_hardly_turned_is_told_by_its_distance(solved, status_of):
+    for degrees, told in (
+        (0.0, "A pose 0.23 m and 0 degrees away is"),
+        (1.0, "0.23 m and 1 degree away"),
+        (20, "turned by 20 d"),
+    ):
+        other = solved.pose.matrix() @ yaw_pose(np.radians(degrees), (0.0, 0.0, 0.0))
+        other[:3, 3] += [0.0, 0.0, 0.23]
+        _, message = status_of(alternatives=(Alternative(other, solved.coefficients, 0.8),))
+        assert told in message
+
+
 def test_whole_cars_and_halves():
     """Five points of one side of a car seen from behind leave front and back open; a whole car is clear."""
     observation = observe(load_prior("car14"), yaw_pose(np.radians(90)))

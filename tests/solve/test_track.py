@@ -51,7 +51,7 @@ def test_all_frames_share_one_shape_and_refused_images_are_named(solved):
     for frame in track.frames:
         np.testing.assert_array_equal(frame.coefficients, track.coefficients)
         np.testing.assert_array_equal(frame.box_size, track.box_size)
-    assert "1 were refused" in track.message
+    assert "1 was refused" in track.message
 
 
 def test_every_pose_is_near_the_truth(solved):

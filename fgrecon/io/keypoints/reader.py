@@ -66,7 +66,8 @@ def parse_any_keypoints(
     entries = data if isinstance(data, list) else [data]
     if any(is_result(entry) for entry in entries):
         return _parsed(result_records(entries, category, known, where), category, known, image, where)
-    return _of_this(parse_keypoints(_own(data, category, known, where), category, where), image, where)
+    ours, unused = _own(data, category, known, where)
+    return _with_unused(_of_this(parse_keypoints(ours, category, where), image, where), unused)
 
 
 def keypoints_from(
@@ -125,7 +126,11 @@ def _parsed(records: _Records, category: Category, names: Names | None, image: s
     if not ours:
         fix = f"Give a file with keypoints of {category.name}: {', '.join(category.keypoints)}."
         raise InvalidInputError(f"{where}keypoints", "no labelled keypoint", fix)
-    file = _of_this(parse_keypoints(ours, category, where), image, where)
+    return _with_unused(_of_this(parse_keypoints(ours, category, where), image, where), unused)
+
+
+def _with_unused(file: KeypointFile, unused: set[str]) -> KeypointFile:
+    """The same, with the names of points that are no keypoint of the category."""
     return KeypointFile(file.instances, (*file.ignored, *(f"keypoint {name}" for name in sorted(unused - _expected()))))
 
 
@@ -135,8 +140,9 @@ def _expected() -> frozenset[str]:
     return frozenset(name for scheme in shipped_schemes() for name in scheme_keypoints(scheme))
 
 
-def _own(data: Any, category: Category, names: Names | None, where: str) -> Any:
-    """The content of a keypoint file with each instance's points in the category's names."""
+def _own(data: Any, category: Category, names: Names | None, where: str) -> tuple[Any, set[str]]:
+    """A keypoint file's content with each instance's points in the category's names, and names that are none of it."""
+    unused = set[str]()
 
     def instance(record: Any, place: str) -> Any:
         points = record.get("keypoints") if isinstance(record, Mapping) else None
@@ -145,14 +151,16 @@ def _own(data: Any, category: Category, names: Names | None, where: str) -> Any:
         ours = len(points) == category.size if isinstance(points, list) else _are_ours(points, category)
         if names is None and ours:
             return record
-        return translated(record, category, names, place)[0]
+        changed, unknown = translated(record, category, names, place)
+        unused.update(unknown)
+        return changed
 
     if isinstance(data, Mapping) and isinstance(data.get("instances"), list):
         entries = enumerate(data["instances"])
-        return dict(data) | {"instances": [instance(item, f"{where}instance {i}: ") for i, item in entries]}
+        return dict(data) | {"instances": [instance(item, f"{where}instance {i}: ") for i, item in entries]}, unused
     if isinstance(data, list):
-        return [instance(item, f"{where}instance {i}: ") for i, item in enumerate(data)]
-    return instance(data, where)
+        return [instance(item, f"{where}instance {i}: ") for i, item in enumerate(data)], unused
+    return instance(data, where), unused
 
 
 def _are_ours(points: Mapping[Any, Any], category: Category) -> bool:

@@ -1,0 +1,100 @@
+"""Files whose numbers cannot be what they are taken for are solved with a warning that says what to look for."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from fgrecon.cli import main
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.catalogue import load_category
+
+CATEGORY = load_category("car14")
+K = [[721.5, 0, 609.6], [0, 721.5, 172.9], [0, 0, 1]]
+
+
+def run(*arguments):
+    return CliRunner().invoke(main.app, [str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def cars(tmp_path_factory):
+    """Instances of the sample street, with their keypoints as rows (K, 3)."""
+    folder = tmp_path_factory.mktemp("sample")
+    assert run("sample", "--out", folder).exit_code == 0
+    found = []
+    for instance in json.loads((folder / "cars.json").read_text())["instances"]:
+        rows = [instance["keypoints"].get(name) for name in CATEGORY.keypoints]
+        found.append((instance["id"], np.array([row or [np.nan] * 3 for row in rows]), np.array(instance["box"])))
+    return found
+
+
+def warnings(tmp_path, cars, change, camera=K, size=(1242, 375), box=lambda box: box):
+    """What is warned of once the keypoints are changed."""
+    instances = []
+    for name, rows, given in cars:
+        points = np.column_stack([change(rows[:, :2]), rows[:, 2]])
+        keypoints = [None if np.isnan(point[0]) else point.tolist() for point in points]
+        instances.append({"id": name, "keypoints": keypoints, "box": box(given).tolist()})
+    file = tmp_path / "cars.json"
+    shared = {"K": camera} if size is None else {"K": camera, "image_size": size}
+    file.write_text(json.dumps(shared | {"instances": instances}))
+    return " ".join(run("reconstruct", file).stderr.split())
+
+
+def test_nothing_is_said_of_keypoints_that_fit(tmp_path, cars):
+    assert "Warning" not in warnings(tmp_path, cars, lambda points: points)
+    assert "Warning" not in warnings(tmp_path, cars, lambda points: points, size=None)
+
+
+def test_parts_of_an_image_are_no_pixels(tmp_path, cars):
+    told = warnings(tmp_path, cars, lambda points: points / [1242, 375])
+    assert "All keypoints of car-1, car-2, car-3 lie between 0 and 1" in told
+    normalised = np.diag([1 / 721.5, 1 / 721.5, 1]) @ K
+    normalised[:2, 2] = 0.0
+    told = warnings(tmp_path, cars[:1], lambda p: np.clip((p - p[0]) / 721.5, 0, 1), normalised.tolist(), None)
+    assert "between 0 and 1" not in told  # a camera whose pixels are these
+
+
+@pytest.mark.parametrize("size", [None, (1242, 375)])
+def test_swapped_axes(tmp_path, cars, size):
+    told = warnings(tmp_path, cars, lambda points: points[:, ::-1], size=size)
+    assert "Most keypoints of car-1, car-2 lie beside the 2D box" in told  # car-3 is where u is v
+
+
+def test_images_of_a_track(tmp_path, cars):
+    assert run("sample", "--out", tmp_path / "sample").exit_code == 0
+    track = json.loads((tmp_path / "sample" / "TRACK.json").read_text())
+    track["frames"][0]["keypoints_uv"] = [point[::-1] for point in track["frames"][0]["keypoints_uv"]]
+    (tmp_path / "track.json").write_text(json.dumps(track))
+    assert "Warning: track: Most keypoints of " in " ".join(run("track", tmp_path / "track.json").stderr.split())
+
+
+def test_boxes_of_another_kind(tmp_path, cars):
+    told = warnings(tmp_path, cars, lambda points: points, box=lambda box: box - [300, 0, 300, 0], size=None)
+    assert "lie beside the 2D box" in told
+
+
+def test_another_image(tmp_path, cars):
+    told = warnings(tmp_path, cars[:1], lambda points: points + 1500, box=lambda box: box + 1500, size=(1242, 375))
+    assert "Most keypoints of car-1 lie far outside of the image" in told
+
+
+def test_another_order(tmp_path, cars):
+    assert "Hardly a keypoint of car-1" in warnings(tmp_path, cars[:1], lambda points: points[::-1])
+
+
+def test_a_car_that_the_image_cuts_off_is_none(tmp_path, cars):
+    """Three quarters of it lie outside, and its box ends at the edge."""
+    name, rows, box = cars[0]
+    left = box[0] + 0.75 * (box[2] - box[0])
+    moved = [(name, rows - [left, 0, 0], np.maximum(box - [left, 0, left, 0], 0.0))]
+    assert "Warning: Most" not in warnings(tmp_path, moved, lambda points: points)
+
+
+def test_a_height_in_millimetres_is_refused(tmp_path, cars):
+    for how in (["--ground=0,1,0,1650"], ["--camera-height", "165"]):
+        done = run("reconstruct", tmp_path / "cars.json", "--intrinsics=700,700,600,170", *how)
+        assert isinstance(done.exception, InvalidInputError)
+        assert "in metres" in str(done.exception)
