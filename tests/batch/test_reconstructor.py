@@ -124,7 +124,7 @@ def test_the_unforeseen_becomes_a_row_too(reconstructor, cars, monkeypatch):
 
 
 def test_what_columns_cannot_hold_becomes_a_row_and_leaves_the_others(reconstructor, cars):
-    large = cars[0] | {"image_size": [3_000_000_000, 100]}
+    large = cars[0] | {"image_size": [3_000_000_000, 375]}
     rows = reconstructor(table_of([{"instance": json.dumps(car)} for car in (large, cars[1])])).to_pylist()
     assert [row["status"] for row in rows] == ["error", "converged"]
     assert rows[0]["row_id"] == "0"
