@@ -97,19 +97,23 @@ def reconstruct_track(
     seen: list[Seen] = []
     starts: list[PoseEstimate] = []
     refused: dict[int, str] = {}
+    bad: InvalidInputError | None = None
     for number, (given, camera) in enumerate(zip(observations, each, strict=True)):
         if given is None:
             refused[number] = "no keypoints"
             continue
-        observation = observe(given, camera, shape_prior, options)
         try:
+            observation = observe(given, camera, shape_prior, options)
             (told,) = face_together([observation], camera, shape_prior, options)
             problem, start = faced_pose(Problem.of(told, camera, model, plane, options), observation)
             starts.append(start)
-        except DegenerateProblemError as error:
+        except (DegenerateProblemError, InvalidInputError) as error:
+            bad = error if bad is None and isinstance(error, InvalidInputError) else bad
             refused[number] = str(error)
             continue
         seen.append(Seen(problem, image=number))
+    if not seen and bad is not None:
+        raise bad
     if not seen:
         raise DegenerateProblemError("observations", "no pose in any image", "Give more, or better spread, keypoints.")
     posed = perf_counter()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -185,6 +186,16 @@ def test_what_cannot_be_solved_is_refused(car):
         reconstruct_track(seen, [KITTI_CAMERA])
     with pytest.raises(InvalidInputError, match="joint"):
         reconstruct_track(seen, KITTI_CAMERA, options=make_options(joint=False))
+
+
+def test_an_image_whose_input_is_bad_is_refused_alone(car):
+    _, seen = drive(car, np.random.default_rng(3), count=3)
+    bad = replace(seen[1], box=seen[1].box + 10000.0)  # beside the image
+    track = reconstruct_track([seen[0], bad, seen[2]], KITTI_CAMERA)
+    assert (track.numbers, list(track.refused)) == ((0, 2), [1])
+    assert "box" in track.refused[1]
+    with pytest.raises(InvalidInputError, match="box"):
+        reconstruct_track([bad, None], KITTI_CAMERA)
 
 
 def test_a_solve_that_gives_up_says_so_and_keeps_the_state_before(car, monkeypatch):
