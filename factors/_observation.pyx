@@ -74,6 +74,14 @@ cdef class Observation:
     ground, three for the lean, four for creases of the outline. What does not apply is zero.
     """
 
+    def __reduce__(self):
+        """Pointers into arrays are not copied.
+
+        Raises:
+            TypeError: Always; who holds it makes another.
+        """
+        raise TypeError("a compiled Observation cannot be copied or pickled")
+
     def __init__(self, camera, mean, basis, pixels, whitener, box, ground):
         """Bind the arrays; see `factors.observation.ObservationRows` for what they are.
 

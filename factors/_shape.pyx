@@ -26,6 +26,14 @@ cdef class Shape:
     cdef const double[::1] size, size_sigma
     cdef double pair_sigma, quad_sigma
 
+    def __reduce__(self):
+        """Pointers into arrays are not copied.
+
+        Raises:
+            TypeError: Always; who holds it makes another.
+        """
+        raise TypeError("a compiled Shape cannot be copied or pickled")
+
     def __init__(self, mean, basis, pairs, middle, double pair_sigma, quads, double quad_sigma, operator, size, sigma):
         """Bind the arrays.
 

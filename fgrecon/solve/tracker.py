@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from threading import Lock
 
 import gtsam
 import numpy as np
@@ -39,7 +40,7 @@ from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import count, results
 from fgrecon.solve.road import GroundEvidence, KnownGround, Road, ground_evidence
 from fgrecon.solve.threads import single_threaded
-from fgrecon.solve.time.camera_way import CameraWay, Mark
+from fgrecon.solve.time.camera_way import CameraWay, Milestone
 from fgrecon.solve.time.neighbours import neighbours_say, with_neighbours
 from fgrecon.solve.time.smooth import smooth
 from fgrecon.solve.time.vehicle import Followed
@@ -50,6 +51,8 @@ __all__ = ["Tracker"]
 
 Array = NDArray[np.float64]
 
+_SHORTEST = 1e-6  # seconds from frame to frame: noise that grows with time must not vanish
+_FARTHEST = 1e6  # metres: a camera that is further away than that has come there in an unknown way
 _RIGID = 1e-4  # of a place's rotation: more digits than that are seldom lost
 _ROUNDED = 1e-9  # share of the largest number of a covariance that is none
 
@@ -70,7 +73,7 @@ class _Track:
     followed: Followed
     time: float = -np.inf
     world_T_camera: gtsam.Pose3 | None = None
-    mark: Mark = field(default_factory=Mark)
+    milestone: Milestone = field(default_factory=Milestone)
     past: list[_Past] = field(default_factory=list)
 
 
@@ -112,10 +115,10 @@ class Tracker:
             InvalidInputError: An argument cannot be used; names it, its value and the fix.
         """
         options = checked_options(options, joint=True)
-        if window < 2:
-            raise InvalidInputError("window", window, "Give at least 2 frames.")
-        if past is not None and past < 1:
-            raise InvalidInputError("past", past, "Give at least 1 frame, or None.")
+        if not isinstance(window, int | np.integer) or window < 2:
+            raise InvalidInputError("window", window, "Give at least 2 frames, a whole number.")
+        if past is not None and (not isinstance(past, int | np.integer) or past < 1):
+            raise InvalidInputError("past", past, "Give at least 1 frame, a whole number, or None.")
         self._options = replace(options, keep_history=False)
         self._prior = load_prior(prior)
         fleet = None if size_prior is None else named_size_prior(size_prior)
@@ -125,7 +128,16 @@ class Tracker:
         self._tracks: dict[int, _Track] = {}
         self._time = -np.inf
         self._way = CameraWay()
+        self._one_call = Lock()
         self.refused = {}
+
+    def __reduce__(self) -> str:
+        """A tracker is not copied.
+
+        Raises:
+            TypeError: Always: the graphs that it holds are GTSAM's, whose Python factors have no copy.
+        """
+        raise TypeError("a Tracker cannot be copied or pickled: keep the observations, and give them to another one")
 
     @single_threaded
     def update(
@@ -138,10 +150,10 @@ class Tracker:
         ground: Ground | float | None = None,
         motion_covariance: ArrayLike | None = None,
     ) -> dict[int, VehicleEstimate]:
-        """Take a frame.
+        """Take a frame. Calls from several threads are taken one after the other.
 
         Args:
-            time: Of the frame, seconds, later than of all before.
+            time: Of the frame, seconds, later than of all before, by a microsecond at least.
             observations: Keypoints of each vehicle that it shows, by id.
             camera: The camera that took it, or its matrix (3, 3), or (fx, fy, cx, cy).
             world_T_camera: (4, 4) pose of the camera in a world that stands still; None where it is not known. Between
@@ -157,11 +169,26 @@ class Tracker:
             InvalidInputError: An argument cannot be used; names it, its value and the fix.
         """
         time = float(as_finite("time", time, (), "Give seconds."))
-        if not time > self._time:
-            raise InvalidInputError("time", time, f"Give frames in order: the last one was at {self._time:g} s.")
+        if not issubclass(kind := type(observations), Mapping):
+            raise InvalidInputError("observations", kind.__name__, "Give a mapping: an `fgrecon.Observation` by id.")
         seen_by, plane = Camera.of(camera), ground_plane(ground)
         place = None if world_T_camera is None else gtsam.Pose3(as_rigid("world_T_camera", world_T_camera, _RIGID))
         moved = None if motion_covariance is None else _covariance(motion_covariance)
+        with self._one_call:
+            return self._update(time, observations, seen_by, place, plane, moved)
+
+    def _update(
+        self,
+        time: float,
+        observations: Mapping[int, Observation],
+        seen_by: Camera,
+        place: gtsam.Pose3 | None,
+        plane: Ground | None,
+        moved: Array | None,
+    ) -> dict[int, VehicleEstimate]:
+        if not time - self._time >= _SHORTEST:
+            fix = f"Give frames in order, a microsecond apart at least: the last one was at {self._time:.10g} s."
+            raise InvalidInputError("time", time, fix)
         self._time = time
         self._way.go(place, moved)
         looked: dict[int, tuple[_Track, Frame]] = {}
@@ -197,7 +224,7 @@ class Tracker:
         for name, (track, frame) in looked.items():
             track.followed.take(frame, plane)
             self._tracks[name] = track
-            track.time, track.world_T_camera, track.mark = time, place, self._way.here
+            track.time, track.world_T_camera, track.milestone = time, place, self._way.here
             track.past.append(_Past(frame, place, known))
             if self._past is not None:
                 del track.past[: -self._past]
@@ -221,6 +248,10 @@ class Tracker:
     @single_threaded
     def smooth(self) -> dict[int, list[VehicleEstimate]]:
         """The estimates of all frames that are kept, by all of them; by id, in the order of time."""
+        with self._one_call:
+            return self._smooth()
+
+    def _smooth(self) -> dict[int, list[VehicleEstimate]]:
         pasts = {name: [past.frame for past in track.past] for name, track in self._tracks.items()}
         for frames in pasts.values():
             frames[0] = replace(frames[0], step=None)
@@ -344,7 +375,9 @@ def _step(track: _Track, time: float, place: gtsam.Pose3 | None, way: CameraWay)
         return None
     before = track.world_T_camera
     camera = None if before is None or place is None else before.between(place)
-    unsure = None if camera is None or place is None else way.since(track.mark, place)
+    if camera is not None and not np.abs(camera.translation()).max() < _FARTHEST:
+        camera = None
+    unsure = None if camera is None or place is None else way.since(track.milestone, place)
     if unsure is None:
         return FrameStep(time - track.time, None, np.zeros((6, 6)))
     return FrameStep(time - track.time, camera, unsure)

@@ -56,6 +56,10 @@ class PoseEnergy:
     ground: GroundTerm | None = None
     direction: DirectionTerm | None = None
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What it is made of; another process compiles it again."""
+        return {name: value for name, value in vars(self).items() if name != "compiled"}
+
     @cached_property
     def compiled(self) -> Any:
         """The same energy compiled (`factors._observation.Observation`); None where that cannot evaluate it."""

@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CameraWay", "Mark"]
+__all__ = ["CameraWay", "Milestone"]
 
 Array = NDArray[np.float64]
 
@@ -16,7 +16,7 @@ _ASTRAY = 1e9  # square metres: of a way that is less sure rounding hides what c
 
 
 @dataclass(frozen=True, eq=False)
-class Mark:
+class Milestone:
     """A place on a camera's way.
 
     Attributes:
@@ -39,7 +39,7 @@ class CameraWay:
 
     def __init__(self) -> None:
         """Begin without a place."""
-        self.here = Mark()
+        self.here = Milestone()
 
     def go(self, place: gtsam.Pose3 | None, covariance: Array | None) -> None:
         """Go on to a place, by a motion of this covariance in the axes there."""
@@ -51,10 +51,10 @@ class CameraWay:
             by_motion = begun.between(place).AdjointMap()
             with np.errstate(all="ignore"):
                 total = total + by_motion @ covariance @ by_motion.T
-        self.here = Mark(begun, total) if np.abs(total).max() < _ASTRAY else Mark(place)
+        self.here = Milestone(begun, total) if np.abs(total).max() < _ASTRAY else Milestone(place)
 
-    def since(self, before: Mark, place: gtsam.Pose3) -> Array | None:
-        """(6, 6) covariance of the way since a mark, in the axes of a place; None where nothing is known of it."""
+    def since(self, before: Milestone, place: gtsam.Pose3) -> Array | None:
+        """(6, 6) covariance of the way since a milestone, in the axes of a place; None where nothing is known of it."""
         begun = self.here.begun
         if begun is None or before.begun is not begun:
             return None

@@ -1,9 +1,14 @@
 """`fgrecon.Tracker` on made-up streets whose poses are known."""
 
+import copy
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
 import fgrecon
+from factors.native import native
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.solve.time.vehicle import Followed
 from tests.solve.time.streets import CAMERA, off, seen, upright
@@ -222,7 +227,7 @@ def test_a_vehicle_that_was_missing_counts_all_motions_since(monkeypatch):
     assert turned.sum() == pytest.approx(3 * 0.14 + 2 * 1e-4 * (2.0**2 + 4.0**2))
 
 
-@pytest.mark.parametrize("far", [5e6, 1e12, 1e200])
+@pytest.mark.parametrize("far", [5e6, 1e12, 1e200, 1e300])
 def test_a_world_may_begin_anywhere_and_a_camera_that_goes_astray_is_no_fault(far):
     rng, tracker = np.random.default_rng(3), fgrecon.Tracker(size_prior="kitti", shared_ground=True)
     for t, pose in enumerate(approaching(4)):
@@ -257,6 +262,8 @@ def test_what_cannot_be_used_is_refused():
         tracker.update(2.0, {}, camera=CAMERA, motion_covariance=-np.eye(6))
     with pytest.raises(InvalidInputError, match="window"):
         fgrecon.Tracker(window=1)
+    with pytest.raises(InvalidInputError, match="window"):
+        fgrecon.Tracker(window=2.5)
     with pytest.raises(InvalidInputError, match="past"):
         fgrecon.Tracker(past=0)
     with pytest.raises(InvalidInputError, match="joint"):
@@ -343,3 +350,43 @@ def test_a_frame_that_is_refused_is_no_part_of_the_way(monkeypatch):
         tracker.update(0.1 * t, {3: observation}, camera=CAMERA, ground=GROUND, world_T_camera=place)
     assert len(ways) == 3
     np.testing.assert_allclose(ways[-1].camera.translation(), [0.0, 0.0, 6.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("step", [5e-324, 1e-17, 1e-9])
+def test_frames_that_are_hardly_apart_are_refused_and_leave_all_as_it_was(step):
+    rng, (first, second, third) = np.random.default_rng(0), approaching(3)
+    tracker = fgrecon.Tracker(size_prior="kitti")
+    tracker.update(0.0, {3: seen(first, rng)}, camera=CAMERA, ground=GROUND)
+    with pytest.raises(InvalidInputError, match="time"):
+        tracker.update(step, {3: seen(second, rng)}, camera=CAMERA, ground=GROUND)
+    with pytest.raises(InvalidInputError, match="observations"):
+        tracker.update(0.1, [seen(second, rng)], camera=CAMERA, ground=GROUND)
+    tracker.update(0.1, {3: seen(second, rng)}, camera=CAMERA, ground=GROUND)
+    tracker.update(0.2, {3: seen(third, rng)}, camera=CAMERA, ground=GROUND)
+    assert len(tracker.smooth()[3]) == 3
+
+
+def test_calls_of_several_threads_are_taken_one_after_the_other():
+    tracker, pose = fgrecon.Tracker(size_prior="kitti"), approaching(1)[0]
+    given = [seen(pose, np.random.default_rng(seed)) for seed in range(12)]
+
+    def one(time):
+        return tracker.update(time, {3: given[int(10 * time)]}, camera=CAMERA, ground=GROUND)
+
+    with ThreadPoolExecutor(6) as pool:
+        errors = [future.exception() for future in [pool.submit(one, 0.1 * t) for t in range(12)]]
+    late = [error for error in errors if error is not None]  # a later frame came first
+    assert all(isinstance(error, InvalidInputError) and error.field == "time" for error in late)
+    assert len(tracker.smooth()[3]) == 12 - len(late) >= 1
+
+
+def test_it_is_not_copied_and_says_so():
+    tracker = fgrecon.Tracker(size_prior="kitti")
+    tracker.update(0.0, {3: seen(approaching(1)[0], np.random.default_rng(0))}, camera=CAMERA, ground=GROUND)
+    for copied in (pickle.dumps, copy.copy, copy.deepcopy):
+        with pytest.raises(TypeError, match="cannot be copied or pickled"):
+            copied(tracker)
+    problem = tracker._tracks[3].past[0].frame.problem
+    assert problem.energy.compiled is not None or native("factors._observation") is None
+    again = pickle.loads(pickle.dumps(problem.energy))
+    assert (again.compiled is None) == (problem.energy.compiled is None)
