@@ -170,13 +170,13 @@ def begin(folder: Path, settings: Mapping[str, Any], run_format: str = FORMAT, *
         before = None
     if before is None:
         if any(folder.glob("part-*.parquet")):
-            raise InvalidInputError("out", f"{folder}, which has parts but no {RUN}", "Give another folder.")
+            raise InvalidInputError("out", str(folder), f"Give another folder: this one has parts but no {RUN}.")
         write_text(folder / RUN, json.dumps(told, indent=1) + "\n")
         return
     if before != told:
         names = [name for name, value in told["settings"].items() if before.get("settings", {}).get(name) != value]
-        what = f"{folder}, a run with other settings ({', '.join(names) or 'another format'})"
-        raise InvalidInputError("out", what, "Give another folder for these.")
+        what = f"a run with other settings ({', '.join(names) or 'another format'})"
+        raise InvalidInputError("out", str(folder), f"Give another folder for these: this one has {what}.")
 
 
 def refuse_video(folder: Path) -> None:
@@ -215,5 +215,5 @@ def claimed(folder: Path) -> Iterator[None]:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            raise InvalidInputError("out", f"{folder}, where a run is going on", "Wait for its end.") from error
+            raise InvalidInputError("out", str(folder), "Wait for the run that is going on there.") from error
         yield

@@ -67,6 +67,10 @@ def test_a_folder_is_for_one_kind_of_run(cars, tmp_path):
     other = batch(few, "--out", tmp_path / "out", "--size-prior", "kitti")
     assert isinstance(other.exception, InvalidInputError)
     assert "other settings" in str(other.exception)
+    deep = tmp_path / ("a" * 100) / ("b" * 100)
+    assert batch(few, "--out", deep).exit_code == 0
+    named = str(batch(few, "--out", deep, "--size-prior", "kitti").exception)
+    assert "this one has a run with other settings (size_prior)" in named, "however long its path is"
     (tmp_path / "out" / "_run.json").unlink()
     assert "no _run.json" in str(batch(few, "--out", tmp_path / "out").exception)
 
