@@ -188,6 +188,38 @@ def test_where_nothing_is_solved_the_commonest_errors_say_what_to_do(tmp_path):
     assert len(said) == 3
 
 
+def test_a_run_that_reconstructed_nothing_makes_place_for_other_settings(tmp_path):
+    """Its exit code stays the same as long as the command does."""
+    bare = [{"keypoints": one["keypoints"], "id": str(n)} for n, one in enumerate(instances(2))]  # no camera
+    file, out = write_lines(tmp_path / "bare.jsonl", bare), tmp_path / "out"
+    first, again = (batch(file, "--out", out) for _ in range(2))
+    assert (first.exit_code, again.exit_code) == (2, 2)
+    assert "2 of 2 rows are done, 2 of them before." in again.stdout
+    assert first.stderr == again.stderr
+    assert "2 x intrinsics: got nothing" in again.stderr
+    camera = "--intrinsics=721.5,721.5,609.6,172.9"
+    mended = batch(file, "--out", out, camera)
+    assert mended.exit_code == 0, mended.output
+    assert "2 of 2 rows are done, 0 of them before." in mended.stdout
+    assert "begun anew" in " ".join(mended.stderr.split())
+    assert all(row["x"] is not None for row in results(out).values())
+    for extra in ([], [camera, "--size-prior", "kitti"]):
+        assert "other settings" in str(batch(file, "--out", out, *extra).exception), "these are worth something"
+    assert batch(file, "--out", out, camera).exit_code == 0
+
+
+def test_what_another_run_is_at_is_not_thrown_away(tmp_path):
+    pytest.importorskip("fcntl")
+    from fgrecon.batch.parts import claimed
+
+    bare = write_lines(tmp_path / "bare.jsonl", [{"keypoints": instances(1)[0]["keypoints"]}])
+    assert batch(bare, "--out", tmp_path / "out").exit_code == 2
+    with claimed(tmp_path / "out"):
+        refused = batch(bare, "--out", tmp_path / "out", "--intrinsics=700,700,600,170")
+    assert "going on" in str(refused.exception)
+    assert len(results(tmp_path / "out")) == 1
+
+
 class Copying(Reconstructor):
     """Gives every row the result of the first: what a run costs beside solving."""
 
