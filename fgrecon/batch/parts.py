@@ -19,7 +19,7 @@ from fgrecon.io.isolated import Isolated
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.stored import MADE_AGAIN, stored
 
-__all__ = ["RECORDS", "RUN", "Outcome", "Parts", "begin", "claimed", "made", "refuse_batch", "refuse_video"]
+__all__ = ["RECORDS", "RUN", "Parts", "RowOutcome", "begin", "claimed", "made", "refuse_batch", "refuse_video"]
 
 RUN = "_run.json"
 """What the run is: readers of Parquet folders leave names alone that begin with an underscore."""
@@ -37,7 +37,7 @@ _ROWS, _SECONDS = 4096, 10.0
 _LATE = 600.0  # seconds after which a part that is still being read is damaged
 
 
-class Outcome(NamedTuple):
+class RowOutcome(NamedTuple):
     """What a row of results tells of how it went; its error, where it has one, as the columns have it."""
 
     status: str
@@ -67,7 +67,7 @@ class Parts:
     def _paths(self) -> list[Path]:
         return sorted(p for p in self._folder.glob("part-*.parquet") if p.stem.removeprefix("part-").isdecimal())
 
-    def done(self) -> dict[str, tuple[Outcome, ...]]:
+    def done(self) -> dict[str, tuple[RowOutcome, ...]]:
         """What became of the tasks in the parts, by `row_id`; those of a damaged part are to be computed again.
 
         Of errors of the same class and field all have the words of the first: many rows must not cost memory.
@@ -75,9 +75,9 @@ class Parts:
         Warns:
             DamagedFileWarning: A part is damaged, and is put aside.
         """
-        found: dict[str, tuple[Outcome, ...]] = {}
-        alike: dict[tuple[str | None, ...], Outcome] = {}
-        shared: dict[tuple[Outcome, ...], tuple[Outcome, ...]] = {}
+        found: dict[str, tuple[RowOutcome, ...]] = {}
+        alike: dict[tuple[str | None, ...], RowOutcome] = {}
+        shared: dict[tuple[RowOutcome, ...], tuple[RowOutcome, ...]] = {}
         with Isolated(_LATE) as child:  # whoever goes on with a long run would keep what reading takes to its end
             for path in self._paths():
                 for name, one in stored(path, lambda path: child(str(path), _outcomes, path)) or ():
@@ -137,18 +137,18 @@ class Parts:
         self._written = monotonic()
 
 
-def _outcomes(path: Path) -> list[tuple[str, Outcome]]:
+def _outcomes(path: Path) -> list[tuple[str, RowOutcome]]:
     """Ids and outcomes of the rows of a part, all of which is read: damage may lie anywhere.
 
     Raises:
         InvalidInputError: It is damaged, or none of ours.
     """
-    found: list[tuple[str, Outcome]] = []
+    found: list[tuple[str, RowOutcome]] = []
     for batch in _batches(path):
         names = batch.column("row_id").to_pylist()
-        known = [batch.column(name).to_pylist() for name in Outcome._fields if name in batch.schema.names]
-        told = zip(*known, strict=True) if len(known) == len(Outcome._fields) else [("",)] * len(names)
-        found += zip(names, (Outcome(*one) for one in told), strict=True)
+        known = [batch.column(name).to_pylist() for name in RowOutcome._fields if name in batch.schema.names]
+        told = zip(*known, strict=True) if len(known) == len(RowOutcome._fields) else [("",)] * len(names)
+        found += zip(names, (RowOutcome(*one) for one in told), strict=True)
     return found
 
 

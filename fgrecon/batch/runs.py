@@ -12,7 +12,7 @@ from typing import Any
 import pyarrow.compute as pc
 
 from fgrecon.batch.inputs import InputFile
-from fgrecon.batch.parts import Outcome, Parts, begin, claimed, made, refuse_video
+from fgrecon.batch.parts import Parts, RowOutcome, begin, claimed, made, refuse_video
 from fgrecon.batch.pool import work
 from fgrecon.batch.reconstructor import Reconstructor
 from fgrecon.batch.rows import lost_rows, single_tasks, storable
@@ -52,16 +52,18 @@ class Tally:
     def add(self, table: Any) -> None:
         """Count a table of results."""
         self.done += len(pc.unique(table.column("row_id")))
-        self._count(map(Outcome._make, zip(*(table.column(name).to_pylist() for name in Outcome._fields), strict=True)))
+        self._count(
+            map(RowOutcome._make, zip(*(table.column(name).to_pylist() for name in RowOutcome._fields), strict=True))
+        )
         self.box_excesses.extend(pc.drop_null(table.column("box_excess")).to_pylist())
 
-    def add_stored(self, outcomes: Iterable[Outcome]) -> None:
+    def add_stored(self, outcomes: Iterable[RowOutcome]) -> None:
         """Count the rows of results of a task that was done by a run before this one."""
         self.before += 1
         self.done += 1
         self._count(outcomes)
 
-    def _count(self, outcomes: Iterable[Outcome]) -> None:
+    def _count(self, outcomes: Iterable[RowOutcome]) -> None:
         for status, kind, place, words in outcomes:
             self.statuses[status] += 1
             if kind is not None:
@@ -134,7 +136,7 @@ def run(
 
 
 def _left(
-    sources: Sequence[InputFile], done: Mapping[str, Sequence[Outcome]], tally: Tally
+    sources: Sequence[InputFile], done: Mapping[str, Sequence[RowOutcome]], tally: Tally
 ) -> Iterator[tuple[bool, dict[str, Any]]]:
     """The rows that are not done yet, and whether each is an image."""
     for source in sources:

@@ -63,7 +63,8 @@ def export_command(
 
     PLY and GLB: surfaces and wireframes in the camera frame. CSV and Parquet: one row per vehicle. TXT: KITTI's result
     lines, in the frame of KITTI's labels where the results know it. JSON: nuScenes' detections, or COCO's keypoints
-    with cuboids. MCAP: Foxglove's scenes, or ROS 2's Detection3DArray. --verbose names the vehicles.
+    with cuboids. MCAP: Foxglove's scenes, or ROS 2's Detection3DArray, under an upright frame `map`. --verbose
+    names the vehicles.
 
     Of a video's run JSON and MCAP are made, with the times of the frames; its folder has tables already.
     """

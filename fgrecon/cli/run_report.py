@@ -116,7 +116,7 @@ def write(job: Job, run: VideoRun, screen: Screen) -> None:
     """Write tables and frames, each whole; where wanted a picture and, if the run was not stopped, the video."""
     out = job.request.out
     write_text(out / "tracks.txt", tracking_text(run.frames, job.label_offset))
-    write_text(out / "frames.jsonl", "".join(frame_lines(run.frames)))
+    write_text(out / "frames.jsonl", "".join(frame_lines(run.frames, job.settings.ground)))
     if rows := rows_of(run.frames):
         export_rows(out / "tracks.csv", rows)
         export_rows(out / "tracks.parquet", rows_of(run.frames, flat=False))
