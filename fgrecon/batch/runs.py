@@ -17,6 +17,7 @@ from fgrecon.batch.pool import work
 from fgrecon.batch.reconstructor import Reconstructor
 from fgrecon.batch.rows import lost_rows, single_tasks, storable
 from fgrecon.batch.tasks import Tasks, TaskSolver
+from fgrecon.core.doubts import Doubt, Doubts
 from fgrecon.core.errors import InvalidInputError
 
 __all__ = ["Tally", "run"]
@@ -37,6 +38,7 @@ class Tally:
         statuses: Rows of results by status, those that were done before included; an image gives one for each vehicle.
         errors: Those with an error, by its class and the field that it names.
         words: Of each of these errors what the first row says, which has the fix.
+        doubts: What is doubtful of the keypoints of this run's rows.
         box_excesses: By how much 2D boxes are larger than their vehicles look, of this run's rows that tell.
     """
 
@@ -47,6 +49,7 @@ class Tally:
     statuses: Counter[str] = field(default_factory=Counter)
     errors: Counter[str] = field(default_factory=Counter)
     words: dict[str, str] = field(default_factory=dict)
+    doubts: Doubts = field(default_factory=Doubts)
     box_excesses: array[float] = field(default_factory=lambda: array("d"))
 
     def add(self, table: Any) -> None:
@@ -55,6 +58,10 @@ class Tally:
         self._count(
             map(RowOutcome._make, zip(*(table.column(name).to_pylist() for name in RowOutcome._fields), strict=True))
         )
+        self.doubts.judged += pc.count(table.column("camera_T_object")).as_py()
+        for name, doubt in zip(*(table.column(name).to_pylist() for name in ("id", "doubt")), strict=True):
+            if doubt is not None:
+                self.doubts.add(name or "", Doubt(doubt))
         self.box_excesses.extend(pc.drop_null(table.column("box_excess")).to_pylist())
 
     def add_stored(self, outcomes: Iterable[RowOutcome]) -> None:

@@ -113,6 +113,8 @@ def batch_command(
     screen.print(table, f"{tally.done} of {tally.total} rows are done, {tally.before} of them before.")
     if (off := boxes_off(tally.box_excesses)) is not None:
         screen.warn(boxes_warning(off))
+    for line in tally.doubts.lines():
+        screen.warn(line)
     screen.wrote(out)
     solved = {status.value for status in Status if status is not Status.FAILED}
     if not tally.statuses or solved & set(tally.statuses):

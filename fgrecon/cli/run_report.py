@@ -14,6 +14,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from fgrecon.cli.deliver import Viewer
+from fgrecon.cli.doubts import about_video
 from fgrecon.cli.run_film import Showing, film, recorded, still
 from fgrecon.cli.run_job import Job
 from fgrecon.cli.settings import plain_camera, plain_settings
@@ -68,6 +69,9 @@ def perform(job: Job, viewer: Viewer, screen: Screen) -> VideoRun:
         )
     if isinstance(tracker, Tracker) and (off := tracker.boxes_off()) is not None:
         screen.warn(boxes_warning(off))
+    if given is not None and not given.cuboids:  # keypoints, and no boxes in which the network has found them
+        for line in about_video(run.frames, job.camera):
+            screen.warn(line)
     return run
 
 
