@@ -10,6 +10,7 @@ import typer
 from fgrecon.cli.common import check_output
 from fgrecon.cli.options import PRIORS, fitting_names
 from fgrecon.cli.terminal import Verbosity
+from fgrecon.core.text import counted
 
 __all__ = ["export_command"]
 
@@ -88,5 +89,5 @@ def export_command(
     screen = terminal.screen()
     for vehicle in found:
         screen.detail(f"{vehicle.name}: {vehicle.result.status.value}")
-    screen.print(f"{len(found)} vehicle{'s' * (len(found) != 1)}.")
+    screen.print(f"{counted(len(found), 'vehicle')}.")
     screen.wrote(out)

@@ -61,6 +61,7 @@ def batch_command(
     from fgrecon.cli.settings import plain_camera, plain_settings
     from fgrecon.core.options import Options
     from fgrecon.core.reconstruction import Status
+    from fgrecon.core.text import counted
     from fgrecon.io.keypoints.names import parse_names
     from fgrecon.solve.box_check import boxes_off, boxes_warning
 
@@ -110,7 +111,8 @@ def batch_command(
     table.add_column("rows", justify="right")
     for status, count in sorted(tally.statuses.items()):
         table.add_row(status, str(count))
-    screen.print(table, f"{tally.done} of {tally.total} rows are done, {tally.before} of them before.")
+    verb = "is" if tally.total == 1 else "are"
+    screen.print(table, f"{tally.done} of {counted(tally.total, 'row')} {verb} done, {tally.before} of them before.")
     if (off := boxes_off(tally.box_excesses)) is not None:
         screen.warn(boxes_warning(off))
     for line in tally.doubts.lines():
