@@ -201,12 +201,12 @@ def _table(number: int) -> Any:
 
 def _read_parts(path: Path) -> None:
     """What a run does with the parts that an earlier one left."""
-    from fgrecon.batch.parts import Parts, _row_ids
+    from fgrecon.batch.parts import Parts, _outcomes
 
     parts = Parts(path.parent)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        _row_ids(path)  # what `Parts.done` calls in a child process
+        _outcomes(path)  # what `Parts.done` calls in a child process
         list(parts.rows())
         parts.rows_in_order()
 

@@ -10,12 +10,12 @@ import numpy as np
 
 from fgrecon.batch.parts import RUN, Parts
 from fgrecon.batch.rows import reconstruction_of
-from fgrecon.core.camera import Camera
+from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.catalogue import load_prior
-from fgrecon.io.export.results import NamedResult
+from fgrecon.io.export.results import NamedResult, ground_of
 from fgrecon.io.export.surfaces import Surfaces
 from fgrecon.io.json_fields import read_json
 
@@ -36,11 +36,12 @@ def read_folder(folder: Path, prior: ShapePrior | str | Path | None = None) -> l
         raise InvalidInputError("results", str(folder), "Give a folder that `fgrecon batch` or `fgrecon run` wrote.")
     settings = read_json(folder / RUN)["settings"]
     shape = load_prior(prior if prior is not None else settings.get("prior_file") or settings.get("prior", "car14"))
-    surfaces = Surfaces(settings, shape)
-    return [_named(row, shape.category, surfaces) for row in Parts(folder).rows() if row["camera_T_object"] is not None]
+    surfaces, ground = Surfaces(settings, shape), ground_of(settings)
+    rows = (row for row in Parts(folder).rows() if row["camera_T_object"] is not None)
+    return [_named(row, shape.category, surfaces, ground) for row in rows]
 
 
-def _named(row: Mapping[str, Any], category: Category, surfaces: Surfaces) -> NamedResult:
+def _named(row: Mapping[str, Any], category: Category, surfaces: Surfaces, ground: Ground | None) -> NamedResult:
     result = reconstruction_of(row, category)
     assert result is not None
     distortion, size, box = row["distortion"], row["image_size"], row["box"]
@@ -55,4 +56,5 @@ def _named(row: Mapping[str, Any], category: Category, surfaces: Surfaces) -> Na
             None if size is None else (size[0], size[1]),
             focal_sigma=row.get("focal_sigma") or 0.0,
         ),
+        ground=ground,
     )

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
-from typing import Any
+from typing import Any, NamedTuple
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from fgrecon.batch.schema import FORMAT, result_schema
+from fgrecon.batch.schema import ERROR, FORMAT, REFUSED, result_schema
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import replacing, write_text
 from fgrecon.io.isolated import Isolated
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.stored import MADE_AGAIN, stored
 
-__all__ = ["RECORDS", "RUN", "Parts", "begin", "claimed", "refuse_batch", "refuse_video"]
+__all__ = ["RECORDS", "RUN", "Parts", "RowOutcome", "begin", "claimed", "made", "refuse_batch", "refuse_video"]
 
 RUN = "_run.json"
 """What the run is: readers of Parquet folders leave names alone that begin with an underscore."""
@@ -35,6 +35,15 @@ _ROWS, _SECONDS = 4096, 10.0
 
 
 _LATE = 600.0  # seconds after which a part that is still being read is damaged
+
+
+class RowOutcome(NamedTuple):
+    """What a row of results tells of how it went; its error, where it has one, as the columns have it."""
+
+    status: str
+    error_type: str | None = None
+    error_field: str | None = None
+    error: str | None = None
 
 
 class Parts:
@@ -58,17 +67,32 @@ class Parts:
     def _paths(self) -> list[Path]:
         return sorted(p for p in self._folder.glob("part-*.parquet") if p.stem.removeprefix("part-").isdecimal())
 
-    def done(self) -> set[str]:
-        """Ids of the rows that are in the parts; those of a damaged part are to be computed again.
+    def done(self) -> dict[str, tuple[RowOutcome, ...]]:
+        """What became of the tasks in the parts, by `row_id`; those of a damaged part are to be computed again.
+
+        Of errors of the same class and field all have the words of the first: many rows must not cost memory.
 
         Warns:
             DamagedFileWarning: A part is damaged, and is put aside.
         """
-        found: set[str] = set()
+        found: dict[str, tuple[RowOutcome, ...]] = {}
+        alike: dict[tuple[str | None, ...], RowOutcome] = {}
+        shared: dict[tuple[RowOutcome, ...], tuple[RowOutcome, ...]] = {}
         with Isolated(_LATE) as child:  # whoever goes on with a long run would keep what reading takes to its end
             for path in self._paths():
-                found.update(stored(path, lambda path: child(str(path), _row_ids, path)) or ())
+                for name, one in stored(path, lambda path: child(str(path), _outcomes, path)) or ():
+                    all_of_it = (*found.get(name, ()), alike.setdefault(one[:3], one))
+                    found[name] = shared.setdefault(all_of_it, all_of_it)
         return found
+
+    def worthless(self) -> bool:
+        """Whether nothing would be lost with the parts: each row was refused, or is an error."""
+        try:
+            with Isolated(_LATE) as child:
+                rows = (row for path in self._paths() for row in child(str(path), _outcomes, path))
+                return all(one.status in (REFUSED, ERROR) for _, one in rows)
+        except InvalidInputError:  # a damaged part may have held results
+            return False
 
     def rows(self) -> Iterator[dict[str, Any]]:
         """The rows of all parts, as plain values.
@@ -113,13 +137,19 @@ class Parts:
         self._written = monotonic()
 
 
-def _row_ids(path: Path) -> list[str]:
-    """Ids of the rows of a part, all of which is read: damage may lie anywhere.
+def _outcomes(path: Path) -> list[tuple[str, RowOutcome]]:
+    """Ids and outcomes of the rows of a part, all of which is read: damage may lie anywhere.
 
     Raises:
         InvalidInputError: It is damaged, or none of ours.
     """
-    return [name for batch in _batches(path) for name in batch.column("row_id").to_pylist()]
+    found: list[tuple[str, RowOutcome]] = []
+    for batch in _batches(path):
+        names = batch.column("row_id").to_pylist()
+        known = [batch.column(name).to_pylist() for name in RowOutcome._fields if name in batch.schema.names]
+        told = zip(*known, strict=True) if len(known) == len(RowOutcome._fields) else [("",)] * len(names)
+        found += zip(names, (RowOutcome(*one) for one in told), strict=True)
+    return found
 
 
 def _rows(path: Path) -> list[dict[str, Any]]:
@@ -146,37 +176,58 @@ def _batches(path: Path) -> Iterator[Any]:
         raise InvalidInputError(str(path), str(error), MADE_AGAIN) from error
 
 
-def begin(folder: Path, settings: Mapping[str, Any], run_format: str = FORMAT, *, anew: bool = False) -> None:
+def made(folder: Path) -> Path:
+    """The folder, made where it does not exist.
+
+    Raises:
+        InvalidInputError: It cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InvalidInputError("out", str(folder), f"Give a folder that can be made ({error.strerror}).") from error
+    return folder
+
+
+def begin(
+    folder: Path,
+    settings: Mapping[str, Any],
+    run_format: str = FORMAT,
+    *,
+    anew: Callable[[], bool] = lambda: False,
+) -> bool:
     """Make the folder of a run, or see that what is in it was solved with the same settings.
 
     Args:
         folder: The folder.
         settings: What its rows depend on, as plain values.
         run_format: Name of their format.
-        anew: Whether parts with other settings make place, instead of being refused.
+        anew: Asked where there is a run with other settings: whether it makes place, instead of being refused.
+
+    Returns:
+        Whether one has made place.
 
     Raises:
         InvalidInputError: It cannot be made, or holds a run with other settings.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InvalidInputError("out", str(folder), f"Give a folder that can be made ({error.strerror}).") from error
+    made(folder)
     told = json.loads(json.dumps({"format": run_format, "settings": dict(settings)}))  # lists for tuples
     before = read_json(folder / RUN) if (folder / RUN).exists() else None
-    if anew and before != told:
-        for part in folder.glob("part-*.parquet"):  # before the settings: who is killed in between begins anew again
+    parts = list(folder.glob("part-*.parquet"))
+    replaced = before != told and (before is not None or bool(parts)) and anew()
+    if replaced:
+        for part in parts:  # before the settings: who is killed in between begins anew again
             part.unlink()
-        before = None
-    if before is None:
-        if any(folder.glob("part-*.parquet")):
-            raise InvalidInputError("out", f"{folder}, which has parts but no {RUN}", "Give another folder.")
+    if before is None or replaced:
+        if parts and not replaced:
+            raise InvalidInputError("out", str(folder), f"Give another folder: this one has parts but no {RUN}.")
         write_text(folder / RUN, json.dumps(told, indent=1) + "\n")
-        return
+        return replaced
     if before != told:
         names = [name for name, value in told["settings"].items() if before.get("settings", {}).get(name) != value]
-        what = f"{folder}, a run with other settings ({', '.join(names) or 'another format'})"
-        raise InvalidInputError("out", what, "Give another folder for these.")
+        what = f"a run with other settings ({', '.join(names) or 'another format'})"
+        raise InvalidInputError("out", str(folder), f"Give another folder for these: this one has {what}.")
+    return False
 
 
 def refuse_video(folder: Path) -> None:
@@ -211,9 +262,14 @@ def claimed(folder: Path) -> Iterator[None]:
     except ImportError:  # Windows: nobody is warned there
         yield
         return
-    with (folder / "_lock").open("w") as file:
+    try:
+        lock = (folder / "_lock").open("w")
+    except OSError as error:
+        fix = f"Give a folder that can be written to ({error.strerror})."
+        raise InvalidInputError("out", str(folder), fix) from error
+    with lock as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            raise InvalidInputError("out", f"{folder}, where a run is going on", "Wait for its end.") from error
+            raise InvalidInputError("out", str(folder), "Wait for the run that is going on there.") from error
         yield

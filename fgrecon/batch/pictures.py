@@ -50,7 +50,8 @@ class Pictures:
         self._next = frame + 1
         if not good:
             self.close()
-            raise InvalidInputError("image", f"{path}, frame {frame}", "Give a video that OpenCV reads, whole.")
+            fix = f"Give a video that OpenCV reads, whole: it does not read frame {frame}."
+            raise InvalidInputError("image", path, fix)
         return np.ascontiguousarray(pixels[..., ::-1], dtype=np.uint8)
 
     def close(self) -> None:

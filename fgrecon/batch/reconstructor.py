@@ -20,6 +20,7 @@ from fgrecon.batch.rows import failed_row, origin_of, solved_row, table_of
 from fgrecon.batch.schema import EMPTY
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite
+from fgrecon.core.doubts import Doubt, doubt_of, hardly_fits
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import Options, checked_options
 from fgrecon.core.shape_prior import ShapePrior
@@ -161,11 +162,14 @@ class Reconstructor:
         """The row of one vehicle."""
         from fgrecon.solve.pipeline import reconstruct  # on use: whoever hands out the work needs no solver
 
+        doubt: Doubt | None = None
         try:
             if camera is None:
                 raise InvalidInputError("intrinsics", "nothing", "Give K with the row, or a camera for all of them.")
+            seen = instance.observation
+            doubt = doubt_of(seen, camera)
             result = reconstruct(
-                instance.observation,
+                seen,
                 camera,
                 prior=self.prior,
                 ground=self._ground,
@@ -174,8 +178,10 @@ class Reconstructor:
                 options=self._options,
             )
         except Exception as error:  # noqa: BLE001 - one bad vehicle must not take the others of its row along
-            return failed_row(origin, error, vehicle, name)
-        return solved_row(origin, vehicle, name, result, camera, instance.box)
+            return failed_row(origin, error, vehicle, name) | {"doubt": doubt}
+        if doubt is None and hardly_fits(seen, result.weights):
+            doubt = Doubt.FIT
+        return solved_row(origin, vehicle, name, result, camera, instance.box) | {"doubt": doubt}
 
     def _image(self, task: Mapping[str, Any], origin: Row) -> Iterator[Row]:
         """A row for each vehicle of an image; they are solved together, as by `fgrecon.reconstruct_image`."""

@@ -12,11 +12,12 @@ from typing import Any
 import pyarrow.compute as pc
 
 from fgrecon.batch.inputs import InputFile
-from fgrecon.batch.parts import Parts, begin, claimed, refuse_video
+from fgrecon.batch.parts import Parts, RowOutcome, begin, claimed, made, refuse_video
 from fgrecon.batch.pool import work
 from fgrecon.batch.reconstructor import Reconstructor
 from fgrecon.batch.rows import lost_rows, single_tasks, storable
 from fgrecon.batch.tasks import Tasks, TaskSolver
+from fgrecon.core.doubts import Doubt, Doubts
 from fgrecon.core.errors import InvalidInputError
 
 __all__ = ["Tally", "run"]
@@ -33,31 +34,49 @@ class Tally:
         total: Rows of all inputs.
         before: Of these, done by runs before this one.
         done: Of these, done by now.
-        statuses: Rows of results of this run, by status; an image gives one for each vehicle.
+        anew: Whether a run with other settings, of which nothing was reconstructed, made place for this one.
+        statuses: Rows of results by status, those that were done before included; an image gives one for each vehicle.
         errors: Those with an error, by its class and the field that it names.
         words: Of each of these errors what the first row says, which has the fix.
+        doubts: What is doubtful of the keypoints of this run's rows.
         box_excesses: By how much 2D boxes are larger than their vehicles look, of this run's rows that tell.
     """
 
     total: int
     before: int = 0
     done: int = 0
+    anew: bool = False
     statuses: Counter[str] = field(default_factory=Counter)
     errors: Counter[str] = field(default_factory=Counter)
     words: dict[str, str] = field(default_factory=dict)
+    doubts: Doubts = field(default_factory=Doubts)
     box_excesses: array[float] = field(default_factory=lambda: array("d"))
 
     def add(self, table: Any) -> None:
         """Count a table of results."""
         self.done += len(pc.unique(table.column("row_id")))
-        self.statuses.update(table.column("status").to_pylist())
-        columns = (table.column(name).to_pylist() for name in ("error_type", "error_field", "error"))
-        for kind, place, words in zip(*columns, strict=True):
+        self._count(
+            map(RowOutcome._make, zip(*(table.column(name).to_pylist() for name in RowOutcome._fields), strict=True))
+        )
+        self.doubts.judged += pc.count(table.column("camera_T_object")).as_py()
+        for name, doubt in zip(*(table.column(name).to_pylist() for name in ("id", "doubt")), strict=True):
+            if doubt is not None:
+                self.doubts.add(name or "", Doubt(doubt))
+        self.box_excesses.extend(pc.drop_null(table.column("box_excess")).to_pylist())
+
+    def add_stored(self, outcomes: Iterable[RowOutcome]) -> None:
+        """Count the rows of results of a task that was done by a run before this one."""
+        self.before += 1
+        self.done += 1
+        self._count(outcomes)
+
+    def _count(self, outcomes: Iterable[RowOutcome]) -> None:
+        for status, kind, place, words in outcomes:
+            self.statuses[status] += 1
             if kind is not None:
                 name = kind if place is None else f"{kind}: {place}"
                 self.errors[name] += 1
-                self.words.setdefault(name, words)
-        self.box_excesses.extend(pc.drop_null(table.column("box_excess")).to_pylist())
+                self.words.setdefault(name, words or "")
 
 
 def run(
@@ -74,7 +93,8 @@ def run(
     """Reconstruct every row of some files into a folder of Parquet parts.
 
     Rows that are in the folder already are not done again, so a run that was killed goes on. Whatever is wrong with a
-    row becomes its status; a row during which its worker dies is tried again, and given up the fourth time.
+    row becomes its status; a row during which its worker dies is tried again, and given up the fourth time. A run with
+    other settings makes place where each of its rows was refused or is an error.
 
     Args:
         sources: The files (`sources_of`).
@@ -99,11 +119,11 @@ def run(
     reconstructor.prior  # noqa: B018 - a prior that cannot be loaded is told before the workers start
     folder = Path(out)
     refuse_video(folder)
-    begin(folder, settings or {})
-    with claimed(folder):
+    with claimed(made(folder)):  # first: another run may be at rows that are worth something
+        anew = begin(folder, settings or {}, anew=lambda: Parts(folder).worthless())
         parts = Parts(folder)
         done = parts.done()
-        tally = Tally(sum(source.count() for source in sources))
+        tally = Tally(sum(source.count() for source in sources), anew=anew)
         batches = _batches(_left(sources, done, tally), batch_rows)
         report(tally)
         if ray is None:
@@ -122,13 +142,14 @@ def run(
     return tally
 
 
-def _left(sources: Sequence[InputFile], done: set[str], tally: Tally) -> Iterator[tuple[bool, dict[str, Any]]]:
+def _left(
+    sources: Sequence[InputFile], done: Mapping[str, Sequence[RowOutcome]], tally: Tally
+) -> Iterator[tuple[bool, dict[str, Any]]]:
     """The rows that are not done yet, and whether each is an image."""
     for source in sources:
         for row in map(storable, source.rows()):
-            if row["row_id"] in done:
-                tally.before += 1
-                tally.done += 1
+            if (outcomes := done.get(row["row_id"])) is not None:
+                tally.add_stored(outcomes)
             else:
                 yield source.is_picture, row
 

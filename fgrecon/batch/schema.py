@@ -55,6 +55,7 @@ def result_schema() -> Any:
         ("box", _NUMBERS),
         ("score", _NUMBER),
         ("box_excess", _NUMBER),
+        ("doubt", _TEXT),
         ("focal_sigma", _NUMBER),
         ("milliseconds", _NUMBER),
     ]

@@ -10,6 +10,7 @@ import typer
 from fgrecon.cli.common import check_output
 from fgrecon.cli.options import PRIORS, fitting_names
 from fgrecon.cli.terminal import Verbosity
+from fgrecon.core.text import counted
 
 __all__ = ["export_command"]
 
@@ -63,7 +64,8 @@ def export_command(
 
     PLY and GLB: surfaces and wireframes in the camera frame. CSV and Parquet: one row per vehicle. TXT: KITTI's result
     lines, in the frame of KITTI's labels where the results know it. JSON: nuScenes' detections, or COCO's keypoints
-    with cuboids. MCAP: Foxglove's scenes, or ROS 2's Detection3DArray. --verbose names the vehicles.
+    with cuboids. MCAP: Foxglove's scenes, or ROS 2's Detection3DArray, under an upright frame `map`. --verbose
+    names the vehicles.
 
     Of a video's run JSON and MCAP are made, with the times of the frames; its folder has tables already.
     """
@@ -87,5 +89,5 @@ def export_command(
     screen = terminal.screen()
     for vehicle in found:
         screen.detail(f"{vehicle.name}: {vehicle.result.status.value}")
-    screen.print(f"{len(found)} vehicle{'s' * (len(found) != 1)}.")
+    screen.print(f"{counted(len(found), 'vehicle')}.")
     screen.wrote(out)

@@ -46,12 +46,13 @@ def batch_command(
 ) -> None:
     """Reconstruct many vehicles: a row for each, in a folder of Parquet files that grows while the work goes on.
 
-    A run that was ended or killed goes on where it was when it is started again with the same folder. Whatever is wrong
+    A run that was ended or killed goes on where it was when it is started again with the same folder. With other
+    settings it begins anew where nothing at all was reconstructed, and else asks for another folder. Whatever is wrong
     with a vehicle is in its row (status, error), and the others go on. Cars in images and videos are found by the
     shipped networks. --verbose tells how often which error came.
 
-    Exit code 0: at least one vehicle was reconstructed, or all was done before; 1: none; 2: bad usage, or none since
-    every row is bad input.
+    Exit code 0: at least one vehicle of the inputs was reconstructed, now or before; 1: none; 2: bad usage, or none
+    since every row is bad input.
     """
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
@@ -60,6 +61,7 @@ def batch_command(
     from fgrecon.cli.settings import plain_camera, plain_settings
     from fgrecon.core.options import Options
     from fgrecon.core.reconstruction import Status
+    from fgrecon.core.text import counted
     from fgrecon.io.keypoints.names import parse_names
     from fgrecon.solve.box_check import boxes_off, boxes_warning
 
@@ -102,14 +104,19 @@ def batch_command(
             report=report,
         )
 
+    if tally.anew:
+        screen.note(f"{out} had a run with other settings that had reconstructed nothing: it was begun anew.")
     table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True)
     table.add_column("status")
     table.add_column("rows", justify="right")
     for status, count in sorted(tally.statuses.items()):
         table.add_row(status, str(count))
-    screen.print(table, f"{tally.done} of {tally.total} rows are done, {tally.before} of them before.")
+    verb = "is" if tally.total == 1 else "are"
+    screen.print(table, f"{tally.done} of {counted(tally.total, 'row')} {verb} done, {tally.before} of them before.")
     if (off := boxes_off(tally.box_excesses)) is not None:
         screen.warn(boxes_warning(off))
+    for line in tally.doubts.lines():
+        screen.warn(line)
     screen.wrote(out)
     solved = {status.value for status in Status if status is not Status.FAILED}
     if not tally.statuses or solved & set(tally.statuses):

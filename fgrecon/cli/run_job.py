@@ -19,6 +19,7 @@ from fgrecon.core.camera import DEFAULT_FIELD_OF_VIEW, Camera
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import Options
+from fgrecon.core.text import counted
 from fgrecon.io.files import check_ending
 from fgrecon.io.frames import (
     DEFAULT_RATE,
@@ -230,7 +231,9 @@ def _found(
             "assumed, and distances are rough. Give --camera or --intrinsics."
         )
         return unknown
-    screen.warn(about_camera(found.camera, None, f"{found.vehicles} cars of {found.images} frames"))
+    screen.warn(
+        about_camera(found.camera, None, f"{counted(found.vehicles, 'car')} of {counted(found.images, 'frame')}")
+    )
     return found.camera
 
 

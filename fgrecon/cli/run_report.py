@@ -14,10 +14,12 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from fgrecon.cli.deliver import Viewer
+from fgrecon.cli.doubts import about_video
 from fgrecon.cli.run_film import Showing, film, recorded, still
 from fgrecon.cli.run_job import Job
 from fgrecon.cli.settings import plain_camera, plain_settings
 from fgrecon.cli.terminal import Screen
+from fgrecon.core.text import counted
 from fgrecon.io.export.files import export_rows
 from fgrecon.io.files import write_text
 from fgrecon.io.frames import SourceFrame
@@ -53,7 +55,7 @@ def perform(job: Job, viewer: Viewer, screen: Screen) -> VideoRun:
         def report(run: VideoRun, frame: SourceFrame | None) -> None:
             show(run.frames[-1], frame)
             gaps = f", {len(run.gaps)} gaps" if run.gaps else ""
-            advance("Frames", len(run.frames), run.total, f"{len(run.frames[-1].boxes)} cars now{gaps}")
+            advance("Frames", len(run.frames), run.total, f"{counted(len(run.frames[-1].boxes), 'car')} now{gaps}")
 
         run = run_video(
             job.source,
@@ -68,6 +70,9 @@ def perform(job: Job, viewer: Viewer, screen: Screen) -> VideoRun:
         )
     if isinstance(tracker, Tracker) and (off := tracker.boxes_off()) is not None:
         screen.warn(boxes_warning(off))
+    if given is not None and not given.cuboids:  # keypoints, and no boxes in which the network has found them
+        for line in about_video(run.frames, job.camera):
+            screen.warn(line)
     return run
 
 
@@ -116,7 +121,7 @@ def write(job: Job, run: VideoRun, screen: Screen) -> None:
     """Write tables and frames, each whole; where wanted a picture and, if the run was not stopped, the video."""
     out = job.request.out
     write_text(out / "tracks.txt", tracking_text(run.frames, job.label_offset))
-    write_text(out / "frames.jsonl", "".join(frame_lines(run.frames)))
+    write_text(out / "frames.jsonl", "".join(frame_lines(run.frames, job.settings.ground)))
     if rows := rows_of(run.frames):
         export_rows(out / "tracks.csv", rows)
         export_rows(out / "tracks.parquet", rows_of(run.frames, flat=False))
@@ -147,7 +152,8 @@ def in_words(run: VideoRun) -> str:
     before = f"; {run.before} were looked at before" if run.before else ""
     how = "smoothed" if run.smoothed else "each estimate as of its frame"
     went = "" if run.way is None else f"; the camera went {run.way:.1f} m"
-    return f"{len(run.frames)} frames{gaps}, {len(run.tracks)} cars, {run.estimates} estimates, {how}{went}{before}."
+    parts = (counted(len(run.frames), "frame") + gaps, counted(len(run.tracks), "car"))
+    return f"{', '.join(parts)}, {counted(run.estimates, 'estimate')}, {how}{went}{before}."
 
 
 def details(run: VideoRun) -> list[str]:

@@ -338,14 +338,15 @@ def _video(path: Path, choice: _Choice) -> VideoFrames:
     try:
         with av.open(str(path)) as container:
             if not container.streams.video:
-                raise InvalidInputError("source", f"{path}, without pictures", "Give a video.")
+                raise InvalidInputError("source", str(path), "Give a video: this file has no pictures.")
             stream = container.streams.video[0]
             rate = stream.average_rate or stream.guessed_rate
             known = stream.frames
             if not known and rate and container.duration:
                 known = round(container.duration / av.time_base * float(rate))
     except av.error.FFmpegError as error:
-        raise InvalidInputError("source", f"{path} ({error.strerror})", "Give a video that FFmpeg reads.") from error
+        fix = f"Give a video that FFmpeg reads ({error.strerror})."
+        raise InvalidInputError("source", str(path), fix) from error
     if not known:
         return VideoFrames(path, None, choice)
     last = known if choice.end is None or not rate else min(known, round(choice.end * float(rate)))

@@ -99,7 +99,7 @@ def _mesh(file: Path, category: Category, turn: NDArray[np.float64]) -> VehicleM
     except OSError as error:
         raise InvalidInputError("models", str(file), f"Give a file that can be read ({error.strerror}).") from error
     except Exception as error:  # trimesh promises no kind of error for damaged content
-        raise InvalidInputError("models", f"{file}: {error}", fix) from error
+        raise InvalidInputError("models", str(file), f"{fix} The reason: {error}") from error
     vertices = _checked(vertices, faces, str(file), fix) @ turn.T
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     origin = np.array([(low[0] + high[0]) / 2, high[1], (low[2] + high[2]) / 2])
@@ -141,10 +141,10 @@ def _archive(file: Path, category: Category) -> Iterator[VehicleMesh]:
 def _checked(vertices: NDArray[np.float64], faces: NDArray[np.int64], where: str, fix: str) -> NDArray[np.float64]:
     """The vertices of a mesh that is as large as a vehicle."""
     if not len(vertices) or not len(faces) or faces.min() < 0 or faces.max() >= len(vertices):
-        raise InvalidInputError("models", f"{where}: {len(vertices)} vertices, {len(faces)} triangles", fix)
+        raise InvalidInputError(f"models: {where}", f"{len(vertices)} vertices, {len(faces)} triangles", fix)
     if not np.isfinite(vertices).all():
-        raise InvalidInputError("models", f"{where}: a vertex that is not finite", fix)
+        raise InvalidInputError(f"models: {where}", "a vertex that is not finite", fix)
     longest = float(np.ptp(vertices[np.unique(faces)], axis=0).max())
     if not _SIZES[0] <= longest <= _SIZES[1]:
-        raise InvalidInputError("models", f"{where}: {longest:.4g} long", _METRES)
+        raise InvalidInputError(f"models: {where}", f"{longest:.4g} long", _METRES)
     return vertices

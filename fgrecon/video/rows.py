@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.camera import Ground
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.plain import plain
 from fgrecon.core.reconstruction import Reconstruction
@@ -102,8 +103,14 @@ def _line(frame: TrackedFrame, identity: int, offset: Array) -> list[float]:
     return [_UNKNOWN, _UNKNOWN, alpha, *frame.boxes[identity], *size, *place, yaw, frame.scores[identity]]
 
 
-def frame_lines(frames: Sequence[TrackedFrame]) -> Iterator[str]:
-    """A JSON line for each frame, those without a vehicle and those that could not be read included."""
+def frame_lines(frames: Sequence[TrackedFrame], ground: Ground | None = None) -> Iterator[str]:
+    """A JSON line for each frame, those without a vehicle and those that could not be read included.
+
+    Args:
+        frames: The frames.
+        ground: The ground plane in the camera's frame, or None.
+    """
+    plane = None if ground is None else {"normal": ground.normal.tolist(), "distance": ground.distance}
     for frame in frames:
         content = {
             "format": FRAME_FORMAT,
@@ -112,6 +119,7 @@ def frame_lines(frames: Sequence[TrackedFrame]) -> Iterator[str]:
             "name": frame.name,
             "problem": frame.problem,
             "world_T_camera": plain(frame.world_T_camera),
+            "ground": plane,
             "vehicles": [_vehicle(frame, identity) for identity in sorted(frame.boxes)],
         }
         yield json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n"

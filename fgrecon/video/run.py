@@ -152,7 +152,7 @@ class _Looked:
         self._records = Parts(out / RECORDS, record_schema())
         self.stored = [from_row(row) for row in self._records.rows_in_order()]
         if motion is not None:
-            begin(out / MOTIONS, {**settings, **motion.settings}, FORMAT, anew=True)
+            begin(out / MOTIONS, {**settings, **motion.settings}, FORMAT, anew=lambda: True)
             self._motions = Parts(out / MOTIONS, motion_schema())
             self._moved = {row["row_id"]: motion_from_row(row) for row in self._motions.rows_in_order()}
 

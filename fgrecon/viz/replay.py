@@ -171,9 +171,9 @@ def _read(path: Path) -> Replay:
             found.setdefault(vehicle, _Found()).add(within, columns)
         read = {name: part.replay() for name, part in sorted(found.items())}
     except (RuntimeError, ValueError, LookupError, TypeError, OSError) as error:  # rows may be empty or null
-        raise InvalidInputError("recording", f"{path}: {error}", _FIX) from error
+        raise InvalidInputError("recording", str(path), f"{_FIX} The reason: {error}") from error
     if not any(part.log for part in read.values()):
-        raise InvalidInputError("recording", f"{path} holds no log of fgrecon", _FIX)
+        raise InvalidInputError("recording", str(path), f"{_FIX} This one holds no log of it.")
     own = read.pop("", _Found().replay())
     return replace(own, vehicles=read)
 

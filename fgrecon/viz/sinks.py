@@ -179,8 +179,8 @@ def check_viewer(address: str) -> tuple[str, int]:
         raise InvalidInputError("connect", address, "Give host:port, such as 127.0.0.1:9876.")
     port = int(text)
     if not _listens(host, port):
-        fix = f"Start a viewer there first: rerun --bind {LOOPBACK} --port {port}."
-        raise InvalidInputError("connect", f"{address}, where no viewer listens", fix)
+        fix = f"Start a viewer there first, since none listens: rerun --bind {LOOPBACK} --port {port}."
+        raise InvalidInputError("connect", address, fix)
     return host, port
 
 

@@ -67,6 +67,10 @@ def test_a_folder_is_for_one_kind_of_run(cars, tmp_path):
     other = batch(few, "--out", tmp_path / "out", "--size-prior", "kitti")
     assert isinstance(other.exception, InvalidInputError)
     assert "other settings" in str(other.exception)
+    deep = tmp_path / ("a" * 100) / ("b" * 100)
+    assert batch(few, "--out", deep).exit_code == 0
+    named = str(batch(few, "--out", deep, "--size-prior", "kitti").exception)
+    assert "this one has a run with other settings (size_prior)" in named, "however long its path is"
     (tmp_path / "out" / "_run.json").unlink()
     assert "no _run.json" in str(batch(few, "--out", tmp_path / "out").exception)
 
@@ -182,6 +186,38 @@ def test_where_nothing_is_solved_the_commonest_errors_say_what_to_do(tmp_path):
     said = done.stderr.partition("No vehicle could be reconstructed.\n")[2].splitlines()
     assert said[0] == "fgrecon: 3 x intrinsics: got nothing. Give K with the row, or a camera for all of them."
     assert len(said) == 3
+
+
+def test_a_run_that_reconstructed_nothing_makes_place_for_other_settings(tmp_path):
+    """Its exit code stays the same as long as the command does."""
+    bare = [{"keypoints": one["keypoints"], "id": str(n)} for n, one in enumerate(instances(2))]  # no camera
+    file, out = write_lines(tmp_path / "bare.jsonl", bare), tmp_path / "out"
+    first, again = (batch(file, "--out", out) for _ in range(2))
+    assert (first.exit_code, again.exit_code) == (2, 2)
+    assert "2 of 2 rows are done, 2 of them before." in again.stdout
+    assert first.stderr == again.stderr
+    assert "2 x intrinsics: got nothing" in again.stderr
+    camera = "--intrinsics=721.5,721.5,609.6,172.9"
+    mended = batch(file, "--out", out, camera)
+    assert mended.exit_code == 0, mended.output
+    assert "2 of 2 rows are done, 0 of them before." in mended.stdout
+    assert "begun anew" in " ".join(mended.stderr.split())
+    assert all(row["x"] is not None for row in results(out).values())
+    for extra in ([], [camera, "--size-prior", "kitti"]):
+        assert "other settings" in str(batch(file, "--out", out, *extra).exception), "these are worth something"
+    assert batch(file, "--out", out, camera).exit_code == 0
+
+
+def test_what_another_run_is_at_is_not_thrown_away(tmp_path):
+    pytest.importorskip("fcntl")
+    from fgrecon.batch.parts import claimed
+
+    bare = write_lines(tmp_path / "bare.jsonl", [{"keypoints": instances(1)[0]["keypoints"]}])
+    assert batch(bare, "--out", tmp_path / "out").exit_code == 2
+    with claimed(tmp_path / "out"):
+        refused = batch(bare, "--out", tmp_path / "out", "--intrinsics=700,700,600,170")
+    assert "going on" in str(refused.exception)
+    assert len(results(tmp_path / "out")) == 1
 
 
 class Copying(Reconstructor):

@@ -1,6 +1,7 @@
 """`fgrecon batch` on other programs' files and names: the vehicles that `fgrecon reconstruct` makes of them."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -102,3 +103,26 @@ def test_boxes_that_are_all_too_large_are_told_of(tmp_path, factor, told):
     assert ("larger than their vehicles look" in " ".join(done.output.split())) == told
     excesses = pq.read_table(tmp_path / "out").column("box_excess").to_pylist()
     assert (np.median(excesses) > 0.05) == told
+
+
+def test_one_is_told_as_one(tmp_path):
+    (file := tmp_path / "one.json").write_text(json.dumps([car() | {"frame": 0}]))
+    said = " ".join(run("batch", file, INTRINSICS, "--out", tmp_path / "out").stdout.split())
+    assert "1 of 1 row is done, 0 of them before." in said
+    said = " ".join(run("run", file, INTRINSICS, "--out", tmp_path / "run", "--fps", 10).stdout.split())
+    assert "1 frame, 1 car, 1 estimate, " in said
+
+
+@pytest.mark.parametrize(("cars", "images", "told"), [(1, 1, "1 car of 1 frame"), (5, 2, "5 cars of 2 frames")])
+def test_the_cars_that_tell_the_camera_are_counted(monkeypatch, cars, images, told):
+    from fgrecon.cli import run_job
+    from fgrecon.video.focal import FoundCamera
+
+    found = FoundCamera(CAMERA, cars, images)
+    monkeypatch.setattr(run_job, "found_camera", lambda *_, **__: found)
+    monkeypatch.setattr(run_job, "_look", lambda *_: None)
+    said = []
+    screen = SimpleNamespace(warn=said.append)
+    settings = SimpleNamespace(prior=None, size_prior=None, options=None, ground=None)
+    assert run_job._found(None, None, None, settings, CAMERA, screen) is CAMERA
+    assert told in said[0]

@@ -3,10 +3,12 @@
 import json
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
 from fgrecon.cli import main
+from fgrecon.core.doubts import Doubt, Doubts
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_category
 
@@ -69,6 +71,65 @@ def test_images_of_a_track(tmp_path, cars):
     track["frames"][0]["keypoints_uv"] = [point[::-1] for point in track["frames"][0]["keypoints_uv"]]
     (tmp_path / "track.json").write_text(json.dumps(track))
     assert "Warning: track: Most keypoints of " in " ".join(run("track", tmp_path / "track.json").stderr.split())
+
+
+@pytest.fixture
+def many(tmp_path, cars):
+    """A file of nine vehicles in nine frames, the keypoints of all of them changed."""
+
+    def make(change, name="many.json"):
+        instances = []
+        for number in range(9):
+            _, rows, box = cars[number % len(cars)]
+            points = [
+                None if np.isnan(point[0]) else [*uv, point[2]]
+                for point, uv in zip(rows.tolist(), change(rows[:, :2]).tolist(), strict=True)
+            ]
+            instances.append({"id": f"v{number}", "frame": number, "keypoints": points, "box": box.tolist()})
+        (tmp_path / name).write_text(json.dumps({"K": K, "image_size": [1242, 375], "instances": instances}))
+        return tmp_path / name
+
+    return make
+
+
+CHANGES = [
+    (lambda points: points / [1242, 375], "All keypoints of v0, v1, v2 and 6 more lie between 0 and 1"),
+    (lambda points: points[::-1], "Hardly a keypoint of v0, v2, v3 and 3 more fits"),
+    (lambda points: points, None),
+]
+
+
+@pytest.mark.parametrize(("change", "told"), CHANGES)
+def test_of_many_it_is_told_once_with_their_number(tmp_path, many, change, told):
+    done = run("batch", many(change), "--out", tmp_path / "out", "--jobs", 1)
+    said = " ".join(done.stderr.split())
+    if told is None:
+        assert "Warning" not in said
+        assert pq.read_table(tmp_path / "out").column("doubt").null_count == 9
+    else:
+        assert said.count(told) == 1
+        assert said.count("Warning") == 1
+
+
+@pytest.mark.parametrize(("change", "told"), CHANGES)
+def test_of_a_video_too(tmp_path, many, change, told):
+    done = run("run", many(change), "--out", tmp_path / "out", "--fps", 10)
+    said = " ".join(done.stderr.split())
+    if told is None:
+        assert "keypoint" not in said
+    else:
+        assert said.count(told.partition("v0")[0]) == 1
+        assert " in " in said
+        assert " more " in said
+
+
+def test_of_a_hundred_thousand_three_names_are_kept():
+    doubts = Doubts()
+    for number in range(100_000):
+        doubts.add(str(number), Doubt.BESIDE)
+    assert doubts.names == {Doubt.BESIDE: ["0", "1", "2"]}
+    (line,) = doubts.lines()
+    assert "of 0, 1, 2 and 99997 more lie beside" in line
 
 
 def test_boxes_of_another_kind(tmp_path, cars):

@@ -93,7 +93,8 @@ def export(out, name, *options):
 def test_its_frames_are_exported_at_their_times(whole):
     reader = pytest.importorskip("mcap.reader", reason="mcap is not installed: pip install fgrecon[mcap]")
     out, _ = whole
-    messages = list(reader.make_reader(io.BytesIO(export(out, "w.mcap", "--format", "foxglove"))).iter_messages())
+    content = io.BytesIO(export(out, "w.mcap", "--format", "foxglove"))
+    messages = list(reader.make_reader(content).iter_messages("/fgrecon/scene"))
     frames = [json.loads(text) for text in (out / "frames.jsonl").read_text().splitlines()]
     assert [m.log_time for _, _, m in messages] == [round(frame["time"] * 1e9) for frame in frames]
     entities = [json.loads(m.data)["entities"] for _, _, m in messages]

@@ -127,7 +127,7 @@ def test_coco_without_knowing_anything(cars, tmp_path):
 def test_foxglove(cars, images, tmp_path):
     reader = pytest.importorskip("mcap.reader", reason="mcap is not installed: pip install fgrecon[mcap]")
     content = export(tmp_path / "f.mcap", cars, "foxglove", images).read_bytes()
-    found = list(reader.make_reader(io.BytesIO(content)).iter_messages())
+    found = list(reader.make_reader(io.BytesIO(content)).iter_messages("/fgrecon/scene"))
     assert [message.log_time for _, _, message in found] == [2_500_000_000, 3_250_000_000]
     schema, channel, message = found[0]
     assert (schema.name, schema.encoding) == ("foxglove.SceneUpdate", "jsonschema")
@@ -150,7 +150,7 @@ def test_an_image_without_a_vehicle_has_a_message_without_one(cars, images, tmp_
     reader = pytest.importorskip("mcap.reader", reason="mcap is not installed: pip install fgrecon[mcap]")
     known = {"folder/c.png": ImageInfo(timestamp=3.0), "d": ImageInfo(), **images}
     content = export(tmp_path / "f.mcap", cars, "foxglove", known).read_bytes()
-    found = [message for _, _, message in reader.make_reader(io.BytesIO(content)).iter_messages()]
+    found = [message for _, _, message in reader.make_reader(io.BytesIO(content)).iter_messages("/fgrecon/scene")]
     assert [message.log_time for message in found] == [2_500_000_000, 3_000_000_000, 3_250_000_000]
     assert [len(json.loads(message.data)["entities"]) for message in found] == [2, 0, 1]
     assert len(json.loads(found[1].data)["deletions"]) == 1
@@ -159,7 +159,8 @@ def test_an_image_without_a_vehicle_has_a_message_without_one(cars, images, tmp_
 def test_ros_2(cars, tmp_path):
     reader = pytest.importorskip("mcap_ros2.reader", reason="mcap-ros2-support is not installed")
     content = export(tmp_path / "r.mcap", cars, "vision_msgs").read_bytes()
-    first, second = (found.ros_msg for found in reader.read_ros2_messages(io.BytesIO(content)))
+    told = reader.read_ros2_messages(io.BytesIO(content), topics=["/fgrecon/detections"])
+    first, second = (found.ros_msg for found in told)
     assert (second.header.stamp.sec, second.header.stamp.nanosec) == (0, 100_000_000)
     assert (first.header.frame_id, [found.id for found in first.detections]) == ("camera", ["a:0", "a:1"])
     result, detection = cars[0].result, first.detections[0]

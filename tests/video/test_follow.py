@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fgrecon.core.camera import Ground
+from fgrecon.io.export import read_video_frames
 from fgrecon.io.poses import CameraPoses
 from fgrecon.simulation import KITTI_CAMERA
 from fgrecon.video import Follower, GatedAssociation, SingleImages
@@ -175,3 +176,15 @@ def test_a_vehicle_is_of_the_kind_that_most_of_its_frames_gave():
     assert [row["kind"] for row in rows_of(last)] == ["Van", "Car"]
     (line,) = frame_lines(last)
     assert [vehicle["kind"] for vehicle in json.loads(line)["vehicles"]] == ["Van", "Car"]
+
+
+def test_lines_of_frames_tell_the_ground_to_exports(tmp_path):
+    (seen, *_) = simulated(1, seeds=(7,))[0]
+    frame = follower()(record(0, Sighting(seen.box, 1.0, 3, seen)))
+    for told in (Ground(np.array([0.0, 1.0, 0.1]), 1.5), None):
+        (file := tmp_path / "frames.jsonl").write_text("".join(frame_lines([frame], told)))
+        ((vehicle,), _) = read_video_frames(file)
+        if told is None:
+            assert vehicle.ground is None
+        else:
+            np.testing.assert_allclose([*vehicle.ground.normal, vehicle.ground.distance], [*told.normal, told.distance])

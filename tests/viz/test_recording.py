@@ -321,17 +321,19 @@ def test_an_image_of_another_kind_is_refused(example: Example, tmp_path: Path, i
 
 
 def test_reading_something_else_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "text.rrd").write_text("no recording")
-    for name in ("text.rrd", "absent.rrd"):
-        with pytest.raises(InvalidInputError, match="recording"):
+    for name in ("text.rrd", f"{'long' * 50}.rrd"):
+        (tmp_path / name).write_text("no recording")
+        with pytest.raises(InvalidInputError, match=r"recording: got .*The reason: \S"):
             replay.read(tmp_path / name)
+    with pytest.raises(InvalidInputError, match="recording"):
+        replay.read(tmp_path / "absent.rrd")
 
 
 @pytest.mark.parametrize("level", [[["INFO"], []], [["INFO"], None], [["INFO"]]])
 def test_a_recording_whose_rows_are_empty_or_null_is_refused(monkeypatch: pytest.MonkeyPatch, level: object) -> None:
     columns = {"TextLog:text": [["one"], ["two"]], "TextLog:level": level, entities.STEP: [0, 1]}
     monkeypatch.setattr("fgrecon.viz.replay._chunks", lambda _: [(entities.LOG, columns)])
-    with pytest.raises(InvalidInputError, match=r"a\.rrd"):
+    with pytest.raises(InvalidInputError, match=r"a\.rrd.*The reason: "):
         _read(Path("a.rrd"))
 
 

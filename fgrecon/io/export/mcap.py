@@ -1,7 +1,8 @@
 """Results as MCAP: Foxglove's `SceneUpdate` to look at, ROS 2's `vision_msgs/Detection3DArray` to work with.
 
 A message for each image, at its time, else ten images a second. Boxes have the axes x forward, y left, z up. Their
-frame is `world` where the camera's pose is known, else `camera` (x right, y down, z forward).
+frame is `world` where the camera's pose is known, else `camera` (x right, y down, z forward). Both are in `map`, which
+is upright (`fgrecon.io.export.upright`): topic `/tf`, before each image.
 """
 
 from __future__ import annotations
@@ -15,13 +16,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.camera import Ground
 from fgrecon.core.errors import MissingPackageError
 from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.sides import SURFACE
 from fgrecon.io.export.frames import EVERY, ImageInfo, box_in, by_image, info_of, plain_quaternion, plain_vector, score
-from fgrecon.io.export.messages import DETECTIONS, SCENE_UPDATE
+from fgrecon.io.export.messages import DETECTIONS, FRAME_TRANSFORMS, SCENE_UPDATE, TRANSFORMS
 from fgrecon.io.export.results import NamedResult
+from fgrecon.io.export.upright import CAMERA, MAP, WORLD, FrameTransform, transforms
 
 __all__ = ["detections_bytes", "pose_covariance", "scene_bytes"]
 
@@ -31,6 +34,7 @@ _LINE_LIST = 2  # pairs of points
 _CAR = "car"
 
 Array = NDArray[np.float64]
+_Moment = tuple[int, ImageInfo, list[NamedResult]]
 
 
 def scene_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> bytes:
@@ -49,7 +53,12 @@ def scene_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageInfo])
     content = json.dumps(SCENE_UPDATE).encode()
     schema = writer.register_schema("foxglove.SceneUpdate", "jsonschema", content)
     channel = writer.register_channel("/fgrecon/scene", "json", schema)
-    for time, info, items in _moments(results, images):
+    content = json.dumps(FRAME_TRANSFORMS).encode()
+    schema = writer.register_schema("foxglove.FrameTransforms", "jsonschema", content)
+    frames = writer.register_channel("/tf", "json", schema)
+    for (time, info, items), placed in _with_transforms(_moments(results, images)):
+        data = json.dumps({"transforms": [_placed(one, time) for one in placed]}, allow_nan=False).encode()
+        writer.add_message(frames, log_time=time, data=data, publish_time=time)
         entities = [_entity(item, info, time) for item in items]
         clear = {"timestamp": _time(time, "nsec"), "type": 1, "id": ""}  # vehicles of the image before
         data = json.dumps({"deletions": [clear], "entities": entities}, allow_nan=False).encode()
@@ -74,7 +83,10 @@ def detections_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageI
     sink = io.BytesIO()
     writer = Writer(sink)
     schema = writer.register_msgdef("vision_msgs/msg/Detection3DArray", DETECTIONS)
-    for number, (time, info, items) in enumerate(_moments(results, images)):
+    frames = writer.register_msgdef("tf2_msgs/msg/TFMessage", TRANSFORMS)
+    for number, ((time, info, items), placed) in enumerate(_with_transforms(_moments(results, images))):
+        stamped = {"transforms": [_stamped(one, time) for one in placed]}
+        writer.write_message("/tf", frames, stamped, time, time, number)
         header = {"stamp": _time(time, "nanosec"), "frame_id": _frame(info)}
         message = {"header": header, "detections": [_detection(item, info, header) for item in items]}
         writer.write_message("/fgrecon/detections", schema, message, time, time, number)
@@ -82,9 +94,7 @@ def detections_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageI
     return sink.getvalue()
 
 
-def _moments(
-    results: Sequence[NamedResult], images: Mapping[str, ImageInfo]
-) -> Iterator[tuple[int, ImageInfo, list[NamedResult]]]:
+def _moments(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> Iterator[_Moment]:
     """Time in nanoseconds, what is known of the image, and vehicles, of every image.
 
     Images without vehicles whose times are known are among them: what was seen before is gone there.
@@ -102,12 +112,42 @@ def _moments(
     yield from sorted(moments, key=lambda moment: moment[0])
 
 
+def _with_transforms(moments: Iterator[_Moment]) -> Iterator[tuple[_Moment, list[FrameTransform]]]:
+    """Each moment with the frames at it."""
+    every = list(moments)
+    grounds = [next((item.ground for item in items if item.ground is not None), None) for _, _, items in every]
+    any_ground: Ground | None = next((ground for ground in grounds if ground is not None), None)
+    known = [(info.world_T_camera, ground or any_ground) for (_, info, _), ground in zip(every, grounds, strict=True)]
+    yield from zip(every, transforms(known), strict=True)
+
+
+def _placed(one: FrameTransform, time: int) -> dict[str, Any]:
+    """Where a frame is, in Foxglove."""
+    return {
+        "timestamp": _time(time, "nsec"),
+        "parent_frame_id": MAP,
+        "child_frame_id": one.child,
+        "translation": plain_vector(one.map_T_child[:3, 3]),
+        "rotation": plain_quaternion(one.map_T_child[:3, :3]),
+    }
+
+
+def _stamped(one: FrameTransform, time: int) -> dict[str, Any]:
+    """Where a frame is, in ROS 2."""
+    told = _placed(one, time)
+    return {
+        "header": {"stamp": _time(time, "nanosec"), "frame_id": MAP},
+        "child_frame_id": one.child,
+        "transform": {"translation": told["translation"], "rotation": told["rotation"]},
+    }
+
+
 def _time(nanoseconds: int, rest: str) -> dict[str, int]:
     return {"sec": nanoseconds // _NANO, rest: nanoseconds % _NANO}
 
 
 def _frame(info: ImageInfo) -> str:
-    return "camera" if info.world_T_camera is None else "world"
+    return CAMERA if info.world_T_camera is None else WORLD
 
 
 def _pose(info: ImageInfo, camera_T_object: Array, size: Array) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["DETECTIONS", "SCENE_UPDATE"]
+__all__ = ["DETECTIONS", "FRAME_TRANSFORMS", "SCENE_UPDATE", "TRANSFORMS"]
 
 
 def _object(**properties: Any) -> dict[str, Any]:
@@ -51,6 +51,22 @@ SCENE_UPDATE: Mapping[str, Any] = {
 }
 """JSON schema of `foxglove.SceneUpdate`."""
 
+FRAME_TRANSFORMS: Mapping[str, Any] = {
+    "title": "foxglove.FrameTransforms",
+    **_object(
+        transforms=_list(
+            _object(
+                timestamp=_TIME,
+                parent_frame_id=_TEXT,
+                child_frame_id=_TEXT,
+                translation=_VECTOR,
+                rotation=_POSE["properties"]["orientation"],
+            )
+        )
+    ),
+}
+"""JSON schema of `foxglove.FrameTransforms`."""
+
 _DEFINITIONS = {
     "": "std_msgs/Header header\nvision_msgs/Detection3D[] detections",
     "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
@@ -73,5 +89,29 @@ _DEFINITIONS = {
 
 _RULE = f"\n{80 * '='}\n"
 
-DETECTIONS = _RULE.join(f"MSG: {name}\n{text}" if name else text for name, text in _DEFINITIONS.items())
-"""Definition of `vision_msgs/msg/Detection3DArray` (vision_msgs 4), with those that it is made of."""
+_OF_TRANSFORMS = {
+    "": "geometry_msgs/TransformStamped[] transforms",
+    "geometry_msgs/TransformStamped": (
+        "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform"
+    ),
+    "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation",
+    **{
+        name: _DEFINITIONS[name]
+        for name in (
+            *("std_msgs/Header", "builtin_interfaces/Time"),
+            *("geometry_msgs/Vector3", "geometry_msgs/Quaternion"),
+        )
+    },
+}
+
+
+def _text(definitions: Mapping[str, str]) -> str:
+    """A definition, with those that it is made of."""
+    return _RULE.join(f"MSG: {name}\n{text}" if name else text for name, text in definitions.items())
+
+
+DETECTIONS = _text(_DEFINITIONS)
+"""Definition of `vision_msgs/msg/Detection3DArray` (vision_msgs 4)."""
+
+TRANSFORMS = _text(_OF_TRANSFORMS)
+"""Definition of `tf2_msgs/msg/TFMessage`."""

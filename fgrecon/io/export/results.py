@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.brief import brief_repr
-from fgrecon.core.camera import Camera
+from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import COMPACT, FORMAT, Reconstruction
@@ -20,7 +20,7 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.io.export.surfaces import Surfaces
 from fgrecon.io.json_fields import read_json
 
-__all__ = ["NamedResult", "read_results"]
+__all__ = ["NamedResult", "ground_of", "read_results"]
 
 _ONE = (FORMAT, COMPACT)
 _MANY = ("fgrecon.reconstructions/2", "fgrecon.track/2", "fgrecon.reconstructions/1", "fgrecon.track/1")
@@ -39,6 +39,7 @@ class NamedResult:
             None.
         image: Name of the image; empty where the file has only one.
         camera: The camera that took it, or None.
+        ground: The ground plane in its frame that the settings tell, or None.
     """
 
     name: str
@@ -47,6 +48,7 @@ class NamedResult:
     label_offset: NDArray[np.float64] | None = None
     image: str = ""
     camera: Camera | None = None
+    ground: Ground | None = None
 
     __repr__ = brief_repr
 
@@ -78,9 +80,10 @@ def read_results(path: str | Path, prior: ShapePrior | str | Path | None = None)
         if kind == _DEMO:
             return [NamedResult("demo", Reconstruction.from_dict(data["result"]))]
         if kind in _MANY:
-            surfaces = Surfaces(data.get("settings", {"prior": None}), given)
+            settings = data.get("settings", {"prior": None})
+            surfaces, grounds = Surfaces(settings, given), _grounds(data, settings)
             solved = [entry for entry in data["instances"] if entry["result"] is not None]
-            return [_named(entry, surfaces, of_track="tracks" in data) for entry in solved]
+            return [_named(entry, surfaces, grounds, of_track="tracks" in data) for entry in solved]
     except InvalidInputError as error:
         raise InvalidInputError(f"{path}: {error.field}", error.value, error.fix) from error
     except (LookupError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
@@ -89,18 +92,41 @@ def read_results(path: str | Path, prior: ShapePrior | str | Path | None = None)
     raise InvalidInputError(f"{path}: format", kind, fix)
 
 
-def _named(entry: dict[str, Any], surfaces: Surfaces, *, of_track: bool) -> NamedResult:
+def ground_of(settings: Mapping[str, Any]) -> Ground | None:
+    """The ground plane among settings as files have them, or None.
+
+    Raises:
+        InvalidInputError: It is none.
+    """
+    told = settings.get("ground")
+    return None if told is None else Ground(np.array(told["normal"]), told["distance"])
+
+
+def _grounds(data: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str | None, Ground | None]:
+    """The ground of each image by its name, None for that of all others: found by its vehicles, else told."""
+    scenes: list[Mapping[str, Any]] = data.get("scenes") or []
+    told = ground_of(settings)
+    if len(scenes) == 1:
+        return {None: ground_of(scenes[0]) or told}
+    return {None: told} | {scene["image"]: ground_of(scene) or told for scene in scenes}
+
+
+def _named(
+    entry: dict[str, Any], surfaces: Surfaces, grounds: Mapping[str | None, Ground | None], *, of_track: bool
+) -> NamedResult:
     """A vehicle; `IMAGE:VEHICLE` names its image, and an image of a track has one."""
     result = surfaces.complete(Reconstruction.from_dict(entry["result"]))
     box, labelled = entry.get("box"), entry.get("location_in_label_frame")
     name = str(entry["id"])
+    image = name if of_track else name.rpartition(":")[0]
     return NamedResult(
         name=name,
         result=result,
         box=None if box is None else as_finite("box", box, (4,)),
         label_offset=None if labelled is None else result.location - as_finite("location", labelled, (3,)),
-        image=name if of_track else name.rpartition(":")[0],
+        image=image,
         camera=_camera(entry.get("camera")),
+        ground=grounds.get(image, grounds[None]),
     )
 
 

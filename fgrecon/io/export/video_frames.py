@@ -12,7 +12,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.io.export.files import check_format
 from fgrecon.io.export.frames import ImageInfo, info_of
-from fgrecon.io.export.results import NamedResult
+from fgrecon.io.export.results import NamedResult, ground_of
 from fgrecon.io.json_fields import parse_json
 
 __all__ = ["check_video_format", "frames_file", "read_video_frames"]
@@ -86,7 +86,7 @@ def _add(frame: Any, results: list[NamedResult], infos: dict[str, ImageInfo]) ->
     for vehicle in frame["vehicles"]:
         if vehicle["result"] is not None:
             result, box = Reconstruction.from_dict(vehicle["result"]), as_finite("box", vehicle["box"], (4,))
-            results.append(NamedResult(str(vehicle["id"]), result, box, image=image))
+            results.append(NamedResult(str(vehicle["id"]), result, box, image=image, ground=ground_of(frame)))
 
 
 def _with(own: ImageInfo, told: ImageInfo) -> ImageInfo:

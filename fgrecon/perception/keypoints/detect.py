@@ -270,7 +270,8 @@ def _of_file(path: Path, kind: type[S], sizes: Mapping[str, int]) -> S:
     try:
         return kind(**sizes)
     except TypeError as error:
-        raise InvalidInputError("weights", f"{path}: {error}", "Give a network of this version.") from error
+        fix = f"Give a network of this version ({error})."
+        raise InvalidInputError("weights", str(path), fix) from error
 
 
 def detect_keypoints(image: NDArray[Any], boxes: ArrayLike) -> list[Observation]:

@@ -186,7 +186,7 @@ def load_arrays(path: Path) -> Stored:
     except InvalidInputError:
         raise
     except (SafetensorError, OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise InvalidInputError("weights", f"{path}: {error}", fix) from error
+        raise InvalidInputError("weights", str(path), f"{fix} The reason: {error}") from error
 
 
 def check_arrays(arrays: Mapping[str, NDArray[Any]], shapes: Mapping[str, tuple[int, ...]], path: Path) -> None:

@@ -161,9 +161,8 @@ class NetworkDetector:
             found.shape[1] for found in self._network(np.zeros((1, 3, _LEAST_SIDE, _LEAST_SIDE), np.float32))
         )
         if channels != self.settings.channels:
-            raise InvalidInputError(
-                "weights", f"{path} with maps of {channels} numbers", f"Give {type(self).__name__} its own."
-            )
+            fix = f"Give {type(self).__name__} its own: these have maps of {channels} numbers."
+            raise InvalidInputError("weights", str(path), fix)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """How another process makes it: from the file, which must still be there."""

@@ -73,10 +73,11 @@ def convert(cfg: Path, weights: Path, out: Path) -> Path:
         for name, settings in layers[1:]:
             graph.add(name, settings)
     except (KeyError, ValueError, IndexError) as error:
-        raise InvalidInputError("cfg", f"{cfg}, layer {len(graph.layers)}: {error}", _FIX) from error
+        fix = f"{_FIX} The reason: layer {len(graph.layers)}: {error}"
+        raise InvalidInputError("cfg", str(cfg), fix) from error
     graph.numbers.finish()
     if len(graph.outputs) != len(HEADS):
-        raise InvalidInputError("cfg", f"{cfg}: {len(graph.outputs)} yolo layers", _FIX)
+        raise InvalidInputError("cfg", str(cfg), f"{_FIX} This one has {len(graph.outputs)} yolo layers.")
     return write_bytes(out, graph.onnx.model("yolov4-tiny", (INPUT, _CHANNELS), graph.outputs))
 
 
@@ -97,14 +98,16 @@ class _Numbers:
         """The next ones, in an array of that shape."""
         count = int(np.prod(shape))
         if count > len(self.left):
-            raise InvalidInputError("weights", f"{self.path}: ends too early", _FIX)
+            raise InvalidInputError("weights", str(self.path), f"{_FIX} This one ends too early.")
         taken, self.left = self.left[:count], self.left[count:]
         return taken.reshape(shape)
 
     def finish(self) -> None:
         """Refuse a file with numbers that no layer took."""
         if len(self.left):
-            raise InvalidInputError("weights", f"{self.path}: {len(self.left)} numbers too many", _FIX)
+            raise InvalidInputError(
+                "weights", str(self.path), f"{_FIX} This one has {len(self.left)} numbers too many."
+            )
 
 
 class _Graph:
@@ -146,7 +149,8 @@ class _Graph:
         if settings.get("batch_normalize", "0") == "1":
             scale, mean, variance = self.numbers.take(3, filters).astype(np.float64)
             if not (variance >= 0.0).all():
-                raise InvalidInputError("weights", f"{self.numbers.path}: negative variances in {name}", _FIX)
+                fix = f"{_FIX} This one has negative variances in {name}."
+                raise InvalidInputError("weights", str(self.numbers.path), fix)
             factor = scale / np.sqrt(variance + _EPSILON)
             bias -= factor * mean
         kernel = self.numbers.take(filters, width, size, size) * factor[:, None, None, None]

@@ -193,8 +193,8 @@ def first_labelling(source: Source, silhouettes: Path | None = None, progress: P
         believed = np.flatnonzero(result.used)
         unknown[rows] |= _contradicted(prior.category, [outlines[i] for i in believed], labels.keypoints[believed])
     if silhouettes is not None and not outlined.any():
-        fix = "Fill it with `fgrecon keypoints silhouettes`."
-        raise InvalidInputError("silhouettes", f"{silhouettes}: none agrees with its car", fix)
+        fix = "Fill it with `fgrecon keypoints silhouettes`: none of its silhouettes agrees with its car."
+        raise InvalidInputError("silhouettes", str(silhouettes), fix)
     trusted = np.ones(len(cars), dtype=bool) if silhouettes is None else outlined.copy()
     return Labelling(_known(keypoints, visible, unknown), fits, cars, trusted, outlined)
 

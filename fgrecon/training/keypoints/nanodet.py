@@ -54,10 +54,10 @@ def read_package(package: Path) -> tuple[bytes, bytes]:
     try:
         found = _of_folder(package) if package.is_dir() else _of_archive(package)
     except (OSError, EOFError, tarfile.TarError, ValueError) as error:
-        raise InvalidInputError("package", f"{package}: {error}", _FIX) from error
+        raise InvalidInputError("package", str(package), f"{_FIX} The reason: {error}") from error
     missing = [name for name in _FILES if name not in found]
     if missing:
-        raise InvalidInputError("package", f"{package} without {', '.join(missing)}", _FIX)
+        raise InvalidInputError("package", str(package), f"{_FIX} This one is without {', '.join(missing)}.")
     layers, numbers = (found[name] for name in _FILES)
     return layers, numbers
 

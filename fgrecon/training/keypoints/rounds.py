@@ -104,8 +104,8 @@ def train_in_rounds(
         log(f"Training to step {last}")
         chosen = labelling.samples(photographs, source.learn)
         if not len(chosen):
-            fix = "Start from another network, or from none."
-            raise InvalidInputError("labels", f"{path}: no photograph agrees with its shape", fix)
+            fix = "Start from another network, or from none: no photograph agrees with its shape."
+            raise InvalidInputError("labels", str(path), fix)
         held = labelling.samples(photographs, source.validate)
         network = train_knet(
             learning(photographs, chosen, street),

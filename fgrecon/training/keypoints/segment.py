@@ -42,7 +42,7 @@ def assemble(package: Path) -> bytes:
         entry = json.loads((folder / "resources.json").read_text(encoding="utf-8"))[_MODEL]
         model = b"".join((folder / str(chunk["hash"])).read_bytes() for chunk in entry["chunks"])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InvalidInputError("package", f"{package}: {error}", _FIX) from error
+        raise InvalidInputError("package", str(package), f"{_FIX} The reason: {error}") from error
     if len(model) != entry.get("size"):
         raise InvalidInputError("package", f"{len(model)} bytes of {entry.get('size')}", _FIX)
     return model
