@@ -94,12 +94,14 @@ def sources_of(
         category: The category whose keypoints are wanted, its name or its file.
 
     Raises:
-        InvalidInputError: One does not exist, has another ending, or is a folder without anything.
+        InvalidInputError: One does not exist, is a pipe or device, has another ending, or is a folder without anything.
     """
     found: dict[Path, None] = {}
     for item in map(Path, inputs):
         if not item.exists():
             raise InvalidInputError("input", str(item), "Give files and folders that exist.")
+        if not (item.is_file() or item.is_dir()):  # files are read twice, once to count their rows
+            raise InvalidInputError("input", f"{item}, a pipe or device", "Give files and folders.")
         if item.is_file() and item.suffix.lower() not in _READERS:
             raise InvalidInputError("input", str(item), f"Give a folder, or files ending in {', '.join(_READERS)}.")
         found |= dict.fromkeys(_files(item) if item.is_dir() else [item])

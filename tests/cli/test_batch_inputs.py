@@ -1,6 +1,7 @@
 """`fgrecon batch` on other programs' files and names: the vehicles that `fgrecon reconstruct` makes of them."""
 
 import json
+import os
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -102,3 +103,10 @@ def test_boxes_that_are_all_too_large_are_told_of(tmp_path, factor, told):
     assert ("larger than their vehicles look" in " ".join(done.output.split())) == told
     excesses = pq.read_table(tmp_path / "out").column("box_excess").to_pylist()
     assert (np.median(excesses) > 0.05) == told
+
+
+def test_a_pipe_is_refused_before_the_folder_is_begun(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    done = run("batch", tmp_path / "pipe", "--out", tmp_path / "out")
+    assert isinstance(done.exception, InvalidInputError)
+    assert not (tmp_path / "out").exists()
