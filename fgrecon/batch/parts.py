@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,7 +17,7 @@ from fgrecon.batch.schema import FORMAT, result_schema
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import replacing, write_text
 from fgrecon.io.isolated import Isolated
-from fgrecon.io.json_fields import read_json
+from fgrecon.io.json_fields import parse_json, read_json
 from fgrecon.io.stored import MADE_AGAIN, stored
 
 __all__ = ["RECORDS", "RUN", "Parts", "begin", "claimed", "refuse_batch", "refuse_video"]
@@ -106,8 +107,9 @@ class Parts:
     def flush(self) -> None:
         """Write what has been added."""
         if self._tables:
-            with replacing(self._folder / f"part-{self._next:06d}.parquet") as part:
-                pq.write_table(pa.concat_tables(self._tables), part, compression="zstd", write_page_checksum=True)
+            path = self._folder / f"part-{self._next:06d}.parquet"
+            with replacing(path) as part, pa.OSFile(os.fsencode(part), "wb") as sink:  # names that are no text too
+                pq.write_table(pa.concat_tables(self._tables), sink, compression="zstd", write_page_checksum=True)
             self._next += 1
             self._tables = []
         self._written = monotonic()
@@ -133,7 +135,7 @@ def _batches(path: Path) -> Iterator[Any]:
         InvalidInputError: It is damaged, or none of ours; perhaps after rows that are good.
     """
     try:
-        with pq.ParquetFile(path, page_checksum_verification=True) as part:
+        with pa.OSFile(os.fsencode(path)) as file, pq.ParquetFile(file, page_checksum_verification=True) as part:
             left = part.metadata.num_rows
             for batch in part.iter_batches(_AT_ONCE):
                 batch.validate(full=True)
@@ -162,7 +164,7 @@ def begin(folder: Path, settings: Mapping[str, Any], run_format: str = FORMAT, *
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InvalidInputError("out", str(folder), f"Give a folder that can be made ({error.strerror}).") from error
-    told = json.loads(json.dumps({"format": run_format, "settings": dict(settings)}))  # lists for tuples
+    told = parse_json(json.dumps({"format": run_format, "settings": dict(settings)}))  # as it is read again
     before = read_json(folder / RUN) if (folder / RUN).exists() else None
     if anew and before != told:
         for part in folder.glob("part-*.parquet"):  # before the settings: who is killed in between begins anew again

@@ -12,6 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.text import whole_text
 
 __all__ = ["check_ending", "replacing", "write_bytes", "write_text"]
 
@@ -20,8 +21,11 @@ _ABANDONED = 3600.0  # seconds
 
 
 def write_text(path: str | Path, text: str) -> Path:
-    """Write a text file (UTF-8, line ends as given) whole or not at all; see `write_bytes`."""
-    return write_bytes(path, text.encode())
+    """Write a text file (UTF-8, line ends as given) whole or not at all; see `write_bytes`.
+
+    Names of files that are not UTF-8 may be in it: what they have instead becomes a replacement character.
+    """
+    return write_bytes(path, whole_text(text).encode())
 
 
 def write_bytes(path: str | Path, content: bytes) -> Path:
