@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from importlib import metadata
+from io import TextIOWrapper
 from typing import Annotated
 
 import typer
@@ -74,6 +75,8 @@ def _root(
 
 def main() -> None:
     """Run the command line; bad input and files that cannot be used become one line and exit code 2."""
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # a terminal that knows no ° shows a question mark
     try:
         app()
     except FgreconError as error:

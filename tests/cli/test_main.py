@@ -1,5 +1,7 @@
 """The entry point: help, version, exit codes."""
 
+import json
+import os
 import subprocess
 import sys
 from importlib import metadata
@@ -9,6 +11,8 @@ from typer.testing import CliRunner
 
 from fgrecon.cli import main
 from fgrecon.core.errors import FgreconError
+
+from .conftest import INTRINSICS
 
 
 def test_version_and_help():
@@ -56,3 +60,23 @@ def test_unexpected_errors_keep_their_traceback(monkeypatch):
     monkeypatch.setattr(main, "app", fail)
     with pytest.raises(ZeroDivisionError):
         main.main()
+
+
+def fgrecon(*arguments, **how):
+    """The command in a process of its own."""
+    command = [sys.executable, "-c", "from fgrecon.cli.main import main; main()", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, check=False, **how)
+
+
+@pytest.mark.parametrize(
+    "environment", [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}]
+)
+def test_an_output_that_knows_ascii_alone(write, instance, environment):
+    file = write({"instances": [instance | {"id": "Käfer 🚗"}]})
+    environment = {**os.environ, **environment}
+    done = fgrecon("reconstruct", file, INTRINSICS, env=environment)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b"yaw ?" in done.stdout
+    data = fgrecon("reconstruct", file, INTRINSICS, "--json", "-", "-q", env=environment)
+    assert data.returncode == 0
+    assert json.loads(data.stdout.decode("ascii"))["instances"][0]["id"] == "Käfer 🚗"
