@@ -60,6 +60,11 @@ class Screen:
         return _console(error=True, quiet=self._quiet)
 
     @property
+    def quiet(self) -> bool:
+        """Whether nothing but errors is said: what takes time to make for the terminal need not be made."""
+        return self._quiet
+
+    @property
     def bars(self) -> bool:
         """Whether progress is shown."""
         return not self._quiet and (self.errors.is_terminal if self._progress is None else self._progress)
