@@ -1,5 +1,5 @@
 """`python -m fgrecon` is the command `fgrecon`."""
 
-from fgrecon.cli.main import main
+from fgrecon.cli.door import main
 
 main()

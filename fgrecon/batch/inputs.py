@@ -17,6 +17,7 @@ their cameras.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,6 +27,7 @@ from fgrecon.batch.instances import instance_text
 from fgrecon.batch.pictures import count_frames
 from fgrecon.core.category import Category
 from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.text import whole_text
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.frames import VIDEOS
 from fgrecon.io.images import IMAGES
@@ -59,9 +61,14 @@ class InputFile:
         """Whether its rows are images, each of which takes a moment."""
         return self.path.suffix.lower() in (*IMAGES, *VIDEOS)
 
+    def _check_name(self) -> None:
+        if self.is_picture and whole_text(str(self.path)) != str(self.path):  # OpenCV ends the process then
+            raise InvalidInputError("image", str(self.path), "Rename it: tables cannot hold a name that is not UTF-8.")
+
     def count(self) -> int:
         """How many rows it has; a file that cannot be read has one, which tells why."""
         try:
+            self._check_name()
             return _READERS[self.path.suffix.lower()].count(self)
         except (FgreconError, OSError):
             return 1
@@ -69,6 +76,7 @@ class InputFile:
     def rows(self) -> Iterator[Row]:
         """Its rows, one after the other; what cannot be read becomes a row that says so, and ends the file."""
         try:
+            self._check_name()
             for row in _READERS[self.path.suffix.lower()].rows(self):
                 yield {"source": str(self.path), **row}
         except (FgreconError, OSError) as error:
@@ -94,12 +102,14 @@ def sources_of(
         category: The category whose keypoints are wanted, its name or its file.
 
     Raises:
-        InvalidInputError: One does not exist, has another ending, or is a folder without anything.
+        InvalidInputError: One does not exist, is a pipe or device, has another ending, or is a folder without anything.
     """
     found: dict[Path, None] = {}
     for item in map(Path, inputs):
         if not item.exists():
             raise InvalidInputError("input", str(item), "Give files and folders that exist.")
+        if not (item.is_file() or item.is_dir()):  # files are read twice, once to count their rows
+            raise InvalidInputError("input", f"{item}, a pipe or device", "Give files and folders.")
         if item.is_file() and item.suffix.lower() not in _READERS:
             raise InvalidInputError("input", str(item), f"Give a folder, or files ending in {', '.join(_READERS)}.")
         found |= dict.fromkeys(_files(item) if item.is_dir() else [item])
@@ -148,7 +158,7 @@ def _parquet(source: InputFile) -> Any:
     import pyarrow.parquet as pq
 
     try:
-        return pq.ParquetFile(source.path)
+        return pq.ParquetFile(pa.OSFile(os.fsencode(source.path)))  # a name that is no text too
     except pa.ArrowException as error:
         raise InvalidInputError(str(source.path), str(error), "Give a Parquet file.") from error
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,7 +17,7 @@ from fgrecon.batch.schema import ERROR, FORMAT, REFUSED, result_schema
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import replacing, write_text
 from fgrecon.io.isolated import Isolated
-from fgrecon.io.json_fields import read_json
+from fgrecon.io.json_fields import parse_json, read_json
 from fgrecon.io.stored import MADE_AGAIN, stored
 
 __all__ = ["RECORDS", "RUN", "Parts", "RowOutcome", "begin", "claimed", "made", "refuse_batch", "refuse_video"]
@@ -130,8 +131,9 @@ class Parts:
     def flush(self) -> None:
         """Write what has been added."""
         if self._tables:
-            with replacing(self._folder / f"part-{self._next:06d}.parquet") as part:
-                pq.write_table(pa.concat_tables(self._tables), part, compression="zstd", write_page_checksum=True)
+            path = self._folder / f"part-{self._next:06d}.parquet"
+            with replacing(path) as part, pa.OSFile(os.fsencode(part), "wb") as sink:  # names that are no text too
+                pq.write_table(pa.concat_tables(self._tables), sink, compression="zstd", write_page_checksum=True)
             self._next += 1
             self._tables = []
         self._written = monotonic()
@@ -163,7 +165,7 @@ def _batches(path: Path) -> Iterator[Any]:
         InvalidInputError: It is damaged, or none of ours; perhaps after rows that are good.
     """
     try:
-        with pq.ParquetFile(path, page_checksum_verification=True) as part:
+        with pa.OSFile(os.fsencode(path)) as file, pq.ParquetFile(file, page_checksum_verification=True) as part:
             left = part.metadata.num_rows
             for batch in part.iter_batches(_AT_ONCE):
                 batch.validate(full=True)
@@ -211,7 +213,7 @@ def begin(
         InvalidInputError: It cannot be made, or holds a run with other settings.
     """
     made(folder)
-    told = json.loads(json.dumps({"format": run_format, "settings": dict(settings)}))  # lists for tuples
+    told = parse_json(json.dumps({"format": run_format, "settings": dict(settings)}))  # as it is read again
     before = read_json(folder / RUN) if (folder / RUN).exists() else None
     parts = list(folder.glob("part-*.parquet"))
     replaced = before != told and (before is not None or bool(parts)) and anew()

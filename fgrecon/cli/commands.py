@@ -16,6 +16,8 @@ from typing import Any, get_type_hints
 import typer
 from typer.core import TyperCommand
 
+from fgrecon.cli.overwrites import check_apart
+
 __all__ = ["add_command", "current_spelling", "grouped"]
 
 Command = Callable[..., None]
@@ -28,6 +30,7 @@ def add_command(
     *,
     renamed: Mapping[str, str] | None = None,
     once_flags: Mapping[str, str] | None = None,
+    in_folder: Sequence[str] = (),
 ) -> None:
     """Add a command to a group of the command line.
 
@@ -37,6 +40,7 @@ def add_command(
         command: The function; parameters whose types are dataclasses stand for their fields.
         renamed: Old spellings of options, and today's. They work for one release, with a warning.
         once_flags: Options that took no value once, and the value that stands for that.
+        in_folder: Names of the files that it writes into the folder `--out`, for `check_apart`.
     """
     old, flags = renamed or {}, once_flags or {}
 
@@ -52,7 +56,7 @@ def add_command(
             pieces = [piece for parameter in shown for piece in parameter.get_usage_pieces(ctx)]
             return [self.options_metavar, *pieces] if self.options_metavar else pieces
 
-    app.command(name, cls=Spelled, help=_flowing(inspect.getdoc(command) or ""))(grouped(command))
+    app.command(name, cls=Spelled, help=_flowing(inspect.getdoc(command) or ""))(grouped(command, in_folder))
 
 
 def _flowing(text: str) -> str:
@@ -93,8 +97,11 @@ def _is_value(following: Sequence[str]) -> bool:
     return following[0] == "-" or not (following[0].startswith("-") or following[0].endswith(".rrd"))
 
 
-def grouped(command: Command) -> Command:
-    """The command with an option in the place of every field of its parameters that are dataclasses."""
+def grouped(command: Command, in_folder: Sequence[str] = ()) -> Command:
+    """The command with an option in the place of every field of its parameters that are dataclasses.
+
+    It refuses to write over what it reads; see `fgrecon.cli.overwrites`.
+    """
     hints = get_type_hints(command, include_extras=True)
     groups: dict[str, type[Any]] = {}
     options: list[inspect.Parameter] = []
@@ -108,6 +115,7 @@ def grouped(command: Command) -> Command:
 
     @wraps(command)
     def run(**values: Any) -> None:
+        check_apart(values, in_folder)
         made = {name: kind(**{f.name: values.pop(f.name) for f in fields(kind)}) for name, kind in groups.items()}
         command(**values, **made)
 

@@ -6,9 +6,12 @@ Exit codes: 0 success, 1 the work was done but failed (no car could be reconstru
 
 from __future__ import annotations
 
+import os
 import sys
+from contextlib import suppress
 from importlib import metadata
-from typing import Annotated
+from io import TextIOWrapper
+from typing import Annotated, TextIO
 
 import typer
 
@@ -45,7 +48,7 @@ add_command(app, "sample", sample_command)
 add_command(app, "reconstruct", reconstruct_command)
 add_command(app, "batch", batch_command)
 add_command(app, "refine", refine_command)
-add_command(app, "run", run_command)
+add_command(app, "run", run_command, in_folder=("tracks.txt", "tracks.csv", "tracks.parquet", "frames.jsonl"))
 add_command(app, "track", track_command)
 add_command(app, "replay", replay_command, once_flags={"--json": "-"})
 add_command(app, "export", export_command)
@@ -74,14 +77,48 @@ def _root(
 
 def main() -> None:
     """Run the command line; bad input and files that cannot be used become one line and exit code 2."""
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # a terminal that knows no ° shows a question mark
     try:
-        app()
+        try:
+            app()
+        finally:
+            if sys.stdout is not None:
+                sys.stdout.flush()  # else Python would try at its end, and say it in its own words
     except FgreconError as error:
         _refuse(str(error))
     except OSError as error:
-        _refuse(f"{error.filename or 'file'}: {error.strerror or error}. Give a path that can be used.")
+        full = error.filename is None and _takes_no_more(sys.stdout)
+        if full and isinstance(error, BrokenPipeError):  # whoever reads has enough, as `head`
+            sys.exit(1)
+        name, fix = error.filename or "file", "Give a path that can be used."
+        if full:
+            name, fix = "standard output", "Send it where there is room."
+        _refuse(f"{name}: {error.strerror or error}. {fix}")
 
 
 def _refuse(message: str) -> None:
-    print(f"fgrecon: {printable(message)}", file=sys.stderr)  # noqa: T201
+    try:
+        print(f"fgrecon: {printable(message)}", file=sys.stderr)  # noqa: T201
+    except OSError:  # the exit code says it
+        _let_go(sys.stderr)
     sys.exit(2)
+
+
+def _takes_no_more(stream: TextIO | None) -> bool:
+    """Whether nothing more can be written there; what waits for it is thrown away then."""
+    if stream is None:
+        return False
+    try:
+        stream.write("\n")  # what failed need not be waiting any more
+        stream.flush()
+    except OSError:
+        _let_go(stream)
+        return True
+    return False
+
+
+def _let_go(stream: TextIO) -> None:
+    """Throw away what waits: else Python tries it at its end, and exits with a code of its own."""
+    with suppress(OSError):  # it may be none of the system's
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

@@ -13,6 +13,7 @@ from fgrecon.cli import reconstruct_work, show
 from fgrecon.cli.common import about_camera
 from fgrecon.cli.models import with_closest
 from fgrecon.cli.options import CameraOptions, VehicleBoxes
+from fgrecon.cli.overwrites import check_not_over
 from fgrecon.cli.picture_tasks import is_image, read_image_tasks
 from fgrecon.cli.reconstruct_work import Outcome, Task
 from fgrecon.cli.settings import Settings
@@ -69,16 +70,20 @@ class PhotographWork:
     same_camera: bool = False
 
 
-def wanted(files: Sequence[Path], out: Path | None, *, pictures: bool) -> list[PhotographFile] | None:
+def wanted(
+    files: Sequence[Path], out: Path | None, boxes: Path | None, *, pictures: bool
+) -> list[PhotographFile] | None:
     """The photographs that are meant; None where a single file is, whose results do not go to a folder.
 
     Args:
         files: What the command line names.
         out: Folder of the results, or None.
+        boxes: Where boxes are read, or None.
         pictures: Whether each is to be drawn.
 
     Raises:
-        InvalidInputError: One is no image, a folder has none, or nothing says where the results go.
+        InvalidInputError: One is no image, a folder has none, nothing says where the results go, or one would be
+            written over an image or its boxes.
     """
     if out is None:
         if len(files) == 1 and not files[0].is_dir() and not pictures:
@@ -88,10 +93,10 @@ def wanted(files: Sequence[Path], out: Path | None, *, pictures: bool) -> list[P
     images: dict[Path, None] = {}
     for file in files:
         if file.is_dir():
-            found = [path for path in sorted(file.iterdir()) if is_image(path) and path.is_file()]
-            if not found:
+            inside = [path for path in sorted(file.iterdir()) if is_image(path) and path.is_file()]
+            if not inside:
                 raise InvalidInputError("file", str(file), f"Give a folder with images ({', '.join(IMAGES)}).")
-            images |= dict.fromkeys(found)
+            images |= dict.fromkeys(inside)
         elif not is_image(file):
             raise InvalidInputError(
                 "file", str(file), "Give images and folders of them, or one file alone without --out."
@@ -100,9 +105,19 @@ def wanted(files: Sequence[Path], out: Path | None, *, pictures: bool) -> list[P
             images[file] = None
     if out.exists() and not out.is_dir():
         raise InvalidInputError("out", str(out), "Give a folder.")
-    out.mkdir(parents=True, exist_ok=True)
     taken: set[str] = set()
-    return [PhotographFile(image, out / distinct(image.stem, taken)) for image in images]
+    found = [PhotographFile(image, out / distinct(image.stem, taken)) for image in images]
+    read = [*images, *_files_of(boxes)]
+    for one in found:
+        for ending in (".json", ".png") if pictures else (".json",):
+            check_not_over("out", _ending(one, ending), read)
+    out.mkdir(parents=True, exist_ok=True)
+    return found
+
+
+def _files_of(boxes: Path | None) -> list[Path]:
+    """Files of boxes that are in a folder."""
+    return [] if boxes is None or not boxes.is_dir() else list(boxes.iterdir())
 
 
 def refuse(

@@ -221,7 +221,7 @@ def reconstruct_command(
     )
     settings = scene.settings(options)
     models = car_models.read(settings.prior.category)
-    several = photographs.wanted(files, out, pictures=pictures)
+    several = photographs.wanted(files, out, boxes.boxes, pictures=pictures)
     if same_camera and (several is None or together is False or not solving.joint):
         fix = "Give several images and --out, and let their vehicles be solved together."
         raise InvalidInputError("same_camera", "without --out, or with --apart or --no-joint", fix)

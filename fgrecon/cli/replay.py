@@ -14,6 +14,7 @@ import typer
 
 from fgrecon.cli.common import check_outputs
 from fgrecon.cli.terminal import Verbosity
+from fgrecon.core.text import whole_text
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from rich.table import Table
@@ -120,7 +121,7 @@ def _table(content: Replay) -> Table:
 def _document(recording: Path, content: Replay) -> dict[str, Any]:
     """The summary as plain values; energies that are not finite become strings."""
     vehicles = {name: _content(vehicle) for name, vehicle in content.vehicles.items()}
-    document = {"format": "fgrecon.replay/1", "recording": str(recording), **_content(content)}
+    document = {"format": "fgrecon.replay/1", "recording": whole_text(str(recording)), **_content(content)}
     return document | ({"vehicles": vehicles} if vehicles else {})
 
 

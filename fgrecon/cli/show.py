@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
@@ -58,6 +59,7 @@ FORMAT = f"fgrecon.reconstructions/{SCHEMA_VERSION}"
 _TRUSTED = 0.5  # weight from which a keypoint counts as trusted
 _HEADINGS = ("id", "status", "yaw °", "x, y, z m", "l, w, h m", "trusted", "message")
 _CLAUSE = 200  # characters of a message in the table, which wraps it
+_ROWS = 300  # vehicles that the table has at most: it is for eyes, and slow to lay out
 _WIDE = 130  # columns of the terminal that leave it that room
 _PLATE, _WORDS = 6, 24  # characters of a vehicle's name on its plate in a picture, and beside its numbers
 _TOGETHER = 40  # vehicles of an image that one recording has at most
@@ -66,8 +68,11 @@ _TOGETHER = 40  # vehicles of an image that one recording has at most
 def print_table(screen: Screen, outcomes: Sequence[Outcome]) -> None:
     """One row per vehicle, refused ones included; messages in the last column, or below where there is no room.
 
-    A verbose screen has whole messages below, with energies and times.
+    A verbose screen has whole messages below, with energies and times. Of very many vehicles the first are shown.
     """
+    if screen.quiet:
+        return
+    outcomes, others = outcomes[:_ROWS], outcomes[_ROWS:]
     wide = screen.console.width >= _WIDE and any(map(_clause, outcomes))
     table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True)
     for heading in _HEADINGS if wide else _HEADINGS[:-1]:
@@ -85,6 +90,10 @@ def print_table(screen: Screen, outcomes: Sequence[Outcome]) -> None:
     for outcome in outcomes:
         if outcome.closest is not None:
             screen.print(f"{outcome.name}: closest model {printable(str(outcome.closest))}.")
+    if others:
+        counts = Counter("refused" if other.result is None else other.result.status.value for other in others)
+        told = ", ".join(f"{count} {status}" for status, count in counts.most_common())
+        screen.print(f"... and {len(others)} more ({told}). The results file of --json or --out has all of them.")
 
 
 def details(result: Reconstruction | TrackReconstruction | None) -> list[str]:

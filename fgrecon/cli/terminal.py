@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 
 from fgrecon.cli.progress import Advance, progress_bar, watched
-from fgrecon.core.text import printable
+from fgrecon.core.text import printable, whole_text
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from rich.console import Console, RenderableType
@@ -57,6 +58,11 @@ class Screen:
     def errors(self) -> Console:
         """The error stream, for what is not part of the result."""
         return _console(error=True, quiet=self._quiet)
+
+    @property
+    def quiet(self) -> bool:
+        """Whether nothing but errors is said: what takes time to make for the terminal need not be made."""
+        return self._quiet
 
     @property
     def bars(self) -> bool:
@@ -108,7 +114,7 @@ class Screen:
             InvalidInputError: The file cannot be written.
         """
         if self._json == "-":
-            sys.stdout.write(text)
+            sys.stdout.write(_json_for(sys.stdout.encoding, whole_text(text)))
         elif self._json is not None:
             self.write_text(Path(self._json), text)
 
@@ -159,6 +165,15 @@ class Terminal(Verbosity):
     def screen(self, json_out: str | None = None, *, error: bool = False) -> Screen:
         """Where the command says it; see `Screen`."""
         return Screen(json_out, error=error, quiet=self.quiet, verbose=self.verbose, progress=self.progress)
+
+
+def _json_for(encoding: str | None, text: str) -> str:
+    """JSON of the same content that an output of this encoding can take."""
+    try:
+        text.encode(encoding or "utf-8")
+    except UnicodeEncodeError:  # outside of its texts JSON is ASCII
+        return "".join(c if c.isascii() else json.dumps(c)[1:-1] for c in text)
+    return text
 
 
 def _console(*, error: bool, quiet: bool) -> Console:

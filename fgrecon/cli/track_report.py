@@ -23,6 +23,7 @@ from fgrecon.core.digits import shortened
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.plain import plain
 from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.text import whole_text
 from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.io.images import read_image
 from fgrecon.io.json_fields import read_json
@@ -110,7 +111,7 @@ def solve(
     quiet = replace(settings, options=replace(settings.options, keep_history=False))
     solved = [tasks[index] for index in result.numbers] if truths is not None else []
     alone = tuple(run(task, quiet).result for task in solved)
-    return Solved(file.stem, file, tuple(tasks), sight, result, alone)
+    return Solved(whole_text(file.stem), file, tuple(tasks), sight, result, alone)
 
 
 def _labels(file: Path, settings: Settings) -> Track | None:

@@ -4,6 +4,8 @@ All errors derive from `FgreconError`. Errors about input derive from `InvalidIn
 field, the value and the fix; the command line turns them into exit code 2.
 """
 
+from typing import Any
+
 from factors.errors import (
     DegenerateProblemError,
     FactorCallbackError,
@@ -28,19 +30,33 @@ class MissingPackageError(FgreconError, ImportError):
 
     Attributes:
         package: Its name, as pip takes it.
+        purpose: What needs it.
     """
 
     def __init__(self, package: str, purpose: str) -> None:
-        self.package = package
+        self.package, self.purpose = package, purpose
         super().__init__(f"{purpose} needs {package}, which is not installed here. Run: pip install {package}")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle, as from a worker process."""
+        return type(self), (self.package, self.purpose)
 
 
 class ChildNotBegunError(FgreconError, RuntimeError):
-    """The process that decodes a file did not begin: that is not about the file, but about the place."""
+    """The process that decodes a file did not begin: that is not about the file, but about the place.
+
+    Attributes:
+        why: What happened.
+    """
 
     def __init__(self, why: str) -> None:
+        self.why = why
         fix = "Look at what Python printed, at the free memory, and at multiprocessing.set_executable."
         super().__init__(f"The process that decodes files did not begin: {why}. {fix}")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle, as from a worker process."""
+        return type(self), (self.why,)
 
 
 class AssumedCameraWarning(UserWarning):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-__all__ = ["counted", "distinct", "markdown_row", "number_or_dash", "printable"]
+__all__ = ["counted", "distinct", "markdown_row", "number_or_dash", "printable", "whole_text"]
 
 
 def counted(count: int, thing: str, things: str | None = None) -> str:
@@ -29,6 +29,14 @@ def printable(text: str, most: int = 4000) -> str:
     if shown.isprintable():
         return shown
     return "".join(c if c.isprintable() or c in "\n\t" else c.encode("unicode_escape").decode() for c in shown)
+
+
+def whole_text(text: str) -> str:
+    """A text that UTF-8 can hold: half a pair of surrogates becomes a replacement character.
+
+    JSON can write such halves, and names of files that are not UTF-8 have them.
+    """
+    return text.encode("utf-16", "surrogatepass").decode("utf-16", "replace")
 
 
 def distinct(name: str, taken: set[str]) -> str:

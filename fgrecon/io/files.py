@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import hashlib
 import os
 import shutil
 import tempfile
@@ -12,16 +13,23 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.text import whole_text
 
 __all__ = ["check_ending", "replacing", "write_bytes", "write_text"]
 
 
 _ABANDONED = 3600.0  # seconds
+_PART = ".part"
+_LONGEST = 255 - len(f"..????????{_PART}")
+"""Bytes of a name that the names of its parts have in them; longer ones have its hash."""
 
 
 def write_text(path: str | Path, text: str) -> Path:
-    """Write a text file (UTF-8, line ends as given) whole or not at all; see `write_bytes`."""
-    return write_bytes(path, text.encode())
+    """Write a text file (UTF-8, line ends as given) whole or not at all; see `write_bytes`.
+
+    Names of files that are not UTF-8 may be in it: what they have instead becomes a replacement character.
+    """
+    return write_bytes(path, whole_text(text).encode())
 
 
 def write_bytes(path: str | Path, content: bytes) -> Path:
@@ -71,7 +79,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
         if target.is_dir():
             raise IsADirectoryError(f"{target} is a folder")
         _clear(target)
-        descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
+        descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=_beginning(target), suffix=_PART)
         part = Path(name)
         try:
             with os.fdopen(descriptor, "rb") as file:
@@ -107,10 +115,17 @@ def _copied_to(path: Path) -> Iterator[Path]:
 
 def _clear(target: Path) -> None:
     """Remove what writers that were killed have left of the file: parts that nobody has written to for an hour."""
-    for part in target.parent.glob(f".{glob.escape(target.name)}.*.part"):
+    for part in target.parent.glob(f"{glob.escape(_beginning(target))}*{_PART}"):
         with suppress(OSError):  # another process has, or may not
             if time.time() - part.stat().st_mtime > _ABANDONED:
                 part.unlink()
+
+
+def _beginning(target: Path) -> str:
+    """How the names of a file's parts begin, of which no other file's do; names may have 255 bytes in all."""
+    if len(os.fsencode(target.name)) <= _LONGEST:
+        return f".{target.name}."
+    return f".{hashlib.sha256(os.fsencode(target.name)).hexdigest()}."
 
 
 def _mode(target: Path) -> int:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from fgrecon.core.category import Category
 from fgrecon.core.checks import as_finite, as_shape
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.text import whole_text
 from fgrecon.core.vehicle_mesh import VehicleMesh
 from fgrecon.io.arrays import read_arrays
 from fgrecon.io.json_fields import Fields, read_json
@@ -106,7 +107,7 @@ def _mesh(file: Path, category: Category, turn: NDArray[np.float64]) -> VehicleM
     beside = file.with_suffix(".json")
     told = _keypoints(beside, category) if beside.is_file() else {}
     keypoints = {name: turn @ point - origin for name, point in told.items()}
-    return VehicleMesh(file.stem, vertices - origin, faces, keypoints)
+    return VehicleMesh(whole_text(file.stem), vertices - origin, faces, keypoints)
 
 
 def _keypoints(file: Path, category: Category) -> dict[str, NDArray[np.float64]]:

@@ -20,6 +20,7 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
+from fgrecon.core.text import whole_text
 from fgrecon.io.json_fields import Fields, read_json
 from fgrecon.io.kitti_calibration import rectified_size
 
@@ -102,6 +103,7 @@ def parse_track(data: Any, name: str, category: Category, where: str = "") -> Tr
         InvalidInputError: A field is missing or unusable.
     """
     fields = Fields(data, where)
+    name = whole_text(name)  # a file's need not be UTF-8
     matrix = fields.numbers("K", (3, 3))
     projection = fields.numbers("P2", (3, 4))
     if np.abs(projection[:, :3] - matrix).max() > _INTRINSICS_TOLERANCE * np.abs(matrix).max():

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -12,6 +14,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Iteration
+from fgrecon.core.text import whole_text
 from fgrecon.core.track_reconstruction import JointStep
 from fgrecon.io.isolated import Isolated
 from fgrecon.viz import entities
@@ -159,8 +162,20 @@ def read(path: str | Path) -> Replay:
     """
     if not Path(path).is_file():
         raise InvalidInputError("recording", str(path), _FIX)
-    with Isolated() as child:  # a damaged file ends the process that decodes it
-        return child("recording", _read, Path(path))
+    with Isolated() as child, _named_in_text(Path(path)) as file:  # a damaged file ends the process that decodes it
+        return child("recording", _read, file)
+
+
+@contextmanager
+def _named_in_text(path: Path) -> Iterator[Path]:
+    """The file by a name that rerun takes: a link to it where its own is not UTF-8."""
+    if whole_text(str(path)) == str(path):
+        yield path
+        return
+    with TemporaryDirectory(prefix="fgrecon-") as folder:
+        link = Path(folder) / "recording.rrd"
+        link.symlink_to(path.resolve())
+        yield link
 
 
 def _read(path: Path) -> Replay:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from fgrecon.core.errors import InvalidInputError, MissingPackageError
+from fgrecon.core.text import whole_text
 from fgrecon.io.files import replacing
 
 __all__ = [
@@ -131,7 +132,7 @@ def _encoded(application: str, send: Callable[[Any], None], layout: Any) -> byte
     """A file of what `send` sends, in memory: rerun's own writer, a thread per file, takes a fifth more time for it."""
     import rerun as rr  # on use: importing fgrecon must not import rerun
 
-    stream = rr.RecordingStream(application)
+    stream = rr.RecordingStream(whole_text(application))
     kept = stream.memory_recording()
     _lay_out(stream, layout)
     send(stream)
@@ -154,7 +155,7 @@ def connected(application: str, address: str, layout: Any) -> Any:
     import rerun as rr
 
     host, port = check_viewer(address)
-    stream = rr.RecordingStream(application)
+    stream = rr.RecordingStream(whole_text(application))
     stream.connect_grpc(f"rerun+http://{host}:{port}/proxy")
     _lay_out(stream, layout)
     return stream

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import socket
 
 import numpy as np
 import pyarrow as pa
@@ -180,3 +182,15 @@ def test_what_is_no_input_is_refused(tmp_path, name):
     (tmp_path / "empty").mkdir()
     with pytest.raises(InvalidInputError, match="input"):
         sources_of([tmp_path / name])
+
+
+@pytest.mark.parametrize("name", ["pipe", "pipe.jsonl", "link.jsonl", "socket"])
+def test_what_is_neither_file_nor_folder_is_refused(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)  # a socket's name must be short
+    for pipe in ("pipe", "pipe.jsonl"):
+        os.mkfifo(pipe)
+    (tmp_path / "link.jsonl").symlink_to("pipe")
+    with socket.socket(socket.AF_UNIX) as made:
+        made.bind("socket")
+        with pytest.raises(InvalidInputError, match="pipe or device"):
+            sources_of([name])

@@ -1,6 +1,7 @@
 """`fgrecon batch` on other programs' files and names: the vehicles that `fgrecon reconstruct` makes of them."""
 
 import json
+import os
 from types import SimpleNamespace
 
 import numpy as np
@@ -126,3 +127,10 @@ def test_the_cars_that_tell_the_camera_are_counted(monkeypatch, cars, images, to
     settings = SimpleNamespace(prior=None, size_prior=None, options=None, ground=None)
     assert run_job._found(None, None, None, settings, CAMERA, screen) is CAMERA
     assert told in said[0]
+
+
+def test_a_pipe_is_refused_before_the_folder_is_begun(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    done = run("batch", tmp_path / "pipe", "--out", tmp_path / "out")
+    assert isinstance(done.exception, InvalidInputError)
+    assert not (tmp_path / "out").exists()

@@ -8,7 +8,7 @@ from threading import Thread
 import pytest
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.files import write_bytes, write_text
+from fgrecon.io.files import replacing, write_bytes, write_text
 
 
 def test_content_and_permissions(tmp_path):
@@ -89,3 +89,22 @@ def test_an_open_pipe_by_its_number_as_shells_name_it():
     assert os.read(end, 9) == b"x"
     os.close(end)
     os.close(start)
+
+
+@pytest.mark.parametrize("name", ["n" * 255, "n" * 240, "é" * 127, "n" * 200 + ".json", "[a]*?"])
+def test_the_longest_name_can_be_written_and_what_was_left_of_it_is_cleared(tmp_path, name):
+    file, other = tmp_path / name, tmp_path / f"m{name[1:]}"
+    left = []
+    for target in (file, other):  # a writer that was killed
+        content = replacing(target)
+        left.append(content.__enter__())
+        os.utime(left[-1], (0, 0))
+    write_text(file, "whole")
+    assert file.read_text() == "whole"
+    assert [part.exists() for part in left] == [False, True]
+    assert all(len(os.fsencode(part.name)) <= 255 for part in left)
+
+
+def test_a_name_that_is_too_long_is_told(tmp_path):
+    with pytest.raises(InvalidInputError, match="too long"):
+        write_text(tmp_path / ("n" * 256), "x")

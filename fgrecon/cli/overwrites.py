@@ -1,0 +1,84 @@
+"""No command writes over what it reads, or two results to one file: said before the work, for all commands alike."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+__all__ = ["OUTPUTS", "check_apart", "check_not_over"]
+
+OUTPUTS = ("out", "json_out", "picture", "animation", "save", "video", "markdown", "per_frame", "table")
+"""Parameters of commands that name what is written; all others are read."""
+
+
+def check_apart(values: Mapping[str, Any], in_folder: Sequence[str] = ()) -> None:
+    """Refuse outputs that are a file which the command reads, by another path or a link as well, or that are the same.
+
+    What is no file (a pipe, a terminal) may be both: nothing is lost there.
+
+    Args:
+        values: A command's parameters.
+        in_folder: Names of the files that it writes into the folder `out`.
+
+    Raises:
+        InvalidInputError: An output is one of the inputs, or another output.
+    """
+    from fgrecon.core.errors import InvalidInputError
+
+    outputs = {name: str(values[name]) for name in OUTPUTS if values.get(name) not in (None, "-")}
+    inside = [Path(outputs["out"], name) for name in in_folder] if "out" in outputs else []
+    inputs = [path for name, value in values.items() if name not in OUTPUTS for path in _paths(value)]
+    for name, path in [*outputs.items(), *(("out", str(file)) for file in inside)]:
+        check_not_over(_field(name), path, inputs)
+    for (first, one), (second, other) in combinations(outputs.items(), 2):
+        if _same_target(one, other):
+            raise InvalidInputError(_field(second), other, f"Give another file: --{_field(first)} is written to it.")
+
+
+def check_not_over(field: str, output: str | Path, inputs: Sequence[str | Path]) -> None:
+    """Refuse to write over a file that is read.
+
+    Args:
+        field: Name of the option, for the error.
+        output: File to write.
+        inputs: Files that are read.
+
+    Raises:
+        InvalidInputError: The output is one of them, by another path or a link as well.
+    """
+    from fgrecon.core.errors import InvalidInputError
+
+    if _is_file(output) and any(_is_file(path) and Path(path).samefile(output) for path in inputs):
+        raise InvalidInputError(field, str(output), "Give another file: this one is read, and would be lost.")
+
+
+def _field(name: str) -> str:
+    return name.removesuffix("_out").replace("_", "-")
+
+
+def _paths(value: Any) -> Iterator[str]:
+    """What may be a file's name in the value of an option: `FILE`, `FILE#NAME` and `NAME=FILE` as well."""
+    if isinstance(value, list | tuple):
+        for item in value:
+            yield from _paths(item)
+    elif isinstance(value, str | Path):
+        text = str(value)
+        yield from {text, text.rpartition("#")[0], text.partition("=")[2]} - {""}
+
+
+def _is_file(path: str | Path) -> bool:
+    return os.path.isfile(path)  # noqa: PTH113 - Path's own raises for what can be no name
+
+
+def _same_target(one: str, other: str) -> bool:
+    """Whether two names are one file, there or not yet."""
+    if _is_file(one) and _is_file(other):
+        return Path(one).samefile(other)
+    try:
+        there = Path(one).exists() or Path(other).exists()
+        return not there and Path(one).resolve() == Path(other).resolve()
+    except (OSError, RuntimeError, ValueError):  # no name at all: told where it is written
+        return False

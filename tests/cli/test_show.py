@@ -1,0 +1,38 @@
+"""The table of `fgrecon reconstruct` where there are very many vehicles."""
+
+import numpy as np
+import pytest
+
+from fgrecon.cli import show
+from fgrecon.cli.reconstruct_work import Outcome, Task
+from fgrecon.cli.terminal import Screen
+from fgrecon.core.camera import Camera
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.keypoint_file import Instance
+
+from .conftest import K
+
+
+def refused(count):
+    error = InvalidInputError("keypoints", "no measured point", "Give at least 3.")
+    nothing = np.full((14, 2), np.nan)
+    return [Outcome(Task(Instance(f"car-{number}", nothing), Camera(K)), None, error) for number in range(count)]
+
+
+def screen(*, quiet=False):
+    return Screen(error=False, quiet=quiet, verbose=False, progress=False)
+
+
+@pytest.mark.parametrize("more", [0, 1, 700])
+def test_the_first_are_shown_and_the_others_counted(capsys, more):
+    show.print_table(screen(), refused(300 + more))
+    lines = capsys.readouterr().out.splitlines()
+    assert sum(line.startswith("car-") for line in lines) == 300
+    last = f"... and {more} more ({more} refused). The results file of --json or --out has all of them."
+    assert (lines[-1] == last) == (more > 0)
+
+
+def test_no_table_is_made_that_is_not_shown(capsys, monkeypatch):
+    monkeypatch.setattr(show, "Table", None)
+    show.print_table(screen(quiet=True), refused(3))
+    assert capsys.readouterr() == ("", "")
