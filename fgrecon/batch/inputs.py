@@ -158,9 +158,22 @@ def _parquet(source: InputFile) -> Any:
     import pyarrow.parquet as pq
 
     try:
-        return pq.ParquetFile(pa.OSFile(os.fsencode(source.path)))  # a name that is no text too
+        file = pq.ParquetFile(pa.OSFile(os.fsencode(source.path)))  # a name that is no text too
     except pa.ArrowException as error:
         raise InvalidInputError(str(source.path), str(error), "Give a Parquet file.") from error
+    columns = file.schema_arrow
+    if "instance" in columns.names and not {"image", "keypoints"} & set(columns.names):
+        kind = columns.field("instance").type  # beside other fields it may mean anything
+        if not (_is_text(kind) or (pa.types.is_dictionary(kind) and _is_text(kind.value_type))):
+            fix = "Let it be text: the JSON of an instance of a keypoint file."
+            raise InvalidInputError(f"{source.path}: column instance", f"the type {kind}", fix)
+    return file
+
+
+def _is_text(kind: Any) -> bool:
+    import pyarrow as pa
+
+    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_null(kind))
 
 
 def _parquet_rows(source: InputFile) -> Iterator[Row]:

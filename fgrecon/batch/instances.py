@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
+from decimal import Decimal
 from typing import Any
 
 from fgrecon.core.errors import InvalidInputError
@@ -41,6 +42,8 @@ def _plain(value: Any) -> Any:
     """A column's value as JSON has it: NaN is null, and what JSON does not know is text."""
     if isinstance(value, float):
         return None if math.isnan(value) else value
+    if isinstance(value, Decimal):
+        return int(value) if value == value.to_integral_value() else float(value)
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items() if item is not None}
     if isinstance(value, list):

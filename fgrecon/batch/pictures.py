@@ -36,6 +36,8 @@ class Pictures:
         """
         if isinstance(image, bytes):
             return decode_photograph(image, "image")
+        if "\0" in image:
+            raise InvalidInputError("image", image, "Give the name of a file: none has a null character.")
         return read_photograph(image) if frame is None else (self._frame(image, frame), None)
 
     def _frame(self, path: str, frame: int) -> NDArray[np.uint8]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import socket
+from decimal import Decimal
 
 import numpy as np
 import pyarrow as pa
@@ -194,3 +195,55 @@ def test_what_is_neither_file_nor_folder_is_refused(tmp_path, monkeypatch, name)
         made.bind("socket")
         with pytest.raises(InvalidInputError, match="pipe or device"):
             sources_of([name])
+
+
+@pytest.mark.parametrize(
+    ("column", "kind"), [(pa.array([b"{}"]), "binary"), (pa.array([3]), "int64"), (pa.array([["{}"]]), "list")]
+)
+def test_an_instance_that_is_no_text_is_refused_by_its_type(tmp_path, column, kind):
+    pq.write_table(pa.table({"instance": column, "weather": ["rain"]}), tmp_path / "cars.parquet")
+    (row,) = rows_of(tmp_path / "cars.parquet")
+    assert f"column instance: got the type {kind}" in row["problem"]
+
+
+@pytest.mark.parametrize("kind", [pa.large_string(), pa.dictionary(pa.int8(), pa.string())])
+def test_texts_of_other_types_are_instances(cars, tmp_path, kind):
+    texts = pa.array([json.dumps(car) for car in cars]).cast(kind)
+    pq.write_table(pa.table({"instance": texts}), tmp_path / "cars.parquet")
+    assert [json.loads(row["instance"]) for row in rows_of(tmp_path / "cars.parquet")] == cars
+
+
+def test_a_column_instance_beside_keypoints_may_be_anything(cars, tmp_path):
+    pq.write_table(pa.Table.from_pylist([car | {"instance": 3} for car in cars]), tmp_path / "cars.parquet")
+    assert [json.loads(row["instance"]) for row in rows_of(tmp_path / "cars.parquet")] == cars
+
+
+def test_decimals_are_numbers(cars, tmp_path):
+    names = ("keypoints", "confidence", "box")
+    exact = {"keypoints": pa.list_(pa.list_(pa.decimal128(20, 10)))} | dict.fromkeys(
+        names[1:], pa.list_(pa.decimal128(20, 10))
+    )
+    columns = {name: pa.array([cars[0][name]]) for name in names}
+    decimals = {"id": pa.array([Decimal(5)], pa.decimal128(3, 0))}
+    for name, column in columns.items():
+        decimals[name] = pa.array(_decimals(column.to_pylist()), exact[name])
+    pq.write_table(pa.table(decimals), tmp_path / "cars.parquet")
+    (row,) = rows_of(tmp_path / "cars.parquet")
+    told = json.loads(row["instance"])
+    assert told["id"] == 5
+    np.testing.assert_allclose(told["keypoints"], cars[0]["keypoints"], atol=1e-9)
+    (solved,) = Reconstructor(camera=K)(pa.Table.from_pylist([row])).to_pylist()
+    assert solved["status"] == "converged"
+    (direct,) = Reconstructor(camera=K)(pa.table(decimals)).to_pylist()
+    assert direct["camera_T_object"] == solved["camera_T_object"]
+
+
+def _decimals(value):
+    return [_decimals(item) for item in value] if isinstance(value, list) else Decimal(f"{value:.10f}")
+
+
+@pytest.mark.parametrize("frame", [None, 3])
+def test_an_image_that_can_be_no_name_is_refused(frame):
+    table = pa.table({"image": ["a\0b"], "frame": pa.array([frame], pa.int64())})
+    (row,) = Reconstructor(camera=K)(table).to_pylist()
+    assert (row["status"], row["error_field"]) == ("refused", "image")
