@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,17 +10,21 @@ from numpy.typing import ArrayLike, NDArray
 from factors.checks import has_shape, shape_words
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["as_finite", "as_rigid", "as_shape", "one_word"]
+__all__ = ["as_finite", "as_rigid", "as_shape", "one_word", "own"]
 
 _NUMBERS = (
     "biufO"  # numpy's kinds; an array of objects may hold numbers, and whether it does shows when it is converted
 )
+
+Kept = TypeVar("Kept", bound=NDArray[Any])
 
 _LAST_ROW = 1e-6  # by so much 0 0 0 1 may be off
 
 
 def as_shape(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: str = "") -> NDArray[np.float64]:
     """Convert to a float64 array of the given shape (`None` matches any length); values are not checked.
+
+    What a masked array hides is NaN: not measured.
 
     Raises:
         InvalidInputError: `value` is not numeric or has another shape.
@@ -30,6 +34,8 @@ def as_shape(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: s
         if given.dtype.kind not in _NUMBERS:  # text, bytes, dates; complex numbers would lose a part
             raise TypeError(f"{given.dtype}")
         array = given.astype(np.float64, copy=False)
+        if isinstance(value, np.ma.MaskedArray):
+            array = np.where(np.ma.getmaskarray(value), np.nan, array)
     except (TypeError, ValueError, OverflowError) as error:
         raise InvalidInputError(
             field, value, fix or f"Give numbers in an array of shape {shape_words(shape)}."
@@ -51,6 +57,18 @@ def as_finite(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: 
         place = f"[{', '.join(map(str, where))}]" if where else ""
         raise InvalidInputError(field + place, float(array[where]), fix or "Give finite numbers only.")
     return array
+
+
+def own(array: Kept) -> Kept:
+    """A read-only copy, for an object to keep: nobody changes it by writing into what was given, or into the object.
+
+    What is such a copy already is taken as it is.
+    """
+    if not array.flags.writeable and array.base is None:
+        return array
+    kept = array.copy(order="C")
+    kept.flags.writeable = False
+    return kept
 
 
 def as_rigid(field: str, value: ArrayLike, tolerance: float) -> NDArray[np.float64]:

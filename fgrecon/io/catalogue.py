@@ -204,19 +204,7 @@ def _prior_from_arrays(source: str, arrays: Mapping[str, NDArray[Any]], fix: str
         )
     except InvalidInputError as error:
         raise InvalidInputError(f"{source}: {error.field}", error.value, error.fix) from error
-    _freeze(prior)
     return prior
-
-
-def _freeze(prior: ShapePrior) -> None:
-    """Make the arrays read-only: a shipped prior is shared by everyone who loads it."""
-    arrays = [getattr(prior, field) for field in _ARRAYS]
-    if prior.mean_sigma is not None:
-        arrays.append(prior.mean_sigma)
-    if prior.surface is not None:
-        arrays += [prior.surface.mean, prior.surface.basis, prior.surface.faces]
-    for array in arrays:
-        array.setflags(write=False)
 
 
 def _compact(array: NDArray[np.float64]) -> NDArray[Any]:

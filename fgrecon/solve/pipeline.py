@@ -165,7 +165,7 @@ def observe(
         seen = Observation.of(
             pixels,
             None if confidence is None else as_shape("confidence", confidence, (category.size,)),
-            None if box is None else np.asarray(box),
+            None if box is None else as_finite("box", box, (4,), "Give x1, y1, x2, y2 in pixels."),
             None if covariance is None else as_shape("covariance", covariance, (category.size, 2, 2)),
             options.confidence_midpoint,
         )
