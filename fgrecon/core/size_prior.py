@@ -29,7 +29,7 @@ class SizePrior:
     Attributes:
         name: Name of the fleet.
         mean: (3,) mean length, width and height, metres.
-        sigma: (3,) their standard deviations, metres, near zero where the size is known: a millimetre is taken for less.
+        sigma: (3,) their standard deviations, metres; near zero where the size is known, and at least a millimetre.
         traffic: (3, 3) second moment about `mean` of all that is taken for one of the fleet, square metres: among cars
             there are vans. What covariances count, since one picture hardly tells the two apart; None for that of the
             fleet.

@@ -39,6 +39,9 @@ __all__ = ["ground_plane", "observe", "reconstruct"]
 
 Array = NDArray[np.float64]
 
+_UNDONE, _ANYWHERE = 1.0, 1e7  # pixels
+_FEWEST = 3  # keypoints that a pose needs
+
 
 @single_threaded
 def reconstruct(
@@ -171,10 +174,37 @@ def observe(
         )
     _check_in_image(seen.box, camera)
     seen = seen.of_at_least(options.keypoints.least_confidence)
-    if camera.distortion is None:
-        return seen
+    return seen if camera.distortion is None else _ideal(seen, camera)
+
+
+def _ideal(seen: Observation, camera: Camera) -> Observation:
+    """The observation freed of lens distortion; a keypoint where no ray of such a lens arrives is not measured.
+
+    Raises:
+        InvalidInputError: The distortion cannot be undone at the box, or not at half of the keypoints that are measured.
+    """
     ideal_box = None if seen.box is None else camera.undistort(seen.box.reshape(2, 2)).ravel()
-    return replace(seen, keypoints=camera.undistort(seen.keypoints), box=ideal_box)
+    keypoints = camera.undistort(seen.keypoints)
+    lost = seen.measured & ~_undone(seen.keypoints, keypoints, camera)
+    keypoints[lost] = np.nan
+    boxed = True
+    if seen.box is not None and ideal_box is not None:
+        boxed = bool(_undone(seen.box.reshape(2, 2), ideal_box.reshape(2, 2), camera).all())
+        boxed = boxed and float((ideal_box[2:] - ideal_box[:2]).min()) >= 1.0
+    left = keypoints[seen.measured & ~lost]
+    gone = bool(lost.any()) and len(left) < max(_FEWEST, np.count_nonzero(lost))
+    all_one = len(left) > 1 and float(np.ptp(left, axis=0).max()) < 1.0 <= float(np.ptp(seen.keypoints[seen.measured]))
+    if not boxed or gone or all_one:
+        fix = f"Give coefficients of this camera: they cannot be undone at the {'keypoints' if boxed else 'box'}."
+        raise InvalidInputError("distortion", np.asarray(camera.distortion).tolist(), fix)
+    return replace(seen, keypoints=keypoints, box=ideal_box)
+
+
+def _undone(pixels: Array, ideal: Array, camera: Camera) -> NDArray[np.bool_]:
+    """(M,) whether pixels without distortion are imaged where they came from."""
+    found = np.asarray((np.abs(ideal) < _ANYWHERE).all(axis=1))  # not NaN
+    found[found] = np.abs(camera.distort(ideal[found]) - pixels[found]).max(axis=1) < _UNDONE
+    return found
 
 
 def _check_in_image(box: Array | None, camera: Camera) -> None:
