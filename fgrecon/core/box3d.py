@@ -94,7 +94,7 @@ class BoxErrors:
     """
 
     depth: float = number(0.06, least=1e-3, most=1.0)
-    bearing: float = number(2.0, least=0.1)
+    bearing: float = number(2.0, least=0.1, most=1e5)
     yaw: float = number(float(np.deg2rad(10.0)), least=1e-3, most=float(np.pi))
     size: float = number(0.05, least=1e-3, most=1.0)
     turned: float = number(0.05, least=1e-6, most=0.5)

@@ -31,7 +31,7 @@ class BoxSource:
     upper: float = number(BoxOptions().upper, least=-0.5, most=0.5)
     right: float = number(BoxOptions().right, least=-0.5, most=0.5)
     lower: float = number(BoxOptions().lower, least=-0.5, most=0.5)
-    spread: float = number(0.035, least=0.0)
+    spread: float = number(0.035, least=0.0, most=1.0)
 
     def __post_init__(self) -> None:
         """Check the numbers (`InvalidInputError`)."""
@@ -55,7 +55,7 @@ class DetectorCalibration:
         boxes: Where the edges of the boxes lie that the keypoints were found in; None where that was not fitted.
     """
 
-    common_factor: float = number(_DEFAULT.common_factor, least=1.0)
+    common_factor: float = number(_DEFAULT.common_factor, least=1.0, most=1e6)
     facing_bias: float = number(_DEFAULT.facing_bias, least=-20.0, most=20.0)
     facing_slope: float = number(_DEFAULT.facing_slope, least=0.0, most=20.0)
     provenance: Mapping[str, Any] = field(default_factory=dict)

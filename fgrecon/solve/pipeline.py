@@ -181,7 +181,7 @@ def _ideal(seen: Observation, camera: Camera) -> Observation:
     """The observation freed of lens distortion; a keypoint where no ray of such a lens arrives is not measured.
 
     Raises:
-        InvalidInputError: The distortion cannot be undone at the box, or not at half of the keypoints that are measured.
+        InvalidInputError: The distortion cannot be undone at the box, or not at half of the measured keypoints.
     """
     ideal_box = None if seen.box is None else camera.undistort(seen.box.reshape(2, 2)).ravel()
     keypoints = camera.undistort(seen.keypoints)
