@@ -75,8 +75,11 @@ class Camera:
             object.__setattr__(self, "distortion", own(coefficients) if coefficients.any() else None)
         if self.image_size is not None:
             object.__setattr__(self, "image_size", _image_size(self.image_size))
-        if not 0.0 <= self.focal_sigma <= _LARGEST_SIGMA:
-            raise InvalidInputError("focal_sigma", self.focal_sigma, f"Give a number from 0 to {_LARGEST_SIGMA:g}.")
+        fix = f"Give a number from 0 to {_LARGEST_SIGMA:g}."
+        sigma = float(as_finite("focal_sigma", self.focal_sigma, (), fix))
+        if not 0.0 <= sigma <= _LARGEST_SIGMA:
+            raise InvalidInputError("focal_sigma", sigma, fix)
+        object.__setattr__(self, "focal_sigma", sigma)
 
     @classmethod
     def of(cls, intrinsics: Camera | ArrayLike, distortion: ArrayLike | None = None) -> Camera:
@@ -108,11 +111,12 @@ class Camera:
         Raises:
             InvalidInputError: The image has no pixels, or the angle is not between 0 and 180 degrees.
         """
-        if min(width, height) < 1:
-            raise InvalidInputError("image_size", (width, height), "Give a width and height of at least a pixel.")
-        if not 0.0 < degrees < 180.0:
-            raise InvalidInputError("field_of_view", degrees, "Give degrees above 0 and below 180.")
-        focal = width / 2 / np.tan(np.radians(degrees) / 2)
+        width, height = _image_size((width, height))
+        fix = "Give degrees above 0 and below 180."
+        angle = float(as_finite("field_of_view", degrees, (), fix))
+        if not 0.0 < angle < 180.0:
+            raise InvalidInputError("field_of_view", angle, fix)
+        focal = width / 2 / np.tan(np.radians(angle) / 2)
         return replace(cls.of([focal, focal, (width - 1) / 2, (height - 1) / 2]), image_size=(width, height))
 
     @classmethod

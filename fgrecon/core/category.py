@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.brief import brief_repr
-from fgrecon.core.checks import own
+from fgrecon.core.checks import as_instance, own
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.motion import MotionModel
 
@@ -148,7 +148,7 @@ class Category:
         Raises:
             InvalidInputError: A field is missing, of the wrong kind, or names an unknown keypoint.
         """
-        return _Reader(data).category()
+        return _Reader(as_instance("category", data, Mapping)).category()
 
     def to_dict(self) -> dict[str, Any]:
         """The content of the category's JSON file; `from_dict` reads it back."""

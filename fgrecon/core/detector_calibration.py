@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
+from fgrecon.core.checks import as_instance
 from fgrecon.core.options import BoxOptions, KeypointOptions, Options
 from fgrecon.core.settings import check_settings, number
 
@@ -64,6 +65,10 @@ class DetectorCalibration:
     def __post_init__(self) -> None:
         """Check the numbers (`InvalidInputError`)."""
         check_settings(self, "calibration")
+        provenance = dict(as_instance("calibration.provenance", self.provenance, Mapping))
+        object.__setattr__(self, "provenance", provenance)
+        if self.boxes is not None:
+            as_instance("calibration.boxes", self.boxes, BoxSource)
 
     @property
     def numbers(self) -> dict[str, float]:

@@ -105,8 +105,9 @@ class Observation:
             InvalidInputError: As the constructor.
         """
         midpoint = cls.confidence_midpoint if confidence_midpoint is None else confidence_midpoint
-        trust = np.full(len(keypoints), midpoint) if confidence is None else confidence
-        return cls(keypoints, trust, box, covariance, midpoint, azimuth)
+        pixels = as_shape("keypoints", keypoints, (None, 2))
+        trust = np.full(len(pixels), midpoint) if confidence is None else confidence
+        return cls(pixels, trust, box, covariance, midpoint, azimuth)
 
     @property
     def measured(self) -> NDArray[np.bool_]:

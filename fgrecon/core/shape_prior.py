@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.brief import brief_repr
 from fgrecon.core.category import Category
-from fgrecon.core.checks import as_finite, as_shape, own
+from fgrecon.core.checks import as_finite, as_instance, as_shape, own
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import MIRROR
 from fgrecon.core.size_prior import LONGEST, SHORTEST, SIZES, SizePrior
@@ -110,7 +110,7 @@ class ShapePrior:
             InvalidInputError: An array has the wrong shape, or holds NaN or infinite values, or the mean shape's size
                 is no vehicle's: metres are mistaken for another unit.
         """
-        size = self.category.size
+        size = as_instance("prior.category", self.category, Category).size
         set_ = object.__setattr__  # the dataclass is frozen; arrays are normalised once, here
         set_(self, "mean", own(as_finite("prior.mean", self.mean, (size, 3))))
         set_(self, "basis", own(as_finite("prior.basis", self.basis, (None, size, 3))))
@@ -133,10 +133,9 @@ class ShapePrior:
             fix = f"Bring the shape into the object frame, x forward, y down, z left, in metres: {SIZES}."
             raise InvalidInputError("prior.mean", f"length, width, height {box.round(3).tolist()}", fix)
         if self.surface is not None:
-            if not isinstance(self.surface, Surface):
-                raise InvalidInputError("prior.surface", self.surface, "Give an `fgrecon.Surface`, or None.")
+            as_instance("prior.surface", self.surface, Surface)
             as_shape("prior.surface.basis", self.surface.basis, (count, len(self.surface.mean), 3))
-        set_(self, "provenance", dict(self.provenance))
+        set_(self, "provenance", dict(as_instance("prior.provenance", self.provenance, Mapping)))
 
     @property
     def dimension(self) -> int:

@@ -19,7 +19,7 @@ SHORTEST, LONGEST = 0.3, 30.0
 SIZES = f"length, width and height are {SHORTEST:g} to {LONGEST:g} m"
 """The same in words, for errors."""
 
-_KNOWN, _WIDEST = 1e-3, 1e3  # metres: a size is known no better, and may be anything
+_KNOWN, _WIDEST = 1e-4, 1e6  # metres: a size is known no better, and may be anything
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class SizePrior:
     Attributes:
         name: Name of the fleet.
         mean: (3,) mean length, width and height, metres.
-        sigma: (3,) their standard deviations, metres; near zero where the size is known, and at least a millimetre.
+        sigma: (3,) their standard deviations, metres; near zero where the size is known, at least 0.0001 m.
         traffic: (3, 3) second moment about `mean` of all that is taken for one of the fleet, square metres: among cars
             there are vans. What covariances count, since one picture hardly tells the two apart; None for that of the
             fleet.

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.category import Category
-from fgrecon.core.checks import as_finite, as_shape
+from fgrecon.core.checks import as_finite, as_list, as_shape
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options, checked_options
@@ -35,7 +35,7 @@ from fgrecon.solve.vehicle.model import prepare
 if TYPE_CHECKING:
     import gtsam
 
-__all__ = ["ground_plane", "observe", "reconstruct"]
+__all__ = ["ground_plane", "observe", "own_factors", "reconstruct"]
 
 Array = NDArray[np.float64]
 
@@ -87,6 +87,7 @@ def reconstruct(
         DegenerateProblemError: The keypoints do not determine a pose.
     """
     options = checked_options(options)
+    extra_factors = own_factors(extra_factors)
     shape_prior = load_prior(prior)
     camera = Camera.of(intrinsics, distortion)
     if camera.focal_sigma:
@@ -109,6 +110,19 @@ def reconstruct(
     adjusted = adjust(seen, [pose], extra_factors)
     milliseconds = {"pose": (posed - started) * 1e3, "shape": (perf_counter() - posed) * 1e3}
     return results(seen, [pose], adjusted, milliseconds, extra_factors)[0]
+
+
+def own_factors(given: Sequence[gtsam.NonlinearFactor]) -> Sequence[gtsam.NonlinearFactor]:
+    """Factors of one's own.
+
+    Raises:
+        InvalidInputError: They are no sequence of factors.
+    """
+    if isinstance(given, tuple) and not given:
+        return given
+    import gtsam
+
+    return as_list("extra_factors", given, gtsam.NonlinearFactor)
 
 
 def ground_plane(ground: Ground | float | None) -> Ground | None:
@@ -192,7 +206,7 @@ def _ideal(seen: Observation, camera: Camera) -> Observation:
         boxed = bool(_undone(seen.box.reshape(2, 2), ideal_box.reshape(2, 2), camera).all())
         boxed = boxed and float((ideal_box[2:] - ideal_box[:2]).min()) >= 1.0
     left = keypoints[seen.measured & ~lost]
-    gone = bool(lost.any()) and len(left) < max(_FEWEST, np.count_nonzero(lost))
+    gone = bool(lost.any()) and len(left) < max(_FEWEST, int(np.count_nonzero(lost)))
     all_one = len(left) > 1 and float(np.ptp(left, axis=0).max()) < 1.0 <= float(np.ptp(seen.keypoints[seen.measured]))
     if not boxed or gone or all_one:
         fix = f"Give coefficients of this camera: they cannot be undone at the {'keypoints' if boxed else 'box'}."

@@ -205,9 +205,9 @@ def test_a_3d_box_that_is_no_vehicles_is_refused_alone():
 
 
 @pytest.mark.parametrize("sigma", [1e-300, 1e-6, 5e-6])
-def test_a_size_that_is_known_exactly_is_taken_to_a_millimetre(sigma):
+def test_a_size_that_is_known_exactly_is_taken_to_a_tenth_of_a_millimetre(sigma):
     seen = observe(load_prior("car14"), yaw_pose(0.5))
-    told = [f"4,1.6,1.5,{one},{one},{one}" for one in (sigma, 1e-3)]
+    told = [f"4,1.6,1.5,{one},{one},{one}" for one in (sigma, 1e-4)]
     exact, known = (fgrecon.reconstruct(seen, CAMERA, size_prior=text) for text in told)
     assert known.status.determined
     np.testing.assert_array_equal(exact.wireframe, known.wireframe)
