@@ -10,6 +10,10 @@ from factors.errors import InvalidInputError
 __all__ = ["finite_array", "has_shape", "index_array", "shape_words", "unit_vector"]
 
 
+_LARGE = 1e100
+"""Squares of numbers that are larger are soon beyond what floats hold."""
+
+
 def finite_array(field: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
     """A C-contiguous float64 copy of `value` of a shape (`None` matches any length) with finite elements.
 
@@ -60,6 +64,9 @@ def unit_vector(field: str, value: ArrayLike) -> NDArray[np.float64]:
         InvalidInputError: It is no finite 3-vector, or has no length.
     """
     vector = finite_array(field, value, (3,))
+    largest = np.abs(vector).max()
+    if largest > _LARGE:
+        vector = vector / largest
     length = float(np.linalg.norm(vector))
     if length < 1e-9:
         raise InvalidInputError(field, vector.tolist(), "Give a vector of length above zero.")

@@ -16,6 +16,8 @@ if TYPE_CHECKING:  # on use: weights need numpy alone
 
 __all__ = ["Loss", "RobustLoss"]
 
+_LARGEST = 1e50  # beyond, squares are soon no floats
+
 
 class Loss(Enum):
     """Robust losses rho(s) of a whitened residual norm s, and the tuning constant that gives 95 % efficiency."""
@@ -59,10 +61,10 @@ class RobustLoss:
         """Check the constant.
 
         Raises:
-            InvalidInputError: The constant is not positive and finite.
+            InvalidInputError: The constant is not positive, or is enormous.
         """
-        if not (np.isfinite(self.constant) and self.constant > 0):
-            raise InvalidInputError("constant", self.constant, "Give a positive tuning constant.")
+        if not 1.0 / _LARGEST <= self.constant <= _LARGEST:
+            raise InvalidInputError("constant", self.constant, f"Give a positive constant, up to {_LARGEST:g}.")
 
     @classmethod
     def of(cls, name: Loss | str, constant: float | None = None) -> RobustLoss:

@@ -11,6 +11,8 @@ import os
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from factors.errors import InvalidInputError
+
 if TYPE_CHECKING:
     from types import ModuleType
 
@@ -21,8 +23,15 @@ _FOUND: dict[str, ModuleType | None] = {}
 
 
 def native(name: str) -> ModuleType | None:
-    """A compiled module by its name, or None where it was not built or is not wanted."""
-    if os.environ.get(_VARIABLE) == "numpy":
+    """A compiled module by its name, or None where it was not built or is not wanted.
+
+    Raises:
+        InvalidInputError: The environment variable has another value.
+    """
+    wanted = os.environ.get(_VARIABLE)
+    if wanted:
+        if wanted != "numpy":
+            raise InvalidInputError(_VARIABLE, wanted, "Set the environment variable to numpy, or not at all.")
         return None
     if name not in _FOUND:
         try:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.camera import MIN_DEPTH
-from fgrecon.core.checks import as_finite
+from fgrecon.core.checks import as_finite, own
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import yaw_rotation
 from fgrecon.core.settings import check_settings, number
@@ -16,6 +16,8 @@ from fgrecon.core.settings import check_settings, number
 __all__ = ["Box3D", "BoxErrors", "box_corners"]
 
 Array = NDArray[np.float64]
+
+_FARTHEST, _LARGEST = 1e5, 1e3  # metres: farther away or larger is no box of anything that a camera sees
 
 
 @dataclass(frozen=True)
@@ -36,19 +38,24 @@ class Box3D:
         """Check the numbers.
 
         Raises:
-            InvalidInputError: A number is not finite, the box is behind the camera or has no size.
+            InvalidInputError: A number is not finite or no box's in metres, or the box is behind the camera or has no
+                size.
         """
         location = as_finite("box3d.location", self.location, (3,))
+        if np.abs(location).max() > _FARTHEST:
+            fix = f"Give metres, at most {_FARTHEST:g}."
+            raise InvalidInputError("box3d.location", location.tolist(), fix)
         if location[2] <= MIN_DEPTH:
             raise InvalidInputError("box3d.location", location.tolist(), "Give a box in front of the camera (z > 0).")
-        object.__setattr__(self, "location", location)
-        if not np.isfinite(self.rotation_y):
-            raise InvalidInputError("box3d.rotation_y", self.rotation_y, "Give an angle in radians.")
+        object.__setattr__(self, "location", own(location))
+        yaw = float(as_finite("box3d.rotation_y", self.rotation_y, (), "Give an angle in radians."))
+        object.__setattr__(self, "rotation_y", yaw)
         if self.size is not None:
             size = as_finite("box3d.size", self.size, (3,))
-            if (size <= 0).any():
-                raise InvalidInputError("box3d.size", size.tolist(), "Give length, width and height above zero.")
-            object.__setattr__(self, "size", size)
+            if (size <= 0).any() or (size > _LARGEST).any():
+                fix = f"Give length, width and height in metres, above zero and at most {_LARGEST:g}."
+                raise InvalidInputError("box3d.size", size.tolist(), fix)
+            object.__setattr__(self, "size", own(size))
 
     @property
     def corners(self) -> Array:
@@ -87,7 +94,7 @@ class BoxErrors:
     """
 
     depth: float = number(0.06, least=1e-3, most=1.0)
-    bearing: float = number(2.0, least=0.1)
+    bearing: float = number(2.0, least=0.1, most=1e5)
     yaw: float = number(float(np.deg2rad(10.0)), least=1e-3, most=float(np.pi))
     size: float = number(0.05, least=1e-3, most=1.0)
     turned: float = number(0.05, least=1e-6, most=0.5)

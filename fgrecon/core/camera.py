@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fgrecon.core.checks import as_finite, as_shape
+from factors.checks import unit_vector
+from fgrecon.core.checks import as_finite, as_shape, own
 from fgrecon.core.errors import InvalidInputError
 
 __all__ = ["ANY_FOCAL_SIGMA", "DEFAULT_FIELD_OF_VIEW", "MIN_DEPTH", "Camera", "Ground"]
@@ -64,18 +65,21 @@ class Camera:
             )
         if matrix[1, 0] != 0 or matrix[2].tolist() != [0.0, 0.0, 1.0]:
             raise InvalidInputError("intrinsics", matrix.tolist(), "Give [[fx, s, cx], [0, fy, cy], [0, 0, 1]].")
-        object.__setattr__(self, "matrix", matrix)
+        object.__setattr__(self, "matrix", own(matrix))
         if self.distortion is not None:
             coefficients = as_finite("distortion", self.distortion, (None,))
             if len(coefficients) not in (4, 5, 8, 12, 14):
                 raise InvalidInputError(
                     "distortion", f"{len(coefficients)} coefficients", "Give 4, 5, 8, 12 or 14 (OpenCV's order)."
                 )
-            object.__setattr__(self, "distortion", coefficients if coefficients.any() else None)
+            object.__setattr__(self, "distortion", own(coefficients) if coefficients.any() else None)
         if self.image_size is not None:
             object.__setattr__(self, "image_size", _image_size(self.image_size))
-        if not 0.0 <= self.focal_sigma <= _LARGEST_SIGMA:
-            raise InvalidInputError("focal_sigma", self.focal_sigma, f"Give a number from 0 to {_LARGEST_SIGMA:g}.")
+        fix = f"Give a number from 0 to {_LARGEST_SIGMA:g}."
+        sigma = float(as_finite("focal_sigma", self.focal_sigma, (), fix))
+        if not 0.0 <= sigma <= _LARGEST_SIGMA:
+            raise InvalidInputError("focal_sigma", sigma, fix)
+        object.__setattr__(self, "focal_sigma", sigma)
 
     @classmethod
     def of(cls, intrinsics: Camera | ArrayLike, distortion: ArrayLike | None = None) -> Camera:
@@ -107,11 +111,12 @@ class Camera:
         Raises:
             InvalidInputError: The image has no pixels, or the angle is not between 0 and 180 degrees.
         """
-        if min(width, height) < 1:
-            raise InvalidInputError("image_size", (width, height), "Give a width and height of at least a pixel.")
-        if not 0.0 < degrees < 180.0:
-            raise InvalidInputError("field_of_view", degrees, "Give degrees above 0 and below 180.")
-        focal = width / 2 / np.tan(np.radians(degrees) / 2)
+        width, height = _image_size((width, height))
+        fix = "Give degrees above 0 and below 180."
+        angle = float(as_finite("field_of_view", degrees, (), fix))
+        if not 0.0 < angle < 180.0:
+            raise InvalidInputError("field_of_view", angle, fix)
+        focal = width / 2 / np.tan(np.radians(angle) / 2)
         return replace(cls.of([focal, focal, (width - 1) / 2, (height - 1) / 2]), image_size=(width, height))
 
     @classmethod
@@ -241,12 +246,10 @@ class Ground:
             InvalidInputError: The normal has no length or points up, or a number is not positive.
         """
         normal = as_finite("ground.normal", self.normal, (3,))
-        length = float(np.linalg.norm(normal))
-        if length < 1e-9:
-            raise InvalidInputError("ground.normal", normal.tolist(), "Give a vector of length above zero.")
-        if normal[1] <= 0:
+        unit = unit_vector("ground.normal", normal)
+        if unit[1] <= 0:
             raise InvalidInputError("ground.normal", normal.tolist(), "Let the normal point down (positive y).")
-        object.__setattr__(self, "normal", normal / length)
+        object.__setattr__(self, "normal", own(unit))
         for field in ("distance", "height_sigma", "slope_sigma", "tilt_sigma"):
             value = float(as_finite(f"ground.{field}", getattr(self, field), (), "Give a positive number."))
             if not _NARROWEST <= value <= _FARTHEST:
@@ -259,7 +262,7 @@ class Ground:
         x, cosine, z = self.normal
         skew = np.array([[0.0, x, 0.0], [-x, 0.0, -z], [0.0, z, 0.0]])  # of the axis (z, 0, -x) = y x normal
         rotation: NDArray[np.float64] = np.eye(3) + skew + skew @ skew / (1.0 + cosine)
-        return rotation
+        return own(rotation)
 
     def height_sigma_at(self, depth: NDArray[np.float64]) -> NDArray[np.float64]:
         """Standard deviation in metres of an origin's height over the plane at depths (...,) in metres."""

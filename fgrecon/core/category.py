@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.brief import brief_repr
+from fgrecon.core.checks import as_instance, own
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.motion import MotionModel
 
@@ -101,12 +102,12 @@ class Category:
         mirror = np.arange(self.size)
         for left, right in self.symmetric_pairs:
             mirror[left], mirror[right] = right, left
-        return mirror
+        return own(mirror)
 
     @cached_property
     def off_faces(self) -> NDArray[np.intp]:
         """Keypoints on no planar face: parts that stand out of the body, such as mirrors."""
-        return np.setdiff1d(np.arange(self.size), [k for face in self.faces for k in face.keypoints])
+        return own(np.setdiff1d(np.arange(self.size), [k for face in self.faces for k in face.keypoints]))
 
     @cached_property
     def dimension_operator(self) -> NDArray[np.float64]:
@@ -116,7 +117,7 @@ class Category:
             direction = dimension.direction / dimension.ratio
             operator[row, list(dimension.plus)] += direction / len(dimension.plus)
             operator[row, list(dimension.minus)] -= direction / len(dimension.minus)
-        return operator
+        return own(operator)
 
     def box_size(self, keypoints: NDArray[np.float64]) -> NDArray[np.float64]:
         """(3,) length, width and height of the box of a vehicle with these keypoints (K, 3), in metres."""
@@ -147,7 +148,7 @@ class Category:
         Raises:
             InvalidInputError: A field is missing, of the wrong kind, or names an unknown keypoint.
         """
-        return _Reader(data).category()
+        return _Reader(as_instance("category", data, Mapping)).category()
 
     def to_dict(self) -> dict[str, Any]:
         """The content of the category's JSON file; `from_dict` reads it back."""

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterable, Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,11 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 from factors.checks import has_shape, shape_words
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["as_finite", "as_rigid", "as_shape", "one_word"]
+__all__ = ["as_finite", "as_instance", "as_list", "as_path", "as_rigid", "as_rows", "as_shape", "one_word", "own"]
 
 _NUMBERS = (
     "biufO"  # numpy's kinds; an array of objects may hold numbers, and whether it does shows when it is converted
 )
+
+Kept = TypeVar("Kept", bound=NDArray[Any])
 
 _LAST_ROW = 1e-6  # by so much 0 0 0 1 may be off
 
@@ -22,21 +27,41 @@ _LAST_ROW = 1e-6  # by so much 0 0 0 1 may be off
 def as_shape(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: str = "") -> NDArray[np.float64]:
     """Convert to a float64 array of the given shape (`None` matches any length); values are not checked.
 
+    What a masked array hides is NaN: not measured.
+
     Raises:
         InvalidInputError: `value` is not numeric or has another shape.
     """
+    array = _numbers(field, value, shape, fix)
+    if not has_shape(array.shape, shape):
+        raise InvalidInputError(field, f"shape {array.shape}", fix or f"Give an array of shape {shape_words(shape)}.")
+    return array
+
+
+def _numbers(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: str) -> NDArray[np.float64]:
+    """The numbers of any shape; `shape` is that of the error's fix."""
     try:
         given = np.asarray(value)
         if given.dtype.kind not in _NUMBERS:  # text, bytes, dates; complex numbers would lose a part
             raise TypeError(f"{given.dtype}")
         array = given.astype(np.float64, copy=False)
+        if isinstance(value, np.ma.MaskedArray):
+            array = np.where(np.ma.getmaskarray(value), np.nan, array)
     except (TypeError, ValueError, OverflowError) as error:
         raise InvalidInputError(
             field, value, fix or f"Give numbers in an array of shape {shape_words(shape)}."
         ) from error
-    if not has_shape(array.shape, shape):
-        raise InvalidInputError(field, f"shape {array.shape}", fix or f"Give an array of shape {shape_words(shape)}.")
     return array
+
+
+def as_rows(field: str, value: ArrayLike, width: int, fix: str = "") -> NDArray[np.float64]:
+    """(N, width) rows of numbers; the numbers of one row alone are a row, and none at all are no rows.
+
+    Raises:
+        InvalidInputError: As `as_shape`.
+    """
+    numbers = _numbers(field, value, (None, width), fix)
+    return as_shape(field, numbers.reshape(-1, width) if numbers.size % width == 0 else numbers, (None, width), fix)
 
 
 def as_finite(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: str = "") -> NDArray[np.float64]:
@@ -51,6 +76,18 @@ def as_finite(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: 
         place = f"[{', '.join(map(str, where))}]" if where else ""
         raise InvalidInputError(field + place, float(array[where]), fix or "Give finite numbers only.")
     return array
+
+
+def own(array: Kept) -> Kept:
+    """A read-only copy, for an object to keep: nobody changes it by writing into what was given, or into the object.
+
+    What is such a copy already is taken as it is.
+    """
+    if not array.flags.writeable and array.base is None:
+        return array
+    kept = array.copy(order="C")
+    kept.flags.writeable = False
+    return kept
 
 
 def as_rigid(field: str, value: ArrayLike, tolerance: float) -> NDArray[np.float64]:
@@ -73,6 +110,51 @@ def as_rigid(field: str, value: ArrayLike, tolerance: float) -> NDArray[np.float
     if not off <= tolerance or np.linalg.det(rotation) < 0.0 or last > _LAST_ROW:
         raise InvalidInputError(field, matrix.tolist(), fix)
     return matrix
+
+
+def as_instance(field: str, value: Any, kind: type[Any]) -> Any:
+    """The value as it is, which is of a class.
+
+    Raises:
+        InvalidInputError: It is of another.
+    """
+    if not isinstance(value, kind):
+        raise InvalidInputError(field, value, f"Give a `{kind.__name__}`.")
+    return value
+
+
+def as_list(field: str, value: Any, kind: type | None = None, *, gaps: bool = False) -> list[Any]:
+    """What a sequence, or anything else that is gone through once, holds.
+
+    Args:
+        field: Its name.
+        value: What is given.
+        kind: Class of its members; None where they are checked elsewhere.
+        gaps: Whether None may be among them.
+
+    Raises:
+        InvalidInputError: It is no sequence (a text is none), or a member is of another class.
+    """
+    of = "" if kind is None else f" of `{kind.__name__}`"
+    fix = f"Give a sequence{of}{', with None where there is none' if gaps else ''}."
+    if isinstance(value, str | bytes | Mapping) or not isinstance(value, Iterable):
+        raise InvalidInputError(field, value, fix)
+    members = list(value)
+    for number, member in enumerate(members):
+        if kind is not None and not isinstance(member, kind) and not (gaps and member is None):
+            raise InvalidInputError(f"{field}[{number}]", member, fix)
+    return members
+
+
+def as_path(field: str, value: Any) -> Path:
+    """The path of a file.
+
+    Raises:
+        InvalidInputError: It is neither a path nor a text.
+    """
+    if not isinstance(value, str | PathLike):
+        raise InvalidInputError(field, value, "Give the path of a file.")
+    return Path(value)
 
 
 def one_word(field: str, value: Any) -> str:

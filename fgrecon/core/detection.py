@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.brief import brief_repr
-from fgrecon.core.checks import as_finite
+from fgrecon.core.checks import as_finite, own
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.observation import Observation, as_directions
@@ -67,7 +67,7 @@ class Detection:
             visible = as_finite("detection.visible", self.visible, (len(self.observation.keypoints),))
             if ((visible < 0) | (visible > 1)).any():
                 raise InvalidInputError("detection.visible", visible.tolist(), "Give probabilities from 0 to 1.")
-            object.__setattr__(self, "visible", visible)
+            object.__setattr__(self, "visible", own(visible))
 
 
 def at_direction(values: NDArray[np.float64], azimuth: NDArray[np.float64]) -> NDArray[np.float64]:

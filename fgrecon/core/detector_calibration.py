@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
+from fgrecon.core.checks import as_instance
 from fgrecon.core.options import BoxOptions, KeypointOptions, Options
 from fgrecon.core.settings import check_settings, number
 
@@ -31,7 +32,7 @@ class BoxSource:
     upper: float = number(BoxOptions().upper, least=-0.5, most=0.5)
     right: float = number(BoxOptions().right, least=-0.5, most=0.5)
     lower: float = number(BoxOptions().lower, least=-0.5, most=0.5)
-    spread: float = number(0.035, least=0.0)
+    spread: float = number(0.035, least=0.0, most=1.0)
 
     def __post_init__(self) -> None:
         """Check the numbers (`InvalidInputError`)."""
@@ -55,7 +56,7 @@ class DetectorCalibration:
         boxes: Where the edges of the boxes lie that the keypoints were found in; None where that was not fitted.
     """
 
-    common_factor: float = number(_DEFAULT.common_factor, least=1.0)
+    common_factor: float = number(_DEFAULT.common_factor, least=1.0, most=1e6)
     facing_bias: float = number(_DEFAULT.facing_bias, least=-20.0, most=20.0)
     facing_slope: float = number(_DEFAULT.facing_slope, least=0.0, most=20.0)
     provenance: Mapping[str, Any] = field(default_factory=dict)
@@ -64,6 +65,10 @@ class DetectorCalibration:
     def __post_init__(self) -> None:
         """Check the numbers (`InvalidInputError`)."""
         check_settings(self, "calibration")
+        provenance = dict(as_instance("calibration.provenance", self.provenance, Mapping))
+        object.__setattr__(self, "provenance", provenance)
+        if self.boxes is not None:
+            as_instance("calibration.boxes", self.boxes, BoxSource)
 
     @property
     def numbers(self) -> dict[str, float]:

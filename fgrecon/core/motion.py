@@ -24,11 +24,11 @@ class MotionModel:
     """
 
     wheeled: bool = flag(default=True)
-    acceleration: float = number(2.0, least=1e-3)
-    turning: float = number(0.3, least=1e-4)
-    slip: float = number(0.3, least=1e-3)
-    radius: float = number(5.0, least=1e-3)
-    standing: float = number(0.2, least=1e-4)
+    acceleration: float = number(2.0, least=1e-3, most=1e3)
+    turning: float = number(0.3, least=1e-4, most=1e3)
+    slip: float = number(0.3, least=1e-3, most=1e3)
+    radius: float = number(5.0, least=1e-3, most=1e3)
+    standing: float = number(0.2, least=1e-4, most=1e3)
 
     def __post_init__(self) -> None:
         """Check the numbers (`InvalidInputError`)."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.brief import brief_repr
-from fgrecon.core.checks import as_finite, as_shape
+from fgrecon.core.checks import as_finite, as_shape, own
 from fgrecon.core.errors import InvalidInputError
 
 __all__ = ["Observation", "as_directions"]
@@ -71,18 +71,18 @@ class Observation:
         if not 1e-6 <= midpoint <= 1.0:
             raise InvalidInputError("confidence_midpoint", midpoint, "Give a number above 0, up to 1.")
         set_(self, "confidence_midpoint", midpoint)
-        set_(self, "keypoints", np.where(missing[:, None], np.nan, keypoints))
-        set_(self, "confidence", np.where(missing, 0.0, confidence))
+        set_(self, "keypoints", own(np.where(missing[:, None], np.nan, keypoints)))
+        set_(self, "confidence", own(np.where(missing, 0.0, confidence)))
         if self.box is not None:
             box = as_finite("box", self.box, (4,), "Give x1, y1, x2, y2 in pixels.")
             if not (box[2] - box[0] >= 1 and box[3] - box[1] >= 1):
                 raise InvalidInputError("box", box.tolist(), "Give x1 < x2 and y1 < y2, at least a pixel apart.")
             _check_size("box", box)
-            set_(self, "box", box)
+            set_(self, "box", own(box))
         if self.covariance is not None:
             covariance = as_shape("covariance", self.covariance, (len(keypoints), 2, 2))
             _check_covariances(covariance[~missing])
-            set_(self, "covariance", np.where(missing[:, None, None], np.eye(2), covariance))
+            set_(self, "covariance", own(np.where(missing[:, None, None], np.eye(2), covariance)))
         if self.azimuth is not None:
             set_(self, "azimuth", as_directions("azimuth", self.azimuth))
 
@@ -105,8 +105,9 @@ class Observation:
             InvalidInputError: As the constructor.
         """
         midpoint = cls.confidence_midpoint if confidence_midpoint is None else confidence_midpoint
-        trust = np.full(len(keypoints), midpoint) if confidence is None else confidence
-        return cls(keypoints, trust, box, covariance, midpoint, azimuth)
+        pixels = as_shape("keypoints", keypoints, (None, 2))
+        trust = np.full(len(pixels), midpoint) if confidence is None else confidence
+        return cls(pixels, trust, box, covariance, midpoint, azimuth)
 
     @property
     def measured(self) -> NDArray[np.bool_]:
@@ -135,7 +136,7 @@ class Observation:
 
 
 def as_directions(field: str, azimuth: ArrayLike) -> NDArray[np.float64]:
-    """(A,) probabilities of directions.
+    """(A,) probabilities of directions, to keep.
 
     Raises:
         InvalidInputError: They are no probabilities, or their sum is not 1; names the field.
@@ -144,7 +145,7 @@ def as_directions(field: str, azimuth: ArrayLike) -> NDArray[np.float64]:
     if not len(probability) or (probability < 0).any() or abs(probability.sum() - 1.0) > _SUM:
         fix = "Give a probability for each direction, with the sum 1."
         raise InvalidInputError(field, f"numbers of sum {probability.sum():g}", fix)
-    return probability
+    return own(probability)
 
 
 def _check_size(field: str, pixels: NDArray[np.float64]) -> None:

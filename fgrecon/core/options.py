@@ -17,6 +17,8 @@ from fgrecon.core.settings import check_settings, choice, choice_or_none, count,
 __all__ = ["BoxModel", "BoxOptions", "KeypointOptions", "Options", "SearchOptions", "ShapeOptions", "checked_options"]
 
 _HALF = 0.5  # of a box: an edge that is further off is none of it
+_RELATIVE, _PIXELS = 10.0, 1e5  # of a box, pixels: what is known no better says nothing
+_METRES = 1e3  # or radians: the same
 
 
 @dataclass(frozen=True)
@@ -40,10 +42,10 @@ class KeypointOptions:
             results say so (`Reconstruction.regions`).
     """
 
-    sigma_relative: float = number(0.035, least=0.0)
-    sigma_pixels: float = number(1.0, least=1e-3)
+    sigma_relative: float = number(0.035, least=0.0, most=_RELATIVE)
+    sigma_pixels: float = number(1.0, least=1e-3, most=_PIXELS)
     least_confidence: float = number(0.0, least=0.0, most=1.0)
-    common_factor: float = number(4.0, least=1.0)
+    common_factor: float = number(4.0, least=1.0, most=1e6)
     facing_bias: float = number(-0.390, least=-20.0, most=20.0)
     facing_slope: float = number(0.976, least=0.0, most=20.0)
     fitted: bool = False
@@ -70,8 +72,8 @@ class BoxOptions:
     """
 
     model: BoxModel = choice(BoxModel.SURFACE)
-    sigma_relative: float = number(0.02, least=0.0)
-    sigma_pixels: float = number(1.5, least=1e-3)
+    sigma_relative: float = number(0.02, least=0.0, most=_RELATIVE)
+    sigma_pixels: float = number(1.5, least=1e-3, most=_PIXELS)
     left: float = number(-0.034, least=-_HALF, most=_HALF)
     upper: float = number(0.014, least=-_HALF, most=_HALF)
     right: float = number(0.034, least=-_HALF, most=_HALF)
@@ -131,14 +133,14 @@ class ShapeOptions:
     joint: bool = flag(default=True)
     free_offsets: bool = flag(default=True)
     basis_vectors: int | None = count(None, least=0)
-    planarity_sigma: float = number(0.03, least=1e-6)
-    symmetry_sigma: float = number(0.01, least=1e-6)
-    rectangularity_sigma: float = number(0.01, least=1e-6)
-    parallel_sigma: float = number(0.03, least=1e-6)
-    laplacian_sigma: float = number(0.5, least=1e-6)
+    planarity_sigma: float = number(0.03, least=1e-6, most=_METRES)
+    symmetry_sigma: float = number(0.01, least=1e-6, most=_METRES)
+    rectangularity_sigma: float = number(0.01, least=1e-6, most=_METRES)
+    parallel_sigma: float = number(0.03, least=1e-6, most=_METRES)
+    laplacian_sigma: float = number(0.5, least=1e-6, most=_METRES)
     literal_laplacian: bool = flag(default=False)
     common_error: float = number(1.0, least=0.0, most=1.0)
-    plane_penalty: float | None = number(None, least=1e-12)
+    plane_penalty: float | None = number(None, least=1e-12, most=1e6)
 
     def __post_init__(self) -> None:
         """Check the settings (`InvalidInputError`)."""

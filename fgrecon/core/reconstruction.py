@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.brief import brief_repr
+from fgrecon.core.checks import as_instance
 from fgrecon.core.digits import shortened
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.history import GraphFactor, Iteration, read_graph_factor, read_iteration
@@ -254,8 +255,9 @@ class Reconstruction:
         """Read back what `to_dict` wrote, compact or not.
 
         Raises:
-            InvalidInputError: Another format, or a field is missing.
+            InvalidInputError: It is no mapping, of another format, or a field is missing.
         """
+        as_instance("reconstruction", data, Mapping)
         if data.get("format") not in (FORMAT, COMPACT):
             raise InvalidInputError("format", data.get("format"), f"Give a result written as {COMPACT} or {FORMAT}.")
         absent = _LARGE if data["format"] == COMPACT else {}

@@ -68,7 +68,7 @@ class RobustStrategy:
 
     Attributes:
         name: Which strategy.
-        updates: Number of weight updates (the paper: 5).
+        updates: Number of weight updates, at most 100 (the paper: 5).
         tuning: Scale of the m-estimator in multiples of sigma; None is the loss's usual one (`factors.Loss`).
         mu0: Share of w_cnn against w_vis in the first weight (Eq. 4).
         mu1: Share of the previous weight (Eq. 5).
@@ -80,15 +80,15 @@ class RobustStrategy:
     """
 
     name: StrategyName = choice(StrategyName.MIXTURE)
-    updates: int = count(5, least=0, most=1000)
-    tuning: float | None = number(None, least=1e-6)
+    updates: int = count(5, least=0, most=100)
+    tuning: float | None = number(None, least=1e-6, most=1e6)
     mu0: float = number(0.5, least=0.0, most=1.0)
     mu1: float = number(0.5, least=0.0, most=1.0)
     mu2: float = number(0.7, least=0.0, most=1.0)
     gross: float = number(0.1, least=0.0, most=1.0)
     missed: float = number(0.2, least=0.0, most=1.0)
     false_alarm: float = number(0.05, least=0.0, most=1.0)
-    gnc_start: float = number(64.0, least=1.0)
+    gnc_start: float = number(64.0, least=1.0, most=1e6)
 
     def __post_init__(self) -> None:
         """Check the parameters.

@@ -12,15 +12,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.brief import brief_repr
 from fgrecon.core.category import Category
-from fgrecon.core.checks import as_finite
+from fgrecon.core.checks import as_finite, as_instance, as_shape, own
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import MIRROR
-from fgrecon.core.size_prior import SizePrior
+from fgrecon.core.size_prior import LONGEST, SHORTEST, SIZES, SizePrior
 
 __all__ = ["ShapePrior", "Surface"]
 
 _SYMMETRY_TOLERANCE = 1e-6
 
+_FARTHEST = 100.0  # metres from the origin: no part of a vehicle, however it is scaled, lies there
+_ROUNDED = 1e-6  # of a size that was scaled to the smallest or the largest
 _LARGEST = 1e6  # metres; no vehicle is larger, and squares of numbers soon overflow
 
 
@@ -39,6 +41,29 @@ class Surface:
     faces: NDArray[np.int32]
 
     __repr__ = brief_repr
+
+    def __post_init__(self) -> None:
+        """Check every array's shape and values.
+
+        Raises:
+            InvalidInputError: An array has the wrong shape, there is no vertex, a number is not finite or no vehicle's,
+                or a triangle has a vertex that there is not.
+        """
+        set_ = object.__setattr__
+        vertices = as_finite("prior.surface.mean", self.mean, (None, 3))
+        if not len(vertices):
+            raise InvalidInputError("prior.surface.mean", "no vertices", "Give vertices, or a prior without a surface.")
+        basis = as_finite("prior.surface.basis", self.basis, (None, len(vertices), 3))
+        _check_metres("prior.surface.mean", vertices, _FARTHEST)
+        _check_metres("prior.surface.basis", basis, _LARGEST)
+        faces = np.asarray(self.faces)
+        if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
+            raise InvalidInputError("prior.surface.faces", f"{faces.dtype} {faces.shape}", "Give integers (F, 3).")
+        if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
+            raise InvalidInputError("prior.surface.faces", faces.max(), f"Use indices below {len(vertices)}.")
+        set_(self, "mean", own(vertices))
+        set_(self, "basis", own(basis))
+        set_(self, "faces", own(faces.astype(np.int32, copy=False)))
 
     def vertices(self, coefficients: ArrayLike) -> NDArray[np.float64]:
         """(V, 3) vertices at the coefficients (N,)."""
@@ -82,43 +107,35 @@ class ShapePrior:
         """Check every array's shape and values.
 
         Raises:
-            InvalidInputError: An array has the wrong shape, or holds NaN or infinite values.
+            InvalidInputError: An array has the wrong shape, or holds NaN or infinite values, or the mean shape's size
+                is no vehicle's: metres are mistaken for another unit.
         """
-        size = self.category.size
+        size = as_instance("prior.category", self.category, Category).size
         set_ = object.__setattr__  # the dataclass is frozen; arrays are normalised once, here
-        set_(self, "mean", as_finite("prior.mean", self.mean, (size, 3)))
-        set_(self, "basis", as_finite("prior.basis", self.basis, (None, size, 3)))
+        set_(self, "mean", own(as_finite("prior.mean", self.mean, (size, 3))))
+        set_(self, "basis", own(as_finite("prior.basis", self.basis, (None, size, 3))))
         count = self.basis.shape[0]
-        set_(self, "offset_sigma", as_finite("prior.offset_sigma", self.offset_sigma, (size,)))
-        set_(self, "explained", as_finite("prior.explained", self.explained, (count,)))
+        set_(self, "offset_sigma", own(as_finite("prior.offset_sigma", self.offset_sigma, (size,))))
+        set_(self, "explained", own(as_finite("prior.explained", self.explained, (count,))))
         for name in ("mean", "basis", "offset_sigma"):
-            largest = float(np.abs(getattr(self, name)).max(initial=0.0))
-            if largest > _LARGEST:
-                raise InvalidInputError(f"prior.{name}", largest, f"Give metres, up to {_LARGEST:g}.")
+            _check_metres(f"prior.{name}", getattr(self, name), _LARGEST)
         if (self.offset_sigma < 0).any():
             raise InvalidInputError("prior.offset_sigma", self.offset_sigma.min(), "Give standard deviations >= 0.")
         if self.mean_sigma is not None:
-            set_(self, "mean_sigma", as_finite("prior.mean_sigma", self.mean_sigma, (size, 3)))
+            set_(self, "mean_sigma", own(as_finite("prior.mean_sigma", self.mean_sigma, (size, 3))))
             if (self.mean_sigma < 0).any() or (self.mean_sigma > _LARGEST).any():
                 worst = float(self.mean_sigma.flat[np.abs(self.mean_sigma).argmax()])
                 raise InvalidInputError("prior.mean_sigma", worst, "Give standard deviations in metres, >= 0.")
         if np.linalg.matrix_rank(self.mean - self.mean.mean(axis=0)) < 2:
             raise InvalidInputError("prior.mean", "keypoints on one line", "Give a shape that is not degenerate.")
-        if (self.box_size(np.zeros(count)) <= 0).any():
-            raise InvalidInputError(
-                "prior.mean",
-                f"length, width, height {self.box_size(np.zeros(count)).round(3).tolist()}",
-                "Bring the shape into the object frame: x forward, y down, z left, metres.",
-            )
+        box = self.box_size(np.zeros(count))
+        if (box < SHORTEST * (1.0 - _ROUNDED)).any() or (box > LONGEST * (1.0 + _ROUNDED)).any():
+            fix = f"Bring the shape into the object frame, x forward, y down, z left, in metres: {SIZES}."
+            raise InvalidInputError("prior.mean", f"length, width, height {box.round(3).tolist()}", fix)
         if self.surface is not None:
-            vertices = as_finite("prior.surface.mean", self.surface.mean, (None, 3))
-            basis = as_finite("prior.surface.basis", self.surface.basis, (count, len(vertices), 3))
-            faces = np.asarray(self.surface.faces)
-            if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
-                raise InvalidInputError("prior.surface.faces", f"{faces.dtype} {faces.shape}", "Give integers (F, 3).")
-            if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
-                raise InvalidInputError("prior.surface.faces", faces.max(), f"Use indices below {len(vertices)}.")
-            set_(self, "surface", Surface(vertices, basis, faces.astype(np.int32)))
+            as_instance("prior.surface", self.surface, Surface)
+            as_shape("prior.surface.basis", self.surface.basis, (count, len(self.surface.mean), 3))
+        set_(self, "provenance", dict(as_instance("prior.provenance", self.provenance, Mapping)))
 
     @property
     def dimension(self) -> int:
@@ -184,6 +201,12 @@ class ShapePrior:
             "surface_vertices": 0 if self.surface is None else len(self.surface.mean),
             **dict(self.provenance),
         }
+
+
+def _check_metres(field: str, array: NDArray[np.float64], most: float) -> None:
+    largest = float(np.abs(array).max(initial=0.0))
+    if largest > most:
+        raise InvalidInputError(field, largest, f"Give metres, up to {most:g}.")
 
 
 def _combined(coefficients: ArrayLike, basis: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -8,10 +8,18 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.checks import as_finite
+from fgrecon.core.checks import as_finite, own
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["SIZE_PRIORS", "SizePrior", "size_prior"]
+__all__ = ["LONGEST", "SHORTEST", "SIZES", "SIZE_PRIORS", "SizePrior", "size_prior"]
+
+SHORTEST, LONGEST = 0.3, 30.0
+"""Metres: what a vehicle's length, width and height are from and to."""
+
+SIZES = f"length, width and height are {SHORTEST:g} to {LONGEST:g} m"
+"""The same in words, for errors."""
+
+_KNOWN, _WIDEST = 1e-4, 1e6  # metres: a size is known no better, and may be anything
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +29,7 @@ class SizePrior:
     Attributes:
         name: Name of the fleet.
         mean: (3,) mean length, width and height, metres.
-        sigma: (3,) their standard deviations, metres; near zero where the size is known.
+        sigma: (3,) their standard deviations, metres; near zero where the size is known, at least 0.0001 m.
         traffic: (3, 3) second moment about `mean` of all that is taken for one of the fleet, square metres: among cars
             there are vans. What covariances count, since one picture hardly tells the two apart; None for that of the
             fleet.
@@ -39,18 +47,26 @@ class SizePrior:
         """Check the numbers.
 
         Raises:
-            InvalidInputError: A mean or spread is not positive and finite, or the traffic's moment no covariance.
+            InvalidInputError: A mean is no vehicle's size in metres, a spread is not positive and finite, or the
+                traffic's moment no covariance.
         """
         for field in ("mean", "sigma") if self.allowed is None else ("mean", "sigma", "allowed"):
             array = as_finite(f"size_prior.{field}", getattr(self, field), (3,))
             if (array <= 0).any():
                 raise InvalidInputError(f"size_prior.{field}", array.tolist(), "Give positive numbers in metres.")
-            object.__setattr__(self, field, array)
+            if field == "mean" and ((array < SHORTEST) | (array > LONGEST)).any():
+                raise InvalidInputError("size_prior.mean", array.tolist(), f"Give metres: {SIZES}.")
+            if field != "mean":
+                if (array > _WIDEST).any():
+                    raise InvalidInputError(f"size_prior.{field}", array.tolist(), f"Give metres, up to {_WIDEST:g}.")
+                array = np.maximum(array, _KNOWN)
+            object.__setattr__(self, field, own(array))
         if self.traffic is not None:
             moment = as_finite("size_prior.traffic", self.traffic, (3, 3))
-            if not np.array_equal(moment, moment.T) or np.linalg.eigvalsh(moment)[0] <= 0.0:
+            wide = np.abs(moment).max() > _WIDEST**2
+            if wide or not np.array_equal(moment, moment.T) or np.linalg.eigvalsh(moment)[0] <= 0.0:
                 raise InvalidInputError("size_prior.traffic", moment.tolist(), "Give a covariance, square metres.")
-            object.__setattr__(self, "traffic", moment)
+            object.__setattr__(self, "traffic", own(moment))
 
     @property
     def told(self) -> NDArray[np.float64]:

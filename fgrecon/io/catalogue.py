@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.category import Category
+from fgrecon.core.checks import as_instance, as_path
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior, Surface
 from fgrecon.io.arrays import read_arrays
@@ -62,7 +63,7 @@ def load_category(source: Category | str | Path) -> Category:
         return source
     if isinstance(source, str) and source in shipped_categories():
         return _shipped_category(source)
-    content = _read(Path(source), "category", shipped_categories())
+    content = _read(as_path("category", source), "category", shipped_categories())
     return _category_from_json(str(source), content)
 
 
@@ -95,7 +96,8 @@ def save_prior(prior: ShapePrior, path: str | Path) -> Path:
     Raises:
         InvalidInputError: The file does not end in `.npz`, or cannot be written.
     """
-    path = Path(path)
+    as_instance("prior", prior, ShapePrior)
+    path = as_path("path", path)
     if path.suffix != ".npz":
         raise InvalidInputError(str(path), path.suffix, "Give a file name that ends in .npz.")
     arrays: dict[str, Any] = {
@@ -204,19 +206,7 @@ def _prior_from_arrays(source: str, arrays: Mapping[str, NDArray[Any]], fix: str
         )
     except InvalidInputError as error:
         raise InvalidInputError(f"{source}: {error.field}", error.value, error.fix) from error
-    _freeze(prior)
     return prior
-
-
-def _freeze(prior: ShapePrior) -> None:
-    """Make the arrays read-only: a shipped prior is shared by everyone who loads it."""
-    arrays = [getattr(prior, field) for field in _ARRAYS]
-    if prior.mean_sigma is not None:
-        arrays.append(prior.mean_sigma)
-    if prior.surface is not None:
-        arrays += [prior.surface.mean, prior.surface.basis, prior.surface.faces]
-    for array in arrays:
-        array.setflags(write=False)
 
 
 def _compact(array: NDArray[np.float64]) -> NDArray[Any]:

@@ -6,6 +6,7 @@ import json
 from dataclasses import asdict, fields
 from pathlib import Path
 
+from fgrecon.core.checks import as_instance, as_path
 from fgrecon.core.detector_calibration import BoxSource, DetectorCalibration
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import write_text
@@ -23,8 +24,8 @@ def load_calibration(path: str | Path) -> DetectorCalibration:
         InvalidInputError: The file cannot be read, is of another format, or a number is missing or out of range; names
             file and field.
     """
-    where = f"{path}: "
-    data = Fields(read_json(Path(path)), where)
+    file, where = as_path("calibration", path), f"{path}: "
+    data = Fields(read_json(file), where)
     told = data.get("format", str)
     if told != DETECTOR_FORMAT:
         raise InvalidInputError(f"{where}format", told, f"Give a file of {DETECTOR_FORMAT}: `fgrecon calibrate`.")
@@ -46,7 +47,8 @@ def save_calibration(calibration: DetectorCalibration, path: str | Path) -> Path
     Raises:
         InvalidInputError: The file cannot be written.
     """
+    as_instance("calibration", calibration, DetectorCalibration)
     told = {"format": DETECTOR_FORMAT, **calibration.numbers, "provenance": dict(calibration.provenance)}
     if calibration.boxes is not None:
         told["boxes"] = asdict(calibration.boxes)
-    return write_text(Path(path), json.dumps(told, indent=1, allow_nan=False) + "\n")
+    return write_text(as_path("path", path), json.dumps(told, indent=1, allow_nan=False) + "\n")

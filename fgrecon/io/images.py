@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
+from fgrecon.core.checks import as_path
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.arrays import LARGEST, largest_bytes
 from fgrecon.io.exif import exif_camera
@@ -62,7 +63,7 @@ def decode_photograph(
 
 def _content(path: str | Path) -> bytes:
     try:
-        return Path(path).read_bytes()
+        return as_path("image", path).read_bytes()
     except OSError as error:
         raise InvalidInputError("image", str(path), f"Give a file that can be read ({error.strerror}).") from error
 

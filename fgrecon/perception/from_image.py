@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.camera import Camera, Ground
-from fgrecon.core.checks import as_finite
+from fgrecon.core.checks import as_finite, as_rows
 from fgrecon.core.detection import Detection
 from fgrecon.core.errors import AssumedCameraWarning, FgreconError
 from fgrecon.core.options import Options, checked_options
@@ -220,8 +220,7 @@ def _warn_of_camera(found: Camera) -> None:
 
 
 def _boxes(given: ArrayLike) -> Array:
-    corners = np.asarray(given, dtype=np.float64)
-    return as_finite("boxes", corners.reshape(-1, 4) if corners.size % 4 == 0 else corners, (None, 4))
+    return as_finite("boxes", as_rows("boxes", given, 4), (None, 4))
 
 
 def _of_first_release(camera: Any, boxes: Any, keypoint_detector: Any, detector: Any) -> tuple[Any, Any, Any]:

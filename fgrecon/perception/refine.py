@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import MIN_DEPTH, Camera, Ground
-from fgrecon.core.checks import as_shape
+from fgrecon.core.checks import as_instance, as_list, as_rows, as_shape
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import box_around
 from fgrecon.core.observation import Observation
@@ -69,7 +69,8 @@ def refine_boxes(
     Raises:
         InvalidInputError: An argument cannot be used; names it, its value and the fix.
     """
-    errors = BoxErrors() if box_errors is None else box_errors
+    errors = BoxErrors() if box_errors is None else as_instance("box_errors", box_errors, BoxErrors)
+    boxes = as_list("boxes", boxes, Box3D)
     if options is None:
         options = Options(box=BoxOptions(model=BoxModel.CUBOID), keep_history=False)
     settings = checked_options(options, joint=True)
@@ -77,8 +78,9 @@ def refine_boxes(
     seen_by = Camera.of(camera)
     if seen_by.image_size is None:
         seen_by = seen_by.with_size_of(pixels)
-    given = np.full((len(boxes), 4), np.nan) if corners is None else np.asarray(corners, dtype=np.float64)
-    given = as_shape("corners", given.reshape(-1, 4) if not given.size else given, (len(boxes), 4))
+    given = np.full((len(boxes), 4), np.nan)
+    if corners is not None:
+        given = as_shape("corners", as_rows("corners", corners, 4), given.shape)
     own: NDArray[np.bool_] = np.all(np.isfinite(given), axis=1)
     limits = np.array([pixels.shape[1], pixels.shape[0]] * 2) - 1.0
     where = np.array([g if o else _projected(b, seen_by) for b, g, o in zip(boxes, given, own, strict=True)])

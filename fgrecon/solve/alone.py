@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.checks import as_list
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
@@ -102,6 +103,7 @@ def known_boxes(
     Raises:
         InvalidInputError: Another number of boxes is given, or they are of an unknown camera.
     """
+    boxes = as_list("boxes", boxes, Box3D, gaps=True)
     if len(boxes) != count:
         raise InvalidInputError("boxes", f"{len(boxes)} for {count} vehicles", "Give a box, or None, for each.")
     if camera.focal_sigma:

@@ -17,9 +17,10 @@ from factors.keys import X
 from factors.noise import diagonal_noise
 from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
-from fgrecon.core.size_prior import SizePrior
+from fgrecon.core.size_prior import LONGEST, SHORTEST, SIZES, SizePrior
 from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
 from fgrecon.solve.vehicle.model import VehicleModel, sized
 
@@ -58,12 +59,14 @@ class KnownBox:
             options: Settings.
 
         Raises:
-            DegenerateProblemError: The keypoints determine no pose.
+            DegenerateProblemError: The keypoints determine no pose, or the box has no vehicle's size.
         """
         covariance = seen.covariance
         if covariance is None:
             covariance = np.array(keypoint_covariances(seen, options.keypoints))
         size = self.box.size
+        if size is not None and not (size.min() >= SHORTEST and size.max() <= LONGEST):
+            raise DegenerateProblemError("box3d.size", size.tolist(), f"Give metres: {SIZES}.")
         own = model if size is None else sized(self.plain, SizePrior("its box", size, self.errors.size * size))
         counted = replace(options, keypoints=replace(options.keypoints, common_factor=1.0))  # it is in the solve
         return Problem.of(replace(seen, covariance=_TOGETHER * covariance), camera, own, plane, counted)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.category import Category
-from fgrecon.core.checks import as_finite, as_shape
+from fgrecon.core.checks import as_finite, as_list, as_shape
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options, checked_options
@@ -35,9 +35,12 @@ from fgrecon.solve.vehicle.model import prepare
 if TYPE_CHECKING:
     import gtsam
 
-__all__ = ["ground_plane", "observe", "reconstruct"]
+__all__ = ["ground_plane", "observe", "own_factors", "reconstruct"]
 
 Array = NDArray[np.float64]
+
+_UNDONE, _ANYWHERE = 1.0, 1e7  # pixels
+_FEWEST = 3  # keypoints that a pose needs
 
 
 @single_threaded
@@ -84,6 +87,7 @@ def reconstruct(
         DegenerateProblemError: The keypoints do not determine a pose.
     """
     options = checked_options(options)
+    extra_factors = own_factors(extra_factors)
     shape_prior = load_prior(prior)
     camera = Camera.of(intrinsics, distortion)
     if camera.focal_sigma:
@@ -106,6 +110,19 @@ def reconstruct(
     adjusted = adjust(seen, [pose], extra_factors)
     milliseconds = {"pose": (posed - started) * 1e3, "shape": (perf_counter() - posed) * 1e3}
     return results(seen, [pose], adjusted, milliseconds, extra_factors)[0]
+
+
+def own_factors(given: Sequence[gtsam.NonlinearFactor]) -> Sequence[gtsam.NonlinearFactor]:
+    """Factors of one's own.
+
+    Raises:
+        InvalidInputError: They are no sequence of factors.
+    """
+    if isinstance(given, tuple) and not given:
+        return given
+    import gtsam
+
+    return as_list("extra_factors", given, gtsam.NonlinearFactor)
 
 
 def ground_plane(ground: Ground | float | None) -> Ground | None:
@@ -165,16 +182,43 @@ def observe(
         seen = Observation.of(
             pixels,
             None if confidence is None else as_shape("confidence", confidence, (category.size,)),
-            None if box is None else np.asarray(box),
+            None if box is None else as_finite("box", box, (4,), "Give x1, y1, x2, y2 in pixels."),
             None if covariance is None else as_shape("covariance", covariance, (category.size, 2, 2)),
             options.confidence_midpoint,
         )
     _check_in_image(seen.box, camera)
     seen = seen.of_at_least(options.keypoints.least_confidence)
-    if camera.distortion is None:
-        return seen
+    return seen if camera.distortion is None else _ideal(seen, camera)
+
+
+def _ideal(seen: Observation, camera: Camera) -> Observation:
+    """The observation freed of lens distortion; a keypoint where no ray of such a lens arrives is not measured.
+
+    Raises:
+        InvalidInputError: The distortion cannot be undone at the box, or not at half of the measured keypoints.
+    """
     ideal_box = None if seen.box is None else camera.undistort(seen.box.reshape(2, 2)).ravel()
-    return replace(seen, keypoints=camera.undistort(seen.keypoints), box=ideal_box)
+    keypoints = camera.undistort(seen.keypoints)
+    lost = seen.measured & ~_undone(seen.keypoints, keypoints, camera)
+    keypoints[lost] = np.nan
+    boxed = True
+    if seen.box is not None and ideal_box is not None:
+        boxed = bool(_undone(seen.box.reshape(2, 2), ideal_box.reshape(2, 2), camera).all())
+        boxed = boxed and float((ideal_box[2:] - ideal_box[:2]).min()) >= 1.0
+    left = keypoints[seen.measured & ~lost]
+    gone = bool(lost.any()) and len(left) < max(_FEWEST, int(np.count_nonzero(lost)))
+    all_one = len(left) > 1 and float(np.ptp(left, axis=0).max()) < 1.0 <= float(np.ptp(seen.keypoints[seen.measured]))
+    if not boxed or gone or all_one:
+        fix = f"Give coefficients of this camera: they cannot be undone at the {'keypoints' if boxed else 'box'}."
+        raise InvalidInputError("distortion", np.asarray(camera.distortion).tolist(), fix)
+    return replace(seen, keypoints=keypoints, box=ideal_box)
+
+
+def _undone(pixels: Array, ideal: Array, camera: Camera) -> NDArray[np.bool_]:
+    """(M,) whether pixels without distortion are imaged where they came from."""
+    found = np.asarray((np.abs(ideal) < _ANYWHERE).all(axis=1))  # not NaN
+    found[found] = np.abs(camera.distort(ideal[found]) - pixels[found]).max(axis=1) < _UNDONE
+    return found
 
 
 def _check_in_image(box: Array | None, camera: Camera) -> None:

@@ -15,6 +15,7 @@ from fgrecon.core.geometry import transform, view_azimuth
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status, rotation_y
+from fgrecon.core.size_prior import LONGEST, SHORTEST
 from fgrecon.core.status import Regions
 from fgrecon.core.text import counted
 from fgrecon.solve.box_check import box_excess
@@ -259,7 +260,8 @@ def _status(
         return Status.DEGENERATE, "The keypoints with any weight leave pose or shape undetermined."
     if optimum.unfinished is not None:
         return Status.DEGENERATE, f"The solver was stopped {optimum.unfinished}: near a minimum, not at one."
-    if not (relative_size > 1.0 / _ABSURD).all() or not (relative_size < _ABSURD).all():
+    possible = box_size.min() > SHORTEST and box_size.max() < LONGEST
+    if not (relative_size > 1.0 / _ABSURD).all() or not (relative_size < _ABSURD).all() or not possible:
         length, width, height = box_size.tolist()
         return Status.DEGENERATE, f"No vehicle measures {length:.2f} x {width:.2f} x {height:.2f} m."
     if camera_T_object[2, 3] <= 0.0:

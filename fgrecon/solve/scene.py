@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from factors.keys import F
 from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.checks import as_instance, as_list
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options, checked_options
 from fgrecon.core.reconstruction import Reconstruction
@@ -99,6 +100,9 @@ def reconstruct_scene(
     """
     options, shape_prior, fleet = _settings(options, prior, size_prior)
     known, plane = Camera.of(camera), ground_plane(ground)
+    observations = as_list("observations", observations)
+    if box_errors is not None:
+        as_instance("box_errors", box_errors, BoxErrors)
     boxed = None
     if boxes is not None:
         plain = prepare(shape_prior, None, options.shape.basis_vectors)
@@ -138,6 +142,7 @@ def reconstruct_scenes(
     options, shape_prior, fleet = _settings(options, prior, size_prior)
     known, plane = Camera.of(camera), ground_plane(ground)
     model = prepare(shape_prior, fleet, options.shape.basis_vectors)
+    images = [as_list(f"images[{number}]", one) for number, one in enumerate(as_list("images", images))]
     if not known.focal_sigma:
         return [_reconstruct([one], known, model, plane, options, None)[0] for one in images]
     return _reconstruct(images, known, model, plane, options, None)

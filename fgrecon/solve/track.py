@@ -22,6 +22,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.checks import as_list
 from fgrecon.core.deferred import Deferred
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
 from fgrecon.core.observation import Observation
@@ -37,7 +38,7 @@ from fgrecon.solve.graph.adjust import adjust
 from fgrecon.solve.graph.graph import Seen
 from fgrecon.solve.graph.history import joint_steps
 from fgrecon.solve.graph.structure import graph_factors
-from fgrecon.solve.pipeline import ground_plane, observe
+from fgrecon.solve.pipeline import ground_plane, observe, own_factors
 from fgrecon.solve.proposals.adjust import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import results
@@ -89,7 +90,10 @@ def reconstruct_track(
     plane = ground_plane(ground)
     fleet = None if size_prior is None else named_size_prior(size_prior)
     model = prepare(shape_prior, fleet, options.shape.basis_vectors)
-    each = [cameras] * len(observations) if isinstance(cameras, Camera) else list(cameras)
+    extra_factors = own_factors(extra_factors)
+    observations = as_list("observations", observations)
+    one_camera = isinstance(cameras, Camera)
+    each = [cameras] * len(observations) if one_camera else as_list("cameras", cameras, Camera)
     if len(each) != len(observations):
         raise InvalidInputError("cameras", f"{len(each)} for {len(observations)} images", "Give one for each image.")
 

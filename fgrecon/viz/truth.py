@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.checks import as_finite, as_rigid, as_shape
+from fgrecon.core.checks import as_finite, as_rigid, as_shape, own
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import orientation_error, translation_error
 from fgrecon.core.reconstruction import rotation_y
@@ -43,14 +43,14 @@ class Truth:
             InvalidInputError: A wrong shape, a pose that is no rigid motion, or a size that is not positive.
         """
         pose = as_rigid("truth.camera_T_object", self.camera_T_object, _RIGID)
-        object.__setattr__(self, "camera_T_object", pose)
+        object.__setattr__(self, "camera_T_object", own(pose))
         if self.box_size is not None:
             size = as_finite("truth.box_size", self.box_size, (3,), "Give length, width and height in metres.")
             if (size <= 0).any():
                 raise InvalidInputError("truth.box_size", size.tolist(), "Give positive lengths in metres.")
-            object.__setattr__(self, "box_size", size)
+            object.__setattr__(self, "box_size", own(size))
         if self.keypoints is not None:
-            object.__setattr__(self, "keypoints", as_shape("truth.keypoints", self.keypoints, (None, 3)))
+            object.__setattr__(self, "keypoints", own(as_shape("truth.keypoints", self.keypoints, (None, 3))))
 
     def errors(self, camera_T_object: NDArray[np.float64], keypoints: NDArray[np.float64]) -> Mapping[str, float]:
         """How far an estimate is from the truth.

@@ -10,8 +10,10 @@ from PIL import Image
 from typer.testing import CliRunner
 
 import fgrecon
+from factors.checks import unit_vector
 from fgrecon.cli.main import app
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.size_prior import size_prior
 from fgrecon.core.text import printable
 from fgrecon.io.arrays import LARGEST
 from fgrecon.io.cameras import read_camera
@@ -152,3 +154,74 @@ def test_aliases_of_aliases_are_not_followed(last, tmp_path):
     path.write_text("\n".join([*lines, last, ""]))
     with pytest.raises(InvalidInputError, match="more than 100000 values"):
         read_camera(path)
+
+
+@pytest.mark.parametrize("normal", [[0.0, 1e300, 0.0], [1e300, 1e308, -1e300], [0.0, 1e150, 0.0]])
+def test_normals_of_enormous_length_are_normals(normal):
+    """Warnings are errors here: the squares of their numbers are beyond floats."""
+    unit = fgrecon.Ground(np.array(normal), 1.65).normal
+    assert np.linalg.norm(unit) == pytest.approx(1.0)
+    np.testing.assert_allclose(unit, np.array(normal) / max(normal), atol=1e-7)
+    np.testing.assert_array_equal(unit, unit_vector("normal", normal))
+
+
+@pytest.mark.parametrize(
+    ("make", "field"),
+    [
+        (lambda: fgrecon.Ground(np.array([1e300, 1e-300, 0.0]), 1.65), "ground.normal"),
+        (lambda: fgrecon.Box3D(np.array([0.0, 1.6, 1e300]), 0.0), "box3d.location"),
+        (lambda: fgrecon.Box3D(np.array([0.0, 1.6, 20.0]), 0.0, np.full(3, 1e300)), "box3d.size"),
+        (lambda: fgrecon.Box3D(np.array([0.0, 1.6, 20.0]), None), "box3d.rotation_y"),
+        (lambda: fgrecon.Box3D(np.array([0.0, 1.6, 20.0]), []), "box3d.rotation_y"),
+        (lambda: size_prior("389,162,153"), "size_prior.mean"),
+        (lambda: size_prior("0.01,0.01,0.01"), "size_prior.mean"),
+        (lambda: size_prior("1e-300,1,1"), "size_prior.mean"),
+    ],
+)
+def test_absurd_boxes_and_sizes_are_refused(make, field):
+    with pytest.raises(InvalidInputError, match=r"metres|radians|down") as error:
+        make()
+    assert error.value.field == field
+
+
+@pytest.mark.parametrize("size", [0.3, 30.0])
+def test_a_vehicle_at_the_limits_is_taken_and_no_result_lies_beyond(size):
+    seen = observe(load_prior("car14"), yaw_pose(0.5))
+    for spread in ("", f",{0.3 * size},{0.3 * size},{0.3 * size}"):
+        result = fgrecon.reconstruct(seen, CAMERA, size_prior=f"{size},{size},{size}{spread}")
+        inside = result.box_size.min() > 0.3 and result.box_size.max() < 30.0
+        assert inside or not result.status.determined
+
+
+def test_a_3d_box_that_is_no_vehicles_is_refused_alone():
+    prior = load_prior("car14")
+    seen = [observe(prior, yaw_pose(0.5)), observe(prior, yaw_pose(0.6))]
+    boxes = [
+        fgrecon.Box3D(np.array([0.0, 1.6, 15.0]), 0.5, np.array(size)) for size in ([4, 1.6, 1.5], [389, 162, 153])
+    ]
+    scene = fgrecon.reconstruct_scene(seen, CAMERA, boxes=boxes)
+    assert len(scene.vehicles) == 1
+    assert "Give metres" in str(scene.refused[1])
+
+
+@pytest.mark.parametrize("sigma", [1e-300, 1e-6, 5e-6])
+def test_a_size_that_is_known_exactly_is_taken_to_a_tenth_of_a_millimetre(sigma):
+    seen = observe(load_prior("car14"), yaw_pose(0.5))
+    told = [f"4,1.6,1.5,{one},{one},{one}" for one in (sigma, 1e-4)]
+    exact, known = (fgrecon.reconstruct(seen, CAMERA, size_prior=text) for text in told)
+    assert known.status.determined
+    np.testing.assert_array_equal(exact.wireframe, known.wireframe)
+    np.testing.assert_allclose(exact.box_size, [4.0, 1.6, 1.5], atol=0.02)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"sigma": np.full(3, 1e300)},
+        {"allowed": np.full(3, 1e300)},
+        {"traffic": 1e300 * np.eye(3)},
+    ],
+)
+def test_spreads_that_are_no_lengths_are_refused(change):
+    with pytest.raises(InvalidInputError, match=f"size_prior.{next(iter(change))}"):
+        fgrecon.SizePrior(**({"name": "mine", "mean": [4.0, 1.6, 1.5], "sigma": np.full(3, 0.1)} | change))

@@ -47,7 +47,7 @@ def test_defaults_are_valid_and_names_are_understood():
 
 
 @pytest.mark.parametrize(("kind", "group", "name"), NUMBERS)
-@pytest.mark.parametrize("value", [-1.0, np.nan, np.inf, "1", True])
+@pytest.mark.parametrize("value", [-1.0, np.nan, np.inf, 1e300, "1", True])
 def test_numbers_out_of_range_or_of_another_type(kind, group, name, value):
     if name == SIGNED and value == -1.0:
         value = -100.0

@@ -207,3 +207,27 @@ def test_errors_name_the_parameter(field, value):
 def test_an_unknown_name_is_refused():
     with pytest.raises(InvalidInputError, match="mixture, paper"):
         strategy("l2")
+
+
+@pytest.mark.parametrize("setting", [{"tuning": 1e300}, {"gnc_start": 1e300}, {"updates": 101}])
+@pytest.mark.parametrize("name", StrategyName)
+def test_settings_that_no_float_or_no_patience_holds_are_refused(name, setting):
+    (field,) = setting
+    with pytest.raises(InvalidInputError, match=f"strategy.{field}"):
+        RobustStrategy(name, **setting)
+
+
+@pytest.mark.parametrize("name", StrategyName)
+def test_the_largest_settings_give_weights(name):
+    """Warnings are errors here."""
+    robust = RobustStrategy(name, tuning=1e6, gnc_start=1e6, updates=100)
+    evidence = Evidence(np.full(3, 0.9), np.full(3, 0.1), np.ones(3, bool))
+    weights, energy = robust.evaluate(np.array([0.0, 1.0, 1e12]), evidence, np.ones(3), progress=0.0)
+    assert ((weights >= 0) & (weights <= 1)).all()
+    assert np.isfinite(energy)
+
+
+@pytest.mark.parametrize("constant", [1e300, 1e-300, 0.0, np.nan])
+def test_constants_of_losses_have_squares(constant):
+    with pytest.raises(InvalidInputError, match="constant"):
+        factors.RobustLoss.of("huber", constant)

@@ -1,5 +1,7 @@
 """The shape prior as data, and the shipped default prior of cars."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -107,9 +109,10 @@ class TestShapePrior:
             ({"basis": np.where(PRIOR.basis > 0.1, np.inf, PRIOR.basis)}, "prior.basis"),
             ({"explained": np.zeros(3)}, "prior.explained"),
             ({"offset_sigma": np.full(14, -1.0)}, "prior.offset_sigma"),
-            ({"surface": Surface(np.zeros((3, 3)), np.zeros((5, 4, 3)), np.zeros((1, 3), int))}, "prior.surface.basis"),
-            ({"surface": Surface(np.zeros((3, 3)), np.zeros((5, 3, 3)), np.full((1, 3), 3))}, "prior.surface.faces"),
-            ({"surface": Surface(np.zeros((3, 3)), np.zeros((5, 3, 3)), np.zeros((1, 3)))}, "prior.surface.faces"),
+            ({"mean": PRIOR.mean * 1e5}, "prior.mean"),
+            ({"mean": PRIOR.mean * 0.1}, "prior.mean"),
+            ({"surface": Surface(np.zeros((3, 3)), np.zeros((4, 3, 3)), np.zeros((1, 3), int))}, "prior.surface.basis"),
+            ({"surface": "mesh"}, "prior.surface"),
         ],
     )
     def test_errors_name_the_field(self, changes, field):
@@ -117,6 +120,27 @@ class TestShapePrior:
         with pytest.raises(InvalidInputError) as error:
             ShapePrior(**{**fields, **changes})
         assert error.value.field.startswith(field)
+
+    @pytest.mark.parametrize(
+        ("mean", "basis", "faces", "field"),
+        [
+            (np.zeros((3, 3)), np.zeros((5, 4, 3)), np.zeros((1, 3), int), "prior.surface.basis"),
+            (np.zeros((3, 3)), np.full((5, 3, 3), np.nan), np.zeros((1, 3), int), "prior.surface.basis"),
+            (np.zeros((3, 3)), np.zeros((5, 3, 3)), np.full((1, 3), 3), "prior.surface.faces"),
+            (np.zeros((3, 3)), np.zeros((5, 3, 3)), np.zeros((1, 3)), "prior.surface.faces"),
+            (np.zeros((0, 3)), np.zeros((5, 0, 3)), np.zeros((0, 3), int), "prior.surface.mean"),
+            (np.full((3, 3), 1e300), np.zeros((5, 3, 3)), np.zeros((1, 3), int), "prior.surface.mean"),
+            ("abc", "abc", "abc", "prior.surface.mean"),
+        ],
+    )
+    def test_a_surface_that_is_none_is_refused(self, mean, basis, faces, field):
+        with pytest.raises(InvalidInputError) as error:
+            Surface(mean, basis, faces)
+        assert error.value.field.startswith(field)
+
+    def test_a_prior_in_centimetres_is_told_so(self):
+        with pytest.raises(InvalidInputError, match=r"metres: length, width and height are 0\.3 to 30 m"):
+            replace(PRIOR, surface=None).scaled(100.0)
 
 
 @pytest.fixture(scope="module")

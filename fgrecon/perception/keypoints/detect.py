@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fgrecon.core.checks import as_finite
+from fgrecon.core.checks import as_finite, as_rows
 from fgrecon.core.detection import Detection
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
@@ -195,8 +195,7 @@ class KeypointCascade:
             InvalidInputError: The image is none, or a box is too small or not in it; names the box.
         """
         pixels = as_rgb8(image)
-        given = np.asarray(boxes, dtype=np.float64)
-        corners = as_finite("boxes", given.reshape(-1, 4) if given.size % 4 == 0 else given, (None, 4))
+        corners = as_finite("boxes", as_rows("boxes", boxes, 4), (None, 4))
         for number, box in enumerate(corners):
             check_box(box, pixels, f"boxes[{number}]")
         found: list[CascadeDetection] = []

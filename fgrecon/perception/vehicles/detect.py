@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.brief import brief_repr
-from fgrecon.core.checks import as_finite, one_word
+from fgrecon.core.checks import as_finite, one_word, own
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.renamed import renamed
 from fgrecon.io.hashes import check_hash, listed
@@ -108,8 +108,8 @@ class Vehicles:
         empty = boxes[~(boxes[:, 2:] > boxes[:, :2]).all(axis=1)]
         if len(empty):
             raise InvalidInputError("vehicles.boxes", empty[0].tolist(), fix)
-        object.__setattr__(self, "boxes", boxes)
-        object.__setattr__(self, "scores", as_finite("vehicles.scores", self.scores, (len(boxes),)))
+        object.__setattr__(self, "boxes", own(boxes))
+        object.__setattr__(self, "scores", own(as_finite("vehicles.scores", self.scores, (len(boxes),))))
         kinds = tuple(one_word(f"vehicles.kinds[{i}]", kind) for i, kind in enumerate(self.kinds))
         if len(kinds) not in (0, len(boxes)):
             raise InvalidInputError("vehicles.kinds", f"{len(kinds)} for {len(boxes)} boxes", "Give one each, or none.")
