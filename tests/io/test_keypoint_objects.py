@@ -83,6 +83,16 @@ def test_keypoints_of_supervision():
     assert vehicle.confidence is None
 
 
+def test_what_a_mask_hides_was_not_found():
+    points, trust = found()
+    (visible,) = keypoints_from(SimpleNamespace(xy=points, confidence=trust))
+    at = int(np.flatnonzero(visible.observation.measured)[0])
+    hidden = np.ma.array(points, mask=np.zeros(points.shape, bool))
+    hidden[0, at] = np.ma.masked
+    (vehicle,) = keypoints_from(SimpleNamespace(xy=hidden, confidence=trust))
+    assert np.flatnonzero(visible.observation.measured ^ vehicle.observation.measured).tolist() == [at]
+
+
 def test_keypoints_of_the_real_supervision():
     supervision = pytest.importorskip("supervision", exc_type=ImportError)
     points, trust = found()
