@@ -109,7 +109,7 @@ def _array(value: Any, field: str) -> Array:
         value = getattr(value, step, lambda same=value: same)()
     try:
         if isinstance(value, np.ma.MaskedArray):  # what is hidden was not found
-            value = value.astype(np.float64).filled(np.nan)
+            value = np.ma.filled(value.astype(np.float64), np.nan)
         return np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise InvalidInputError(field, value, "Give an array of numbers.") from error
