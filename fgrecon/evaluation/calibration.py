@@ -18,7 +18,7 @@ from fgrecon.evaluation.video_images import TURNED_ROUND, BoxOutcome, VideoBox
 __all__ = [
     "WRONG",
     "Calibration",
-    "Doubt",
+    "Caution",
     "Judged",
     "StatusCount",
     "calibrate",
@@ -52,7 +52,7 @@ class StatusCount:
 
 
 @dataclass(frozen=True)
-class Doubt:
+class Caution:
     """Who takes only results that are settled and whose facing has at least some probability, and what that costs.
 
     Attributes:
@@ -88,7 +88,7 @@ class Calibration:
     regions: tuple[Coverage, ...]
     facing: Reliability
     statuses: tuple[StatusCount, ...]
-    doubts: tuple[Doubt, ...] = ()
+    doubts: tuple[Caution, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -156,13 +156,13 @@ def calibrate(results: Sequence[Judged]) -> Calibration:
     return Calibration(tuple(coverage(regions)), facing, tuple(statuses), doubts)
 
 
-def _doubt(results: Sequence[Judged], least: float) -> Doubt:
+def _doubt(results: Sequence[Judged], least: float) -> Caution:
     refused = [not Status(one.status).settled or (one.facing is not None and one.facing < least) for one in results]
     turned = [no for one, no in zip(results, refused, strict=True) if one.turned]
     right = [no for one, no in zip(results, refused, strict=True) if not one.turned]
     pairs = zip(results, refused, strict=True)
     sure = [one.turned for one, no in pairs if not no and one.status == Status.CONVERGED.value]
-    return Doubt(least, len(turned), sum(turned), len(right), sum(right), len(sure), sum(sure))
+    return Caution(least, len(turned), sum(turned), len(right), sum(right), len(sure), sum(sure))
 
 
 def calibration_document(found: Calibration, given: dict[str, Any]) -> dict[str, Any]:
