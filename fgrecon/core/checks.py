@@ -13,7 +13,18 @@ from numpy.typing import ArrayLike, NDArray
 from factors.checks import has_shape, shape_words
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["as_finite", "as_instance", "as_list", "as_path", "as_rigid", "as_rows", "as_shape", "one_word", "own"]
+__all__ = [
+    "as_finite",
+    "as_instance",
+    "as_list",
+    "as_path",
+    "as_rigid",
+    "as_rows",
+    "as_shape",
+    "hidden_as_nan",
+    "one_word",
+    "own",
+]
 
 _NUMBERS = (
     "biufO"  # numpy's kinds; an array of objects may hold numbers, and whether it does shows when it is converted
@@ -44,14 +55,17 @@ def _numbers(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: s
         given = np.asarray(value)
         if given.dtype.kind not in _NUMBERS:  # text, bytes, dates; complex numbers would lose a part
             raise TypeError(f"{given.dtype}")
-        array = given.astype(np.float64, copy=False)
-        if isinstance(value, np.ma.MaskedArray):
-            array = np.where(np.ma.getmaskarray(value), np.nan, array)
+        array = hidden_as_nan(value, given.astype(np.float64, copy=False))
     except (TypeError, ValueError, OverflowError) as error:
         raise InvalidInputError(
             field, value, fix or f"Give numbers in an array of shape {shape_words(shape)}."
         ) from error
     return array
+
+
+def hidden_as_nan(value: Any, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The numbers of a value, NaN where it is a masked array that hides them: not measured."""
+    return np.where(np.ma.getmaskarray(value), np.nan, numbers) if isinstance(value, np.ma.MaskedArray) else numbers
 
 
 def as_rows(field: str, value: ArrayLike, width: int, fix: str = "") -> NDArray[np.float64]:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.category import Category
+from fgrecon.core.checks import hidden_as_nan
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.keypoints.names import Names, order_of
 
@@ -108,8 +109,6 @@ def _array(value: Any, field: str) -> Array:
     for step in ("detach", "cpu"):
         value = getattr(value, step, lambda same=value: same)()
     try:
-        if isinstance(value, np.ma.MaskedArray):  # what is hidden was not found
-            value = np.ma.filled(value.astype(np.float64), np.nan)
-        return np.asarray(value, dtype=np.float64)
+        return hidden_as_nan(value, np.asarray(value, dtype=np.float64))
     except (TypeError, ValueError) as error:
         raise InvalidInputError(field, value, "Give an array of numbers.") from error
