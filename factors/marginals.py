@@ -10,7 +10,7 @@ linear factors is made of at most three variables from Python.)
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
 
@@ -50,24 +50,6 @@ class Marginal:
         """The same with a share of its information."""
         root = share**0.5
         return Marginal(self.keys, self.dims, self.values, root * self.matrix, root * self.right)
-
-    def fading(self, keys: Collection[int], share: float) -> Marginal:
-        """The same with a share of what it says of some variables given the others; of the others it says all it did.
-
-        Args:
-            keys: The variables.
-            share: The share.
-        """
-        blocks = list(pairwise(accumulate(self.dims, initial=0)))
-        columns = {key: np.arange(a, b) for key, (a, b) in zip(self.keys, blocks, strict=True)}
-        ordered = sorted(self.keys, key=lambda key: key not in keys)
-        order = np.concatenate([columns[key] for key in ordered])
-        first = sum(b - a for key, (a, b) in zip(self.keys, blocks, strict=True) if key in keys)
-        triangle = np.array(np.linalg.qr(np.column_stack([self.matrix[:, order], self.right]), mode="r"))
-        triangle[:first] *= share**0.5
-        matrix = np.empty((len(triangle), len(order)))
-        matrix[:, order] = triangle[:, :-1]
-        return Marginal(self.keys, self.dims, self.values, matrix, triangle[:, -1].copy())
 
 
 def marginal(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, leaving: Sequence[int]) -> Marginal:

@@ -165,8 +165,7 @@ def _moving(ask: Request, source: FrameSource, settings: Settings) -> bool:
     """Whether the camera's motion is estimated: where it makes results better, if nothing is said."""
     motion, images = ask.motion, not isinstance(source, NumberedFrames)
     if motion.estimate_motion is None:
-        smoothed = not ask.online and not ask.alone
-        return images and smoothed and motion.poses is None and settings.ground is not None
+        return images and not ask.alone and motion.poses is None and settings.ground is not None
     if motion.estimate_motion:
         if not images:
             raise InvalidInputError("estimate_motion", ask.source, "Give images: keypoints alone have none.")

@@ -38,6 +38,6 @@ class MotionOptions:
         typer.Option(
             "--estimate-motion/--no-estimate-motion",
             help="Estimate the camera's motion from the images; needs the ground.",
-            show_default="where the ground is told and the past is smoothed",
+            show_default="where the ground is told, and not with --alone",
         ),
     ] = None

@@ -2,7 +2,7 @@
 
     frame t: keypoints by id, camera ---- pose search ---- facing by all frames ---- graph of a window ---- estimates
                                                |                                           |
-                                             ground                   what left the window: one linear factor
+                                             ground                   two frames, and some of the seconds before
 
 A vehicle's first frame gives what `fgrecon.reconstruct` gives.
 """
@@ -51,6 +51,7 @@ __all__ = ["Tracker"]
 
 Array = NDArray[np.float64]
 
+_MOST_FRAMES = 100  # of a window
 _SHORTEST = 1e-6  # seconds from frame to frame: noise that grows with time must not vanish
 _FARTHEST = 1e6  # metres: a camera that is further away than that has come there in an unknown way
 _RIGID = 1e-4  # of a place's rotation: more digits than that are seldom lost
@@ -103,20 +104,22 @@ class Tracker:
             prior: Shape prior, or its name, or the path of its file.
             size_prior: Fleet (`kitti`, `apollo79`), or a size prior; None takes sizes from the shape prior.
             options: Settings; `joint` must be set.
-            window: Frames that are solved together when a new one comes; at least 2.
+            window: Frames that are solved together when a new one comes, 2 to 100: that one, the one before it, and
+                some of the seconds before.
             shared_ground: Whether the vehicles share one ground that is a variable and changes slowly from frame to
                 frame: it is found first, by a step of a solve of all vehicles of the frame together.
             past: Frames of each vehicle to keep for `smooth`; None keeps all.
-            motion_factors: Makes factors of your own for each step of a vehicle: called with the numbers of its two
-                frames, the seconds between them, and a factor to multiply standard deviations by (frames count by a
-                share, and so does what ties them). They are on X(0, number), V(0, number) and L(0) of `factors`.
+            motion_factors: Makes factors of your own between frames of a vehicle: called with the numbers of two that
+                follow each other in a window (frames between them may have left it), the seconds between them, and a
+                factor to multiply standard deviations by (frames count by a share, and so does what ties them). They
+                are on X(0, number), V(0, number) and L(0) of `factors`.
 
         Raises:
             InvalidInputError: An argument cannot be used; names it, its value and the fix.
         """
         options = checked_options(options, joint=True)
-        if not isinstance(window, int | np.integer) or window < 2:
-            raise InvalidInputError("window", window, "Give at least 2 frames, a whole number.")
+        if not isinstance(window, int | np.integer) or not 2 <= window <= _MOST_FRAMES:
+            raise InvalidInputError("window", window, f"Give 2 to {_MOST_FRAMES} frames, a whole number.")
         if past is not None and (not isinstance(past, int | np.integer) or past < 1):
             raise InvalidInputError("past", past, "Give at least 1 frame, a whole number, or None.")
         self._options = replace(options, keep_history=False)
@@ -275,7 +278,7 @@ class Tracker:
         """Of the last frame."""
         followed, past = track.followed, track.past[-1]
         last = len(followed.solved.seen) - 1
-        return _estimates(name, {last: past}, followed.solved, followed.rests_on)[0]
+        return _estimates(name, {last: past}, followed.solved, last + 1)[0]
 
     def _smoothed(self, name: int, track: _Track, frames: Sequence[Frame]) -> list[VehicleEstimate]:
         pasts = {past.frame.number: past for past in track.past}

@@ -164,7 +164,7 @@ def test_the_ground_is_shared_where_one_is_told(drive, tmp_path):
 
 
 def test_the_cameras_motion_is_estimated_where_it_helps(tmp_path):
-    """Where the ground is told and the past is smoothed, unless somebody says otherwise; on another ground again."""
+    """Where the ground is told, unless somebody says otherwise or no time is looked at; on another ground again."""
     images, file = make_drive(tmp_path / "drive", 4, metres=0.4)
 
     def went(out, *options):
@@ -180,8 +180,8 @@ def test_the_cameras_motion_is_estimated_where_it_helps(tmp_path):
     assert went("a", *level) == (True, pytest.approx(1.2, abs=0.1))
     assert went("a", "--camera-height", 3.3) == (True, pytest.approx(2.4, abs=0.2))
     assert went("a", *level, "--no-estimate-motion") == (False, None)
-    assert went("a", *level, "--online") == (False, None)
-    assert went("a", *level, "--online", "--estimate-motion") == (True, pytest.approx(1.2, abs=0.1))
+    assert went("a", *level, "--online") == (True, pytest.approx(1.2, abs=0.1))
+    assert went("a", *level, "--online", "--no-estimate-motion") == (False, None)
     assert went("a", *level, "--alone") == (False, None)
 
 

@@ -140,19 +140,3 @@ def test_a_vector_of_any_length_may_stay():
     graph.add(gtsam.PriorFactorVector(L(), np.zeros(5), gtsam.noiseModel.Isotropic.Sigma(5, 2.0)))
     past = marginal(graph, values, [X(0, 0), V(0, 0)])
     assert dict(zip(past.keys, past.dims, strict=True)) == {L(): 5, V(0, 1): 3, X(0, 1): 6}
-
-
-def test_what_fades_leaves_what_is_said_of_the_others():
-    """The velocity's own marginal stays, and the pose's information given the velocity is a quarter."""
-    graph, values, _ = _chain()
-    past = marginal(graph, values, [X(0, 0), V(0, 0)])
-    faded = past.fading([X(0, 1)], 0.25)
-    assert (faded.keys, faded.dims) == (past.keys, past.dims)
-    (pose,) = [slice(a, a + 6) for a, d in zip((0, past.dims[0]), past.dims, strict=True) if d == 6]
-    velocity = [i for i in range(9) if not pose.start <= i < pose.stop]
-    before, after = past.matrix.T @ past.matrix, faded.matrix.T @ faded.matrix
-    np.testing.assert_allclose(after[pose, pose], 0.25 * before[pose, pose], rtol=1e-9, atol=1e-6)
-    grid = np.ix_(velocity, velocity)
-    np.testing.assert_allclose(np.linalg.inv(after)[grid], np.linalg.inv(before)[grid], rtol=1e-8, atol=1e-9)
-    solution = np.linalg.solve(before, past.matrix.T @ past.right)
-    np.testing.assert_allclose(np.linalg.solve(after, faded.matrix.T @ faded.right), solution, atol=1e-9)

@@ -87,7 +87,6 @@ class Graph:
         pose_free: bool,
         hold_shape: bool = False,
         extra: Sequence[gtsam.NonlinearFactor] = (),
-        counted: Sequence[gtsam.NonlinearFactor] | None = None,
         earlier: int = 0,
     ) -> None:
         """Prepare the graph.
@@ -98,7 +97,6 @@ class Graph:
             pose_free: Whether the poses are variables.
             hold_shape: Whether the shapes are constants.
             extra: The caller's own factors; those on variables that are held are left out.
-            counted: What takes their place for covariances; None where they count as they are.
             earlier: How many more images of each vehicle the extra factors stand for.
 
         Raises:
@@ -135,7 +133,6 @@ class Graph:
         self._own_keys |= {key for vehicle in self.vehicles.values() for key in vehicle.keys}
         keys = self._own_keys | set(state.others.keys())
         self.extra = [factor for factor in extra if keys.issuperset(factor.keys())]
-        self._counted = self.extra if counted is None else counted
         if pose_free and not hold_shape and len(self.extra) < len(extra):
             unknown = {key for factor in extra for key in list(factor.keys())} - keys
             names = ", ".join(sorted(map(key_name, unknown)))
@@ -253,7 +250,7 @@ class Graph:
         for vehicle in self.vehicles.values():
             for factor in vehicle.counted_once:
                 graph.add(factor)
-        for factor in self._counted:
+        for factor in self.extra:
             graph.add(factor)
         return graph
 

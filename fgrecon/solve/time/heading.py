@@ -28,6 +28,7 @@ __all__ = [
     "Belief",
     "backward",
     "box_says",
+    "carried",
     "combined",
     "directions_say",
     "half",
@@ -156,6 +157,13 @@ def box_says(heading: float, sigma: float, turned: float) -> Array:
     here, there = (np.exp(-0.5 * np.square(one / spread)) for one in (off, np.pi - off))
     bump = ((1.0 - turned) * here + turned * there) / (np.sqrt(2.0 * np.pi) * spread)
     said: Array = np.log((1.0 - _ANYTHING) * bump + _ANYTHING / (2.0 * np.pi))
+    return said
+
+
+def carried(evidence: Array, seconds: float, camera_turn: float) -> Array:
+    """(B,) logarithms of what a frame's evidence (B,) says some time later."""
+    likelihood = np.exp(evidence - evidence.max())
+    said: Array = np.log(_kernel_product(likelihood / likelihood.sum(), seconds, camera_turn))
     return said
 
 

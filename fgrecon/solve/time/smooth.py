@@ -1,9 +1,6 @@
 """The whole past of a vehicle at once: the facing of every frame by all of them, and one graph for a stretch of frames.
 
 Long pasts are solved stretch by stretch; they overlap, and of an overlap each gives the half that is further inside.
-
-Past a vehicle that stands a camera of known motion measures how far away it is. One that drives tells nothing of that
-kind, and which it is no frame says for itself: of a stretch both are solved, and their energies decide.
 """
 
 from __future__ import annotations
@@ -20,10 +17,6 @@ from fgrecon.solve.time.window import Frame, OwnFactors, WindowSolve, solve_alon
 __all__ = ["Smoothed", "beliefs", "pieces", "smooth"]
 
 _STRETCH, _OVERLAP = 100, 20  # frames
-_DRIVES = 7.0
-"""Nats by which driving must explain the frames better than standing: the logarithm of the thousand speeds that there
-are, as exactly as frames tell one. On KITTI's video parked vehicles stay at 6.6 or below, by two networks, and those
-that drive begin at 10.5."""
 
 
 Smoothed = tuple[WindowSolve, Sequence[Frame], range]
@@ -49,7 +42,8 @@ def smooth(past: Sequence[Frame], shape: Held, model: MotionModel, own: OwnFacto
             yield solve_alone(frames[0].problem, frames[0].start, frames[0].number), frames, range(1)
             continue
         for low, high, first, last in _stretches(len(frames)):
-            solved, some = _solved(frames[low:high], shape, model, own)
+            some = [replace(frame) for frame in frames[low:high]]
+            solved = solve_window(some, shape, model, own=own)
             yield solved, some, range(first - low, last - low)
 
 
@@ -64,23 +58,6 @@ def beliefs(frames: Sequence[Frame]) -> list[Belief]:
     steps = [(f.step.seconds, f.step.turn) for f in frames[1:] if f.step is not None]
     later = backward([f.evidence for f in frames], steps)
     return [combined(f.belief, likelihood) for f, likelihood in zip(frames, later, strict=True)]
-
-
-def _solved(
-    some: list[Frame], shape: Held, model: MotionModel, own: OwnFactors | None
-) -> tuple[WindowSolve, list[Frame]]:
-    """A stretch, and its frames where they end.
-
-    Where the camera's motion is known a vehicle of wheels stands in all of it, or drives: both are solved.
-    """
-    if not (model.wheeled and all(frame.known for frame in some[1:])):
-        return solve_window(some, shape, model, own=own), some
-    ends = []
-    for stands in (True, False):
-        frames = [replace(frame) for frame in some]
-        ends.append((solve_window(frames, shape, model, own=own, stands=stands), frames))
-    standing, driving = (solved.adjusted.optimum.energy for solved, _ in ends)
-    return ends[0] if standing <= driving + _DRIVES else ends[1]
 
 
 def _stretches(count: int) -> Iterator[tuple[int, int, int, int]]:

@@ -3,8 +3,10 @@
 The first frame is solved alone, as a single image is. Of later ones the pose search is enough, which starts where the
 motion leads as well: the window's graph solves them. The belief of the heading (`heading`) says which of a frame's
 poses is meant, for this and for the other frames of the window; a frame that has none there starts anew, its keypoints
-turned round if that explains them better. Frames that leave the window stay as one linear factor on what they were tied
-to.
+turned round if that explains them better.
+
+The window is the last two frames and some of those before them, spread over seconds. Frames that follow each other
+closely err alike and tell little of the way; a wide base line measures it.
 """
 
 from __future__ import annotations
@@ -16,9 +18,6 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from factors.keys import V, X
-from factors.marginals import Marginal, marginal
-from factors.mixture import Form
 from factors.motion import moved
 from fgrecon.core.camera import Ground
 from fgrecon.core.errors import DegenerateProblemError
@@ -42,9 +41,9 @@ __all__ = ["Followed", "face", "image_says"]
 Array = NDArray[np.float64]
 
 _ELSEWHERE = np.deg2rad(60.0)  # a pose that far from the heading is of another one
-_NEWTON = 2  # steps for a window: it starts at the last one's minimum
-_FADES = 0.2  # seconds: images that follow each other err alike, and where a vehicle was counts for less and less
-_COUNTED = 100  # frames: no more count for the shape, older ones are forgotten little by little
+_NEWTON = 4  # steps for a window: most of it was solved with the frame before
+_ASKED = 3  # frames after which it is asked anew whether a vehicle stands, where there was no doubt
+_SPAN = 4.0  # seconds that a window spans at most
 _FAST = 60.0  # metres per second: no vehicle is taken to be faster when it is seen for the second time
 _WAY, _PLACE, _DEPTH = 2.0, 0.3, 0.05
 """Metres that a vehicle must have gone for its way to say where it faces; how exactly its place is known: metres, and
@@ -58,7 +57,7 @@ class Followed:
 
     Attributes:
         frames: Those of the window.
-        count: How many there were in all; those that the last solve rests on are `rests_on`.
+        count: How many there were in all.
         shape: Lambda (N,) and offsets (K, 3).
         solved: The last solve.
     """
@@ -74,17 +73,10 @@ class Followed:
             window: Frames in the graph, at least two.
             own: Makes factors of the caller's own for each step from frame to frame; or None.
         """
-        self.motion, self.window, self.own = motion, min(window, _COUNTED), own
+        self.motion, self.window, self.own = motion, window, own
         self.frames: list[Frame] = []
         self.count = 0
-        self._left: Marginal | None = None  # as if every image counted whole
-        self._gone = 0  # frames that it stands for
         self._way = self._ahead = _Way()  # up to the last frame that was taken, and up to the one that was looked at
-
-    @property
-    def rests_on(self) -> int:
-        """How many frames the last solve rests on: those of the window, and those of which something is left."""
-        return self._gone + len(self.frames)
 
     def look(self, problem: Problem, time: float, step: FrameStep | None) -> Frame:
         """Look at a frame by itself; `settle` and `take` are to follow.
@@ -116,9 +108,7 @@ class Followed:
         frame.neighbours = neighbours
         if frame.step is None:
             return  # a single image; see `again`
-        changed = face([*self.frames, frame], self.shape)
-        if any(other is not frame for other in changed):
-            self._forget()  # what was left of earlier frames knows another side
+        face([*self.frames, frame], self.shape)
 
     def again(self, frame: Frame, problem: Problem, start: PoseEstimate) -> None:
         """Solve a vehicle's first frame once more, taken for another problem: what it shows is turned round."""
@@ -179,57 +169,38 @@ class Followed:
         """A new frame goes on as the one before did; the second tells how both do, and one of another kind likewise."""
         *_, before, frame = self.frames
         assert frame.step is not None
-        another = before.step is not None and before.known != frame.known
-        if another and self._left is not None and len(self.frames) == 2:  # it knows a velocity of the other kind
-            self._left = self._left.fading([V(0, before.number)], 0.0)
-        if another or (len(self.frames) == 2 and self._left is None):
+        if len(self.frames) == 2 or (before.step is not None and before.known != frame.known):
             camera = gtsam.Pose3() if frame.step.camera is None else frame.step.camera
             twist = gtsam.Pose3.Logmap(before.pose.inverse().compose(camera.compose(frame.pose))) / frame.step.seconds
             before.velocity = np.array([*np.clip(twist[[3, 5]], -_FAST, _FAST), 0.0])
         frame.velocity = before.velocity
 
     def _solve(self) -> None:
-        earlier = min(self.rests_on, _COUNTED) - len(self.frames)
-        solved = solve_window(
-            self.frames, self.shape, self.motion, earlier=earlier, left=self._left, most=_NEWTON, own=self.own
-        )
+        stands = self.solved.stands if self.count % _ASKED else None
+        solved = solve_window(self.frames, self.shape, self.motion, most=_NEWTON, own=self.own, stands=stands)
         if solved.adjusted.optimum.failure is not None:
             self._begin_again()
             return
         self.solved, self.shape = solved, solved.adjusted.optimum.state.shapes[0]
+        del self.frames[: solved.goes_on_from()]
         if len(self.frames) >= self.window:
-            self._leave()
+            self._leave_one()
 
-    def _leave(self) -> None:
-        """Take the oldest frame out of the window."""
-        graph, optimum = self.solved.adjusted.graph, self.solved.adjusted.optimum
-        first = self.frames.pop(0).number
-        leaving = {X(0, first), V(0, first)}
-        own = gtsam.NonlinearFactorGraph()
-        for factor in graph.observations[0].solved(optimum.state.weights[0], Form.WEIGHTED):
-            own.add(factor)
-        for factor in self.solved.extra:
-            if leaving & set(factor.keys()):
-                own.add(factor)
-        after = self.frames[0].step
-        assert after is not None
-        kept = float(np.exp(-after.seconds / _FADES))
-        now = [X(0, self.frames[0].number), V(0, self.frames[0].number)]
-        self._gone += 1
-        left = marginal(own, optimum.values, sorted(leaving)).scaled(1.0 / self.solved.share)
-        forgotten = 1.0 / _COUNTED if self.rests_on >= _COUNTED else 0.0
-        self._left = left.fading(now, kept).scaled(1.0 - forgotten)
+    def _leave_one(self) -> None:
+        """Take a frame out of the window: the oldest of too long a time, or the one whose neighbours are nearest."""
+        times = [frame.time for frame in self.frames]
+        inner = range(1, len(times) - 1)
+        if not inner or times[-1] - times[0] > _SPAN:
+            self.frames.pop(0)
+            return
+        nearest = min(reversed(inner), key=lambda i: times[i + 1] - times[i - 1])
+        self.frames[nearest : nearest + 2] = [self.frames[nearest + 1].without(self.frames[nearest])]
 
     def _begin_again(self) -> None:
         """A window that cannot be solved ends: its last frame is the first of another."""
         last = self.frames[-1]
         self.frames, last.step, last.problem = [last], None, last.given
-        self._forget()
         self._first(last, last.start)
-
-    def _forget(self) -> None:
-        """Go on without what was left of earlier frames."""
-        self._left, self._gone = None, 0
 
 
 def _from(frame: Frame) -> PoseEstimate:

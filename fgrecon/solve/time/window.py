@@ -1,9 +1,9 @@
 """Frames of one vehicle in one graph: poses, velocities, the shape, and what ties them together.
 
-    marginal --- X(0,t-2) --- motion --- X(0,t-1) --- motion --- X(0,t)      the window
-       |            |                       |                      |
-       |         keypoints, box, ground   keypoints, ...        keypoints, ...
-       +------------+---------- L(0) -------+----------------------+
+    X(0,t-9) --- motion --- X(0,t-4) --- motion --- X(0,t-1) --- motion --- X(0,t)
+       |                       |                       |                      |
+    keypoints, box, ground   keypoints, ...         keypoints, ...         keypoints, ...
+       +---------- L(0) -------+-----------------------+----------------------+
 
 Images of one vehicle err alike (`ShapeOptions.common_error`): the more there were, the less each counts against the
 terms of the shape. Motion relative to a camera that moves in an unknown way only makes poses smooth, and counts by the
@@ -12,6 +12,9 @@ a parked car looks after one's own way says how far away it is, whatever its siz
 
 A frame's velocity is that up to the next frame, the last one's that from the frame before: over the world where the
 camera's motion is known from one to the other, else relative to the camera. One kind says nothing of the other.
+
+Past a vehicle that stands a camera of known motion measures how far away it is. One that drives tells nothing of that
+kind, and which it is no frame says for itself: both are solved, and their energies decide.
 """
 
 from __future__ import annotations
@@ -25,7 +28,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.keys import V, X
-from factors.marginals import Marginal, marginal_factor
 from fgrecon.core.motion import MotionModel
 from fgrecon.core.reconstruction import Alternative
 from fgrecon.solve.graph.adjust import Adjusted, SolvedStage, adjust
@@ -36,14 +38,20 @@ from fgrecon.solve.graph.optimise import optimise
 from fgrecon.solve.graph.vehicle import Held
 from fgrecon.solve.proposals.adjust import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.time.heading import HEADINGS, Belief
+from fgrecon.solve.time.heading import HEADINGS, Belief, carried
 from fgrecon.solve.time.motion import link, velocity_terms
 
 __all__ = ["Frame", "FrameStep", "OwnFactors", "WindowSolve", "solve_alone", "solve_window", "velocity_covariances"]
 
 Array = NDArray[np.float64]
 
+_TORN = 5.0  # nats: two frames that contradict their motion by more are not tied
 _LONGEST = 1.0  # seconds that one velocity stands for
+_DRIVES = 7.0
+"""Nats by which driving must explain the frames better than standing: the logarithm of the thousand speeds that there
+are, as exactly as frames tell one. On KITTI's video parked vehicles stay at 6.6 or below, by two networks, and those
+that drive begin at 10.5."""
+_DOUBT = 3.0  # nats more or less than that: what leaves open which it is
 
 
 OwnFactors = Callable[[int, int, float, float], Sequence[gtsam.NonlinearFactor]]
@@ -69,6 +77,16 @@ class FrameStep:
         """(6, 6) covariance by the camera's motion of a pose in the second frame, in the vehicle's own."""
         by_motion = pose.inverse().AdjointMap()
         return np.asarray(by_motion @ self.covariance @ by_motion.T)
+
+    def then(self, later: FrameStep) -> FrameStep:
+        """From this step's first frame to the second one of a later step, which begins where this one ends."""
+        seconds = self.seconds + later.seconds
+        if self.camera is None or later.camera is None:
+            return FrameStep(seconds, None, np.zeros((6, 6)))
+        by_later = later.camera.inverse().AdjointMap()
+        return FrameStep(
+            seconds, self.camera.compose(later.camera), by_later @ self.covariance @ by_later.T + later.covariance
+        )
 
     @property
     def turn(self) -> float:
@@ -122,6 +140,13 @@ class Frame:
         assert self.step is not None
         self.belief = before.belief.later(self.step.seconds, self.step.turn).told(self.evidence)
 
+    def without(self, before: Frame) -> Frame:
+        """The frame after the one before that, whose evidence it takes over."""
+        assert before.step is not None
+        assert self.step is not None
+        evidence = self.evidence + carried(before.evidence, self.step.seconds, self.step.turn)
+        return replace(self, step=before.step.then(self.step), evidence=evidence)
+
     @property
     def believed(self) -> Belief:
         """Of the heading, by all."""
@@ -141,19 +166,28 @@ class WindowSolve:
         seen: The frames' observations.
         starts: Their proposals.
         adjusted: Where the graph's optimisation ended.
-        extra: The factors of motion, and what is left of earlier frames.
-        share: Of their information that the frames have.
-        tied: The same of what ties them.
+        extra: The factors of motion.
+        tied: Share of their information that these have.
         over_world: Whether the velocity of each is over the world; else it is relative to the camera.
+        stands: Whether the vehicle stands in all of them, or drives; None where that is in doubt, or was not asked.
     """
 
     seen: tuple[Seen, ...]
     starts: tuple[PoseEstimate, ...]
     adjusted: Adjusted
     extra: tuple[gtsam.NonlinearFactor, ...]
-    share: float = 1.0
     tied: float = 1.0
     over_world: tuple[bool, ...] = ()
+    stands: bool | None = None
+
+    def goes_on_from(self) -> int:
+        """Index of the first frame that the later ones go on from: before it is what they contradict."""
+        values = self.adjusted.optimum.values
+        for index in range(len(self.seen) - 1, 0, -1):
+            ends = {X(0, one.image) for one in self.seen[index - 1 : index + 1]}
+            if sum(factor.error(values) for factor in self.extra if ends <= set(factor.keys())) > _TORN:
+                return index
+        return 0
 
 
 def solve_alone(problem: Problem, start: PoseEstimate, number: int) -> WindowSolve:
@@ -167,8 +201,6 @@ def solve_window(
     shape: Held,
     model: MotionModel,
     *,
-    earlier: int = 0,
-    left: Marginal | None = None,
     most: int | None = None,
     own: OwnFactors | None = None,
     stands: bool | None = None,
@@ -179,16 +211,51 @@ def solve_window(
         frames: The frames, at least two.
         shape: Where the shape begins.
         model: How such vehicles move.
-        earlier: How many more frames of the vehicle there were.
-        left: What is left of them, as if each counted whole; or None.
         most: Newton's steps at most, see `fgrecon.solve.graph.optimise`.
         own: Makes factors of the caller's own for each step; or None.
-        stands: Whether the vehicle stands in all of them; None where it may.
+        stands: Whether the vehicle stands, where that is known already; None where it is to be found out.
 
     Returns:
         What was solved; where it failed the frames stay as they are.
     """
-    share = common_share(len(frames) + earlier, frames[0].problem.options)
+    if not (model.wheeled and all(frame.known for frame in frames[1:])):
+        solved = _solved(frames, shape, model, most, own, None)
+    elif stands is None:
+        solved = _standing_or_driving(*(_solved(frames, shape, model, most, own, one) for one in (True, False)))
+    else:
+        solved = _solved(frames, shape, model, most, own, stands)
+    optimum = solved.adjusted.optimum
+    if optimum.failure is None:
+        for frame, pose, weights in zip(frames, optimum.state.poses, optimum.state.weights, strict=True):
+            frame.pose, frame.weights = pose, weights
+            frame.velocity = optimum.state.others.atVector(V(0, frame.number))
+    return solved
+
+
+def _standing_or_driving(standing: WindowSolve, driving: WindowSolve) -> WindowSolve:
+    """What explains the frames better; that is in doubt where the other one is not much worse."""
+    gained = _energy(standing) - _energy(driving) - _DRIVES
+    solved = driving if gained > 0.0 else standing
+    return solved if abs(gained) > _DOUBT else replace(solved, stands=None)
+
+
+def _energy(solved: WindowSolve) -> float:
+    optimum, graph = solved.adjusted.optimum, solved.adjusted.graph
+    if optimum.failure is not None:
+        return np.inf
+    return sum((optimum.energies or graph.energies(optimum.values, optimum.state.weights)).values())
+
+
+def _solved(
+    frames: Sequence[Frame],
+    shape: Held,
+    model: MotionModel,
+    most: int | None,
+    own: OwnFactors | None,
+    stands: bool | None,
+) -> WindowSolve:
+    """The frames together, of a vehicle that stands in all of them, or drives, or None where it may do either."""
+    share = common_share(len(frames), frames[0].problem.options)
     seen = tuple(Seen(f.problem, image=f.number) for f in frames)
     tied = 1.0 if all(frame.known for frame in frames[1:]) else share
     extra = motion_factors(frames, model, share, tied, stands)
@@ -200,25 +267,17 @@ def solve_window(
             if frame.step is not None
             for factor in own(number, frame.number, frame.step.seconds, tied**-0.5)
         ]
-    counted = list(extra)
-    if left is not None:
-        extra.append(marginal_factor(left.scaled(share)))
-        counted.append(marginal_factor(left.scaled(share / frames[-1].problem.common_factor)))
     others = gtsam.Values()
     for frame in frames:
         others.insert(V(0, frame.number), frame.velocity)
     state = State([f.pose for f in frames], {0: shape}, [f.weights for f in frames], others)
-    graph = Graph(seen, state, pose_free=True, extra=extra, counted=counted, earlier=earlier)
+    graph = Graph(seen, state, pose_free=True, extra=extra)
     optimum = optimise(graph, state, most)
-    if optimum.failure is None:
-        if most is not None:
-            optimum = replace(optimum, unfinished=None)
-        for frame, pose, weights in zip(frames, optimum.state.poses, optimum.state.weights, strict=True):
-            frame.pose, frame.weights = pose, weights
-            frame.velocity = optimum.state.others.atVector(V(0, frame.number))
+    if optimum.failure is None and most is not None:
+        optimum = replace(optimum, unfinished=None)
     adjusted = Adjusted(optimum, (SolvedStage("track", graph, optimum.steps),), ((),) * len(frames))
     starts = tuple(frame.start for frame in frames)
-    return WindowSolve(seen, starts, adjusted, tuple(extra), share, tied, tuple(_over_world(frames)))
+    return WindowSolve(seen, starts, adjusted, tuple(extra), tied, tuple(_over_world(frames)), stands)
 
 
 def _over_world(frames: Sequence[Frame]) -> list[bool]:

@@ -1,10 +1,14 @@
-"""What is not known of the camera's motion, as a covariance of the poses that it carries along."""
+"""Frames of a window: which are kept, and what is not known of the camera's motion between them."""
 
 import gtsam
 import numpy as np
+import pytest
 
+import fgrecon
+from fgrecon.solve.time.camera_way import CameraWay
+from fgrecon.solve.time.heading import HEADINGS, Belief, backward, carried, combined, poses_say
 from fgrecon.solve.time.window import FrameStep
-from tests.solve.time.streets import upright
+from tests.solve.time.streets import CAMERA, seen, upright
 
 
 def test_a_pose_is_as_unsure_as_the_motion_that_carries_it():
@@ -21,3 +25,58 @@ def test_a_pose_is_as_unsure_as_the_motion_that_carries_it():
     found = step.carried(pose)
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     np.testing.assert_allclose(found / scale, expected / scale, atol=0.05)
+
+
+def test_two_steps_are_one():
+    """Against the camera's way, which adds up its motions in the axes of its beginning."""
+    rng, way, before, steps = np.random.default_rng(1), CameraWay(), gtsam.Pose3(), []
+    way.go(before, None)
+    begun = way.here
+    for _ in range(2):
+        moved = gtsam.Pose3.Expmap(rng.normal(scale=[0.1, 0.3, 0.1, 0.2, 0.1, 1.5]))
+        covariance = np.diag(rng.uniform(1e-6, 1e-2, 6))
+        steps.append(FrameStep(0.1, moved, covariance))
+        before = before.compose(moved)
+        way.go(before, covariance)
+    both = steps[0].then(steps[1])
+    assert both.seconds == pytest.approx(0.2)
+    assert both.camera.equals(before, 1e-12)
+    np.testing.assert_allclose(both.covariance, way.since(begun, before), rtol=1e-9, atol=1e-15)
+    assert steps[0].then(FrameStep(0.1, None, np.zeros((6, 6)))).camera is None
+
+
+def test_what_a_frame_that_leaves_said_of_the_heading_stays():
+    """Earlier frames are told by the next one of it, turned as the camera turns."""
+    evidence = [poses_say([h], [0.0], alone=True) for h in (0.3, 0.4 + np.pi, 0.2)]
+    steps = [(0.1, -0.05), (0.2, 0.1)]
+    expected = combined(Belief.none().told(evidence[0]), backward(evidence, steps)[0])
+    merged = [evidence[0], evidence[2] + carried(evidence[1], *steps[1])]
+    found = combined(Belief.none().told(evidence[0]), backward(merged, [(0.3, 0.05)])[0])
+    without = combined(Belief.none().told(evidence[0]), backward([evidence[0], evidence[2]], [(0.3, 0.05)])[0])
+    assert found.facing(0.3) == pytest.approx(expected.facing(0.3), abs=1e-3)
+    assert abs(without.facing(0.3) - expected.facing(0.3)) > 0.02
+    turned = carried(evidence[0], 0.01, 10 * (HEADINGS[1] - HEADINGS[0]))
+    assert int(np.argmax(turned)) == int(np.argmax(evidence[0])) + 10
+
+
+@pytest.mark.parametrize("window", [2, 3, 5, 7])
+def test_a_window_is_the_last_two_frames_and_some_of_seconds(window):
+    rng, tracker, known = np.random.default_rng(2), fgrecon.Tracker(size_prior="kitti", window=window), []
+    for t in range(60):
+        place = upright(0.002 * t, [0.0, 0.0, 0.05 * t])
+        pose = np.linalg.inv(place) @ upright(0.8, [1.0, 1.65, 20.0])
+        tracker.update(0.1 * t, {1: seen(pose, rng)}, camera=CAMERA, ground=1.65, world_T_camera=place)
+        followed = tracker._tracks[1].followed
+        known.append([one.image for one in followed.solved.seen])
+        for before, frame in zip(followed.frames, followed.frames[1:], strict=False):
+            assert frame.step.seconds == pytest.approx(frame.time - before.time)
+            moved = upright(0.002 * before.number, [0.0, 0.0, 0.05 * before.number])
+            moved = np.linalg.inv(moved) @ upright(0.002 * frame.number, [0.0, 0.0, 0.05 * frame.number])
+            np.testing.assert_allclose(frame.step.camera.matrix(), moved, atol=1e-9)
+    for t, numbers in enumerate(known[2 * window :], start=2 * window):
+        assert (len(numbers), numbers[-2:]) == (window, [t - 1, t])
+        assert t - numbers[0] <= 41
+        if window > 3:
+            assert t - numbers[0] >= min(t, 10)
+            gaps = np.diff(numbers[:-1])
+            assert gaps.max() <= max(0.75 * (t - numbers[0]), 2)
