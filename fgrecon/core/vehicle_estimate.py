@@ -29,7 +29,7 @@ class VehicleEstimate:
         facing_probability: How probably the vehicle faces where the pose says, within a quarter turn; NaN where
             nothing tells.
         world_T_object: (4, 4) pose in the world, or None where the camera's is not known.
-        frames: How many frames of the vehicle were solved together for it.
+        frames: How many frames of the vehicle it rests on: those of its window, or the past that was smoothed.
     """
 
     id: int

@@ -44,6 +44,11 @@ def smooth(past: Sequence[Frame], shape: Held, model: MotionModel, own: OwnFacto
         for low, high, first, last in _stretches(len(frames)):
             some = [replace(frame) for frame in frames[low:high]]
             solved = solve_window(some, shape, model, own=own)
+            if solved.failed:
+                for frame in some[first - low : last - low]:
+                    yield solve_alone(frame.problem, frame.start, frame.number), [frame], range(1)
+                continue
+            solved.bring(some)
             yield solved, some, range(first - low, last - low)
 
 

@@ -27,7 +27,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from factors.keys import V, X
+from factors.keys import V, X, decode_key
 from fgrecon.core.motion import MotionModel
 from fgrecon.core.reconstruction import Alternative
 from fgrecon.solve.graph.adjust import Adjusted, SolvedStage, adjust
@@ -45,13 +45,14 @@ __all__ = ["Frame", "FrameStep", "OwnFactors", "WindowSolve", "solve_alone", "so
 
 Array = NDArray[np.float64]
 
-_TORN = 5.0  # nats: two frames that contradict their motion by more are not tied
 _LONGEST = 1.0  # seconds that one velocity stands for
 _DRIVES = 7.0
 """Nats by which driving must explain the frames better than standing: the logarithm of the thousand speeds that there
 are, as exactly as frames tell one. On KITTI's video parked vehicles stay at 6.6 or below, by two networks, and those
 that drive begin at 10.5."""
 _DOUBT = 3.0  # nats more or less than that: what leaves open which it is
+_TELLS = 0.5  # seconds: frames of less time do not say which it is
+_EXPLAINED = 0.2  # share of its keypoints' weights by itself
 
 
 OwnFactors = Callable[[int, int, float, float], Sequence[gtsam.NonlinearFactor]]
@@ -147,6 +148,10 @@ class Frame:
         evidence = self.evidence + carried(before.evidence, self.step.seconds, self.step.turn)
         return replace(self, step=before.step.then(self.step), evidence=evidence)
 
+    def follow(self, other: Frame) -> None:
+        """Go where another solve of the same image has ended."""
+        self.pose, self.weights, self.velocity, self.problem = other.pose, other.weights, other.velocity, other.problem
+
     @property
     def believed(self) -> Belief:
         """Of the heading, by all."""
@@ -169,7 +174,7 @@ class WindowSolve:
         extra: The factors of motion.
         tied: Share of their information that these have.
         over_world: Whether the velocity of each is over the world; else it is relative to the camera.
-        stands: Whether the vehicle stands in all of them, or drives; None where that is in doubt, or was not asked.
+        stands: Whether the vehicle stands in all of them, or drives; None where that is in doubt, or cannot be said.
     """
 
     seen: tuple[Seen, ...]
@@ -180,14 +185,36 @@ class WindowSolve:
     over_world: tuple[bool, ...] = ()
     stands: bool | None = None
 
-    def goes_on_from(self) -> int:
-        """Index of the first frame that the later ones go on from: before it is what they contradict."""
-        values = self.adjusted.optimum.values
-        for index in range(len(self.seen) - 1, 0, -1):
-            ends = {X(0, one.image) for one in self.seen[index - 1 : index + 1]}
-            if sum(factor.error(values) for factor in self.extra if ends <= set(factor.keys())) > _TORN:
-                return index
-        return 0
+    def bring(self, frames: Sequence[Frame]) -> None:
+        """Bring the frames to where they ended."""
+        state = self.adjusted.optimum.state
+        for frame, pose, weights in zip(frames, state.poses, state.weights, strict=True):
+            frame.pose, frame.weights = pose, weights
+            frame.velocity = state.others.atVector(V(0, frame.number))
+
+    @property
+    def failed(self) -> bool:
+        """Whether there is no end."""
+        return self.adjusted.optimum.failure is not None
+
+    def contradicts(self, energy: float) -> bool:
+        """Whether the last frame contradicts those before.
+
+        Either by more than some energy (nats, if it counted whole) the motion to it and to the one before it; or its
+        keypoints are all taken for wrong, though by itself they are right.
+        """
+        optimum, last = self.adjusted.optimum, {one.image for one in self.seen[-2:]}
+        against = sum(f.error(optimum.values) for f in self.extra if len(ends := _frames_of(f)) > 1 and ends & last)
+        if against > energy * self.tied:
+            return True
+        explained = optimum.state.weights[-1].keypoints.sum()
+        return bool(explained < _EXPLAINED * self.starts[-1].weights.sum())
+
+
+def _frames_of(factor: gtsam.NonlinearFactor) -> set[int]:
+    """Numbers of the frames whose poses and velocities a factor is about."""
+    keys = [decode_key(key) for key in list(factor.keys())]
+    return {key.low for key in keys if key.letter in "XV"}
 
 
 def solve_alone(problem: Problem, start: PoseEstimate, number: int) -> WindowSolve:
@@ -205,7 +232,7 @@ def solve_window(
     own: OwnFactors | None = None,
     stands: bool | None = None,
 ) -> WindowSolve:
-    """Solve frames that follow each other together, and bring them to where they end.
+    """Solve frames that follow each other together; they stay where they are.
 
     Args:
         frames: The frames, at least two.
@@ -218,22 +245,19 @@ def solve_window(
     Returns:
         What was solved; where it failed the frames stay as they are.
     """
-    if not (model.wheeled and all(frame.known for frame in frames[1:])):
-        solved = _solved(frames, shape, model, most, own, None)
-    elif stands is None:
-        solved = _standing_or_driving(*(_solved(frames, shape, model, most, own, one) for one in (True, False)))
-    else:
-        solved = _solved(frames, shape, model, most, own, stands)
-    optimum = solved.adjusted.optimum
-    if optimum.failure is None:
-        for frame, pose, weights in zip(frames, optimum.state.poses, optimum.state.weights, strict=True):
-            frame.pose, frame.weights = pose, weights
-            frame.velocity = optimum.state.others.atVector(V(0, frame.number))
-    return solved
+    tells = frames[-1].time - frames[0].time >= _TELLS
+    if not (model.wheeled and tells and all(frame.known for frame in frames[1:])):
+        return _solved(frames, shape, model, most, own, None)
+    if stands is not None:
+        return _solved(frames, shape, model, most, own, stands)
+    standing, driving = (_solved(frames, shape, model, most, own, stands) for stands in (True, False))
+    return _standing_or_driving(standing, driving)
 
 
 def _standing_or_driving(standing: WindowSolve, driving: WindowSolve) -> WindowSolve:
     """What explains the frames better; that is in doubt where the other one is not much worse."""
+    if standing.failed or driving.failed:
+        return driving if standing.failed else standing
     gained = _energy(standing) - _energy(driving) - _DRIVES
     solved = driving if gained > 0.0 else standing
     return solved if abs(gained) > _DOUBT else replace(solved, stands=None)
@@ -241,8 +265,6 @@ def _standing_or_driving(standing: WindowSolve, driving: WindowSolve) -> WindowS
 
 def _energy(solved: WindowSolve) -> float:
     optimum, graph = solved.adjusted.optimum, solved.adjusted.graph
-    if optimum.failure is not None:
-        return np.inf
     return sum((optimum.energies or graph.energies(optimum.values, optimum.state.weights)).values())
 
 
