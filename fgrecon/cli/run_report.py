@@ -46,7 +46,8 @@ def perform(job: Job, viewer: Viewer, screen: Screen) -> VideoRun:
         "options": settings.options,
     }
     tracker = SingleImages(**arguments) if ask.alone else Tracker(**arguments, shared_ground=ask.together)
-    association = GatedAssociation(first=0 if given is None else given.largest_id + 1)
+    forget = tracker.forget if ask.online and isinstance(tracker, Tracker) else None  # nothing smooths their past
+    association = GatedAssociation(first=0 if given is None else given.largest_id + 1, given_up=forget)
     ground = settings.ground
     follower = Follower(tracker, association, job.camera, ground=ground, poses=job.poses, moving=job.moving)
     motion = MotionLook(job.camera, ground) if job.moving and ground is not None else None

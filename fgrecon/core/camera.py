@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from factors.checks import unit_vector
-from fgrecon.core.checks import as_finite, as_shape, own
+from fgrecon.core.checks import as_either, as_finite, as_vectors, own
 from fgrecon.core.errors import InvalidInputError
 
 __all__ = ["ANY_FOCAL_SIGMA", "DEFAULT_FIELD_OF_VIEW", "MIN_DEPTH", "Camera", "Ground"]
@@ -93,11 +93,12 @@ class Camera:
         coefficients = None if distortion is None else as_finite("distortion", distortion, (None,))
         if isinstance(intrinsics, Camera):
             return intrinsics if coefficients is None else replace(intrinsics, distortion=coefficients)
-        if np.shape(intrinsics) == (4,):
-            fx, fy, cx, cy = as_finite("intrinsics", intrinsics, (4,))
-            return cls(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), coefficients)
         fix = "Give the 3x3 camera matrix K, or fx, fy, cx, cy."
-        return cls(as_shape("intrinsics", intrinsics, (3, 3), fix), coefficients)
+        numbers = as_either("intrinsics", intrinsics, ((3, 3), (4,)), fix)
+        if numbers.shape == (4,):
+            fx, fy, cx, cy = as_finite("intrinsics", numbers, (4,))
+            return cls(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), coefficients)
+        return cls(numbers, coefficients)
 
     @classmethod
     def of_field_of_view(cls, width: int, height: int, degrees: float = DEFAULT_FIELD_OF_VIEW) -> Camera:
@@ -137,9 +138,17 @@ class Camera:
         return replace(self, image_size=(image.shape[1], image.shape[0]))
 
     def scaled(self, ratio: float) -> Camera:
-        """The camera with focal lengths (and skew) that many times as long."""
+        """The camera with focal lengths (and skew) that many times as long.
+
+        Raises:
+            InvalidInputError: It is no positive number.
+        """
+        fix = "Give a positive number."
+        factor = float(as_finite("ratio", ratio, (), fix))
+        if not factor > 0.0:
+            raise InvalidInputError("ratio", factor, fix)
         matrix = self.matrix.copy()
-        matrix[:2, :2] *= ratio
+        matrix[:2, :2] *= factor
         return replace(self, matrix=matrix)
 
     def cropped(self, left: float, top: float, width: int | None = None, height: int | None = None) -> Camera:
@@ -166,14 +175,22 @@ class Camera:
         return replace(self, matrix=matrix, image_size=size)
 
     def project(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Pixels (..., 2) of points (..., 3) in the camera frame, without distortion."""
-        homogeneous = np.asarray(points, dtype=np.float64) @ self.matrix.T
+        """Pixels (..., 2) of points (..., 3) in the camera frame, without distortion.
+
+        Raises:
+            InvalidInputError: They are no such numbers.
+        """
+        homogeneous = as_vectors("points", points, 3) @ self.matrix.T
         pixels: NDArray[np.float64] = homogeneous[..., :2] / homogeneous[..., 2:]
         return pixels
 
     def rays(self, pixels: ArrayLike) -> NDArray[np.float64]:
-        """Directions (..., 3) with z = 1 of undistorted pixels (..., 2)."""
-        pixels = np.asarray(pixels, dtype=np.float64)
+        """Directions (..., 3) with z = 1 of undistorted pixels (..., 2).
+
+        Raises:
+            InvalidInputError: They are no such numbers.
+        """
+        pixels = as_vectors("pixels", pixels, 2)
         homogeneous = np.ones((*pixels.shape[:-1], 3))
         homogeneous[..., :2] = pixels
         directions: NDArray[np.float64] = homogeneous @ self._inverse.T
@@ -184,8 +201,12 @@ class Camera:
         return np.asarray(np.linalg.inv(self.matrix), dtype=np.float64)
 
     def undistort(self, pixels: ArrayLike) -> NDArray[np.float64]:
-        """Pixels (M, 2) as the ideal pinhole camera with the same K sees them; NaN rows stay NaN."""
-        pixels = np.array(pixels, dtype=np.float64)
+        """Pixels (M, 2) as the ideal pinhole camera with the same K sees them; NaN rows stay NaN.
+
+        Raises:
+            InvalidInputError: They are no such numbers.
+        """
+        pixels = as_vectors("pixels", pixels, 2).copy()
         if self.distortion is None or not len(pixels):
             return pixels
         import cv2  # on use: importing fgrecon must not import OpenCV
@@ -200,8 +221,12 @@ class Camera:
         return pixels
 
     def distort(self, pixels: ArrayLike) -> NDArray[np.float64]:
-        """The reverse of `undistort`: where the real camera images ideal pixels (M, 2)."""
-        pixels = np.array(pixels, dtype=np.float64)
+        """The reverse of `undistort`: where the real camera images ideal pixels (M, 2).
+
+        Raises:
+            InvalidInputError: They are no such numbers.
+        """
+        pixels = as_vectors("pixels", pixels, 2).copy()
         if self.distortion is None or not len(pixels):
             return pixels
         import cv2

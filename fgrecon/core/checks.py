@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar
@@ -14,6 +14,7 @@ from factors.checks import has_shape, shape_words
 from fgrecon.core.errors import InvalidInputError
 
 __all__ = [
+    "as_either",
     "as_finite",
     "as_instance",
     "as_list",
@@ -21,6 +22,7 @@ __all__ = [
     "as_rigid",
     "as_rows",
     "as_shape",
+    "as_vectors",
     "hidden_as_nan",
     "one_word",
     "own",
@@ -51,6 +53,8 @@ def as_shape(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: s
 
 def _numbers(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: str) -> NDArray[np.float64]:
     """The numbers of any shape; `shape` is that of the error's fix."""
+    if value is None:  # which numpy takes for NaN
+        raise InvalidInputError(field, value, fix or f"Give numbers in an array of shape {shape_words(shape)}.")
     try:
         given = np.asarray(value)
         if given.dtype.kind not in _NUMBERS:  # text, bytes, dates; complex numbers would lose a part
@@ -76,6 +80,30 @@ def as_rows(field: str, value: ArrayLike, width: int, fix: str = "") -> NDArray[
     """
     numbers = _numbers(field, value, (None, width), fix)
     return as_shape(field, numbers.reshape(-1, width) if numbers.size % width == 0 else numbers, (None, width), fix)
+
+
+def as_vectors(field: str, value: ArrayLike, width: int, fix: str = "") -> NDArray[np.float64]:
+    """Convert to a float64 array (..., width), such as one point or many in any order; values are not checked.
+
+    Raises:
+        InvalidInputError: As `as_shape`.
+    """
+    array = _numbers(field, value, (width,), fix)
+    if array.shape[-1:] != (width,):
+        raise InvalidInputError(field, f"shape {array.shape}", fix or f"Give an array of shape (..., {width}).")
+    return array
+
+
+def as_either(field: str, value: ArrayLike, shapes: Sequence[tuple[int | None, ...]], fix: str) -> NDArray[np.float64]:
+    """Convert to a float64 array of one of some shapes; values are not checked.
+
+    Raises:
+        InvalidInputError: `value` is not numeric or has none of them.
+    """
+    array = _numbers(field, value, shapes[0], fix)
+    if not any(has_shape(array.shape, shape) for shape in shapes):
+        raise InvalidInputError(field, f"shape {array.shape}", fix)
+    return array
 
 
 def as_finite(field: str, value: ArrayLike, shape: tuple[int | None, ...], fix: str = "") -> NDArray[np.float64]:

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.brief import brief_repr
-from fgrecon.core.checks import as_instance
+from fgrecon.core.checks import as_either, as_instance
 from fgrecon.core.digits import shortened
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.history import GraphFactor, Iteration, read_graph_factor, read_iteration
@@ -309,9 +309,14 @@ class Reconstruction:
         return row
 
 
-def rotation_y(camera_T_object: NDArray[np.float64]) -> float:
-    """KITTI's yaw of a pose (4, 4) or rotation (3, 3): angle of the forward axis about the camera's y axis, radians."""
-    forward = camera_T_object[:3, 0]
+def rotation_y(camera_T_object: ArrayLike) -> float:
+    """KITTI's yaw of a pose (4, 4) or rotation (3, 3): angle of the forward axis about the camera's y axis, radians.
+
+    Raises:
+        InvalidInputError: It is neither.
+    """
+    fix = "Give a pose (4, 4) or a rotation (3, 3)."
+    forward = as_either("camera_T_object", camera_T_object, ((4, 4), (3, 3)), fix)[:3, 0]
     return float(np.arctan2(-forward[2], forward[0]))
 
 

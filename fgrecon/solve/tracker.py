@@ -129,6 +129,7 @@ class Tracker:
         self._window, self._past = window, past
         self._shared, self._own, self._road = shared_ground, motion_factors, Road()
         self._tracks: dict[int, _Track] = {}
+        self._forgotten: list[float] = []  # how far the boxes of vehicles were off that were forgotten
         self._time = -np.inf
         self._way = CameraWay()
         self._one_call = Lock()
@@ -265,14 +266,15 @@ class Tracker:
         """By how much 2D boxes are larger than their vehicles look, as a fraction; negative where smaller.
 
         Returns:
-            The median over the vehicles, each by the median over its frames that are kept; None where it is as usual,
-            or they are fewer than five.
+            The median over the vehicles (those that were forgotten as well), each by the median over its frames that
+            are kept; None where it is as usual, or they are fewer than five.
         """
-        return boxes_off(_box_excess(track) for track in self._tracks.values())
+        return boxes_off([*self._forgotten, *map(_box_excess, self._tracks.values())])
 
     def forget(self, vehicle: int) -> None:
         """Let go of a vehicle, and of its past; one that is not there is none to let go of."""
-        self._tracks.pop(vehicle, None)
+        if (track := self._tracks.pop(vehicle, None)) is not None:
+            self._forgotten.append(_box_excess(track))
 
     def _estimate(self, name: int, track: _Track) -> VehicleEstimate:
         """Of the last frame."""

@@ -12,7 +12,7 @@ doubtful ones. A track that is not seen is sought for a while, and has its id ba
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count
 from typing import Protocol
@@ -118,12 +118,14 @@ class GatedAssociation:
     Attributes:
         settings: When a detection is a track's.
         first: The first id.
+        given_up: Called with each id that is given up and never comes back; or None.
         deaths: How many tracks were given up.
         rebirths: How often a track that was not alive any more had its id back.
     """
 
     settings: AssociationSettings = field(default_factory=AssociationSettings)
     first: int = 0
+    given_up: Callable[[int], None] | None = None
     deaths: int = field(default=0, init=False)
     rebirths: int = field(default=0, init=False)
     _tracks: dict[int, _Track] = field(default_factory=dict, init=False)
@@ -144,6 +146,8 @@ class GatedAssociation:
         self.deaths += len(dead)
         for identity in dead:
             del self._tracks[identity]
+            if self.given_up is not None:
+                self.given_up(identity)
         found: list[int | None] = [None] * len(candidates)
         alive = [i for i, track in self._tracks.items() if time - track.time <= self.settings.alive]
         lost = [i for i in self._tracks if i not in alive]

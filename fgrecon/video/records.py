@@ -15,6 +15,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from fgrecon.core.observation import Observation
+from fgrecon.core.text import whole_text
 from fgrecon.video.egomotion import CameraMotion
 
 __all__ = [
@@ -106,8 +107,8 @@ def to_table(record: FrameRecord) -> Any:
         "row_id": str(record.number),
         "frame": record.number,
         "time": record.time,
-        "name": record.name,
-        "problem": record.problem,
+        "name": whole_text(record.name),  # a file's need not be UTF-8
+        "problem": None if record.problem is None else whole_text(record.problem),
         "sightings": [_plain(sighting) for sighting in record.sightings],
     }
     return pa.Table.from_pylist([row], schema=record_schema())
@@ -151,7 +152,7 @@ def _plain(sighting: Sighting) -> dict[str, Any]:
         "identity": sighting.identity,
         "midpoint": None if seen is None else seen.confidence_midpoint,
         "boxed": seen is not None and seen.box is not None,
-        "kind": sighting.kind,
+        "kind": None if sighting.kind is None else whole_text(sighting.kind),
         **arrays,
     }
 

@@ -19,6 +19,7 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Iteration, Reconstruction, Status
+from fgrecon.core.text import whole_text
 from fgrecon.core.vehicle_mesh import VehicleMesh
 from fgrecon.io.files import check_ending, write_bytes
 from fgrecon.viz import style
@@ -288,7 +289,7 @@ def _title(axes: Any, title: str, numbers: str) -> None:
 
 def _heading(sight: Sight) -> str:
     status = sight.reconstruction.status
-    parts = [sight.title] if sight.title else []
+    parts = [whole_text(sight.title)] if sight.title else []  # a file's name need not be UTF-8
     if status is not Status.CONVERGED or not parts:
         parts.append(status.value)
     return ", ".join(parts)

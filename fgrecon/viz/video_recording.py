@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.geometry import transform
+from fgrecon.core.text import whole_text
 from fgrecon.viz import style
 from fgrecon.viz.geometry import BOX_EDGES, outline_corners
 from fgrecon.viz.overlay import Shown
@@ -104,7 +105,7 @@ def log_shown_frame(stream: Any, frame: ShownFrame, camera: Camera) -> None:
     stream.set_time("frame", sequence=frame.number)
     stream.set_time("time", duration=frame.time)
     if frame.problem is not None:
-        stream.log(_LOG, rr.TextLog(frame.problem, level=rr.TextLogLevel.WARN))
+        stream.log(_LOG, rr.TextLog(whole_text(frame.problem), level=rr.TextLogLevel.WARN))
     if frame.image is not None:
         stream.log(_IMAGE, rr.EncodedImage(contents=_jpeg(frame.image), media_type="image/jpeg"))
     seen = [vehicle for vehicle in frame.vehicles if vehicle.result is not None]

@@ -2,10 +2,12 @@
 
 import csv
 import json
+import os
 import shutil
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
@@ -72,6 +74,20 @@ def test_tables_files_and_which_network_scored_what(drives, weights, tmp_path):
     assert len(rows) == len(made["boxes"]) == 28
     assert [float(row["degrees"]) for row in rows] == [row["degrees"] for row in made["boxes"]]
     assert sheet.stat().st_size > 1000
+
+
+def test_a_drive_whose_name_is_no_text(drives, weights, tmp_path):
+    folder = tmp_path / os.fsdecode(b"n\xff")
+    try:
+        drives[0].rename(folder)
+    except OSError:
+        pytest.skip("the file system takes names in UTF-8 alone")
+    tables = [tmp_path / "r.csv", tmp_path / "r.parquet"]
+    for table in tables:
+        done = run(folder, "--weights", weights, "--table", table, "--picture", tmp_path / "r.png", "-q")
+        assert done.exit_code == 0, done.output
+    assert {row["drive"] for row in csv.DictReader(tables[0].read_text("utf-8").splitlines())} == {"n\ufffd"}
+    assert set(pq.read_table(tables[1], columns=["drive"]).column(0).to_pylist()) == {"n\ufffd"}
 
 
 def test_folds():

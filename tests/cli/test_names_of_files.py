@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -13,6 +14,7 @@ from fgrecon.batch import sources_of
 from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.text import whole_text
+from fgrecon.io.images import write_png
 
 from .conftest import INTRINSICS
 
@@ -88,3 +90,24 @@ def test_a_folder_of_a_batch_knows_a_prior_of_such_a_name(folder):
         run("batch", f"{BAD}.json", INTRINSICS, "--prior", f"{BAD}.npz", "--out", "out", "-q")
     with pytest.raises(InvalidInputError, match="other settings"):
         run("batch", f"{BAD}.json", INTRINSICS, "--out", "out", "-q")
+
+
+def test_a_run_goes_on_with_keypoints_of_such_a_name(folder, instance):
+    shown = [{**instance, "id": f"{number}", "frame": number, "track": 1} for number in range(2)]
+    (folder / f"{BAD}.json").write_text(json.dumps({"instances": shown}))
+    for _ in range(2):
+        run("run", f"{BAD}.json", INTRINSICS, "--out", f"{BAD}-out", "-q")
+        lines = (folder / f"{BAD}-out" / "frames.jsonl").read_text(encoding="utf-8").splitlines()
+        assert [json.loads(line)["name"] for line in lines] == [f"{WRITTEN}.json#{number}" for number in range(2)]
+
+
+def test_a_run_over_images_of_such_names_says_which_is_broken(folder, instance):
+    (folder / "images").mkdir()
+    write_png(folder / "images" / "0.png", np.zeros((360, 1200, 3), dtype=np.uint8))
+    (folder / "images" / "0.png").rename(folder / "images" / f"{BAD}0.png")
+    (folder / "images" / f"{BAD}1.png").write_bytes(b"torn")
+    (folder / f"{BAD}.json").write_text(json.dumps({"instances": [{**instance, "id": "a", "frame": 0, "track": 1}]}))
+    run("run", "images", "--tracks", f"{BAD}.json", "--fps", 10, INTRINSICS, "--out", "out", "--save", "r.rrd", "-q")
+    *_, torn = (folder / "out" / "frames.jsonl").read_text(encoding="utf-8").splitlines()
+    assert json.loads(torn)["name"] == f"{WRITTEN}1.png"
+    assert f"{WRITTEN}1.png" in json.loads(torn)["problem"]

@@ -101,6 +101,13 @@ def test_tables_of_pandas():
     assert list(track.to_pandas()["id"]) == ["0", "2"]
 
 
+def test_ids_that_are_no_text_have_replacement_characters():
+    result = made_up(np.random.default_rng(0))
+    assert result.to_arrow("n\udcff").column("id").to_pylist() == ["n\ufffd"]
+    pytest.importorskip("pandas")
+    assert result.to_pandas("n\udcff").loc[0, "id"] == "n\ufffd"
+
+
 def test_without_pandas_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(MissingPackageError, match="pip install pandas") as caught:

@@ -25,6 +25,22 @@ BAD = {
     "image None": (lambda: fgrecon.Camera.of_field_of_view(None, None), "image_size"),
     "view None": (lambda: fgrecon.Camera.of_field_of_view(100, 100, None), "field_of_view"),
     "unknown None": (lambda: fgrecon.Camera.of_unknown("x", 3), "image_size"),
+    "ragged camera": (lambda: fgrecon.Camera.of([[1.0, 2.0], [3.0]]), "intrinsics"),
+    "scaled None": (lambda: CAMERA.scaled(None), "ratio"),
+    "scaled text": (lambda: CAMERA.scaled("2"), "ratio"),
+    "scaled twice": (lambda: CAMERA.scaled([1.0, 2.0]), "ratio"),
+    "scaled away": (lambda: CAMERA.scaled(0.0), "ratio"),
+    "points None": (lambda: CAMERA.project(None), "points"),
+    "points text": (lambda: CAMERA.project([["1", "2", "3"]]), "points"),
+    "points of a plane": (lambda: CAMERA.project(np.ones((5, 2))), "points"),
+    "rays of None": (lambda: CAMERA.rays(None), "pixels"),
+    "rays of points": (lambda: CAMERA.rays(np.ones((5, 3))), "pixels"),
+    "undistorted None": (lambda: CAMERA.undistort(None), "pixels"),
+    "distorted text": (lambda: CAMERA.distort("abc"), "pixels"),
+    "yaw of None": (lambda: fgrecon.rotation_y(None), "camera_T_object"),
+    "yaw of text": (lambda: fgrecon.rotation_y("left"), "camera_T_object"),
+    "yaw of a plane": (lambda: fgrecon.rotation_y(np.eye(2)), "camera_T_object"),
+    "yaw of numbers": (lambda: fgrecon.rotation_y(np.arange(3.0)), "camera_T_object"),
     "scene None": (lambda: fgrecon.reconstruct_scene(None, CAMERA), "observations"),
     "scene number": (lambda: fgrecon.reconstruct_scene(5, CAMERA), "observations"),
     "scene text": (lambda: fgrecon.reconstruct_scene("abc", CAMERA), "observations"),
@@ -71,6 +87,12 @@ def test_what_is_no_argument_is_named(make, field):
         make()
     assert error.value.field.startswith(field)
     assert error.value.fix.endswith(".")
+
+
+def test_none_is_told_as_such():
+    for make in (lambda: CAMERA.project(None), lambda: CAMERA.scaled(None), lambda: fgrecon.rotation_y(None)):
+        with pytest.raises(InvalidInputError, match="got None"):
+            make()
 
 
 def test_what_is_gone_through_once_is_taken():

@@ -102,6 +102,16 @@ def test_parquet_has_arrays_as_lists(cars, tmp_path):
     assert rows[2]["sigma_rotation"] is None
 
 
+@pytest.mark.parametrize("kind", ["csv", "parquet", "vision_msgs"])
+def test_ids_that_are_no_text_are_written_with_replacement_characters(cars, tmp_path, kind):
+    if kind == "vision_msgs":
+        pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
+    path = tmp_path / f"cars.{kind if kind in FORMATS else 'mcap'}"
+    assert export(path, [replace(cars[0], name="n\udcff")], kind).stat().st_size > 0
+    if kind == "csv":
+        assert next(csv.DictReader(io.StringIO(path.read_text("utf-8"))))["id"] == "n\ufffd"
+
+
 def test_kitti_lines_are_in_the_label_frame(cars, refused, tmp_path):
     text = export(tmp_path / "000000.txt", [*cars, refused]).read_text()
     objects, problems = parse_objects(text, "000000.txt", scored=True)

@@ -65,4 +65,7 @@ def test_a_video_tells_as_well(factor, smaller):
         tracker.update(time, {i: scaled(one, factor) for i, one in enumerate(seen)}, camera=CAMERA, ground=1.65)
     off = tracker.boxes_off()
     assert (off is not None and -0.2 < off < -0.05) if smaller else off is None
+    for vehicle in (0, 3, 3, 99):
+        tracker.forget(vehicle)
+    assert tracker.boxes_off() == off
     assert Tracker().boxes_off() is None

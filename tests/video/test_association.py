@@ -61,10 +61,11 @@ def test_weak_detections_continue_tracks_and_begin_none():
 
 
 def test_after_a_while_a_track_is_dead():
-    association = GatedAssociation(AssociationSettings(memory=1.0))
+    gone = []
+    association = GatedAssociation(AssociationSettings(memory=1.0), given_up=gone.append)
     there = [seen_at([1.0, 1.65, 15.0])]
     assert follow([(0.0, there), (0.9, there), (2.0, there)], association) == [[0], [0], [1]]
-    assert (association.deaths, association.rebirths) == (1, 1)
+    assert (association.deaths, association.rebirths, gone) == (1, 1, [0])
 
 
 def test_boxes_that_overlap_are_told_apart_by_where_they_stand():

@@ -21,6 +21,7 @@ from fgrecon.core.errors import MissingPackageError
 from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.sides import SURFACE
+from fgrecon.core.text import whole_text
 from fgrecon.io.export.frames import EVERY, ImageInfo, box_in, by_image, info_of, plain_quaternion, plain_vector, score
 from fgrecon.io.export.messages import DETECTIONS, FRAME_TRANSFORMS, SCENE_UPDATE, TRANSFORMS
 from fgrecon.io.export.results import NamedResult
@@ -203,7 +204,7 @@ def _detection(item: NamedResult, info: ImageInfo, header: dict[str, Any]) -> di
         for number, (pose, share) in enumerate(zip(poses, shares, strict=True))
     ]
     box = {"center": _pose(info, result.camera_T_object, result.box_size), "size": plain_vector(result.box_size)}
-    return {"header": header, "results": hypotheses, "bbox": box, "id": item.name}
+    return {"header": header, "results": hypotheses, "bbox": box, "id": whole_text(item.name)}
 
 
 def _probabilities(result: Reconstruction) -> Array:

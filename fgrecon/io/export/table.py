@@ -9,6 +9,7 @@ from typing import Any
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.table import as_arrow
+from fgrecon.core.text import whole_text
 from fgrecon.io.export.results import NamedResult
 
 __all__ = ["csv_of_rows", "csv_text", "parquet_bytes", "parquet_of_rows"]
@@ -41,7 +42,7 @@ def csv_of_rows(rows: Sequence[Mapping[str, Any]]) -> str:
     writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows({name: _harmless(value) for name, value in row.items()} for row in rows)
-    return text.getvalue()
+    return whole_text(text.getvalue())  # names of files need not be UTF-8
 
 
 def _harmless(value: Any) -> Any:

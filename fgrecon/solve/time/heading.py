@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.detection import at_direction, half_around
+from fgrecon.core.detection import at_direction, facing_probability, half_around
 from fgrecon.core.geometry import view_azimuth, yaw_rotation
 from fgrecon.core.metrics import wrap_angle
 
@@ -31,7 +31,6 @@ __all__ = [
     "carried",
     "combined",
     "directions_say",
-    "half",
     "motion_says",
     "poses_say",
 ]
@@ -55,13 +54,7 @@ _ALIKE = 0.3  # seconds: what frames of so much time say together is what one of
 _TURN = 0.3  # radians that a vehicle turns in a second (1 sigma)
 _ELSEWHERE = 1e-4  # probability in a second that it faces elsewhere altogether
 
-
-def half(heading: float) -> Array:
-    """(B,) share of each bin that is within a quarter turn of a heading."""
-    return half_around(heading, _BINS)
-
-
-_HALVES = np.array([half(heading) for heading in HEADINGS])
+_HALVES = np.array([half_around(heading, _BINS) for heading in HEADINGS])
 
 
 @dataclass(frozen=True)
@@ -93,7 +86,7 @@ class Belief:
 
     def facing(self, heading: float) -> float:
         """Probability of the headings within a quarter turn of one."""
-        return float(np.clip(half(heading) @ self.probability, 0.0, 1.0))
+        return float(np.clip(facing_probability(self.probability, heading), 0.0, 1.0))
 
 
 def weight_of(seconds: float | None, height: float) -> float:

@@ -16,8 +16,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.detection import half_around
 from fgrecon.core.rows import leanings, ties
-from fgrecon.solve.time.heading import HEADINGS, Belief, half
+from fgrecon.solve.time.heading import HEADINGS, Belief
 from fgrecon.solve.time.smooth import beliefs, pieces
 from fgrecon.solve.time.window import Frame
 
@@ -48,7 +49,7 @@ def neighbours_say(frames: Sequence[Frame], own: Sequence[Belief]) -> list[Array
     between = _COUNTS * ties(headings, places, _NEAR)
     odds = 2.0 * between @ leanings(np.log(right / (1.0 - right)), between)
     for i, heading, one in zip(told, headings, odds, strict=True):
-        says[i] = one * half(heading)
+        says[i] = one * half_around(heading, len(HEADINGS))
     return says
 
 

@@ -270,21 +270,25 @@ def _move(frame: Frame, heading: float, shape: Held) -> None:
     if near:
         frame.pose = gtsam.Pose3(min(near, key=lambda p: p.excess).camera_T_object)
         if frame.problem is not frame.given:
-            as_turned, end = (_refined(p, frame.pose, frame.weights, shape) for p in (frame.problem, frame.given))
-            if not as_turned.energy + _ALIKE < end.energy:
-                frame.problem = frame.given
+            frame.problem, _ = _explaining(frame.given, frame.problem, frame.pose, frame.weights, shape)
         return
     pose = frame.pose.compose(gtsam.Pose3(HALF_TURN))
     if _apart(rotation_y(pose.matrix()), heading) > _ELSEWHERE:
         pose = _turned_to(frame.pose, heading)
-    end = _refined(frame.problem, pose, frame.weights, shape)
     other = _turned(frame.given) if frame.problem is frame.given else frame.given
-    if other is not None:
-        as_turned = _refined(other, pose, frame.weights, shape)
-        if as_turned.energy + _ALIKE < end.energy:
-            end, frame.problem = as_turned, other
+    frame.problem, end = _explaining(frame.problem, other, pose, frame.weights, shape)
     refined = end.state.poses[0]
     frame.pose = refined if _apart(rotation_y(refined.matrix()), heading) <= _ELSEWHERE else pose
+
+
+def _explaining(
+    first: Problem, second: Problem | None, pose: gtsam.Pose3, weights: Weights, shape: Held
+) -> tuple[Problem, Optimum]:
+    """The first of two problems, or the second where a pose explains that better by `_ALIKE`; with the refined pose."""
+    end = _refined(first, pose, weights, shape)
+    if second is not None and (other := _refined(second, pose, weights, shape)).energy + _ALIKE < end.energy:
+        return second, other
+    return first, end
 
 
 def _turned(given: Problem) -> Problem | None:

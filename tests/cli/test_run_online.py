@@ -1,0 +1,46 @@
+"""`fgrecon run --online`: vehicles that have gone are let go of, and nothing else is different."""
+
+import json
+
+import numpy as np
+from typer.testing import CliRunner
+
+from fgrecon.cli import main
+from fgrecon.solve.tracker import Tracker
+from tests.video.streets import make_drive
+
+
+def smaller(box):
+    """A box around the same middle, a quarter less long and high."""
+    middle, half = np.add(box[:2], box[2:]) / 2, np.subtract(box[2:], box[:2]) * 0.375
+    return [*(middle - half), *(middle + half)]
+
+
+def test_it_lets_go_of_vehicles_that_have_gone(tmp_path, monkeypatch):
+    """The results are those of a tracker that keeps them, the warning of boxes that are all wrong alike as well."""
+    _, file = make_drive(tmp_path / "drive", 2, tracks=False)
+    content = json.loads(file.read_text())
+    seen = [{**one, "box": smaller(one["box"])} for one in content["instances"]]
+    again = [{**one, "id": f"{one['id']}-{t}", "frame": one["frame"] + t} for t in range(0, 120, 40) for one in seen]
+    file.write_text(json.dumps({**content, "instances": again}))
+    trackers, said = [], []
+
+    class Watched(Tracker):
+        def __init__(self, **arguments):
+            super().__init__(**arguments)
+            trackers.append(self)
+
+    monkeypatch.setattr("fgrecon.cli.run_report.Tracker", Watched)
+    told = ["run", str(file), "--fps", "10", "--size-prior", "kitti", "--camera-height", "1.65"]
+    for name, options in (("smoothed", []), ("forgets", ["--online"]), ("keeps", ["--online"])):
+        if name == "keeps":
+            monkeypatch.setattr(Watched, "forget", lambda *_: None)
+        done = CliRunner().invoke(main.app, [*told, "--out", str(tmp_path / name), *options])
+        assert done.exit_code == 0, done.output
+        said.append(done.stderr)
+    assert [len(tracker.smooth()) for tracker in trackers] == [6, 2, 6]
+    assert "smaller than their vehicles look" in said[1]
+    assert said[1] == said[2]
+    files = ("tracks.txt", "tracks.csv", "tracks.parquet", "frames.jsonl")
+    written = [[(tmp_path / name / file).read_bytes() for file in files] for name in ("forgets", "keeps")]
+    assert written[0] == written[1]
