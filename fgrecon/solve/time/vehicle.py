@@ -209,8 +209,8 @@ class Followed:
     def _solve_last(self) -> None:
         """Solve the last frame as a single image; which of it and of those before is right the next one says."""
         shape, last = self.shape, self.frames[-1]
-        last.problem = last.given
-        self._first(last, last.start)
+        start = replace(last.start, camera_T_object=last.pose.matrix(), weights=last.weights.keypoints, alternatives=())
+        self._first(last, start)
         self.shape = shape
 
 

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from factors.keys import V, X, decode_key
 from fgrecon.core.motion import MotionModel
-from fgrecon.core.reconstruction import Alternative
+from fgrecon.core.reconstruction import Alternative, rotation_y
 from fgrecon.solve.graph.adjust import Adjusted, SolvedStage, adjust
 from fgrecon.solve.graph.covariance import Spread
 from fgrecon.solve.graph.graph import Graph, Seen, State, common_share
@@ -207,8 +207,10 @@ class WindowSolve:
         against = sum(f.error(optimum.values) for f in self.extra if len(ends := _frames_of(f)) > 1 and ends & last)
         if against > energy * self.tied:
             return True
-        explained = optimum.state.weights[-1].keypoints.sum()
-        return bool(explained < _EXPLAINED * self.starts[-1].weights.sum())
+        start, pose = self.starts[-1], optimum.state.poses[-1].matrix()
+        if np.cos(rotation_y(pose) - rotation_y(start.camera_T_object)) < 0.5:
+            return False  # brought to another side, where its keypoints need not be right
+        return bool(optimum.state.weights[-1].keypoints.sum() < _EXPLAINED * start.weights.sum())
 
 
 def _frames_of(factor: gtsam.NonlinearFactor) -> set[int]:
