@@ -6,7 +6,9 @@ poses is meant, for this and for the other frames of the window; a frame that ha
 turned round if that explains them better.
 
 The window is the last two frames and some of those before them, spread over seconds. Frames that follow each other
-closely err alike and tell little of the way; a wide base line measures it.
+closely err alike and tell little of the way; a wide base line measures it. A frame that contradicts those before is
+solved alone, and the next one decides: it goes on from those before, and the odd one is left out, or from the odd one,
+and another vehicle has got the id.
 """
 
 from __future__ import annotations
