@@ -269,12 +269,14 @@ class Tracker:
             The median over the vehicles (those that were forgotten as well), each by the median over its frames that
             are kept; None where it is as usual, or they are fewer than five.
         """
-        return boxes_off([*self._forgotten, *map(_box_excess, self._tracks.values())])
+        with self._one_call:
+            return boxes_off([*self._forgotten, *map(_box_excess, self._tracks.values())])
 
     def forget(self, vehicle: int) -> None:
         """Let go of a vehicle, and of its past; one that is not there is none to let go of."""
-        if (track := self._tracks.pop(vehicle, None)) is not None:
-            self._forgotten.append(_box_excess(track))
+        with self._one_call:
+            if (track := self._tracks.pop(vehicle, None)) is not None:
+                self._forgotten.append(_box_excess(track))
 
     def _estimate(self, name: int, track: _Track) -> VehicleEstimate:
         """Of the last frame."""
