@@ -202,7 +202,10 @@ class Followed:
         self._asked = self._asked if stands is not None else now
         solved = solve_window(frames, self.shape, self.motion, most=_NEWTON, own=self.own, stands=stands)
         if solved.failed or solved.contradicts(energy):
-            return False
+            if stands is None:
+                return False
+            self._asked = -np.inf  # it may have begun to drive, or come to stand
+            return self._solved(frames, energy)
         solved.bring(frames)
         self.solved, self.shape, self._odd = solved, _shape(solved), False
         self.frames = thinned(frames, self.window - 1)
