@@ -99,10 +99,14 @@ CHANGES = [
 ]
 
 
+def said_by(*arguments):
+    """What a command says beside its output, on one line."""
+    return " ".join(run(*arguments).stderr.split())
+
+
 @pytest.mark.parametrize(("change", "told"), CHANGES)
 def test_of_many_it_is_told_once_with_their_number(tmp_path, many, change, told):
-    done = run("batch", many(change), "--out", tmp_path / "out", "--jobs", 1)
-    said = " ".join(done.stderr.split())
+    said = said_by("batch", many(change), "--out", tmp_path / "out", "--jobs", 1)
     if told is None:
         assert "Warning" not in said
         assert pq.read_table(tmp_path / "out").column("doubt").null_count == 9
@@ -113,8 +117,7 @@ def test_of_many_it_is_told_once_with_their_number(tmp_path, many, change, told)
 
 @pytest.mark.parametrize(("change", "told"), CHANGES)
 def test_of_a_video_too(tmp_path, many, change, told):
-    done = run("run", many(change), "--out", tmp_path / "out", "--fps", 10)
-    said = " ".join(done.stderr.split())
+    said = said_by("run", many(change), "--out", tmp_path / "out", "--fps", 10)
     if told is None:
         assert "keypoint" not in said
     else:

@@ -97,7 +97,7 @@ class Graph:
             pose_free: Whether the poses are variables.
             hold_shape: Whether the shapes are constants.
             extra: The caller's own factors; those on variables that are held are left out.
-            earlier: How many more images of each vehicle the extra factors stand for.
+            earlier: How many images of each vehicle there are beside these.
 
         Raises:
             InvalidInputError: A factor of the caller's own has a key of no variable.

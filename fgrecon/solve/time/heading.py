@@ -26,6 +26,7 @@ from fgrecon.core.metrics import wrap_angle
 __all__ = [
     "HEADINGS",
     "Belief",
+    "another_side",
     "backward",
     "box_says",
     "carried",
@@ -53,6 +54,8 @@ _TALL = 60.0  # pixels: of lower vehicles less can be told, and frames err alike
 _ALIKE = 0.3  # seconds: what frames of so much time say together is what one of them says
 _TURN = 0.3  # radians that a vehicle turns in a second (1 sigma)
 _ELSEWHERE = 1e-4  # probability in a second that it faces elsewhere altogether
+
+_SIDE = np.deg2rad(60.0)  # headings further apart are of different poses
 
 _HALVES = np.array([half_around(heading, _BINS) for heading in HEADINGS])
 
@@ -87,6 +90,11 @@ class Belief:
     def facing(self, heading: float) -> float:
         """Probability of the headings within a quarter turn of one."""
         return float(np.clip(facing_probability(self.probability, heading), 0.0, 1.0))
+
+
+def another_side(first: float, second: float) -> bool:
+    """Whether two headings are so far apart that they are of different poses."""
+    return bool(np.abs(wrap_angle(first - second)) > _SIDE)
 
 
 def weight_of(seconds: float | None, height: float) -> float:

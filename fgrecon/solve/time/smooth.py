@@ -39,14 +39,13 @@ def smooth(past: Sequence[Frame], shape: Held, model: MotionModel, own: OwnFacto
         for frame, belief in zip(frames, beliefs(frames), strict=True):
             frame.belief = belief
         if len(frames) == 1:
-            yield solve_alone(frames[0].problem, frames[0].start, frames[0].number), frames, range(1)
+            yield _by_itself(frames[0])
             continue
         for low, high, first, last in _stretches(len(frames)):
             some = [replace(frame) for frame in frames[low:high]]
             solved = solve_window(some, shape, model, own=own)
             if solved.failed:
-                for frame in some[first - low : last - low]:
-                    yield solve_alone(frame.problem, frame.start, frame.number), [frame], range(1)
+                yield from map(_by_itself, some[first - low : last - low])
                 continue
             solved.bring(some)
             yield solved, some, range(first - low, last - low)
@@ -63,6 +62,10 @@ def beliefs(frames: Sequence[Frame]) -> list[Belief]:
     steps = [(f.step.seconds, f.step.turn) for f in frames[1:] if f.step is not None]
     later = backward([f.evidence for f in frames], steps)
     return [combined(f.belief, likelihood) for f, likelihood in zip(frames, later, strict=True)]
+
+
+def _by_itself(frame: Frame) -> Smoothed:
+    return solve_alone(frame.problem, frame.start, frame.number), [frame], range(1)
 
 
 def _stretches(count: int) -> Iterator[tuple[int, int, int, int]]:

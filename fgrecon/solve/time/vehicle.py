@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from factors.motion import moved
 from fgrecon.core.camera import Ground
 from fgrecon.core.errors import DegenerateProblemError
-from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.motion import MotionModel
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Alternative, rotation_y
@@ -35,7 +34,16 @@ from fgrecon.solve.graph.vehicle import Held
 from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
 from fgrecon.solve.proposals.direction import direction_penalty
 from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.time.heading import Belief, backward, combined, directions_say, motion_says, poses_say, weight_of
+from fgrecon.solve.time.heading import (
+    Belief,
+    another_side,
+    backward,
+    combined,
+    directions_say,
+    motion_says,
+    poses_say,
+    weight_of,
+)
 from fgrecon.solve.time.thin import thinned
 from fgrecon.solve.time.window import Frame, FrameStep, OwnFactors, WindowSolve, solve_alone, solve_window
 
@@ -43,7 +51,6 @@ __all__ = ["Followed", "face", "image_says"]
 
 Array = NDArray[np.float64]
 
-_ELSEWHERE = np.deg2rad(60.0)  # a pose that far from the heading is of another one
 _NEWTON = 4  # steps for a window: most of it was solved with the frame before
 _CONTRADICTS, _AGREES = 25.0, 8.0
 """Nats by which a frame contradicts the motion from those before, and by which one that comes after such a frame agrees
@@ -259,7 +266,7 @@ def face(frames: Sequence[Frame], shape: Held) -> list[Frame]:
     changed = []
     for frame, likelihood in zip(frames, later, strict=True):
         heading = combined(last.believed if frame is last else frame.belief, likelihood).heading
-        if _apart(rotation_y(frame.pose.matrix()), heading) > _ELSEWHERE:
+        if another_side(rotation_y(frame.pose.matrix()), heading):
             _move(frame, heading, shape)
             changed.append(frame)
     return changed
@@ -268,9 +275,7 @@ def face(frames: Sequence[Frame], shape: Held) -> list[Frame]:
 def _move(frame: Frame, heading: float, shape: Held) -> None:
     """Start a frame anew, where it faces a heading."""
     near = [
-        p
-        for p in frame.poses
-        if not p.excess > _DOUBTFUL and _apart(rotation_y(p.camera_T_object), heading) <= _ELSEWHERE
+        p for p in frame.poses if not p.excess > _DOUBTFUL and not another_side(rotation_y(p.camera_T_object), heading)
     ]
     if near:
         frame.pose = gtsam.Pose3(min(near, key=lambda p: p.excess).camera_T_object)
@@ -278,12 +283,12 @@ def _move(frame: Frame, heading: float, shape: Held) -> None:
             frame.problem, _ = _explaining(frame.given, frame.problem, frame.pose, frame.weights, shape)
         return
     pose = frame.pose.compose(gtsam.Pose3(HALF_TURN))
-    if _apart(rotation_y(pose.matrix()), heading) > _ELSEWHERE:
+    if another_side(rotation_y(pose.matrix()), heading):
         pose = _turned_to(frame.pose, heading)
     other = _turned(frame.given) if frame.problem is frame.given else frame.given
     frame.problem, end = _explaining(frame.problem, other, pose, frame.weights, shape)
     refined = end.state.poses[0]
-    frame.pose = refined if _apart(rotation_y(refined.matrix()), heading) <= _ELSEWHERE else pose
+    frame.pose = pose if another_side(rotation_y(refined.matrix()), heading) else refined
 
 
 def _explaining(
@@ -351,10 +356,6 @@ def _height(observation: Observation) -> float:
     if observation.box is not None:
         return float(observation.box[3] - observation.box[1])
     return float(np.ptp(observation.keypoints[observation.measured, 1]))
-
-
-def _apart(first: float, second: float) -> float:
-    return float(np.abs(wrap_angle(first - second)))
 
 
 def _turned_to(pose: gtsam.Pose3, heading: float) -> gtsam.Pose3:

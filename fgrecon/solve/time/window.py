@@ -38,7 +38,7 @@ from fgrecon.solve.graph.optimise import optimise
 from fgrecon.solve.graph.vehicle import Held
 from fgrecon.solve.proposals.adjust import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.time.heading import HEADINGS, Belief, carried
+from fgrecon.solve.time.heading import HEADINGS, Belief, another_side, carried
 from fgrecon.solve.time.motion import link, velocity_terms
 
 __all__ = ["Frame", "FrameStep", "OwnFactors", "WindowSolve", "solve_alone", "solve_window", "velocity_covariances"]
@@ -208,7 +208,7 @@ class WindowSolve:
         if against > energy * self.tied:
             return True
         start, pose = self.starts[-1], optimum.state.poses[-1].matrix()
-        if np.cos(rotation_y(pose) - rotation_y(start.camera_T_object)) < 0.5:
+        if another_side(rotation_y(pose), rotation_y(start.camera_T_object)):
             return False  # brought to another side, where its keypoints need not be right
         return bool(optimum.state.weights[-1].keypoints.sum() < _EXPLAINED * start.weights.sum())
 
