@@ -8,6 +8,7 @@ import pytest
 
 from benchmarks.fuzz import __main__ as command
 from benchmarks.fuzz import guided as by_coverage
+from benchmarks.fuzz.commands import COMMANDS, Outcome, fuzz_commands, outcome
 from benchmarks.fuzz.mutate import mutated
 from benchmarks.fuzz.readers import READERS
 from benchmarks.fuzz.run import fuzz, read
@@ -59,3 +60,23 @@ def test_coverage_leads_to_more_files(tmp_path):
     assert ended.finds == []
     assert ended.files > 10
     assert len(list((tmp_path / "guided" / "names" / "corpus").iterdir())) > len(READERS["names"].seeds())
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_commands_bear_damaged_files(name):
+    ended = fuzz_commands(name, start=10**9, seconds=60.0, most=1)
+    assert ended.finds == []
+    assert ended.files == 1
+
+
+def test_what_is_wrong_with_a_command_is_told(tmp_path):
+    assert outcome("prior show nothing", tmp_path).fault is None
+    assert outcome("prior show nothing", tmp_path).code == 2
+    trace = "Traceback (most recent call last):\n  a\nValueError: b\n"
+    for code, said, memory, told in (
+        (1, trace, 10.0, "ValueError: b"),
+        (-11, "", 0.0, "ExitCode: -11"),
+        (0, "", 2000.0, "MemoryError: 2000 MiB"),
+        (None, "", 0.0, "TimeoutError: 60 seconds"),
+    ):
+        assert told in str(Outcome(code, said, memory, 60.0).fault)

@@ -1,8 +1,9 @@
-"""Damage files and read them: `python -m benchmarks.fuzz --minutes N [--reader NAME] [--guided]`.
+"""Damage files and read them: `python -m benchmarks.fuzz --minutes N [--reader NAME] [--guided] [--commands [NAME]]`.
 
 Goes on where the last run with the same --out ended. What a reader raises that fgrecon does not raise on purpose is
 kept there as a file and printed; exit code 1 says that there was something. Slow files are told as well. With --guided
-coverage leads the way (atheris, extra `fuzzing`), and the minutes are those of the clock.
+coverage leads the way (atheris, extra `fuzzing`), and the minutes are those of the clock. With --commands it is whole
+commands that read the files, each in a process of its own.
 """
 
 from __future__ import annotations
@@ -11,12 +12,13 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from benchmarks.fuzz.commands import COMMANDS, fuzz_commands
 from benchmarks.fuzz.guided import guided, why_not
 from benchmarks.fuzz.readers import READERS
-from benchmarks.fuzz.run import Find, fuzz
+from benchmarks.fuzz.run import Ended, Find, fuzz
 from fgrecon.io.files import write_text
 
 
@@ -28,7 +30,16 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("fuzz"), help="folder of what was found and how far it came")
     parser.add_argument("--first", type=int, default=0, help="number of the first file, where --out is a new folder")
     parser.add_argument("--guided", action="store_true", help="by coverage, with atheris; --minutes go by the clock")
+    parser.add_argument(
+        "--commands",
+        nargs="*",
+        choices=list(COMMANDS),
+        metavar="NAME",
+        help="whole commands that read files: these, or all",
+    )
     given = parser.parse_args()
+    if given.commands is not None and (given.reader or given.guided):
+        parser.error("--commands goes with neither --reader nor --guided")
     if given.guided and (reason := why_not()) is not None:
         print(f"Skipped: {reason}.")
         return 0
@@ -37,10 +48,14 @@ def main() -> int:
     before: dict[str, Mapping[str, float]] = json.loads(progress.read_text()) if progress.exists() else {}
     found: list[Find] = []
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # decoders of pictures tell all that they dislike
-    for name in given.reader or list(READERS):
-        key = f"{name} (guided)" if given.guided else name
+    run: Callable[[str, int, float, Path], Ended] = _guided if given.guided else fuzz
+    names, kind = given.reader or list(READERS), " (guided)" if given.guided else ""
+    if given.commands is not None:
+        run, names, kind = fuzz_commands, given.commands or list(COMMANDS), " (command)"
+    for name in names:
+        key = name + kind
         start, seconds = int(before.get(key, {}).get("files", given.first)), 60.0 * given.minutes
-        ended = guided(name, seconds, given.out) if given.guided else fuzz(name, start, seconds, given.out)
+        ended = run(name, start, seconds, given.out)
         found += ended.finds
         spent = float(before.get(key, {}).get("cpu_minutes", 0.0)) + ended.seconds / 60.0
         before[key] = {"files": start + ended.files, "cpu_minutes": round(spent, 2)}
@@ -49,6 +64,10 @@ def main() -> int:
         print(f"{key}: {told}, slowest {ended.slowest:.2f} s", flush=True)
     _print(found)
     return int(bool(found))
+
+
+def _guided(name: str, _start: int, seconds: float, out: Path) -> Ended:
+    return guided(name, seconds, out)
 
 
 def _print(found: Sequence[Find]) -> None:

@@ -17,7 +17,7 @@ from benchmarks.fuzz.readers import READERS
 from benchmarks.process_tree import processor_time
 from fgrecon.core.errors import FgreconError
 
-__all__ = ["Ended", "Find", "fuzz", "judge", "read"]
+__all__ = ["Ended", "Find", "fuzz", "judge", "keep", "read"]
 
 _WAITED = 5.0  # so many times the CPU time may pass by the clock
 _SLOW = 20.0  # seconds for one small file: a find; a picture of 178 million equal pixels takes six
@@ -108,7 +108,7 @@ def judge(name: str, path: Path, content: bytes, ended: Ended, out: Path | None)
     place = f"{Path(last[0].filename).name}:{last[0].lineno}" if last else "?"
     kind = type(error).__name__
     if all(find.place != place or not find.error.startswith(kind) for find in ended.finds):
-        kept = _keep(out, name, path.name, content)
+        kept = keep(out, name, path.name, content)
         ended.finds.append(Find(name, f"{kind}: {error}"[:200], place, kept))
 
 
@@ -124,7 +124,8 @@ def read(name: str, path: Path, content: bytes) -> Exception | None:
     return None
 
 
-def _keep(out: Path | None, name: str, title: str, content: bytes) -> Path:
+def keep(out: Path | None, name: str, title: str, content: bytes) -> Path:
+    """Where a file is kept that a reader does not bear, or would be without a folder."""
     digest = hashlib.sha256(content).hexdigest()[:10]
     path = (out or Path()) / name.replace(" ", "_") / f"{digest}-{title}"
     if out is not None:

@@ -19,6 +19,7 @@ from fgrecon.core.history import GraphFactor, Iteration, read_graph_factor, read
 from fgrecon.core.observation import Observation
 from fgrecon.core.plain import array, indices, numbers, pairs, plain, square
 from fgrecon.core.plotting import DEFAULT_BACKEND, as_html, plotting_backend
+from fgrecon.core.result_shapes import check_shapes
 from fgrecon.core.status import Regions, Status
 from fgrecon.core.table import as_arrow, as_pandas
 
@@ -38,8 +39,15 @@ _LATER = frozenset(
 )
 """Fields that earlier files have not."""
 
+_FIX = "Give the result as fgrecon wrote it."
+
 _STEPS = ("history", "graph")
 """Those of them that it can have."""
+
+_OPTIONAL = frozenset(f"{name}_covariance" for name in ("pose", "coefficients", "keypoint", "size")) | frozenset(
+    ("surface_vertices", "surface_faces")
+)
+"""Fields that may be None."""
 
 TRUSTED = 0.5
 """Keypoints of at least this weight count as trusted where results are told in words."""
@@ -255,7 +263,7 @@ class Reconstruction:
         """Read back what `to_dict` wrote, compact or not.
 
         Raises:
-            InvalidInputError: It is no mapping, of another format, or a field is missing.
+            InvalidInputError: It is no mapping, of another format, a field is missing or malformed, or two do not fit.
         """
         as_instance("reconstruction", data, Mapping)
         if data.get("format") not in (FORMAT, COMPACT):
@@ -265,7 +273,9 @@ class Reconstruction:
         missing = [name for name in names if name not in data]
         if missing:
             raise InvalidInputError("reconstruction", f"no field {missing[0]}", "Give a whole result.")
-        return cls(**{**absent, **{name: _read(name, data[name]) for name in names}})
+        values = {**absent, **{name: _read(name, data[name]) for name in names}}
+        check_shapes(values)
+        return cls(**values)
 
     def _scalars(self) -> dict[str, Any]:
         x, y, z = self.location.tolist()
@@ -323,7 +333,14 @@ def rotation_y(camera_T_object: ArrayLike) -> float:
 def _read(name: str, value: Any) -> Any:
     """A field of a reconstruction from plain values; what is not listed is an array of numbers."""
     reader: Callable[[Any], Any] = _READERS.get(name, array)
-    return None if value is None else reader(value)
+    try:
+        if value is not None:
+            return reader(value)
+        if name in _OPTIONAL:
+            return None
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
+        raise InvalidInputError(name, value, _FIX) from error
+    raise InvalidInputError(name, value, _FIX)
 
 
 def _alternative(data: Mapping[str, Any]) -> Alternative:

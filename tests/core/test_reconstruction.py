@@ -122,6 +122,44 @@ def test_what_is_not_a_result_is_refused():
         Reconstruction.from_dict({})
 
 
+ROWS = ("offsets", "wireframe", "wireframe_uv", "box_size", "weights", "sigmas", "visibility", "pose_covariance")
+
+
+@pytest.mark.parametrize("name", [*ROWS, "coefficients_covariance", "camera_T_object", "surface_vertices"])
+def test_arrays_that_do_not_fit_the_others_are_refused(name):
+    good = made_up(np.random.default_rng(0)).to_dict()
+    with pytest.raises(InvalidInputError) as caught:
+        Reconstruction.from_dict({**good, name: good[name][:-1]})
+    assert caught.value.field in (name, "surface_faces")  # of vertices those that they number
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("keypoint_names", ["a", "b", "c"]),
+        ("keypoint_names", ["a", "b", "c", 4]),
+        ("coefficients", [0.5]),
+        ("edges", [[0, 4]]),
+        ("symmetric_pairs", [[-1, 0]]),
+        ("faces", {"roof": [0, 1, 2, 4]}),
+        ("faces", {"roof": [0.5]}),
+        ("weights", None),
+        ("weights", {"a": 1}),
+        ("message", None),
+        ("status", "good"),
+        ("size_covariance", [["nan"] * 3] * 3),
+        ("alternatives", [{"camera_T_object": [1], "coefficients": [0.0] * 5, "excess": 1}]),
+        ("alternatives", 5),
+        ("history", [{"stage": "joint"}]),
+        ("graph", [[]]),
+    ],
+)
+def test_fields_that_do_not_fit_or_are_malformed_are_refused(name, value):
+    good = made_up(np.random.default_rng(0)).to_dict()
+    with pytest.raises(InvalidInputError):
+        Reconstruction.from_dict({**good, name: value})
+
+
 @pytest.mark.parametrize("yaw", np.radians([-179, -90, -1, 0, 45, 90, 135, 180]))
 def test_pose_and_yaw(yaw):
     result = made_up(np.random.default_rng(0))
