@@ -42,15 +42,16 @@ class Command:
     Attributes:
         line: Its arguments; paths are relative to the folder of the inputs, `out` is there and empty.
         inputs: Files that it reads.
-        before: Whether it has run undamaged before, so that what it stored can be an input.
+        before: The command line that runs undamaged before it, and whose outputs are its inputs.
     """
 
     line: str
     inputs: tuple[str, ...]
-    before: bool = False
+    before: str | None = None
 
 
 _BOXES = "--boxes boxes.txt --calib calib.txt --camera-height 1.65"
+_BATCH = "batch cars.json --out out/rows -q"
 _DRIVE = "run drive --calib calib.txt --camera-height 1.65 -q --out out/tracked"
 _ROWS = ("out/rows/part-000000.parquet", "out/rows/_run.json")
 _FOLLOWED = ("motions/part-000000.parquet", "motions/_run.json", "records/part-000000.parquet", "records/_run.json")
@@ -65,14 +66,14 @@ COMMANDS: Mapping[str, Command] = {
         f"reconstruct street.png {_BOXES} --weights net.safetensors -q", ("net.safetensors",)
     ),
     "track": Command("track TRACK.json --json out/r.json -q", ("TRACK.json",)),
-    "batch": Command("batch cars.json --out out/rows -q", ("cars.json",)),
-    "batch goes on": Command("batch cars.json --out out/rows -q", _ROWS, before=True),
+    "batch": Command(_BATCH, ("cars.json",)),
+    "batch goes on": Command(_BATCH, _ROWS, before=_BATCH),
     "refine": Command(
         "refine detections.txt street.png --calib calib.txt --out out/b.txt -q",
         ("detections.txt", "calib.txt", "street.png"),
     ),
     "run": Command(_DRIVE, ("calib.txt", *(f"drive/{i:06d}.png" for i in (0, 3)))),
-    "run goes on": Command(_DRIVE, tuple(f"out/tracked/{name}" for name in _FOLLOWED), before=True),
+    "run goes on": Command(_DRIVE, tuple(f"out/tracked/{name}" for name in _FOLLOWED), before=_DRIVE),
     "run with vehicles of others": Command(f"{_DRIVE} --tracks labels.txt", ("labels.txt",)),
     "run with poses": Command(f"{_DRIVE} --poses poses.txt", ("poses.txt",)),
     "run on keypoints": Command("run TRACK.json -q --out out/tracked", ("TRACK.json",)),
@@ -80,6 +81,8 @@ COMMANDS: Mapping[str, Command] = {
     "export a scene": Command("export result.json out/r.glb", ("result.json",)),
     "export a table": Command("export result.json out/r.csv", ("result.json",)),
     "export a log": Command("export result.json out/r.mcap --format foxglove", ("result.json",)),
+    "export a batch": Command("export out/rows out/r.csv", _ROWS, before=_BATCH),
+    "export a video": Command("export out/tracked out/v.json", ("out/tracked/frames.jsonl",), before=_DRIVE),
     "prior show": Command("prior show prior.npz --picture out/p.png", ("prior.npz",)),
     "prior learn": Command("prior learn marks.npz --out out/p.npz --bootstrap 0", ("marks.npz",)),
     "prior learn a category": Command(
@@ -139,9 +142,7 @@ def made_inputs(folder: Path) -> None:
         "reconstruct cars.json --id car-1 --save car.rrd -q",
     )
     for step in steps:
-        ended = outcome(step, folder)
-        if ended.code != 0:
-            raise RuntimeError(f"fgrecon {step}: {ended.said}")
+        _must(step, folder)
     shutil.copy(data / "priors" / "car14.npz", folder / "prior.npz")
     shutil.copy(data / "categories" / "car14.json", folder / "category.json")
     shutil.copy(data / "weights" / "keypoints-car14-photographs.safetensors", folder / "net.safetensors")
@@ -183,12 +184,11 @@ def fuzz_commands(name: str, start: int, seconds: float, out: Path | None = None
     with tempfile.TemporaryDirectory() as place:
         whole, folder = Path(place) / "whole", Path(place) / "work"
         shutil.copytree(_inputs().name, whole)
-        undamaged = outcome(command.line, whole)
-        if undamaged.code != 0 or undamaged.fault is not None:
-            raise RuntimeError(f"fgrecon {command.line}: {undamaged.fault or undamaged.said}")
-        if not command.before:
-            shutil.rmtree(whole / "out")
-            (whole / "out").mkdir()
+        if command.before is not None:
+            _must(command.before, whole)
+        shutil.copytree(whole, folder)
+        _must(command.line, folder)
+        shutil.rmtree(folder)
         while (
             processor_time() - began < seconds
             and time.perf_counter() - wall < _WAITED * seconds
@@ -203,6 +203,12 @@ def fuzz_commands(name: str, start: int, seconds: float, out: Path | None = None
             shutil.rmtree(folder)
     ended.seconds = processor_time() - began
     return ended
+
+
+def _must(line: str, folder: Path) -> None:
+    ended = outcome(line, folder)
+    if ended.code != 0 or ended.fault is not None:
+        raise RuntimeError(f"fgrecon {line}: {ended.fault or ended.said}")
 
 
 def _judge(name: str, damaged: Path, content: bytes, result: Outcome, ended: Ended, out: Path | None) -> None:

@@ -13,6 +13,7 @@ from fgrecon.batch.rows import reconstruction_of
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.plain import well_formed
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.export.results import NamedResult, ground_of
@@ -20,6 +21,8 @@ from fgrecon.io.export.surfaces import Surfaces
 from fgrecon.io.json_fields import read_json
 
 __all__ = ["read_folder"]
+
+_FIX = "Give the folder as fgrecon wrote it."
 
 
 def read_folder(folder: Path, prior: ShapePrior | str | Path | None = None) -> list[NamedResult]:
@@ -34,11 +37,13 @@ def read_folder(folder: Path, prior: ShapePrior | str | Path | None = None) -> l
     """
     if not (folder / RUN).is_file():
         raise InvalidInputError("results", str(folder), "Give a folder that `fgrecon batch` or `fgrecon run` wrote.")
-    settings = read_json(folder / RUN)["settings"]
-    shape = load_prior(prior if prior is not None else settings.get("prior_file") or settings.get("prior", "car14"))
-    surfaces, ground = Surfaces(settings, shape), ground_of(settings)
-    rows = (row for row in Parts(folder).rows() if row["camera_T_object"] is not None)
-    return [_named(row, shape.category, surfaces, ground) for row in rows]
+    with well_formed(str(folder / RUN), _FIX):
+        settings: Mapping[str, Any] = read_json(folder / RUN)["settings"]
+        shape = load_prior(prior if prior is not None else settings.get("prior_file") or settings.get("prior", "car14"))
+        surfaces, ground = Surfaces(settings, shape), ground_of(settings)
+    with well_formed(str(folder), _FIX):
+        rows = (row for row in Parts(folder).rows() if row["camera_T_object"] is not None)
+        return [_named(row, shape.category, surfaces, ground) for row in rows]
 
 
 def _named(row: Mapping[str, Any], category: Category, surfaces: Surfaces, ground: Ground | None) -> NamedResult:

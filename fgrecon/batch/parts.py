@@ -226,7 +226,9 @@ def begin(
         write_text(folder / RUN, json.dumps(told, indent=1) + "\n")
         return replaced
     if before != told:
-        names = [name for name, value in told["settings"].items() if before.get("settings", {}).get(name) != value]
+        known = before.get("settings") if isinstance(before, Mapping) else None
+        kept = known if isinstance(known, Mapping) else told["settings"]  # of another format, or damaged
+        names = [name for name, value in told["settings"].items() if kept.get(name) != value]
         what = f"a run with other settings ({', '.join(names) or 'another format'})"
         raise InvalidInputError("out", str(folder), f"Give another folder for these: this one has {what}.")
     return False

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from math import isqrt
@@ -12,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.deferred import Deferred
+from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["array", "finite", "indices", "numbers", "pairs", "plain", "square"]
+__all__ = ["array", "finite", "indices", "numbers", "pairs", "plain", "square", "well_formed"]
 
 
 def plain(value: Any) -> Any:
@@ -71,3 +73,22 @@ def square(value: Any) -> NDArray[np.float64]:
 def numbers(value: Mapping[str, Any]) -> dict[str, float]:
     """Numbers by name."""
     return {key: float(number) for key, number in value.items()}
+
+
+@contextmanager
+def well_formed(where: str, fix: str) -> Iterator[None]:
+    """Read plain values; whatever is raised by values of other kinds than were written becomes one error.
+
+    Args:
+        where: What is read; goes before the fields that errors name.
+        fix: What to give instead.
+
+    Raises:
+        InvalidInputError: Something was.
+    """
+    try:
+        yield
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{where}: {error.field}", error.value, error.fix) from error
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
+        raise InvalidInputError(where, f"malformed: {error}", fix) from error

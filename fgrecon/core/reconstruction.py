@@ -17,7 +17,7 @@ from fgrecon.core.digits import shortened
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.history import GraphFactor, Iteration, read_graph_factor, read_iteration
 from fgrecon.core.observation import Observation
-from fgrecon.core.plain import array, indices, numbers, pairs, plain, square
+from fgrecon.core.plain import array, indices, numbers, pairs, plain, square, well_formed
 from fgrecon.core.plotting import DEFAULT_BACKEND, as_html, plotting_backend
 from fgrecon.core.result_shapes import check_shapes
 from fgrecon.core.status import Regions, Status
@@ -333,14 +333,12 @@ def rotation_y(camera_T_object: ArrayLike) -> float:
 def _read(name: str, value: Any) -> Any:
     """A field of a reconstruction from plain values; what is not listed is an array of numbers."""
     reader: Callable[[Any], Any] = _READERS.get(name, array)
-    try:
-        if value is not None:
-            return reader(value)
-        if name in _OPTIONAL:
-            return None
-    except (LookupError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
-        raise InvalidInputError(name, value, _FIX) from error
-    raise InvalidInputError(name, value, _FIX)
+    if value is None and name in _OPTIONAL:
+        return None
+    with well_formed(name, _FIX):
+        if value is None:
+            raise TypeError("null")
+        return reader(value)
 
 
 def _alternative(data: Mapping[str, Any]) -> Alternative:

@@ -14,6 +14,7 @@ from fgrecon.core.brief import brief_repr
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.plain import well_formed
 from fgrecon.core.reconstruction import COMPACT, FORMAT, Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.catalogue import load_prior
@@ -72,7 +73,7 @@ def read_results(path: str | Path, prior: ShapePrior | str | Path | None = None)
     given = None if prior is None else load_prior(prior)
     data = read_json(Path(path))
     kind = data.get("format") if isinstance(data, dict) else None
-    try:
+    with well_formed(str(path), "Give the file as fgrecon wrote it."):
         if kind in _ONE:
             result = Reconstruction.from_dict(data)
             surfaces = Surfaces({"prior": result.prior}, given)
@@ -84,10 +85,6 @@ def read_results(path: str | Path, prior: ShapePrior | str | Path | None = None)
             surfaces, grounds = Surfaces(settings, given), _grounds(data, settings)
             solved = [entry for entry in data["instances"] if entry["result"] is not None]
             return [_named(entry, surfaces, grounds, of_track="tracks" in data) for entry in solved]
-    except InvalidInputError as error:
-        raise InvalidInputError(f"{path}: {error.field}", error.value, error.fix) from error
-    except (LookupError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
-        raise InvalidInputError(str(path), f"malformed: {error}", "Give the file as fgrecon wrote it.") from error
     fix = "Give what `fgrecon reconstruct --json`, `fgrecon track --json` or `fgrecon demo` wrote."
     raise InvalidInputError(f"{path}: format", kind, fix)
 

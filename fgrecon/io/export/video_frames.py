@@ -9,6 +9,7 @@ from typing import Any
 
 from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.plain import well_formed
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.io.export.files import check_format
 from fgrecon.io.export.frames import ImageInfo, info_of
@@ -67,11 +68,8 @@ def read_video_frames(
     try:
         with path.open(encoding="utf-8") as lines:
             for number, line in enumerate(lines, start=1):
-                try:
+                with well_formed(f"{path}: line {number}", "Give the file as `fgrecon run` wrote it."):
                     _add(parse_json(line), results, infos)
-                except (LookupError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
-                    fix = "Give the file as `fgrecon run` wrote it."
-                    raise InvalidInputError(f"{path}: line {number}", str(error), fix) from error
     except OSError as error:
         raise InvalidInputError("file", str(path), f"Give a file that can be read ({error.strerror}).") from error
     return results, {name: _with(info, info_of(name, images or {})) for name, info in infos.items()}
