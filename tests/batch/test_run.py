@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
-from fgrecon.batch import Reconstructor, result_schema, run, sources_of
+from fgrecon.batch import Reconstructor, read_folder, result_schema, run, sources_of
 from fgrecon.batch.parts import Parts
 from fgrecon.batch.schema import task_schema
 from fgrecon.cli import main
@@ -73,6 +73,20 @@ def test_a_folder_is_for_one_kind_of_run(cars, tmp_path):
     assert "this one has a run with other settings (size_prior)" in named, "however long its path is"
     (tmp_path / "out" / "_run.json").unlink()
     assert "no _run.json" in str(batch(few, "--out", tmp_path / "out").exception)
+
+
+@pytest.mark.parametrize(
+    "damaged",
+    ["1e999", '"x"', "[]", "{}", '{"settings": 5}', '{"format": "fgrecon.batch/2", "settings": {"ground": 7}}'],
+)
+def test_damaged_settings_of_a_folder_are_one_clear_line(damaged, cars, tmp_path):
+    file, _ = cars
+    few = write_lines(tmp_path / "few.jsonl", file.read_text().splitlines()[:1])
+    assert batch(few, "--out", tmp_path / "out").exit_code == 0
+    (tmp_path / "out" / "_run.json").write_text(damaged)
+    assert isinstance(batch(few, "--out", tmp_path / "out").exception, InvalidInputError)
+    with pytest.raises(InvalidInputError, match=r"_run\.json"):
+        read_folder(tmp_path / "out")
 
 
 def test_a_folder_of_a_videos_run_is_refused(cars, tmp_path):
