@@ -1,5 +1,6 @@
 """A short run of the fuzzer on every reader, and the files that longer ones have found."""
 
+import codecs
 import sys
 from pathlib import Path
 
@@ -23,6 +24,20 @@ def test_the_valid_files_are_read(name, tmp_path):
         (tmp_path / title).write_bytes(content)
         if name != "weights":  # the start of a network alone: it must be refused
             READERS[name].read(tmp_path / title)
+
+
+@pytest.mark.parametrize("name", READERS)
+@pytest.mark.parametrize("how", ["byte order mark", "line ends"])
+def test_files_of_windows_read_the_same(name, how, tmp_path):
+    for title, content in READERS[name].seeds().items():
+        try:
+            content.decode()
+        except UnicodeDecodeError:
+            continue
+        (path := tmp_path / title).write_bytes(content)
+        expected = repr(READERS[name].read(path))
+        path.write_bytes(codecs.BOM_UTF8 + content if how == "byte order mark" else content.replace(b"\n", b"\r\n"))
+        assert repr(READERS[name].read(path)) == expected, title
 
 
 @pytest.mark.parametrize("name", READERS)

@@ -26,7 +26,7 @@ _FIX = "Give the folder as fgrecon wrote it."
 
 
 def read_folder(folder: Path, prior: ShapePrior | str | Path | None = None) -> list[NamedResult]:
-    """The results in a run's folder, those without a pose left out; surfaces are made again from the prior.
+    """The results in a run's folder by file and row, those without a pose left out; surfaces are made from the prior.
 
     Args:
         folder: What `fgrecon batch` wrote.
@@ -43,7 +43,13 @@ def read_folder(folder: Path, prior: ShapePrior | str | Path | None = None) -> l
         surfaces, ground = Surfaces(settings, shape), ground_of(settings)
     with well_formed(str(folder), _FIX):
         rows = (row for row in Parts(folder).rows() if row["camera_T_object"] is not None)
-        return [_named(row, shape.category, surfaces, ground) for row in rows]
+        return [_named(row, shape.category, surfaces, ground) for row in sorted(rows, key=_place)]
+
+
+def _place(row: Mapping[str, Any]) -> tuple[str, int, int]:
+    """Where a row comes among the others, whenever it was solved: by its file, its number there, and its vehicle."""
+    number = row["row_id"].removeprefix(row["source"]).removeprefix("#")
+    return row["source"], int(number) if number.isdecimal() else 0, row["vehicle"] or 0
 
 
 def _named(row: Mapping[str, Any], category: Category, surfaces: Surfaces, ground: Ground | None) -> NamedResult:

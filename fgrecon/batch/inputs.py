@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from fgrecon.batch.instances import instance_text
+from fgrecon.batch.parts import RUN
 from fgrecon.batch.pictures import count_frames
 from fgrecon.core.category import Category
 from fgrecon.core.errors import FgreconError, InvalidInputError
@@ -121,7 +122,9 @@ def _files(folder: Path) -> list[Path]:
     """The files of a folder, in order."""
     (left, *_) = [folder / name for name in _LEFT_COLOUR if (folder / name).is_dir()] or [folder]
     below = sorted(path for path in left.rglob("*") if path.suffix.lower() in _READERS and path.is_file())
-    visible = [p for p in below if not any(part.startswith(".") for part in p.relative_to(folder).parts)]
+    results = {path.parent for path in below if path.name == RUN}  # of an earlier run, into a folder inside this one
+    inputs = [path for path in below if results.isdisjoint(path.parents)]
+    visible = [p for p in inputs if not any(part.startswith(".") for part in p.relative_to(folder).parts)]
     pictures = [path for path in visible if path.suffix.lower() in (*IMAGES, *VIDEOS)]
     if not visible:
         raise InvalidInputError("input", str(folder), "Give a folder with images, videos or keypoint files.")
@@ -134,7 +137,7 @@ def _count_lines(source: InputFile) -> int:
 
 
 def _lines(source: InputFile) -> Iterator[Row]:
-    with source.path.open(encoding="utf-8", errors="replace") as file:
+    with source.path.open(encoding="utf-8-sig", errors="replace") as file:
         for number, line in enumerate(file, start=1):
             if line.strip():
                 yield {"row_id": f"{source.path}#{number}", "instance": line.strip()}
@@ -195,7 +198,8 @@ _ASIDE = {"image": str, "instance": str, "camera": str, "frame": int}
 
 def _task(row: Row) -> Row:
     """What a row of Parquet asks for: an image, an instance as text, or an instance by its fields."""
-    aside = {name: row.pop(name) for name in _ASIDE if row.get(name) is not None}
+    own = () if row.get("keypoints") is None else ("image",)  # the instance's, which says where its points are from
+    aside = {name: row.pop(name) for name in _ASIDE if row.get(name) is not None and name not in own}
     if "image" not in aside:
         aside = {name: value for name, value in aside.items() if isinstance(value, _ASIDE[name])}
         return {"instance": instance_text(row), **aside}

@@ -51,15 +51,13 @@ class Parts:
     """The parts of a folder: what is done already, and what is added."""
 
     def __init__(self, folder: Path, schema: Any = None) -> None:
-        """Look at a folder, and clear away what a killed run has left half written.
+        """Look at a folder.
 
         Args:
             folder: The folder.
             schema: Columns of its tables, `row_id` among them; None for those of results.
         """
         self._folder, self._schema = folder, result_schema() if schema is None else schema
-        for torn in folder.glob(".part-*.part"):
-            torn.unlink()
         numbers = [int(path.stem.removeprefix("part-")) for path in self._paths()]
         self._next = max(numbers, default=-1) + 1
         self._tables: list[Any] = []
@@ -68,14 +66,20 @@ class Parts:
     def _paths(self) -> list[Path]:
         return sorted(p for p in self._folder.glob("part-*.parquet") if p.stem.removeprefix("part-").isdecimal())
 
+    def _clear(self) -> None:
+        for torn in self._folder.glob(".part-*.part"):
+            torn.unlink()
+
     def done(self) -> dict[str, tuple[RowOutcome, ...]]:
         """What became of the tasks in the parts, by `row_id`; those of a damaged part are to be computed again.
 
-        Of errors of the same class and field all have the words of the first: many rows must not cost memory.
+        For who goes on with the run: what a killed one has left half written is cleared away. Of errors of the same
+        class and field all have the words of the first: many rows must not cost memory.
 
         Warns:
             DamagedFileWarning: A part is damaged, and is put aside.
         """
+        self._clear()
         found: dict[str, tuple[RowOutcome, ...]] = {}
         alike: dict[tuple[str | None, ...], RowOutcome] = {}
         shared: dict[tuple[RowOutcome, ...], tuple[RowOutcome, ...]] = {}
@@ -108,9 +112,12 @@ class Parts:
     def rows_in_order(self) -> list[dict[str, Any]]:
         """The rows of all parts before the first that is missing or damaged; those after it are to be computed again.
 
+        For who goes on with the run, as `done`.
+
         Warns:
             DamagedFileWarning: A part is damaged, and is put aside.
         """
+        self._clear()
         rows: list[dict[str, Any]] = []
         self._next = 0
         for path in self._paths():

@@ -192,7 +192,7 @@ def read_box_lines(path: Path) -> list[BoxLine]:
         InvalidInputError: The file cannot be read, or a line is malformed; names file and line.
     """
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInputError("boxes", str(path), f"Give a text file that can be read ({error}).") from error
     return [_line(text, number, path) for number, text in enumerate(lines, start=1)]

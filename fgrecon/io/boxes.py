@@ -75,7 +75,7 @@ def read_boxes(
     if file.suffix.lower() == ".json":
         return _coco(read_json(file), file, image, LEAST_SCORE if least_score is None else least_score)
     try:
-        lines = file.read_text(encoding="utf-8").splitlines()
+        lines = file.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInputError("boxes", str(file), _FIX) from error
     boxes: list[NamedBox] = []
@@ -164,7 +164,7 @@ def _car_class(file: Path) -> int:
     """Number of YOLO's class of cars: the line `car` of `classes.txt`, where that lies beside the file."""
     names = file.parent / _CLASSES
     try:
-        lines = [line.strip() for line in names.read_text(encoding="utf-8").splitlines()]
+        lines = [line.strip() for line in names.read_text(encoding="utf-8-sig").splitlines()]
     except FileNotFoundError:
         return _YOLO_CAR
     except (OSError, UnicodeDecodeError) as error:

@@ -65,7 +65,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         InvalidInputError: The file cannot be read or is not TOML; names it.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise InvalidInputError("file", str(path), f"Give a file that can be read ({error.strerror}).") from error
     except ValueError as error:  # TOML's errors and those of UTF-8

@@ -59,7 +59,7 @@ def read_calibration(path: Path, projection: str = "P2") -> KittiCalibration:
         InvalidInputError: The file cannot be read, the line is missing or is no projection; names file and line.
     """
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except OSError as error:
         raise InvalidInputError("calib", str(path), f"Give a file that can be read ({error.strerror}).") from error
     except UnicodeDecodeError as error:

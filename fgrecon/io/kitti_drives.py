@@ -164,7 +164,7 @@ def read_object_folder(folder: Path) -> Drive:
 def _lines(path: Path, fix: str) -> list[tuple[int, str]]:
     """The lines of a file that are not empty, each with its number from 1."""
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInputError("labels", str(path), fix) from error
     return [(number, line) for number, line in enumerate(lines, start=1) if line.strip()]

@@ -283,7 +283,7 @@ def _read_files(folder: Path, frames: Sequence[str], *, scored: bool) -> tuple[d
     for frame in frames:
         path = folder / f"{frame}.txt"
         try:
-            text = path.read_text(encoding="utf-8")
+            text = path.read_text(encoding="utf-8-sig")
         except FileNotFoundError:
             problems.append(Fault(Defect.MISSING_FRAME, frame, f"no file {path}"))
             continue
@@ -361,6 +361,6 @@ def write_results(folder: Path, results: Mapping[str, Objects]) -> None:
 
 def _read(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInputError("file", str(path), f"Give a text file that can be read ({error}).") from error

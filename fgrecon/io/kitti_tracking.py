@@ -43,7 +43,7 @@ def read_tracking(path: Path, fix: str = _FIX, *, results: bool = True) -> dict[
         InvalidInputError: The file cannot be read, or a line has another format; names file and line.
     """
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInputError("labels", str(path), fix) from error
     rows: dict[int, list[tuple[int, str, list[float]]]] = defaultdict(list)

@@ -74,7 +74,7 @@ def read_poses(path: Path) -> CameraPoses:
     if path.suffix.lower() == ".json":
         return _of_json(path)
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInputError("poses", str(path), _FIX) from error
     by_frame: dict[int, Array] = {}

@@ -44,6 +44,11 @@ def test_lines(cars, tmp_path):
     assert rows[1]["instance"] == "{torn"
 
 
+def test_lines_of_windows(cars, tmp_path):
+    file = write_lines(tmp_path / "cars.jsonl", ["\ufeff" + json.dumps(cars[0]), cars[1]])
+    assert [json.loads(row["instance"]) for row in rows_of(file)] == cars[:2]
+
+
 def test_keypoint_files_share_their_camera(cars, tmp_path):
     bare = [{name: value for name, value in car.items() if name != "K"} for car in cars]
     own = bare[2] | {"intrinsics": [500, 500, 100, 100]}
@@ -99,6 +104,23 @@ def test_parquet(cars, tmp_path):
     texts = [{"instance": json.dumps(car), "weather": "rain"} for car in cars]
     pq.write_table(pa.Table.from_pylist(texts), tmp_path / "texts.parquet")
     assert [json.loads(row["instance"]) for row in rows_of(tmp_path / "texts.parquet")] == cars
+
+
+def test_keypoints_of_parquet_may_say_which_image_they_are_of(cars, tmp_path):
+    seen = [cars[0] | {"image": "a.png", "frame": 3}, {"image": str(tmp_path / "b.png"), "keypoints": None}]
+    pq.write_table(pa.Table.from_pylist(seen), tmp_path / "cars.parquet")
+    first, second = rows_of(tmp_path / "cars.parquet")
+    assert json.loads(first["instance"]) == cars[0] | {"image": "a.png"}
+    assert (first["frame"], "image" in first) == (3, False)
+    assert second["image"] == str(tmp_path / "b.png")
+
+
+def test_results_of_an_earlier_run_are_no_inputs(cars, tmp_path):
+    file = write_lines(tmp_path / "cars.jsonl", cars)
+    (out := tmp_path / "results").mkdir()
+    (out / "_run.json").write_text("{}")
+    pq.write_table(pa.Table.from_pylist([{"row_id": "a"}]), out / "part-000000.parquet")
+    assert [source.path for source in sources_of([tmp_path])] == [file]
 
 
 def test_columns_of_parquet_that_are_something_else(cars, tmp_path):

@@ -75,6 +75,28 @@ def test_a_folder_is_for_one_kind_of_run(cars, tmp_path):
     assert "no _run.json" in str(batch(few, "--out", tmp_path / "out").exception)
 
 
+def test_results_are_in_the_order_of_their_files_whenever_they_were_solved(cars, tmp_path):
+    file, _ = cars
+    lines = file.read_text().splitlines()[:3]
+    for name, some in (("b", lines[1:]), ("a", lines[:1])):
+        folder = tmp_path / name
+        folder.mkdir()
+        write_lines(folder / "cars.jsonl", some)
+        assert batch(folder / "cars.jsonl", "--out", tmp_path / "out").exit_code == 0
+    assert [item.name for item in read_folder(tmp_path / "out")] == ["car-0", "car-1", "car-2"]
+
+
+def test_readers_leave_alone_what_a_run_is_writing(cars, tmp_path):
+    file, _ = cars
+    few = write_lines(tmp_path / "few.jsonl", file.read_text().splitlines()[:1])
+    assert batch(few, "--out", tmp_path / "out").exit_code == 0
+    (torn := tmp_path / "out" / ".part-000001.parquet.0.part").write_text("x")
+    read_folder(tmp_path / "out")
+    assert torn.exists()
+    assert batch(few, "--out", tmp_path / "out").exit_code == 0
+    assert not torn.exists()
+
+
 @pytest.mark.parametrize(
     "damaged",
     ["1e999", '"x"', "[]", "{}", '{"settings": 5}', '{"format": "fgrecon.batch/2", "settings": {"ground": 7}}'],

@@ -40,7 +40,7 @@ def read_veri36(path: Path, category: Category, rename: Mapping[str, str]) -> An
     if rename:
         raise InvalidInputError("rename", ", ".join(rename), "Leave it out: this file holds no keypoint names.")
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise InvalidInputError("annotations", str(path), "Give a file that exists.") from None
     except (OSError, ValueError) as error:

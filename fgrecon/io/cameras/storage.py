@@ -50,7 +50,7 @@ def read_storage(path: Path) -> Any:
         InvalidInputError: The file cannot be read, or is neither; names it.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise InvalidInputError("camera", str(path), f"Give a file that can be read ({error.strerror}).") from error
     except UnicodeDecodeError as error:

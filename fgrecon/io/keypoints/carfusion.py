@@ -30,7 +30,7 @@ def carfusion_records(path: Path) -> Iterator[tuple[dict[str, Any], str]]:
         InvalidInputError: The file cannot be read, or a line is malformed; names it.
     """
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except OSError as error:
         raise InvalidInputError("file", str(path), f"Give a file that can be read ({error.strerror}).") from error
     except UnicodeDecodeError as error:

@@ -64,7 +64,7 @@ def _schemes() -> dict[str, _Scheme]:
     found = {}
     folder = resources.files("fgrecon").joinpath("data", "names")
     for file in sorted(folder.iterdir(), key=lambda item: item.name):
-        data = json.loads(file.read_text(encoding="utf-8"))
+        data = json.loads(file.read_text(encoding="utf-8-sig"))
         groups = {
             category: {ours: tuple(theirs) for ours, theirs in data[category].items()}
             for category in data.keys() - {"name", "source", "keypoints"}
