@@ -4,7 +4,7 @@ The keypoints are simulated with the mistakes of a real network; use your detect
 
      N(0, I) ---- L(0) ------+------------------+
                 (lambda)     |                  |
-                       reprojection_i      Laplacian, faces, size
+                       reprojection_i      symmetry, faces, size
                        (weight w_i)
                              |
        ground ---- X(0,0) ---+--- 2D box

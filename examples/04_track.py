@@ -6,7 +6,7 @@ The images are simulated with the mistakes of a real network. What is solved (fa
          |
     reprojection_i, box ------ X(0,1) ---- ground
          |                      ...
-        L(0) ----- N(0, I), Laplacian, faces, size
+        L(0) ----- N(0, I), symmetry, faces, size
      (lambda)
 """
 

@@ -7,7 +7,7 @@ graph is the reprojection: every keypoint comes with a covariance and with the p
                                |                                      |
      N(0, I) ---- L(0) --------|------------------+-------------------+
                 (lambda)       |                  |            reprojection_i
-                               |       Laplacian, faces, size   (weight w_i)
+                               |       symmetry, faces, size    (weight w_i)
                                |                                      |
      ground ---- X(0,0) ---- 2D box ----------------------------------+
                  (pose)

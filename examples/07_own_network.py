@@ -6,7 +6,7 @@ The network here is a stand-in: it draws the heat maps that a real one would pre
                                    |                                            |
      N(0, I) ---- L(0) ------------|------------------+-------------------------+
                 (lambda)           |                  |                  reprojection_i
-                                   |       Laplacian, faces, size         (weight w_i)
+                                   |       symmetry, faces, size          (weight w_i)
      ground ---- X(0,0) ------- 2D box -----------------------------------------+
                  (pose)
 """
