@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fgrecon.batch.parts import RUN, Parts
-from fgrecon.batch.rows import reconstruction_of
+from fgrecon.batch.rows import id_in_image, reconstruction_of
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
@@ -60,7 +60,8 @@ def _named(row: Mapping[str, Any], category: Category, surfaces: Surfaces, groun
         name=row["id"],
         result=surfaces.complete(result),
         box=None if box is None else np.array(box),
-        image=row["row_id"],
+        image=row["row_id"] if row["id"] == id_in_image(row["row_id"], row["vehicle"]) else "",
+        row=row["row_id"],
         camera=Camera(
             np.array(row["camera_matrix"]).reshape(3, 3),
             None if distortion is None else np.array(distortion),

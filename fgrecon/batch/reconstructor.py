@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.batch.instances import nested, record_of
 from fgrecon.batch.pictures import Pictures
-from fgrecon.batch.rows import failed_row, origin_of, solved_row, table_of
+from fgrecon.batch.rows import failed_row, id_in_image, origin_of, solved_row, table_of
 from fgrecon.batch.schema import EMPTY
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite
@@ -205,7 +205,7 @@ class Reconstructor:
             options=for_detected(self._options) if given is None else self._options,
         )
         for vehicle, one in enumerate(vehicles):
-            name = f"{origin['row_id']}:{vehicle}"
+            name = id_in_image(origin["row_id"], vehicle)
             if one.result is None or one.camera is None:
                 assert one.error is not None
                 yield failed_row(origin, one.error, vehicle, name)

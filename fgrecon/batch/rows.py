@@ -21,6 +21,7 @@ from fgrecon.core.status import Regions
 
 __all__ = [
     "failed_row",
+    "id_in_image",
     "lost_rows",
     "origin_of",
     "reconstruction_of",
@@ -37,6 +38,11 @@ def origin_of(task: Mapping[str, Any], position: int) -> dict[str, Any]:
     """What a row of results takes over from its task: `row_id` (else the position in the table), `source`, `frame`."""
     known = {name: task.get(name) for name in ("row_id", "source", "frame")}
     return known if known["row_id"] is not None else known | {"row_id": str(position)}
+
+
+def id_in_image(row_id: str, vehicle: int) -> str:
+    """The id of a vehicle that was found in the image that a row is; other vehicles have their own."""
+    return f"{row_id}:{vehicle}"
 
 
 def solved_row(

@@ -63,9 +63,9 @@ def export_command(
     """Write results for other programs; the ending of OUT, or --format, chooses the kind of file.
 
     PLY and GLB: surfaces and wireframes in the camera frame. CSV and Parquet: one row per vehicle. TXT: KITTI's result
-    lines, in the frame of KITTI's labels where the results know it. JSON: nuScenes' detections, or COCO's keypoints
-    with cuboids. MCAP: Foxglove's scenes, or ROS 2's Detection3DArray, under an upright frame `map`. --verbose
-    names the vehicles.
+    lines of one image, in the frame of KITTI's labels where the results know it. JSON: nuScenes' detections, or COCO's
+    keypoints with cuboids. MCAP: Foxglove's scenes, or ROS 2's Detection3DArray, under an upright frame `map`.
+    --verbose names the vehicles.
 
     Of a video's run JSON and MCAP are made, with the times of the frames; its folder has tables already.
     """

@@ -259,9 +259,8 @@ def _deliver(seen: _Seen, outcomes: list[Outcome], scenes: list[Scene], how: Pho
     screen.print(f"{one.image}:")
     show.print_table(screen, outcomes)
     plain = [scene.plain() for scene in scenes]
-    screen.wrote(
-        write_text(_ending(one, ".json"), show.document(one.image, outcomes, settings, plain, history=how.history))
-    )
+    document = show.document(one.image, outcomes, settings, plain, one.image, history=how.history)
+    screen.wrote(write_text(_ending(one, ".json"), document))
     if how.pictures:
         pixels = read_photograph(one.image)[0] if seen.pixels is None else seen.pixels
         grounds = grounds_of(seen.tasks, settings, scenes)

@@ -280,7 +280,8 @@ def reconstruct_command(
             screen.warn(line)
     if ignored:
         screen.print(f"Fields of the file without a meaning here: {', '.join(ignored)}.")
-    screen.write_json(show.document(file, outcomes, settings, [scene.plain() for scene in scenes], history=history))
+    plain = [scene.plain() for scene in scenes]
+    screen.write_json(show.document(file, outcomes, settings, plain, path, history=history))
     grounds = grounds_of(tasks, settings, scenes)
     drawings.draw(outcomes, photograph, grounds, screen)
     if delivery.wanted:

@@ -144,6 +144,7 @@ def document(
     outcomes: Sequence[Outcome],
     settings: Settings,
     scenes: Sequence[Mapping[str, Any]] = (),
+    photograph: Path | None = None,
     *,
     history: bool = False,
 ) -> str:
@@ -154,6 +155,7 @@ def document(
         outcomes: One per vehicle.
         settings: What held for all.
         scenes: Images whose vehicles were solved together.
+        photograph: The image of vehicles of which the input does not say it, or None.
         history: Whether results keep their history and graph.
     """
     content = {
@@ -164,7 +166,7 @@ def document(
         "settings": plain_settings(settings)
         | {"joint": settings.options.shape.joint, "free_offsets": settings.options.shape.free_offsets},
         **({"scenes": list(scenes)} if scenes else {}),
-        "instances": [_entry(outcome, history=history) for outcome in outcomes],
+        "instances": [_entry(outcome, photograph, history=history) for outcome in outcomes],
     }
     return json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n"
 
@@ -190,8 +192,11 @@ def entry_of(task: Task, result: Reconstruction | None, error: FgreconError | No
     return entry | {"error": told, "result": None}
 
 
-def _entry(outcome: Outcome, *, history: bool) -> dict[str, Any]:
+def _entry(outcome: Outcome, photograph: Path | None, *, history: bool) -> dict[str, Any]:
+    """A vehicle for JSON, with the name of its image as far as that is known."""
     entry = entry_of(outcome.task, outcome.result, outcome.error, history=history)
+    image = outcome.task.instance.image or (None if photograph is None else photograph.name)
+    entry |= {} if image is None else {"image": image}
     return entry if outcome.closest is None else entry | {"closest_model": outcome.closest.to_dict()}
 
 

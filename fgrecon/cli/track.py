@@ -52,6 +52,7 @@ def track_command(
     settings = scene.settings(Options(strategy=scene.strategy, box=box_model, keep_history=history or delivery.wanted))
     source = camera.source()
     solved = [track_report.solve(file, source, settings, images, names) for file in screen.watch(files, "Tracks")]
+    solved = track_report.told_apart(solved)
 
     screen.print(track_report.table(solved))
     for track in solved:

@@ -23,7 +23,7 @@ from fgrecon.core.digits import shortened
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.plain import plain
 from fgrecon.core.reconstruction import Reconstruction
-from fgrecon.core.text import whole_text
+from fgrecon.core.text import distinct, whole_text
 from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.io.images import read_image
 from fgrecon.io.json_fields import read_json
@@ -33,7 +33,18 @@ from fgrecon.simulation.vehicles import yaw_pose
 from fgrecon.solve.track import reconstruct_track
 from fgrecon.viz import Recording, Sight, TrackSight, Truth, contact_sheet, save_picture, track_recording_of
 
-__all__ = ["FORMAT", "Solved", "details", "document", "draw", "image_numbers", "solve", "table", "truth_of"]
+__all__ = [
+    "FORMAT",
+    "Solved",
+    "details",
+    "document",
+    "draw",
+    "image_numbers",
+    "solve",
+    "table",
+    "told_apart",
+    "truth_of",
+]
 
 FORMAT = f"fgrecon.track/{SCHEMA_VERSION}"
 
@@ -112,6 +123,22 @@ def solve(
     solved = [tasks[index] for index in result.numbers] if truths is not None else []
     alone = tuple(run(task, quiet).result for task in solved)
     return Solved(whole_text(file.stem), file, tuple(tasks), sight, result, alone)
+
+
+def told_apart(tracks: Sequence[Solved]) -> list[Solved]:
+    """The tracks by names of their own, and so their images, where these have the ids of another track's."""
+    names, ids = set[str](), set[str]()
+    apart = []
+    for track in tracks:
+        name = distinct(track.name, names)
+        own = [task.instance.name for task in track.tasks]
+        if not ids.isdisjoint(own):
+            own = [f"{name}:{one.rpartition(':')[2]}" for one in own]
+        own = [distinct(one, ids) for one in own]
+        named = zip(track.tasks, own, strict=True)
+        tasks = tuple(replace(task, instance=replace(task.instance, name=one)) for task, one in named)
+        apart.append(replace(track, name=name, tasks=tasks))
+    return apart
 
 
 def _labels(file: Path, settings: Settings) -> Track | None:

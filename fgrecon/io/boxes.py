@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -59,21 +60,24 @@ def read_boxes(
             `image class score x1 y1 x2 y2 [box model]`, YOLO's lines `class x y w h [score]` in parts of the image
             (cars are class 2, or the line `car` of a `classes.txt` beside the file), COCO JSON, the folder of nuScenes'
             tables; or a folder with such a file for each image, of its name.
-        image: Name of the image, without ending.
+        image: Name of the image, without ending. Folders before it choose among images of that name (COCO).
         size: Width and height of the image, pixels, which YOLO's boxes need.
         least_score: Boxes of a lower score are left out; None for 0.5, and all of KITTI's results, whose scores are
             of any scale.
 
     Raises:
-        InvalidInputError: The file cannot be read or has another format; names line or field.
+        InvalidInputError: The file cannot be read or has another format, or several of its images may be meant; names
+            line or field.
     """
+    given = Path(image)
+    image = given.name
     if is_nuscenes(file):
         found = cuboid_boxes(open_nuscenes(file), image, "vehicle.car")
         return [NamedBox(token, corners, BoxModel.CUBOID) for token, corners in found]
     if file.is_dir():
         file = next((path for ending in (".txt", ".json") if (path := file / f"{image}{ending}").is_file()), file)
     if file.suffix.lower() == ".json":
-        return _coco(read_json(file), file, image, LEAST_SCORE if least_score is None else least_score)
+        return _coco(read_json(file), file, given, LEAST_SCORE if least_score is None else least_score)
     try:
         lines = file.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -174,10 +178,10 @@ def _car_class(file: Path) -> int:
     return lines.index("car")
 
 
-def _coco(data: Any, file: Path, image: str, least_score: float) -> list[NamedBox]:
-    """COCO's results (a list) or annotations (an object with images, categories and annotations)."""
+def _coco(data: Any, file: Path, image: Path, least_score: float) -> list[NamedBox]:
+    """COCO's results (a list) or annotations (an object with images, categories and annotations), crowds left out."""
     cars: list[Any] = [_COCO_CAR]
-    ids: list[Any] = [image]
+    ids: list[Any] = [image.name]
     entries = data
     if isinstance(data, Mapping):
         fields = Fields(data, f"{file}: ")
@@ -185,9 +189,9 @@ def _coco(data: Any, file: Path, image: str, least_score: float) -> list[NamedBo
         if "categories" in fields:
             cars = [c["id"] for c in _entries(fields, "categories") if c.get("name") == "car" and "id" in c]
         pictures = _entries(fields, "images") if "images" in fields else []
-        ids = [i["id"] for i in pictures if Path(str(i.get("file_name"))).stem == image and "id" in i]
-    elif image.isdigit():
-        ids = [image, int(image)]
+        ids = _of_image(pictures, image, file)
+    elif image.name.isdecimal():
+        ids.append(int(image.name))
     if not isinstance(entries, list):
         raise InvalidInputError(str(file), type(entries).__name__, _FIX)
     boxes = []
@@ -195,11 +199,35 @@ def _coco(data: Any, file: Path, image: str, least_score: float) -> list[NamedBo
         fields = Fields(entry, f"{file}: [{number}].")
         if fields.data.get("image_id") not in ids or fields.data.get("category_id") not in cars:
             continue
+        if fields.data.get("iscrowd") == 1:
+            continue
         if "score" in fields and float(fields.numbers("score", ())) < least_score:
             continue
         x, y, width, height = fields.numbers("bbox", (4,))
         boxes.append(NamedBox(str(number), np.array([x, y, x + width, y + height]), BoxModel.SURFACE))
     return boxes
+
+
+def _of_image(pictures: Sequence[Mapping[str, Any]], image: Path, file: Path) -> list[Any]:
+    """Ids of the image of a name: of several, of the one whose folders are most like the given.
+
+    Raises:
+        InvalidInputError: There are several such.
+    """
+    found = [(Path(str(one.get("file_name"))), one["id"]) for one in pictures if "id" in one]
+    alike = [(_alike(path.parent, image.parent), path, number) for path, number in found if path.stem == image.name]
+    most = max((shared for shared, _, _ in alike), default=0)
+    best = [(path, number) for shared, path, number in alike if shared == most]
+    if len(paths := {path.as_posix() for path, _ in best}) > 1:
+        value = f"{image.name}, which is {' and '.join(sorted(paths)[:2])}"
+        raise InvalidInputError(f"{file}: image", value, "Give boxes of one of them, or the image by its folder.")
+    return [number for _, number in best]
+
+
+def _alike(folder: Path, other: Path) -> int:
+    """How many of their last parts two folders share."""
+    pairs = zip(reversed(folder.parts), reversed(other.parts), strict=False)
+    return len(list(takewhile(lambda pair: pair[0] == pair[1], pairs)))
 
 
 def _entries(fields: Fields, name: str) -> list[Mapping[str, Any]]:

@@ -55,7 +55,7 @@ def boxes_of(
     if file is None:
         corners = [as_finite(f"box[{number}]", box, (4,)) for number, box in enumerate(given)]
         return [NamedBox(str(number), box, BoxModel.SURFACE) for number, box in enumerate(corners)]
-    found = read_boxes(file, image.stem, size, least_score)
+    found = read_boxes(file, str(image.absolute().parent / image.stem), size, least_score)
     if not found:
         raise InvalidInputError("boxes", str(file), f"Give a file with a car in image {image.stem}.")
     return found

@@ -54,6 +54,24 @@ def test_results_of_a_track_are_exported(write, drive, tmp_path):
     assert len((tmp_path / "cars.csv").read_text().splitlines()) == 4
 
 
+def test_tracks_and_ids_of_one_name_are_told_apart(drive, tmp_path):
+    for folder in "ab":
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "car.json").write_text(json.dumps(drive[0]))
+    out = tmp_path / "tracks.json"
+    done = run("track", tmp_path / "a/car.json", tmp_path / "b/car.json", INTRINSICS, "--json", out)
+    assert done.exit_code == 0, done.output
+    data = json.loads(out.read_text())
+    assert [track["track"] for track in data["tracks"]] == ["car", "car-2"]
+    numbers = (5, 7, 9)
+    ids = [*(f"image:{n}" for n in numbers), *(f"car-2:{n}" for n in numbers)]
+    assert [(one["id"], one["track"]) for one in data["instances"]] == list(
+        zip(ids, ["car"] * 3 + ["car-2"] * 3, strict=True)
+    )
+    assert "car-2: " in done.stdout
+    assert run("export", out, tmp_path / "cars.txt").exception.field == "results"
+
+
 def test_photographs_come_from_a_folder(write, drive, tmp_path):
     folder = tmp_path / "images"
     folder.mkdir()

@@ -134,6 +134,25 @@ def test_what_cannot_be_written_is_refused_and_the_file_stays(labels, tmp_path):
     assert path.read_text() == "before"
 
 
+def test_links_to_one_file_of_a_store_are_images_of_their_own(labels, tmp_path):
+    store, drive = tmp_path / "store", tmp_path / "drive"
+    store.mkdir()
+    drive.mkdir()
+    (store / "3fa9c1").write_bytes(b"")
+    for number in (4, 5):
+        (drive / f"{number:06d}.png").symlink_to(store / "3fa9c1")
+    (tmp_path / "elsewhere" / "deep").mkdir(parents=True)
+    (tmp_path / "linked").symlink_to(tmp_path / "elsewhere" / "deep")  # whose `..` is another than it looks
+    for folder, up in ((tmp_path, ""), (tmp_path / "linked", "../../")):
+        path = write_coco_keypoints(folder / "labels.json", labels)
+        told = json.loads(path.read_text())
+        assert [image["file_name"] for image in told["images"]] == [f"{up}drive/{n:06d}.png" for n in (4, 5)]
+        assert [one["image_id"] for one in told["annotations"]] == [1, 2, 2]
+        assert all((folder / image["file_name"]).exists() for image in told["images"])
+        again = write_coco_keypoints(folder / "again.json", read_coco_keypoints(path))
+        assert json.loads(again.read_text())["images"] == told["images"]
+
+
 GONE = object()
 
 

@@ -67,6 +67,13 @@ def test_glb_has_named_nodes_that_stand_upright(cars, tmp_path):
     np.testing.assert_allclose(sorted(drawn[:, 1]), sorted(expected[:, 1]), atol=1e-5)
 
 
+def test_glb_has_every_vehicle_of_an_id(cars, tmp_path):
+    import trimesh
+
+    scene = trimesh.load(export(tmp_path / "cars.glb", [replace(car, name="a") for car in cars]))
+    assert sorted(scene.graph.nodes_geometry) == ["a-2/surface", "a-2/wireframe", "a/surface", "a/wireframe"]
+
+
 def test_csv_numbers_read_back_to_the_last_bit(cars, refused, tmp_path):
     text = export(tmp_path / "cars.csv", [*cars, refused]).read_text()
     rows = list(csv.DictReader(io.StringIO(text)))
@@ -81,6 +88,14 @@ def test_csv_numbers_read_back_to_the_last_bit(cars, refused, tmp_path):
         assert float(row["sigma_translation"]) == pytest.approx(np.sqrt(1e-3))
     assert np.isnan(float(rows[2]["x"]))
     assert rows[2]["status"] == "failed"
+
+
+def test_csv_ids_with_any_line_end_are_one_cell(cars, tmp_path):
+    ids = ["a\rb", "a\nb", "a\r\nb", 'a"b', "a,b"]
+    path = export(tmp_path / "cars.csv", [replace(cars[0], name=name) for name in ids])
+    with path.open(newline="") as file:
+        assert [row["id"] for row in csv.DictReader(file)] == ids
+    assert b"\r\n" not in path.read_bytes().replace(b'"a\r\nb"', b"")
 
 
 def test_csv_of_different_priors_is_refused(cars, tmp_path):
@@ -127,6 +142,19 @@ def test_kitti_lines_are_in_the_label_frame(cars, refused, tmp_path):
     x, _, z = objects.location.T
     np.testing.assert_allclose(np.cos(objects.alpha), np.cos(objects.rotation_y - np.arctan2(x, z)), atol=1e-3)
     assert ((objects.score > 0) & (objects.score <= 1)).all()
+
+
+def test_kittis_file_is_of_one_image(cars, refused, tmp_path):
+    """Each of KITTI's files is of one image, whose cars all of its lines are taken for."""
+    several = [replace(car, image=name) for car, name in zip(cars, "ab", strict=True)]
+    with pytest.raises(InvalidInputError, match=r"results: got vehicles of 2 images. Write a file for each"):
+        export(tmp_path / "several.txt", several)
+    assert not list(tmp_path.iterdir())
+    for name in "ab":
+        found = export(tmp_path / f"{name}.txt", [car for car in several if car.image == name]).read_text()
+        assert found.count("\n") == 1
+    export(tmp_path / "rest.txt", [several[0], replace(refused, image="b")])
+    export(tmp_path / "rows.txt", [replace(car, row=car.name) for car in cars])  # whose images nobody told
 
 
 @pytest.mark.parametrize("kind", FORMATS)

@@ -8,20 +8,29 @@ from dataclasses import replace
 
 import gtsam
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from jsonschema import Draft202012Validator
 from typer.testing import CliRunner
 
+from fgrecon.batch import read_folder
 from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.export import ImageInfo, NamedResult, export, read_images_file
+from fgrecon.io.export import ImageInfo, NamedResult, export, read_images_file, read_results
 from fgrecon.io.export.frames import box_in, score
 from fgrecon.io.export.mcap import pose_covariance
+from fgrecon.io.images import write_png
 from fgrecon.simulation import yaw_pose
 from tests.viz.made_up import make_example
 
 WORLD = np.array([[0.0, 0.0, 1.0, 5.0], [-1.0, 0.0, 0.0, -3.0], [0.0, -1.0, 0.0, 1.65], [0.0, 0.0, 0.0, 1.0]])
 """A camera that looks along the world's x axis; z is up."""
+
+
+def run(*arguments):
+    done = CliRunner().invoke(main.app, [str(argument) for argument in arguments])
+    assert done.exit_code == 0, done.output
 
 
 @pytest.fixture(scope="module")
@@ -223,10 +232,6 @@ def test_a_kind_that_does_not_fit_is_refused(cars, tmp_path, name, kind):
 def test_the_folder_of_a_batch_is_exported_as_a_file_of_results_is(tmp_path):
     from tests.batch.support import instances, write_lines
 
-    def run(*arguments):
-        done = CliRunner().invoke(main.app, [str(argument) for argument in arguments])
-        assert done.exit_code == 0, done.output
-
     content = instances(2)
     lines = write_lines(tmp_path / "cars.jsonl", [*content, "{torn"])
     (tmp_path / "cars.json").write_text(json.dumps(content))
@@ -241,5 +246,90 @@ def test_the_folder_of_a_batch_is_exported_as_a_file_of_results_is(tmp_path):
     (tmp_path / "images.json").write_text(json.dumps({"*": {"image_id": 5}}))
     run("export", tmp_path / "batch", tmp_path / "c.json", "--format", "coco", "--images", tmp_path / "images.json")
     assert [entry["image_id"] for entry in json.loads((tmp_path / "c.json").read_text())] == [5, 5]
+    assert [(found.image, found.row) for found in read_folder(tmp_path / "batch")] == [
+        ("", f"{lines}#1"),
+        ("", f"{lines}#2"),
+    ], "nobody told their images"
+    (part,) = (tmp_path / "batch").glob("*.parquet")
+    table = pq.read_table(part)
+    ids = pa.array([f"{lines}#1:0", f"{lines}#2:0", None])  # as vehicles have that were found in images
+    pq.write_table(table.set_column(table.column_names.index("id"), "id", ids), part)
+    assert [found.image for found in read_folder(tmp_path / "batch")] == [f"{lines}#1", f"{lines}#2"]
+    refused = CliRunner().invoke(main.app, ["export", str(tmp_path / "batch"), str(tmp_path / "x.txt")])
+    assert "vehicles of 2 images" in str(refused.exception)
     other = CliRunner().invoke(main.app, ["export", str(tmp_path), str(tmp_path / "x.ply")])
     assert isinstance(other.exception, InvalidInputError)
+
+
+@pytest.mark.parametrize(
+    ("kind", "seconds"),
+    [
+        ("foxglove", -0.3),
+        ("foxglove", 1532402927612460000),  # nanoseconds
+        ("vision_msgs", -0.3),
+        ("vision_msgs", 4102444800),  # of the year 2100, which ROS 2 cannot tell
+        ("vision_msgs", float("nan")),
+    ],
+)
+def test_times_that_mcap_cannot_tell_are_refused_before_anything_is_written(cars, images, tmp_path, kind, seconds):
+    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
+    with pytest.raises(InvalidInputError, match="Give seconds") as caught:
+        export(tmp_path / "f.mcap", cars, kind, images | {"b": replace(images["b"], timestamp=seconds)})
+    assert caught.value.field == "images.b.timestamp"
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(InvalidInputError) as caught:
+        export(tmp_path / "f.mcap", [replace(cars[0], image="")], kind, {"*": ImageInfo(timestamp=seconds)})
+    assert caught.value.field == "images.*.timestamp"
+
+
+def test_the_last_times_that_mcap_can_tell(cars, tmp_path):
+    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
+    for kind, seconds in (("foxglove", 4102444800.0), ("foxglove", 0.0), ("vision_msgs", 2.0**31 - 1e-6)):
+        assert export(tmp_path / "f.mcap", cars, kind, {"*": ImageInfo(timestamp=seconds)}).stat().st_size > 0
+
+
+def test_vehicles_of_one_id_are_entities_of_their_own(cars, tmp_path):
+    reader = pytest.importorskip("mcap.reader", reason="mcap is not installed: pip install fgrecon[mcap]")
+    twice = [replace(cars[0], name="a"), replace(cars[1], name="a")]
+    content = export(tmp_path / "f.mcap", twice, "foxglove").read_bytes()
+    ((_, _, message),) = reader.make_reader(io.BytesIO(content)).iter_messages("/fgrecon/scene")
+    assert [entity["id"] for entity in json.loads(message.data)["entities"]] == ["a", "a-2"]
+
+
+def images_of(folder, ids, *, scenes=(), **more):
+    """The images that a results file of vehicles of these ids has."""
+    result = make_example().reconstruction.to_dict(compact=True)
+    entries = [
+        {"id": name, "result": result} | {key: told[i] for key, told in more.items()} for i, name in enumerate(ids)
+    ]
+    content = {"format": "fgrecon.reconstructions/2", "instances": entries, "scenes": list(scenes)}
+    (folder / "r.json").write_text(json.dumps(content))
+    return [found.image for found in read_results(folder / "r.json")]
+
+
+def test_what_tells_the_image_of_a_vehicle(tmp_path):
+    assert images_of(tmp_path, ["a:0", "a:1", "b:x:0"]) == ["a", "a", "b:x"]
+    assert images_of(tmp_path, ["lane1:a", "lane2:b", "c"]) == ["", "", ""], "an id that names none"
+    assert images_of(tmp_path, ["lane1:a", ":b"]) == ["", ""]
+    assert images_of(tmp_path, ["lane1:a", "lane2:b"], image=["a.png", "a.png"]) == ["a.png", "a.png"]
+    assert images_of(tmp_path, ["lane1:a", "lane2:b"], image=["a.png", None]) == ["a.png", ""]
+    together = {"image": None, "ground": None}
+    assert images_of(tmp_path, ["lane1:a", "lane2:b"], scenes=[together]) == ["", ""], "solved as of one image"
+    assert images_of(tmp_path, ["a:0", "b:0"], scenes=[together, together]) == ["a", "b"]
+
+
+def test_results_tell_the_image_that_keypoints_told(tmp_path):
+    """And so those of COCO's images, whose ids are numbers, are of several; those of a photograph are of one."""
+    from tests.batch.support import instances
+
+    named = [one | {"id": f"lane{n}:car", "image": f"{'aab'[n]}.png"} for n, one in enumerate(instances(3))]
+    (tmp_path / "k.json").write_text(json.dumps(named))
+    bare = [{key: value for key, value in one.items() if key != "image"} for one in named]
+    (tmp_path / "bare.json").write_text(json.dumps(bare))
+    write_png(tmp_path / "street.png", np.zeros((375, 1242, 3), np.uint8))
+    found = {}
+    for name, *more in (("k.json",), ("bare.json", "--image", tmp_path / "street.png")):
+        run("reconstruct", tmp_path / name, "--size-prior", "kitti", "--json", tmp_path / "r.json", *more)
+        run("export", tmp_path / "r.json", tmp_path / "c.json", "--format", "coco")
+        found[name] = [entry["image_id"] for entry in json.loads((tmp_path / "c.json").read_text())]
+    assert found == {"k.json": ["a.png", "a.png", "b.png"], "bare.json": ["street.png"] * 3}

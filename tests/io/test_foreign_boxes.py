@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.options import BoxModel
 from fgrecon.io.boxes import read_boxes
+from fgrecon.perception.boxes import boxes_of
 
 from .formats import spoilt, write
 from .test_cameras import nuscenes
@@ -52,6 +53,43 @@ def test_a_file_for_each_image(tmp_path):
     assert read_boxes(tmp_path, "b", SIZE)[0].corners.tolist() == [1, 2, 4, 6]
     with pytest.raises(InvalidInputError, match="boxes"):
         read_boxes(tmp_path, "c", SIZE)
+
+
+def coco_of(*names, **more):
+    """COCO's annotations with a car in each of some images, the first at x = 1, and so on."""
+    return {
+        "images": [{"id": number, "file_name": name} for number, name in enumerate(names, 1)],
+        "categories": [{"id": 3, "name": "car"}],
+        "annotations": [
+            {"image_id": number, "category_id": 3, "bbox": [number, 2, 3, 4], **more}
+            for number in range(1, len(names) + 1)
+        ],
+    }
+
+
+def test_crowds_are_no_cars(tmp_path):
+    assert read_boxes(write(tmp_path / "a.json", coco_of("a.jpg", iscrowd=1)), "a") == []
+    assert len(read_boxes(write(tmp_path / "a.json", coco_of("a.jpg", iscrowd=0)), "a")) == 1
+
+
+def test_images_of_one_name_are_told_apart_by_their_folders_or_refused(tmp_path):
+    path = write(tmp_path / "boxes.json", coco_of("A/left/1.jpg", "B/left/1.jpg", "B/left/12.jpg"))
+    for image, left in (("B/left/1", 2), ("/data/A/left/1", 1), ("12", 3)):
+        (box,) = read_boxes(path, image)
+        assert box.corners[0] == left
+    (box,) = boxes_of(tmp_path / "B/left/1.jpg", [], path)
+    assert box.corners[0] == 2
+    for image in ("1", "left/1", "C/left/1"):
+        with pytest.raises(InvalidInputError, match=r"got 1, which is A/left/1\.jpg and B/left/1\.jpg"):
+            read_boxes(path, image)
+    assert len(read_boxes(write(tmp_path / "boxes.json", coco_of("1.jpg", "1.jpg")), "1")) == 2, "one image, told twice"
+
+
+def test_names_of_images_that_look_like_numbers(tmp_path):
+    path = write(
+        tmp_path / "boxes.json", [{"image_id": name, "category_id": 3, "bbox": [1, 2, 3, 4]} for name in ("²", 4)]
+    )
+    assert len(read_boxes(path, "²")) == len(read_boxes(path, "000004")) == 1
 
 
 def test_kittis_tracking_set(tmp_path):

@@ -161,7 +161,7 @@ def write_coco_keypoints(path: str | Path, labels: VehicleLabels, *, meshes: boo
     images: dict[Path, dict[str, Any]] = {}
     annotations = []
     for number, vehicle in enumerate(labels.vehicles, start=1):
-        at = vehicle.image.path.resolve()
+        at = _place(vehicle.image.path)
         if at not in images:
             images[at] = _image(vehicle.image, Path(os.path.relpath(at, folder)).as_posix(), len(images) + 1)
         annotations.append(_annotation(vehicle, number, images[at]["id"], meshes=meshes))
@@ -183,6 +183,14 @@ def write_coco_keypoints(path: str | Path, labels: VehicleLabels, *, meshes: boo
         "annotations": annotations,
     }
     return write_text(path, json.dumps(document, allow_nan=False) + "\n")
+
+
+def _place(path: Path) -> Path:
+    """Where a file lies, its folder's links followed, since `..` is of where they lead, and its own not.
+
+    Several images may be links to one file of a store.
+    """
+    return path.parent.resolve() / path.name
 
 
 def _image(image: LabelledImage, name: str, number: int) -> dict[str, Any]:
@@ -314,7 +322,7 @@ def _read_image(fields: Fields, folder: Path) -> LabelledImage:
     if min(size) < 1:
         raise InvalidInputError(f"{fields.where}width, height", size, "Give pixels, from 1.")
     return LabelledImage(
-        path=(folder / fields.get("file_name", str)).resolve(),
+        path=_place(folder / fields.get("file_name", str)),
         size=size,
         matrix=fields.numbers("camera_matrix", (3, 3)),
         drive=fields.get("drive", str),

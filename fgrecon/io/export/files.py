@@ -80,7 +80,8 @@ def export(
 
     Args:
         path: `.ply` or `.glb`: surfaces and wireframes in the camera frame; `.csv` or `.parquet`: one row per vehicle;
-            `.txt`: KITTI's result lines; `.json`: nuScenes' or COCO's results; `.mcap`: Foxglove's or ROS 2's messages.
+            `.txt`: KITTI's result lines of one image; `.json`: nuScenes' or COCO's results; `.mcap`: Foxglove's or ROS
+            2's messages.
         results: Vehicles; those without a pose are left out, except in tables.
         kind: One of `KINDS`, where the ending stands for several.
         images: What is known of their images (`fgrecon.io.export.frames`), for nuScenes, COCO and MCAP.
@@ -90,7 +91,7 @@ def export(
 
     Raises:
         InvalidInputError: Another ending, the file cannot be written, there is nothing to write, or something is not
-            known of an image.
+            known of an image, or its time is none that the file can tell; KITTI's lines of several images.
         MissingPackageError: A package for MCAP is not installed.
     """
     check_ending(path, FORMATS)

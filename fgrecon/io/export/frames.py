@@ -22,6 +22,7 @@ __all__ = [
     "box_in",
     "by_image",
     "info_of",
+    "names_of",
     "plain_quaternion",
     "plain_vector",
     "quaternion",
@@ -90,20 +91,25 @@ def _info(fields: Fields) -> ImageInfo:
     )
 
 
+def names_of(image: str) -> tuple[str, ...]:
+    """Names by which something may be told of an image: its own, without folder and ending, and that of every one."""
+    return image, Path(image).name, Path(image).stem, EVERY
+
+
 def info_of(image: str, images: Mapping[str, ImageInfo]) -> ImageInfo:
-    """What is known of an image by its name, that name without folder and ending, or as of every one."""
-    for name in (image, Path(image).name, Path(image).stem, EVERY):
+    """What is known of an image by the first of its names that tells something."""
+    for name in names_of(image):
         if name in images:
             return images[name]
     return ImageInfo()
 
 
 def by_image(results: Sequence[NamedResult]) -> dict[str, list[NamedResult]]:
-    """The results that have a pose, by their images, in order."""
+    """The results that have a pose, by their images, in order; where these are not told by their rows of a batch."""
     found: dict[str, list[NamedResult]] = {}
     for item in results:
         if item.solved:
-            found.setdefault(item.image, []).append(item)
+            found.setdefault(item.image or item.row, []).append(item)
     return found
 
 

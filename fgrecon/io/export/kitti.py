@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import box_around
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.io.export.frames import score
@@ -22,8 +23,16 @@ def kitti_text(results: Sequence[NamedResult]) -> str:
 
     The 2D box is the observed one, else that of the projected wireframe. The score is the mean weight of the keypoints
     that the pose shows: it tells how much of what should be seen was found where it should be.
+
+    Raises:
+        InvalidInputError: The vehicles are of several images, each of which has a file of its own in KITTI.
     """
-    rows = [_row(item) for item in results if item.solved]
+    solved = [item for item in results if item.solved]
+    if len(images := {item.image for item in solved}) > 1:
+        told = f"vehicles of {len(images)} images"
+        fix = "Write a file for each image (fgrecon.io.export.export): KITTI's lines do not tell it. Or give .csv."
+        raise InvalidInputError("results", told, fix)
+    rows = [_row(item) for item in solved]
     return format_results(Objects.of_rows(["Car"] * len(rows), np.array(rows).reshape(len(rows), -1)))
 
 

@@ -10,19 +10,29 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.camera import Ground
-from fgrecon.core.errors import MissingPackageError
+from fgrecon.core.errors import InvalidInputError, MissingPackageError
 from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.sides import SURFACE
-from fgrecon.core.text import whole_text
-from fgrecon.io.export.frames import EVERY, ImageInfo, box_in, by_image, info_of, plain_quaternion, plain_vector, score
+from fgrecon.core.text import distinct, whole_text
+from fgrecon.io.export.frames import (
+    EVERY,
+    ImageInfo,
+    box_in,
+    by_image,
+    info_of,
+    names_of,
+    plain_quaternion,
+    plain_vector,
+    score,
+)
 from fgrecon.io.export.messages import DETECTIONS, FRAME_TRANSFORMS, SCENE_UPDATE, TRANSFORMS
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.export.upright import CAMERA, MAP, WORLD, FrameTransform, transforms
@@ -31,6 +41,8 @@ __all__ = ["detections_bytes", "pose_covariance", "scene_bytes"]
 
 _PERIOD = 0.1  # seconds between images whose times are not known
 _NANO = 1_000_000_000
+_MCAP_SECONDS = 2**64 // _NANO  # its times are 64 bits of nanoseconds
+_ROS_SECONDS = 2**31  # `builtin_interfaces/Time` has 31 bits of seconds
 _LINE_LIST = 2  # pairs of points
 _CAR = "car"
 
@@ -42,6 +54,7 @@ def scene_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageInfo])
     """MCAP of Foxglove's scene updates (JSON), topic `/fgrecon/scene`: of each vehicle box, wireframe and name.
 
     Raises:
+        InvalidInputError: An image's time is none that MCAP can tell; names it.
         MissingPackageError: mcap is not installed.
     """
     try:
@@ -57,10 +70,11 @@ def scene_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageInfo])
     content = json.dumps(FRAME_TRANSFORMS).encode()
     schema = writer.register_schema("foxglove.FrameTransforms", "jsonschema", content)
     frames = writer.register_channel("/tf", "json", schema)
-    for (time, info, items), placed in _with_transforms(_moments(results, images)):
+    for (time, info, items), placed in _with_transforms(_moments(results, images, _MCAP_SECONDS)):
         data = json.dumps({"transforms": [_placed(one, time) for one in placed]}, allow_nan=False).encode()
         writer.add_message(frames, log_time=time, data=data, publish_time=time)
-        entities = [_entity(item, info, time) for item in items]
+        taken = set[str]()  # of entities with one id only the last would be shown
+        entities = [_entity(replace(item, name=distinct(item.name, taken)), info, time) for item in items]
         clear = {"timestamp": _time(time, "nsec"), "type": 1, "id": ""}  # vehicles of the image before
         data = json.dumps({"deletions": [clear], "entities": entities}, allow_nan=False).encode()
         writer.add_message(channel, log_time=time, data=data, publish_time=time)
@@ -75,6 +89,7 @@ def detections_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageI
     not known (zeros). Their scores share that of the detection as their energies say.
 
     Raises:
+        InvalidInputError: An image's time is none that ROS 2 can tell; names it.
         MissingPackageError: mcap-ros2-support is not installed.
     """
     try:
@@ -85,7 +100,8 @@ def detections_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageI
     writer = Writer(sink)
     schema = writer.register_msgdef("vision_msgs/msg/Detection3DArray", DETECTIONS)
     frames = writer.register_msgdef("tf2_msgs/msg/TFMessage", TRANSFORMS)
-    for number, ((time, info, items), placed) in enumerate(_with_transforms(_moments(results, images))):
+    moments = _with_transforms(_moments(results, images, _ROS_SECONDS))
+    for number, ((time, info, items), placed) in enumerate(moments):
         stamped = {"transforms": [_stamped(one, time) for one in placed]}
         writer.write_message("/tf", frames, stamped, time, time, number)
         header = {"stamp": _time(time, "nanosec"), "frame_id": _frame(info)}
@@ -95,13 +111,21 @@ def detections_bytes(results: Sequence[NamedResult], images: Mapping[str, ImageI
     return sink.getvalue()
 
 
-def _moments(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> Iterator[_Moment]:
+def _moments(results: Sequence[NamedResult], images: Mapping[str, ImageInfo], below: int) -> Iterator[_Moment]:
     """Time in nanoseconds, what is known of the image, and vehicles, of every image.
 
     Images without vehicles whose times are known are among them: what was seen before is gone there.
+
+    Args:
+        results: The vehicles.
+        images: What is known of their images.
+        below: Seconds from which on the file cannot tell the time.
+
+    Raises:
+        InvalidInputError: An image's time is negative or too late.
     """
     found = by_image(results)
-    seen = {name for image in found for name in (image, Path(image).name, Path(image).stem, EVERY)}
+    seen = {name for image in found for name in names_of(image)}
     empty: dict[str, list[NamedResult]] = {
         name: [] for name, info in images.items() if name not in seen and info.timestamp is not None
     }
@@ -109,6 +133,9 @@ def _moments(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) ->
     for number, (image, items) in enumerate((found | empty).items()):
         info = info_of(image, images)
         seconds = number * _PERIOD if info.timestamp is None else info.timestamp
+        if not 0.0 <= seconds < below:
+            fix = f"Give seconds, from 0 to less than {below}, by a file of images (--images)."
+            raise InvalidInputError(f"images.{image or EVERY}.timestamp", seconds, fix)
         moments.append((round(seconds * _NANO), info, items))
     yield from sorted(moments, key=lambda moment: moment[0])
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.sides import SIDE_COLOURS, SURFACE, Colour, edge_sides, keypoint_sides
+from fgrecon.core.text import distinct
 from fgrecon.io.export.results import NamedResult
 
 __all__ = ["glb_bytes", "ply_bytes"]
@@ -38,7 +39,7 @@ def ply_bytes(results: Sequence[NamedResult]) -> bytes:
 
 
 def glb_bytes(results: Sequence[NamedResult]) -> bytes:
-    """One GLB with the nodes `<id>/surface` and `<id>/wireframe` of every vehicle.
+    """One GLB with the nodes `<id>/surface` and `<id>/wireframe` of every vehicle; ids that several have are numbered.
 
     Raises:
         InvalidInputError: No vehicle has a pose.
@@ -46,9 +47,11 @@ def glb_bytes(results: Sequence[NamedResult]) -> bytes:
     import trimesh
 
     scene = trimesh.Scene()
+    taken = set[str]()  # of nodes with one name only the last would be kept
     for item in _solved(results):
+        vehicle = distinct(item.name, taken)
         for part, mesh in _parts(item):
-            name = f"{item.name}/{part}"
+            name = f"{vehicle}/{part}"
             scene.add_geometry(mesh, node_name=name, geom_name=name, transform=_UPRIGHT)
     content: bytes = scene.export(file_type="glb")
     return content

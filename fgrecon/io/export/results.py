@@ -38,9 +38,10 @@ class NamedResult:
         box: (4,) 2D box that it was observed in, pixels, or None.
         label_offset: (3,) where KITTI's label frame lies from the camera's (a labelled point is at X + offset), or
             None.
-        image: Name of the image; empty where the file has only one.
+        image: Name of the image; empty where the file has only one, or does not tell it.
         camera: The camera that took it, or None.
         ground: The ground plane in its frame that the settings tell, or None.
+        row: Row of a batch that it is from; stands for the image where that is not told.
     """
 
     name: str
@@ -50,6 +51,7 @@ class NamedResult:
     image: str = ""
     camera: Camera | None = None
     ground: Ground | None = None
+    row: str = ""
 
     __repr__ = brief_repr
 
@@ -83,8 +85,8 @@ def read_results(path: str | Path, prior: ShapePrior | str | Path | None = None)
         if kind in _MANY:
             settings = data.get("settings", {"prior": None})
             surfaces, grounds = Surfaces(settings, given), _grounds(data, settings)
-            solved = [entry for entry in data["instances"] if entry["result"] is not None]
-            return [_named(entry, surfaces, grounds, of_track="tracks" in data) for entry in solved]
+            solved = [(e, image) for e, image in _with_images(data) if e["result"] is not None]
+            return [_named(entry, image, surfaces, grounds) for entry, image in solved]
     fix = "Give what `fgrecon reconstruct --json`, `fgrecon track --json` or `fgrecon demo` wrote."
     raise InvalidInputError(f"{path}: format", kind, fix)
 
@@ -108,16 +110,30 @@ def _grounds(data: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str |
     return {None: told} | {scene["image"]: ground_of(scene) or told for scene in scenes}
 
 
+def _with_images(data: Mapping[str, Any]) -> list[tuple[Mapping[str, Any], str]]:
+    """Each vehicle with the name of its image, an image of a track having but one.
+
+    Where no vehicle tells its image, ids do that are `IMAGE:VEHICLE`: all of them are, and the file does not say that
+    they were solved as the vehicles of one image.
+    """
+    entries: list[Mapping[str, Any]] = data["instances"]
+    if "tracks" in data:
+        return [(entry, str(entry["id"])) for entry in entries]
+    told: list[Any] = [entry.get("image") for entry in entries]
+    if not any(told) and len(data.get("scenes") or []) != 1:
+        of_ids = [str(entry["id"]).rpartition(":")[0] for entry in entries]
+        told = of_ids if all(of_ids) else told
+    return [(entry, str(image or "")) for entry, image in zip(entries, told, strict=True)]
+
+
 def _named(
-    entry: dict[str, Any], surfaces: Surfaces, grounds: Mapping[str | None, Ground | None], *, of_track: bool
+    entry: Mapping[str, Any], image: str, surfaces: Surfaces, grounds: Mapping[str | None, Ground | None]
 ) -> NamedResult:
-    """A vehicle; `IMAGE:VEHICLE` names its image, and an image of a track has one."""
+    """A vehicle of an image."""
     result = surfaces.complete(Reconstruction.from_dict(entry["result"]))
     box, labelled = entry.get("box"), entry.get("location_in_label_frame")
-    name = str(entry["id"])
-    image = name if of_track else name.rpartition(":")[0]
     return NamedResult(
-        name=name,
+        name=str(entry["id"]),
         result=result,
         box=None if box is None else as_finite("box", box, (4,)),
         label_offset=None if labelled is None else result.location - as_finite("location", labelled, (3,)),

@@ -38,11 +38,16 @@ def csv_of_rows(rows: Sequence[Mapping[str, Any]]) -> str:
 
     A text that a spreadsheet would take for a formula has an apostrophe in front.
     """
+    names = list(rows[0])
+    lines = [_line(names), *(_line([_harmless(row[name]) for name in names]) for row in rows)]
+    return whole_text("".join(lines))  # names of files need not be UTF-8
+
+
+def _line(cells: Sequence[Any]) -> str:
+    """A line with its end; cells with either half of a line's end are quoted, which Python 3.11 does for its own."""
     text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows({name: _harmless(value) for name, value in row.items()} for row in rows)
-    return whole_text(text.getvalue())  # names of files need not be UTF-8
+    csv.writer(text, lineterminator="\r\n").writerow(cells)
+    return text.getvalue().removesuffix("\r\n") + "\n"
 
 
 def _harmless(value: Any) -> Any:

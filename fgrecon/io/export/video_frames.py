@@ -12,7 +12,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.plain import well_formed
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.io.export.files import check_format
-from fgrecon.io.export.frames import ImageInfo, info_of
+from fgrecon.io.export.frames import ImageInfo, info_of, names_of
 from fgrecon.io.export.results import NamedResult, ground_of
 from fgrecon.io.json_fields import parse_json
 
@@ -58,7 +58,8 @@ def read_video_frames(
         images: What else is known of the frames, by their names; goes before the file.
 
     Returns:
-        The vehicles, named by their ids and their frames as images; and the frames by their names, all of them.
+        The vehicles, named by their ids and their frames as images; and by their names all frames, and what images
+        there are beside them: samples between the frames of a run belong to its results.
 
     Raises:
         InvalidInputError: The file cannot be read or is no such; names the line.
@@ -66,13 +67,16 @@ def read_video_frames(
     results: list[NamedResult] = []
     infos: dict[str, ImageInfo] = {}
     try:
-        with path.open(encoding="utf-8") as lines:
+        with path.open("rb") as lines:  # a line that is not UTF-8 is malformed, as others are
             for number, line in enumerate(lines, start=1):
                 with well_formed(f"{path}: line {number}", "Give the file as `fgrecon run` wrote it."):
-                    _add(parse_json(line), results, infos)
+                    _add(parse_json(line.decode()), results, infos)
     except OSError as error:
         raise InvalidInputError("file", str(path), f"Give a file that can be read ({error.strerror}).") from error
-    return results, {name: _with(info, info_of(name, images or {})) for name, info in infos.items()}
+    told = images or {}
+    own = {known for name in infos for known in names_of(name)}
+    others = {name: info for name, info in told.items() if name not in own}
+    return results, {name: _with(info, info_of(name, told)) for name, info in infos.items()} | others
 
 
 def _add(frame: Any, results: list[NamedResult], infos: dict[str, ImageInfo]) -> None:
