@@ -82,7 +82,7 @@ COMMANDS: Mapping[str, Command] = {
     "export a table": Command("export result.json out/r.csv", ("result.json",)),
     "export a log": Command("export result.json out/r.mcap --format foxglove", ("result.json",)),
     "export a batch": Command("export out/rows out/r.csv", _ROWS, before=_BATCH),
-    "export a video": Command("export out/tracked out/v.json", ("out/tracked/frames.jsonl",), before=_DRIVE),
+    "export a video": Command("export out/tracked out/v.json --format coco", ("out/tracked/frames.jsonl",), before=_DRIVE),
     "prior show": Command("prior show prior.npz --picture out/p.png", ("prior.npz",)),
     "prior learn": Command("prior learn marks.npz --out out/p.npz --bootstrap 0", ("marks.npz",)),
     "prior learn a category": Command(
