@@ -147,11 +147,12 @@ def check_output(path: Path | None) -> None:
     """Refuse an output that cannot be written before the work instead of after it.
 
     Raises:
-        InvalidInputError: It is a folder, or its folder does not exist.
+        InvalidInputError: It is a folder, its folder does not exist, or it is a link to itself.
     """
     from fgrecon.core.errors import InvalidInputError
+    from fgrecon.io.files import behind_links
 
-    if path is not None and (path.is_dir() or not path.resolve().parent.is_dir()):
+    if path is not None and (path.is_dir() or not behind_links(path).parent.is_dir()):
         raise InvalidInputError("output", str(path), "Give a file in a folder that exists.")
 
 
@@ -159,11 +160,12 @@ def check_folder(path: Path) -> None:
     """Refuse a folder of results that cannot be made, before the work.
 
     Raises:
-        InvalidInputError: It is a file, or would be in one.
+        InvalidInputError: It is a file or would be in one, or is a link to itself.
     """
     from fgrecon.core.errors import InvalidInputError
+    from fgrecon.io.files import behind_links
 
-    there = next(part for part in (path, *path.resolve().parents) if part.exists())
+    there = next(part for part in (path, *behind_links(path).parents) if part.exists())
     if not there.is_dir():
         raise InvalidInputError("out", str(path), f"Give another folder: {there} is a file.")
 

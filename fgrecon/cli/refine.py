@@ -13,6 +13,7 @@ from fgrecon.cli.options import BOX_MODEL_HELP, CameraOptions, JsonOption, Scene
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.files import behind_links
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from fgrecon.io.box_lines import BoxedImage
@@ -114,7 +115,7 @@ def _submission(boxes: Path, images: Path, tables: str | None) -> Submission:
 
 def _check_out(out: Path, boxes: Path, found: list[BoxedImage[Any]]) -> None:
     """Refuse before the work what could not be written after it, or would write over the input."""
-    if out.resolve() == boxes.resolve():
+    if behind_links(out) == behind_links(boxes):
         raise InvalidInputError("out", str(out), "Give another place than that of the boxes.")
     if boxes.is_dir():
         if out.exists() and not out.is_dir():

@@ -70,7 +70,8 @@ def run_command(
     options, or for another --picture, the networks need not look again. Ctrl-C writes what there is. A frame that
     cannot be read is a gap. --verbose tells every car and gap.
 
-    Exit code 0: at least one car was reconstructed; 1: none; 2: bad usage or input; 130: stopped before the end.
+    Exit code 0: at least one car was reconstructed; 1: none, or --picture is of a frame without any; 2: bad usage or
+    input; 130: stopped before the end.
     """
     from fgrecon.cli import run_report
     from fgrecon.cli.run_job import Request, prepare
@@ -100,7 +101,7 @@ def run_command(
         screen,
     )
     run = run_report.perform(job, delivery, screen)
-    run_report.write(job, run, screen)
+    drawn = run_report.write(job, run, screen)
     if delivery.save is not None:
         screen.wrote(run_report.recording(job, run).write(delivery.save))
     screen.print(run_report.table(run), run_report.in_words(run))
@@ -111,4 +112,5 @@ def run_command(
         raise typer.Exit(_STOPPED)
     if not run.estimates:
         screen.fail("No car could be reconstructed.")
+    if not (run.estimates and drawn):
         raise typer.Exit(1)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from fgrecon.cli.progress import Advance
 from fgrecon.core.camera import Camera, Ground
-from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.frames import FrameSource
@@ -103,7 +102,7 @@ def still(
     camera: Camera,
     ground: Ground | None,
     number: int | None,
-) -> Path:
+) -> bool:
     """Draw a frame as `fgrecon.viz.scene_picture` does, with the paths of its vehicles up to it.
 
     Args:
@@ -114,19 +113,23 @@ def still(
         ground: The ground plane, or None.
         number: Which frame; None for the first of those with the most estimates.
 
+    Returns:
+        Whether there is a vehicle in it; nothing is written where there is none.
+
     Raises:
-        InvalidInputError: There is no such frame or no vehicle in it, or the file cannot be written.
+        InvalidInputError: The file cannot be written.
     """
-    if number is None:
-        number = max(frames, key=lambda frame: len(frame.estimates)).number if frames else 0
+    if number is None and frames:
+        number = max(frames, key=lambda frame: (len(frame.estimates), len(frame.boxes))).number
     showing = Showing()
     for frame in frames:
         vehicles = showing.vehicles(frame)
         if frame.number == number and vehicles:
             picture = next((p for p in source.read(number - 1) if p.number == number), None)
             image = None if picture is None else picture.image
-            return save_picture(path, scene_picture(image, vehicles, camera, ground=ground))
-    raise InvalidInputError("picture_frame", number, "Give a frame in which there is a vehicle.")
+            save_picture(path, scene_picture(image, vehicles, camera, ground=ground))
+            return True
+    return False
 
 
 def recorded(source: FrameSource, frames: Sequence[TrackedFrame]) -> Iterator[ShownFrame]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from fgrecon.io.frames import (
     numbered_frames,
     open_frames,
 )
+from fgrecon.io.hashes import file_hash
 from fgrecon.io.images import read_photograph
 from fgrecon.io.kitti_calibration import calibration_beside
 from fgrecon.io.poses import CameraPoses, read_poses
@@ -90,21 +92,19 @@ class Job:
     poses: CameraPoses | None
     moving: bool
 
-    @property
+    @cached_property
     def records_depend_on(self) -> dict[str, Any]:
         """What the stored records depend on: priors and options may change, and networks need not look again."""
         ask = self.request
-        path = Path(ask.source)
+        files = {"source": Path(ask.source), "tracks": ask.tracks, "weights": ask.weights}
         return {
-            "source": str(path.resolve()) if path.exists() else ask.source,
-            "bytes": path.stat().st_size if path.is_file() else None,
+            **{name: None if path is None else _place(path) for name, path in files.items()},
+            **{f"{name}_sha256": _content(path) for name, path in files.items()},
             "fps": DEFAULT_RATE if self.source.assumed_rate else ask.frames.fps,
             "every": ask.frames.every,
             "start": ask.frames.start,
             "end": ask.frames.end,
             "category": self.settings.prior.category.name,
-            "weights": None if ask.weights is None else str(ask.weights),
-            "tracks": None if ask.tracks is None else [str(ask.tracks.resolve()), ask.tracks.stat().st_size],
             "forget_ids": ask.forget_ids,
         }
 
@@ -112,6 +112,16 @@ class Job:
     def look(self) -> FrameLook:
         """What looks at the frames."""
         return _look(self.request, self.settings, self.given)
+
+
+def _place(path: Path) -> str:
+    """Where something is; a pattern of files, or the name of shipped weights, as it is."""
+    return str(path.resolve() if path.exists() else path)
+
+
+def _content(path: Path | None) -> str | None:
+    """The hash of a file's content; None for what is no file."""
+    return None if path is None or not path.is_file() else file_hash(path)
 
 
 def prepare(ask: Request, screen: Screen) -> Job:

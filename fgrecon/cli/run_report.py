@@ -47,7 +47,8 @@ def perform(job: Job, viewer: Viewer, screen: Screen) -> VideoRun:
     }
     tracker = SingleImages(**arguments) if ask.alone else Tracker(**arguments, shared_ground=ask.together)
     forget = tracker.forget if ask.online and isinstance(tracker, Tracker) else None  # nothing smooths their past
-    association = GatedAssociation(first=0 if given is None else given.largest_id + 1, given_up=forget)
+    ids: dict[str, Any] = {} if given is None else {"settings": given.association, "first": given.largest_id + 1}
+    association = GatedAssociation(**ids, given_up=forget)
     ground = settings.ground
     follower = Follower(tracker, association, job.camera, ground=ground, poses=job.poses, moving=job.moving)
     motion = MotionLook(job.camera, ground) if job.moving and ground is not None else None
@@ -71,6 +72,12 @@ def perform(job: Job, viewer: Viewer, screen: Screen) -> VideoRun:
         )
     if isinstance(tracker, Tracker) and (off := tracker.boxes_off()) is not None:
         screen.warn(boxes_warning(off))
+    numbers = [frame.number for frame in run.frames]
+    if numbers and given is not None and not run.stopped and given.vehicles.keys().isdisjoint(numbers):
+        screen.warn(
+            f"No vehicle is given in a frame of the video: those are frames {min(numbers)} to {max(numbers)}, and the "
+            f"vehicles are in frames {min(given.vehicles)} to {max(given.vehicles)}."
+        )
     if given is not None and not given.cuboids:  # keypoints, and no boxes in which the network has found them
         for line in about_video(run.frames, job.camera):
             screen.warn(line)
@@ -118,21 +125,34 @@ def _on_interrupt() -> Iterator[list[int]]:
         signal.signal(signal.SIGINT, before)
 
 
-def write(job: Job, run: VideoRun, screen: Screen) -> None:
-    """Write tables and frames, each whole; where wanted a picture and, if the run was not stopped, the video."""
+def write(job: Job, run: VideoRun, screen: Screen) -> bool:
+    """Write tables and frames, each whole; where wanted a picture and, if the run was not stopped, the video.
+
+    Returns:
+        Whether there was something to draw, where a picture is wanted.
+    """
     out = job.request.out
     write_text(out / "tracks.txt", tracking_text(run.frames, job.label_offset))
     write_text(out / "frames.jsonl", "".join(frame_lines(run.frames, job.settings.ground)))
-    if rows := rows_of(run.frames):
-        export_rows(out / "tracks.csv", rows)
-        export_rows(out / "tracks.parquet", rows_of(run.frames, flat=False))
+    for name, flat in (("tracks.csv", True), ("tracks.parquet", False)):
+        if rows := rows_of(run.frames, flat=flat):
+            export_rows(out / name, rows)
+        else:  # there are no columns without a row, and a table of the run before would be taken for this one's
+            (out / name).unlink(missing_ok=True)
     screen.wrote(out)
     if job.request.video is not None and not run.stopped:
         with screen.bar() as advance:
             screen.wrote(film(job.request.video, job.source, run.frames, job.camera, advance))
-    if job.request.picture is not None:
-        number, ground = job.request.picture_frame, job.settings.ground
-        screen.wrote(still(job.request.picture, job.source, run.frames, job.camera, ground, number))
+    picture, number = job.request.picture, job.request.picture_frame
+    if picture is None:
+        return True
+    drawn = still(picture, job.source, run.frames, job.camera, job.settings.ground, number)
+    if drawn:
+        screen.wrote(picture)
+    else:
+        where = "any frame" if number is None else f"frame {number}"
+        screen.fail(f"{picture} is not written: there is no vehicle in {where}.")
+    return drawn
 
 
 def table(run: VideoRun) -> Table:

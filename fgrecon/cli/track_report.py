@@ -100,14 +100,15 @@ def solve(
     """
     tasks, _ = read_tasks(file, settings.prior.category, source, names)
     labelled = _labels(file, settings)
-    numbers = image_numbers([task.instance.name for task in tasks])
+    frames = [(task.instance.name, task.instance.frame) for task in tasks]
+    told = [name if frame is None else str(frame) for name, frame in frames]
     truths = None if labelled is None else [truth_of(labelled, index) for index in range(len(tasks))]
     measured = [task.observation.measured.any() for task in tasks]
     sight = TrackSight(
         observations=[task.observation if seen else None for task, seen in zip(tasks, measured, strict=True)],
         cameras=[task.camera for task in tasks],
-        numbers=numbers,
-        images=None if images is None else [_image(images, number) for number in numbers],
+        numbers=image_numbers(told),
+        images=None if images is None else [_image(images, number) for number in _own_numbers(told)],
         truths=truths,
         ground=settings.ground,
     )
@@ -156,13 +157,15 @@ def truth_of(track: Track, index: int) -> Truth:
 
 
 def image_numbers(names: Sequence[str]) -> list[int]:
-    """Numbers of images, from their names where these end in increasing numbers, else from 0."""
+    """Numbers of images in a recording, from their names where these end in increasing numbers, else from 0."""
+    numbers = _own_numbers(names)
+    return numbers if all(a < b for a, b in pairwise(numbers)) else list(range(len(names)))
+
+
+def _own_numbers(names: Sequence[str]) -> list[int]:
+    """Numbers of images from their names, in whatever order, where all end in numbers; else from 0."""
     ends = [name.rpartition(":")[2] for name in names]
-    if all(end.isdecimal() for end in ends):
-        numbers = [int(end) for end in ends]
-        if all(a < b for a, b in pairwise(numbers)):
-            return numbers
-    return list(range(len(names)))
+    return [int(end) for end in ends] if all(end.isdecimal() for end in ends) else list(range(len(names)))
 
 
 def _image(folder: Path, number: int) -> NDArray[np.uint8]:

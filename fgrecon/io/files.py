@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import glob
 import hashlib
 import os
@@ -15,7 +16,7 @@ from pathlib import Path
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.text import whole_text
 
-__all__ = ["check_ending", "replacing", "write_bytes", "write_text"]
+__all__ = ["behind_links", "check_ending", "replacing", "write_bytes", "write_text"]
 
 
 _ABANDONED = 3600.0  # seconds
@@ -50,6 +51,18 @@ def write_bytes(path: str | Path, content: bytes) -> Path:
     return Path(path)
 
 
+def behind_links(path: str | Path) -> Path:
+    """The absolute path of what a path's links lead to, there or not.
+
+    Raises:
+        InvalidInputError: They lead to themselves.
+    """
+    real = Path(os.path.realpath(path))
+    if any(part.is_symlink() for part in (real, *real.parents)):  # here Path.resolve() ends with a RuntimeError
+        raise InvalidInputError(str(path), os.strerror(errno.ELOOP), "Give a path whose links lead somewhere.")
+    return real
+
+
 def check_ending(path: str | Path, endings: Collection[str]) -> str:
     """The ending of a file's name, in lower case and without its dot.
 
@@ -74,8 +87,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
             with _copied_to(Path(path)) as part:
                 yield part
             return
-        # Follow a link, so that the file behind it is replaced and not the link.
-        target = Path(path).resolve()
+        target = behind_links(path)  # the file behind a link is replaced and not the link
         if target.is_dir():
             raise IsADirectoryError(f"{target} is a folder")
         _clear(target)

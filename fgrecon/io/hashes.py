@@ -1,4 +1,4 @@
-"""Files that come with the package are what they were: a list of SHA-256 hashes beside them."""
+"""Whether files are what they were: SHA-256 hashes, and the lists of them beside files that come with the package."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["LIST", "check_hash", "listed"]
+__all__ = ["LIST", "check_hash", "file_hash", "listed"]
 
 LIST = "SHA256SUMS"
 """Name of the list in a file's folder, as `sha256sum` writes it and checks it."""
@@ -24,6 +24,20 @@ def check_hash(path: Path, content: bytes) -> None:
     if wanted is not None and hashlib.sha256(content).hexdigest() != wanted:
         fix = f"It is not what {LIST} says: install fgrecon again, or take the file's line out of that list."
         raise InvalidInputError(str(path), "changed or damaged", fix)
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file's content in hexadecimal digits; the file may be larger than the memory.
+
+    Raises:
+        InvalidInputError: It cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InvalidInputError(str(path), reason, "Give a file that can be read.") from error
 
 
 @cache

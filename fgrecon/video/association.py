@@ -40,7 +40,7 @@ class Candidate:
 
     Attributes:
         box: (4,) x1, y1, x2, y2 in pixels.
-        score: Of the detection, 0 to 1.
+        score: Of the detection, on the scale of `AssociationSettings.birth`.
         place: (3,) where it stands in the camera's frame, by its box (`stands_at`), metres; or None.
         spread: Standard deviation of that along the line of sight, metres.
     """
@@ -83,7 +83,8 @@ class AssociationSettings:
     Attributes:
         overlap: Least intersection over union of the boxes.
         deviation: Largest deviation of the places, standard deviations.
-        birth: Least score with which a track begins; weaker detections only continue one.
+        birth: Least score with which a track begins; weaker detections only continue one. Minus infinity where scores
+            are of an unknown scale.
         alive: Seconds that a track may go unseen and still be first to choose.
         memory: Seconds after which it is given up.
         place_weight: Cost of a deviation of the places at its gate, relative to boxes that do not overlap.

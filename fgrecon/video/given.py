@@ -25,6 +25,7 @@ from fgrecon.io.json_fields import read_json
 from fgrecon.io.keypoint_file import Instance, parse_keypoints
 from fgrecon.io.kitti_tracking import read_tracking
 from fgrecon.io.track_file import parse_track
+from fgrecon.video.association import AssociationSettings
 from fgrecon.video.records import Sighting
 
 __all__ = ["KINDS", "Given", "read_given"]
@@ -54,6 +55,11 @@ class Given:
         """The largest id; -1 where there is none."""
         ids = (s.identity for sightings in self.vehicles.values() for s in sightings)
         return max((identity for identity in ids if identity is not None), default=-1)
+
+    @property
+    def association(self) -> AssociationSettings:
+        """How those without an id are followed: each begins a track, since scores of boxes are of any scale."""
+        return AssociationSettings(birth=-np.inf)
 
     @property
     def complete(self) -> bool:

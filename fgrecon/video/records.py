@@ -44,7 +44,7 @@ class Sighting:
 
     Attributes:
         box: (4,) x1, y1, x2, y2 in pixels; around the keypoints where no other is known.
-        score: Of the detection, 0 to 1.
+        score: Of the detection: 0 to 1 of fgrecon's own, of any scale where it is given.
         identity: Id that it came with, or None.
         observation: Its keypoints; None where there are none.
         kind: What it was said to be by what found it, such as `Van`; None where that says nothing.

@@ -11,16 +11,18 @@ stored for one camera and one ground: with another they are estimated again, and
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import pairwise, zip_longest
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fgrecon.batch.parts import RECORDS, Parts, begin, claimed, refuse_batch
-from fgrecon.io.frames import FrameSource, SourceFrame
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.text import whole_text
+from fgrecon.io.frames import FrameSource, ImageFrames, SourceFrame
 from fgrecon.video.follow import Follower, TrackedFrame
 from fgrecon.video.look import FrameLook
 from fgrecon.video.motion_look import MotionLook
@@ -114,7 +116,8 @@ def run_video(
         The run.
 
     Raises:
-        InvalidInputError: The folder holds another run or a batch, or one that is going on.
+        InvalidInputError: The folder holds a batch, another run or one that is going on, or images that it has looked
+            at are no more, or others have come before them.
 
     Warns:
         DamagedFileWarning: Stored records are damaged; their frames, and those after them, are looked at again.
@@ -123,10 +126,10 @@ def run_video(
     begin(out / RECORDS, settings, FORMAT)
     run = VideoRun(source.count)
     with claimed(out / RECORDS):
-        looked = _Looked(out, look, motion, settings)
+        looked = _Looked(source, out, look, motion, settings)
         run.before = len(looked.stored)
         try:
-            for record, frame in looked.records(source):
+            for record, frame in looked.records():
                 run.frames.append(follower(record))
                 report(run, frame)
                 if stop():
@@ -147,10 +150,14 @@ class _Looked:
         stored: The stored records.
     """
 
-    def __init__(self, out: Path, look: FrameLook, motion: MotionLook | None, settings: Mapping[str, Any]) -> None:
-        self._look, self._motion = look, motion
+    def __init__(
+        self, source: FrameSource, out: Path, look: FrameLook, motion: MotionLook | None, settings: Mapping[str, Any]
+    ) -> None:
+        self._source, self._look, self._motion = source, look, motion
         self._records = Parts(out / RECORDS, record_schema())
         self.stored = [from_row(row) for row in self._records.rows_in_order()]
+        if isinstance(source, ImageFrames):  # only these have names; of a file the settings can tell whether it changed
+            _check_still_there(self.stored, source, out)
         if motion is not None:
             begin(out / MOTIONS, {**settings, **motion.settings}, FORMAT, anew=lambda: True)
             self._motions = Parts(out / MOTIONS, motion_schema())
@@ -162,7 +169,7 @@ class _Looked:
         if self._motion is not None:
             self._motions.flush()
 
-    def records(self, source: FrameSource) -> Iterator[tuple[FrameRecord, SourceFrame | None]]:
+    def records(self) -> Iterator[tuple[FrameRecord, SourceFrame | None]]:
         """All records in order, each with its frame where that had to be read."""
         moving = self._motion
         whole = self.stored
@@ -173,7 +180,7 @@ class _Looked:
         before = next((record for record in reversed(whole) if record.problem is None), None)
         ahead = {record.number: record for record in self.stored[len(whole) :]}
         # The motion since the last image needs that image.
-        for frame in source.read(last if moving is None or before is None else before.number - 1):
+        for frame in self._source.read(last if moving is None or before is None else before.number - 1):
             if moving is not None and before is not None and frame.number == before.number:
                 moving.remember(frame, before)
             if last is not None and frame.number <= last:
@@ -192,6 +199,21 @@ class _Looked:
         record = replace(record, motion=moving(frame, record.sightings))
         self._motions.add(motion_to_table(record))
         return record
+
+
+def _check_still_there(stored: Sequence[FrameRecord], source: ImageFrames, out: Path) -> None:
+    """Refuse images that do not begin with those that were looked at.
+
+    Raises:
+        InvalidInputError: They do not; names the first that differs.
+    """
+    names = [whole_text(path.name) for path in source.paths]  # as they are stored
+    now = [f"frame {number} ({name})" for number, name in zip(source.numbers, names, strict=True)][: len(stored)]
+    before = [f"frame {record.number} ({record.name})" for record in stored]
+    for was, there in zip_longest(before, now, fillvalue="none"):
+        if was != there:
+            fix = f"Give another folder for these images: here {was} was looked at, where there is {there} now."
+            raise InvalidInputError("out", str(out), f"{fix} Images may only be added after the last one.")
 
 
 def _smoothed(frames: list[TrackedFrame], follower: Follower) -> list[TrackedFrame]:

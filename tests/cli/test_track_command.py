@@ -85,6 +85,27 @@ def test_photographs_come_from_a_folder(write, drive, tmp_path):
     assert done.exit_code == 0, done.output
 
 
+@pytest.mark.parametrize("told", ["id", "frame"])
+def test_photographs_are_those_of_the_frames_also_where_these_do_not_increase(write, drive, tmp_path, told):
+    folder = tmp_path / "images"
+    folder.mkdir()
+    content = drive[0]
+    numbers = (20, 19, 17)
+    for one, number in zip(content["instances"], numbers, strict=True):
+        one |= {"id": f"car:{number}"} if told == "id" else {"id": f"car {number}", "frame": number}
+    for number in (0, 1, 2, *numbers):
+        write_png(folder / f"{number:06d}.png", np.full((375, 1242, 3), 10 * number, np.uint8))
+    from fgrecon.cli import track_report
+    from fgrecon.cli.settings import CameraSource, Settings
+    from fgrecon.core.options import Options
+
+    settings = Settings.of("car14", None, None, None, Options())
+    source = CameraSource(None, INTRINSICS.partition("=")[2], None, None)
+    sight = track_report.solve(write(content), source, settings, folder).sight
+    assert [image[0, 0, 0] for image in sight.images] == [10 * number for number in numbers]
+    assert sight.numbers == [0, 1, 2]  # of a recording's frames, which are in order
+
+
 def test_labels_give_errors_beside_those_of_the_images_alone(write, drive):
     content, poses = drive
     frames = [

@@ -108,3 +108,13 @@ def test_the_longest_name_can_be_written_and_what_was_left_of_it_is_cleared(tmp_
 def test_a_name_that_is_too_long_is_told(tmp_path):
     with pytest.raises(InvalidInputError, match="too long"):
         write_text(tmp_path / ("n" * 256), "x")
+
+
+def test_a_link_that_leads_to_itself_is_told(tmp_path):
+    (link := tmp_path / "a.txt").symlink_to("b.txt")
+    (tmp_path / "b.txt").symlink_to("a.txt")
+    for path in (link, link / "deeper.txt"):
+        with pytest.raises(InvalidInputError, match="symbolic links"):
+            write_text(path, "x")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.txt", "b.txt"]
+    assert link.is_symlink()

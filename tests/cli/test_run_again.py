@@ -1,0 +1,104 @@
+"""`fgrecon run` a second time into a folder: what may change, and what is refused or done away with."""
+
+import json
+import shutil
+
+import pytest
+from typer.testing import CliRunner
+
+from fgrecon.cli import main
+from fgrecon.core.errors import InvalidInputError
+from tests.video.streets import make_drive
+
+FPS = ("--fps", 10)
+INTRINSICS = ("--intrinsics", "721.5,721.5,609.6,172.9")
+
+
+def run(*arguments):
+    return CliRunner().invoke(main.app, ["run", *map(str, arguments)])
+
+
+@pytest.fixture
+def drive(tmp_path):
+    return make_drive(tmp_path / "drive", 3)
+
+
+@pytest.mark.parametrize("alone", [False, True])
+def test_given_vehicles_that_were_edited_are_refused(drive, tmp_path, alone):
+    """Also where the file is as long as it was."""
+    images, file = drive
+    asked = ([file] if alone else [images, "--tracks", file]) + [*FPS, "--out", tmp_path / "out"]
+    assert run(*asked).exit_code == 0
+    assert "3 were looked at before" in run(*asked).stdout
+    before = file.read_text()
+    file.write_text(before.replace('"track": 10', '"track": 70'))
+    assert len(before) == file.stat().st_size
+    refused = run(*asked).exception
+    name = "source_sha256" if alone else "tracks_sha256"
+    assert (refused.field, f"other settings ({name})" in refused.fix) == ("out", True)
+
+
+def test_weights_of_another_content_are_other_settings(drive, tmp_path):
+    images, file = drive
+    (weights := tmp_path / "w.safetensors").write_bytes(b"one")  # given keypoints need none
+    asked = (images, "--tracks", file, *FPS, "--weights", weights, "--out", tmp_path / "out")
+    assert run(*asked).exit_code == 0
+    weights.write_bytes(b"two")
+    with pytest.raises(InvalidInputError, match=r"other settings \(weights_sha256\)"):
+        raise run(*asked).exception
+
+
+def renamed(images, names):
+    """The drive's images by other names."""
+    for path, name in list(zip(sorted(images.iterdir()), names, strict=True))[::-1]:  # numbers grow: none is lost
+        path.rename(images / name)
+
+
+@pytest.mark.parametrize(
+    ("before", "added", "told"),
+    [
+        (["000004.png", "000005.png"], "000003.png", ("frame 4 (000004.png)", "frame 3 (000003.png)")),
+        (["a.png", "c.png"], "b.png", ("frame 1 (c.png)", "frame 1 (b.png)")),
+        (["1.png", "3.png"], "2.png", ("frame 3 (3.png)", "frame 2 (2.png)")),
+        (["1.png", "2.png"], "x.png", ("frame 1 (1.png)", "frame 0 (1.png)")),
+    ],
+)
+def test_frames_are_added_after_the_last_one_alone(drive, tmp_path, before, added, told):
+    images, file = drive
+    renamed(images, [*before, "zzz9.png"])
+    later = (images / "zzz9.png").rename(tmp_path / "later.png")
+    asked = (images, "--tracks", file, *FPS, "--out", tmp_path / "out", *INTRINSICS)
+    assert run(*asked).exit_code in (0, 1)
+    later.rename(images / added)
+    refused = run(*asked)
+    assert refused.exception.field == "out"
+    assert [part in refused.exception.fix for part in told] == [True, True], refused.exception
+    assert "after the last" in refused.exception.fix
+
+
+def test_frames_that_are_gone_are_refused_and_those_that_come_after_are_looked_at(drive, tmp_path):
+    images, file = drive
+    last = sorted(images.iterdir())[-1]
+    kept = last.rename(tmp_path / last.name)
+    asked = (images, "--tracks", file, *FPS, "--out", tmp_path / "out")
+    assert run(*asked).exit_code == 0
+    kept.rename(last)
+    assert "3 frames, 2 cars" in (again := run(*asked)).stdout
+    assert "2 were looked at before" in again.stdout
+    last.unlink()
+    refused = run(*asked).exception
+    assert f"({last.name}) was looked at, where there is none now" in refused.fix
+
+
+def test_no_table_is_left_of_estimates_that_are_no_more(drive, tmp_path):
+    images, file = drive
+    content = json.loads(file.read_text())
+    asked = (images, "--tracks", file, *FPS, "--out", out := tmp_path / "out")
+    assert run(*asked).exit_code == 0
+    tables = [out / name for name in ("tracks.csv", "tracks.parquet")]
+    assert all(path.exists() for path in tables)
+    shutil.rmtree(out / "records")
+    file.write_text(json.dumps({**content, "instances": [{**content["instances"][0], "frame": 100}]}))
+    assert run(*asked).exit_code == 1
+    assert not any(path.exists() for path in tables)
+    assert (out / "tracks.txt").read_text() == ""

@@ -1,0 +1,72 @@
+"""`fgrecon run --tracks`: boxes of any score, frames that are not the video's, and pictures of nothing."""
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from fgrecon.cli import main
+from tests.video.streets import make_drive
+
+INTRINSICS = ("--intrinsics", "721.5,721.5,609.6,172.9")
+
+
+def run(*arguments):
+    return CliRunner().invoke(main.app, ["run", *map(str, arguments)])
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    return make_drive(tmp_path_factory.mktemp("drive"), 3)
+
+
+def results(path, numbers, score):
+    """KITTI's tracking results: one car that stands, without an id."""
+    car = f"-1 Car 0 0 0 500 180 620 250 1.5 1.6 4.0 -3 1.7 20 1.5 {score}"
+    path.write_text("".join(f"{number} {car}\n" for number in numbers))
+    return path
+
+
+@pytest.mark.parametrize("score", [0.31, -4.2, 0.9, 87.0])
+def test_given_boxes_are_taken_whatever_their_scores(drive, tmp_path, score):
+    """KITTI's scores are of any scale."""
+    tracks = results(tmp_path / "tracks.txt", (3, 4, 5), score)
+    done = run(drive[0], "--tracks", tracks, *INTRINSICS, "--fps", 10, "--out", tmp_path / "out")
+    assert "3 frames, 1 car" in done.stdout, done.output
+    assert "Warning" not in done.stderr
+    frames = [json.loads(line) for line in (tmp_path / "out" / "frames.jsonl").read_text().splitlines()]
+    assert [[(v["id"], v["score"]) for v in frame["vehicles"]] for frame in frames] == [[(0, score)]] * 3
+
+
+def test_vehicles_in_frames_of_another_video_are_warned_of(drive, tmp_path):
+    tracks = results(tmp_path / "tracks.txt", (100, 101, 107), 0.9)
+    done = run(drive[0], "--tracks", tracks, *INTRINSICS, "--fps", 10, "--out", tmp_path / "out")
+    assert done.exit_code == 1
+    assert "Warning: No vehicle is given in a frame of the video: those are frames 3 to 5" in done.stderr
+    assert "vehicles are in frames 100 to 107" in done.stderr
+
+
+def test_without_a_vehicle_there_is_no_picture_and_everything_else(drive, tmp_path):
+    tracks = results(tmp_path / "tracks.txt", (100,), 0.9)
+    picture, summary = tmp_path / "a.png", tmp_path / "a.json"
+    asked = (drive[0], "--tracks", tracks, *INTRINSICS, "--fps", 10, "--out", tmp_path / "out")
+    for frame in ((), ("--picture-frame", 4)):
+        done = run(*asked, "--picture", picture, "--json", summary, *frame)
+        assert done.exit_code == 1
+        assert f"{picture} is not written: there is no vehicle in " in done.stderr
+        assert "No car could be reconstructed" in done.stderr
+        assert json.loads(summary.read_text())["frames"] == 3
+        summary.unlink()
+    assert not picture.exists()
+
+
+def test_a_frame_without_a_vehicle_is_not_drawn(drive, tmp_path):
+    """The cars of the others are told all the same; the exit code says that something is missing."""
+    images, file = drive
+    content = json.loads(file.read_text())
+    content["instances"] = [one for one in content["instances"] if one["frame"] != 4]
+    (tracks := tmp_path / "tracks.json").write_text(json.dumps(content))
+    asked = (images, "--tracks", tracks, "--fps", 10, "--out", tmp_path / "out", "--quiet", "--picture-frame", 4)
+    done = run(*asked, "--picture", tmp_path / "a.png", "--json", tmp_path / "a.json")
+    assert (done.exit_code, json.loads((tmp_path / "a.json").read_text())["estimates"] > 0) == (1, True)
+    assert "a.png is not written: there is no vehicle in frame 4" in done.stderr
