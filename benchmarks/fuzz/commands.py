@@ -82,7 +82,9 @@ COMMANDS: Mapping[str, Command] = {
     "export a table": Command("export result.json out/r.csv", ("result.json",)),
     "export a log": Command("export result.json out/r.mcap --format foxglove", ("result.json",)),
     "export a batch": Command("export out/rows out/r.csv", _ROWS, before=_BATCH),
-    "export a video": Command("export out/tracked out/v.json --format coco", ("out/tracked/frames.jsonl",), before=_DRIVE),
+    "export a video": Command(
+        "export out/tracked out/v.json --format coco", ("out/tracked/frames.jsonl",), before=_DRIVE
+    ),
     "prior show": Command("prior show prior.npz --picture out/p.png", ("prior.npz",)),
     "prior learn": Command("prior learn marks.npz --out out/p.npz --bootstrap 0", ("marks.npz",)),
     "prior learn a category": Command(
@@ -183,10 +185,10 @@ def fuzz_commands(name: str, start: int, seconds: float, out: Path | None = None
     began, wall = processor_time(), time.perf_counter()
     with tempfile.TemporaryDirectory() as place:
         whole, folder = Path(place) / "whole", Path(place) / "work"
-        shutil.copytree(_inputs().name, whole)
+        shutil.copytree(_inputs().name, folder)
         if command.before is not None:
-            _must(command.before, whole)
-        shutil.copytree(whole, folder)
+            _must(command.before, folder)  # where it will go on: runs keep the paths of their inputs
+        shutil.copytree(folder, whole)
         _must(command.line, folder)
         shutil.rmtree(folder)
         while (
