@@ -88,7 +88,7 @@ def film(path: Path, source: FrameSource, frames: Sequence[TrackedFrame], camera
             if picture.image is None or frame is None or frame.problem is not None:
                 continue
             size = picture.image.shape if size is None else size
-            if picture.image.shape != size:  # a drive may have an image of another camera among its own
+            if picture.image.shape != size:  # videos may change it on their way
                 continue
             caption = f"frame {frame.number}, {frame.time:.2f} s"
             add(annotated(picture.image, showing.vehicles(frame), camera, caption=caption), frame.time)

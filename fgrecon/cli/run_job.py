@@ -139,16 +139,9 @@ def prepare(ask: Request, screen: Screen) -> Job:
         check_ending(ask.picture, FORMATS)
     elif ask.picture_frame is not None:
         raise InvalidInputError("picture_frame", "without --picture", "Say with --picture where it is to be written.")
-    frames, motion = ask.frames, ask.motion
+    motion = ask.motion
     settings = ask.scene.settings(Options(strategy=ask.scene.strategy, keep_history=False))
-    given = _given(ask, settings)
-    times: dict[str, Any] = {"rate": frames.fps, "every": frames.every, "start": frames.start, "end": frames.end}
-    if Path(ask.source).suffix.lower() == ".json" and given is not None:
-        source: FrameSource = numbered_frames(Path(ask.source), given.vehicles, **times)
-        if ask.video is not None:
-            raise InvalidInputError("video", ask.source, "Give images: keypoints alone have none.")
-    else:
-        source = open_frames(ask.source, **times)
+    source, given = _source(ask, settings)
     if source.assumed_rate:
         screen.warn(f"No --fps is given: {DEFAULT_RATE:g} frames per second are assumed; speeds go with it.")
     source_has = BoxModel.DETECTED if given is None else BoxModel.CUBOID if given.cuboids else BoxModel.SURFACE
@@ -187,23 +180,31 @@ def _moving(ask: Request, source: FrameSource, settings: Settings) -> bool:
     return motion.estimate_motion
 
 
-def _given(ask: Request, settings: Settings) -> Given | None:
-    """The vehicles that others have found, beside the images or in their place."""
-    alone = Path(ask.source) if Path(ask.source).suffix.lower() == ".json" else None
-    if alone is not None and ask.tracks is not None:
-        raise InvalidInputError("tracks", str(ask.tracks), "Leave it out: keypoints are given already.")
-    if (file := ask.tracks or alone) is not None:
-        return read_given(file, settings.prior.category, forget_ids=ask.forget_ids)
-    if ask.forget_ids:
+def _source(ask: Request, settings: Settings) -> tuple[FrameSource, Given | None]:
+    """The frames, and the vehicles that others have found, beside the images or in their place."""
+    path, category, frames = Path(ask.source), settings.prior.category, ask.frames
+    choice: dict[str, Any] = {"rate": frames.fps, "every": frames.every, "start": frames.start, "end": frames.end}
+    if path.suffix.lower() == ".json":
+        if ask.tracks is not None:
+            raise InvalidInputError("tracks", str(ask.tracks), "Leave it out: keypoints are given already.")
+        given = read_given(path, category, forget_ids=ask.forget_ids)
+        if ask.video is not None:
+            raise InvalidInputError("video", ask.source, "Give images: keypoints alone have none.")
+        return numbered_frames(path, given.vehicles, times=given.times, **choice), given
+    if ask.forget_ids and ask.tracks is None:
         raise InvalidInputError("forget_ids", value=True, fix="Give --tracks as well, or leave it out.")
-    return None
+    source = open_frames(ask.source, **choice)
+    if ask.tracks is None:
+        return source, None
+    return source, read_given(ask.tracks, category, forget_ids=ask.forget_ids, source=source)
 
 
 def _camera(
     ask: Request, source: FrameSource, given: Given | None, settings: Settings, screen: Screen
 ) -> tuple[Camera, NDArray[np.float64] | None]:
     """The camera, with the size of the first image that can be read, and the offset of KITTI's labels."""
-    image = next((frame.image for frame in source.read() if frame.image is not None), None)
+    frame = next((frame for frame in source.read() if frame.image is not None), None)
+    image = None if frame is None else frame.image
     if image is None and (given is None or not given.complete):
         raise InvalidInputError("source", ask.source, "Give frames of which at least one can be read.")
     camera, offset = ask.camera.camera(source.first_file.name)
@@ -213,8 +214,9 @@ def _camera(
         camera, offset = beside.camera, beside.label_offset
     size = None if image is None else (image.shape[1], image.shape[0])
     whole = None if camera is not None or size is None else ask.camera.whole(size)
-    if whole is not None and isinstance(source, ImageFrames):
-        camera = read_photograph(source.first_file, whole)[1]  # by its EXIF data
+    if whole is not None and frame is not None and isinstance(source, ImageFrames):
+        file = source.paths[source.numbers.index(frame.number)]
+        camera = read_photograph(file, whole)[1]  # by its EXIF data
     told = camera is not None
     if camera is None and whole is not None:
         camera = Camera.of_unknown(*whole)

@@ -17,7 +17,7 @@ class FrameOptions:
 
     fps: Annotated[
         float | None,
-        typer.Option(help="Frames per second of numbered images.", show_default="10; a video's own"),
+        typer.Option(help="Frames per second of images without times.", show_default="10; a video's own"),
     ] = None
     every: Annotated[int, typer.Option(min=1, help="Take every so many frames.")] = 1
     start: Annotated[float, typer.Option(min=0.0, help="Begin so many seconds after the first frame.")] = 0.0

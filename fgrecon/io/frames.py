@@ -3,20 +3,17 @@
 | input | number of a frame | its time, seconds |
 |---|---|---|
 | a video | its place, from 0 | the container's |
-| images named by numbers (`000012.png`, `left_12.jpg`) | the last number of its name | number / frames per second |
-| images named by times (`1311868164.363.png`, or ms, us, ns since 1970) | its place, from 0 | its name's |
-| other images | its place in the order of names, from 0 | number / frames per second |
+| images | by their names (`fgrecon.io.frame_names`) | by their names, else number / frames per second |
 
-Numbers may be missing: time goes on there.
+Numbers may be missing: time goes on there. Images are of one camera, and so of one size: that of the first that can be
+read.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from glob import glob
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError, MissingPackageError
+from fgrecon.io.frame_names import DEFAULT_RATE, distinct_names, frames_by_name, times_of
 from fgrecon.io.images import IMAGES, read_image
 
 __all__ = [
@@ -41,12 +39,7 @@ __all__ = [
 VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")
 """Endings of videos."""
 
-DEFAULT_RATE = 10.0
-"""Frames per second of images whose names tell no time, where nobody says."""
-
 _LEFT_COLOUR = ("image_02", "image_2")
-_EPOCH = ((18, 1e-9), (15, 1e-6), (12, 1e-3))
-"""Least digits of a name that is a time since 1970, and its unit in seconds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,9 +49,10 @@ class SourceFrame:
     Attributes:
         number: Within its source; numbers grow, and some may be missing.
         time: Seconds, by the source's clock.
-        name: Of its file, or of the video with the number.
-        image: (H, W, 3) RGB bytes; None where it cannot be read.
+        name: Of its file, or of the video with the number; no other frame has it.
+        image: (H, W, 3) RGB bytes; None where it cannot be used.
         problem: Why not, or None.
+        other_size: Whether that is because it has another size than the first, and so another camera.
     """
 
     number: int
@@ -66,6 +60,7 @@ class SourceFrame:
     name: str
     image: NDArray[np.uint8] | None
     problem: str | None = None
+    other_size: bool = False
 
 
 @dataclass(frozen=True)
@@ -95,14 +90,18 @@ class ImageFrames:
 
     Attributes:
         paths: The files.
+        names: Of each, no two alike.
         numbers: Of each.
         times: Of each, seconds.
+        numbered: Whether the names tell the numbers; else they are places.
         assumed_rate: Whether the times rest on frames per second that nobody gave.
     """
 
     paths: tuple[Path, ...]
+    names: tuple[str, ...]
     numbers: tuple[int, ...]
     times: tuple[float, ...]
+    numbered: bool
     assumed_rate: bool = False
 
     @property
@@ -116,13 +115,29 @@ class ImageFrames:
         return len(self.paths)
 
     def read(self, after: int | None = None) -> Iterator[SourceFrame]:
-        """The frames in order, from the first with a number above `after`."""
-        for path, number, time in zip(self.paths, self.numbers, self.times, strict=True):
-            if after is None or number > after:
-                try:
-                    yield SourceFrame(number, time, path.name, read_image(path))
-                except InvalidInputError as error:
-                    yield SourceFrame(number, time, path.name, None, str(error))
+        """The frames in order, from the first with a number above `after`; those of another size are gaps."""
+        size: tuple[int, ...] | None = None
+        for path, name, number, time in zip(self.paths, self.names, self.numbers, self.times, strict=True):
+            wanted = after is None or number > after
+            if wanted or size is None:
+                frame = _of_file(path, name, number, time, size)
+                if frame.image is not None:
+                    size = frame.image.shape
+                if wanted:
+                    yield frame
+
+
+def _of_file(path: Path, name: str, number: int, time: float, size: tuple[int, ...] | None) -> SourceFrame:
+    """An image as a frame; a gap where it cannot be read, or has another size than that."""
+    try:
+        image = read_image(path)
+    except InvalidInputError as error:
+        return SourceFrame(number, time, name, None, str(error))
+    if size is None or image.shape == size:
+        return SourceFrame(number, time, name, image)
+    (height, width, _), (rows, columns, _) = image.shape, size
+    problem = f"{path}: {width} x {height} pixels, not {columns} x {rows}"
+    return SourceFrame(number, time, name, None, problem, other_size=True)
 
 
 @dataclass(frozen=True)
@@ -209,7 +224,7 @@ def open_frames(
 
     Args:
         source: A video, a folder of images (or of KITTI's layout, with `image_02`), or a pattern of images.
-        rate: Frames per second of images that are numbered; None assumes 10. A video has times of its own.
+        rate: Frames per second of images whose names tell no times; None assumes 10. A video has times of its own.
         every: Take every so many frames.
         start: Seconds after the first frame before which none is taken.
         end: Seconds after the first frame from which on none is taken.
@@ -231,6 +246,7 @@ def numbered_frames(
     path: Path,
     numbers: Iterable[int],
     *,
+    times: Mapping[int, float] | None = None,
     rate: float | None = None,
     every: int = 1,
     start: float = 0.0,
@@ -241,7 +257,8 @@ def numbered_frames(
     Args:
         path: The file that tells their numbers.
         numbers: Of the frames.
-        rate: Frames per second; None assumes 10.
+        times: Seconds by number, where they are known.
+        rate: Frames per second where they are not; None assumes 10.
         every: Take every so many frames.
         start: Seconds after the first frame before which none is taken.
         end: Seconds after the first frame from which on none is taken.
@@ -251,11 +268,9 @@ def numbered_frames(
     """
     choice = _chosen(rate, every, start, end)
     ordered = sorted(numbers)
-    times = [number / (rate or DEFAULT_RATE) for number in ordered]
-    taken = _taken(times, choice)
-    return NumberedFrames(
-        path, tuple(ordered[i] for i in taken), tuple(times[i] for i in taken), assumed_rate=rate is None
-    )
+    seconds, assumed = times_of(ordered, None if times is None else [times[number] for number in ordered], rate)
+    taken = _taken(seconds, choice)
+    return NumberedFrames(path, tuple(ordered[i] for i in taken), tuple(seconds[i] for i in taken), assumed)
 
 
 def _chosen(rate: float | None, every: int, start: float, end: float | None) -> _Choice:
@@ -289,13 +304,17 @@ def _files(source: str) -> list[Path]:
 
 
 def _images(paths: Sequence[Path], rate: float | None, choice: _Choice) -> ImageFrames:
-    ordered, numbers, times = _timed(paths, rate or DEFAULT_RATE)
+    found = frames_by_name(paths)
+    names = distinct_names(found.paths)
+    times, assumed = times_of(found.numbers, found.times, rate)
     taken = _taken(times, choice)
     return ImageFrames(
-        tuple(ordered[i] for i in taken),
-        tuple(numbers[i] for i in taken),
+        tuple(found.paths[i] for i in taken),
+        tuple(names[i] for i in taken),
+        tuple(found.numbers[i] for i in taken),
         tuple(times[i] for i in taken),
-        assumed_rate=rate is None and not _is_stamp(paths[0].stem),
+        found.numbered,
+        assumed,
     )
 
 
@@ -306,31 +325,6 @@ def _taken(times: Sequence[float], choice: _Choice) -> list[int]:
     if not taken:
         raise InvalidInputError("start", choice.start, f"Give less: the frames last {passed[-1]:g} seconds.")
     return taken
-
-
-def _timed(paths: Sequence[Path], rate: float) -> tuple[list[Path], list[int], list[float]]:
-    """The images in order, with numbers and times."""
-    if all(_is_stamp(path.stem) for path in paths):
-        stamped = sorted((_seconds(path.stem), path) for path in paths)
-        return [path for _, path in stamped], list(range(len(paths))), [time for time, _ in stamped]
-    found = [re.findall(r"\d+", path.stem) for path in paths]
-    if all(found):
-        numbered = sorted((int(digits[-1]), path) for digits, path in zip(found, paths, strict=True))
-        if all(a < b for (a, _), (b, _) in pairwise(numbered)):
-            numbers = [number for number, _ in numbered]
-            return [path for _, path in numbered], numbers, [number / rate for number in numbers]
-    numbers = list(range(len(paths)))
-    return sorted(paths), numbers, [number / rate for number in numbers]
-
-
-def _is_stamp(stem: str) -> bool:
-    """Whether a name is a time: seconds with a fraction, or an integer too long for a frame's number."""
-    return re.fullmatch(r"\d+\.\d+", stem) is not None or (stem.isdecimal() and len(stem) >= _EPOCH[-1][0])
-
-
-def _seconds(stem: str) -> float:
-    unit = next((unit for digits, unit in _EPOCH if stem.isdecimal() and len(stem) >= digits), 1.0)
-    return float(stem) * unit
 
 
 def _video(path: Path, choice: _Choice) -> VideoFrames:

@@ -20,6 +20,7 @@ __all__ = ["Fields", "numbers", "parse_json", "read_json", "read_toml"]
 
 _SURROGATE = re.compile(r"\\u[dD][89abAB-Fc-f]")
 _FLOATS = {float}
+_LARGEST = 2**63 - 1
 _ARTICLES = {int: "an integer", str: "a text", list: "a list", dict: "an object"}
 
 
@@ -106,6 +107,21 @@ class Fields:
         value = self.data[field]
         if not isinstance(value, kind) or isinstance(value, bool):
             raise InvalidInputError(f"{self.where}{field}", value, f"Give {_ARTICLES[kind]}.")
+        return value
+
+    def whole(self, field: str, least: int = 0) -> int:
+        """An integer that tables have room for (64 bits).
+
+        Args:
+            field: Its name.
+            least: The least that it may be.
+
+        Raises:
+            InvalidInputError: It is missing, no integer, or out of range.
+        """
+        value: int = self.get(field, int)
+        if not least <= value <= _LARGEST:
+            raise InvalidInputError(f"{self.where}{field}", value, f"Give an integer from {least} to {_LARGEST}.")
         return value
 
     def numbers(self, field: str, shape: tuple[int, ...], *, missing: bool = False) -> NDArray[np.float64]:

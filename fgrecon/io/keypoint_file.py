@@ -16,6 +16,7 @@ The file holds one instance, a list of instances, or an object with `instances` 
                  {"location": [x, y, z], "rotation_y": r, "size": [length, width, height]},
       "image": "street.jpg",                               optional: the photograph that it is in
       "frame": 12, "track": 3                              optional, of videos: number of the frame, id of the vehicle
+                                                           (-1: none)
     }
 
 `confidence` and `covariance` may be given by name as well. The camera, for one instance or shared: `K` (3 x 3) or
@@ -48,6 +49,7 @@ __all__ = ["Instance", "KeypointFile", "parse_camera", "parse_keypoints", "read_
 
 Array = NDArray[np.float64]
 
+_NO_TRACK = -1
 _CAMERA_FIELDS = {"K", "intrinsics", "distortion", "image_size"}
 _INSTANCE_FIELDS = {
     "id",
@@ -192,10 +194,16 @@ def _instance(fields: Fields, name: str, category: Category, camera: Camera | No
         initial=_initial(fields) if "initial" in fields else None,
         camera=parse_camera(fields) or camera,
         image=fields.get("image", str) if "image" in fields else None,
-        frame=fields.get("frame", int) if "frame" in fields else None,
-        track=fields.get("track", int) if "track" in fields else None,
+        frame=fields.whole("frame") if "frame" in fields else None,
+        track=_track(fields),
         kind=one_word(fields.where + "kind", fields.get("kind", str)) if "kind" in fields else None,
     )
+
+
+def _track(fields: Fields) -> int | None:
+    """Id through the frames; -1 is none, as KITTI has it."""
+    track = fields.whole("track", least=_NO_TRACK) if "track" in fields else _NO_TRACK
+    return None if track == _NO_TRACK else track
 
 
 def _azimuth(fields: Fields) -> Array | None:

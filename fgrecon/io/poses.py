@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.checks import as_rigid
+from fgrecon.core.checks import as_finite, as_rigid
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.json_fields import numbers, read_json
 
@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 
 _FIX = "Give lines of 12 numbers (KITTI) or of 8 (TUM), or JSON with matrices 4 x 4."
 _KITTI, _TUM = 12, 8
+_DIGITS = 19  # of a number that 64 bits hold
 _LONGEST_GAP = 1.0  # seconds between which poses are interpolated
 _RIGID = 1e-2  # by so much a rotation may fail to be one
 
@@ -88,6 +89,7 @@ def read_poses(path: Path) -> CameraPoses:
             values = np.array(words, dtype=np.float64)
         except ValueError as error:
             raise InvalidInputError(place, line, _FIX) from error
+        as_finite(place, values, (None,))
         if len(values) == _KITTI and not timed:
             by_frame[len(by_frame)] = _checked(np.vstack([values.reshape(3, 4), [0, 0, 0, 1]]), place)
         elif len(values) == _TUM and not by_frame:
@@ -105,7 +107,7 @@ def _of_json(path: Path) -> CameraPoses:
     items: Any = data.items() if isinstance(data, Mapping) else enumerate(data) if isinstance(data, list) else ()
     found: dict[int, Array] = {}
     for key, value in items:
-        if not str(key).isdecimal():
+        if not str(key).isdecimal() or len(str(key)) > _DIGITS:
             raise InvalidInputError(f"{path}: {key}", key, "Let the number of a frame be the name of its pose.")
         if value is not None:
             found[int(key)] = _checked(numbers(value, (4, 4), f"{path}: [{key}]"), f"{path}: [{key}]")
@@ -129,7 +131,7 @@ def _checked(pose: Array, place: str) -> Array:
 def _of_quaternion(place: Array, quaternion: Array, where: str) -> Array:
     from scipy.spatial.transform import Rotation
 
-    if not np.isfinite(quaternion).all() or np.linalg.norm(quaternion) < 1e-6:
+    if np.linalg.norm(quaternion) < 1e-6:
         raise InvalidInputError(where, quaternion.tolist(), "Give a quaternion qx, qy, qz, qw.")
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = Rotation.from_quat(quaternion).as_matrix(), place

@@ -130,7 +130,7 @@ def parse_track(data: Any, name: str, category: Category, where: str = "") -> Tr
 
 
 def _frame(record: Any, position: int, track: str, order: NDArray[np.intp], where: str) -> TrackFrame:
-    number = Fields(record, f"{where}frames[{position}].").get("frame", int)
+    number = Fields(record, f"{where}frames[{position}].").whole("frame")
     where = f"{where}frame {number}: "
     fields = Fields(record, where)
     count = len(order)

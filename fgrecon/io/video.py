@@ -56,7 +56,8 @@ def write_video(path: str | Path, *, rate: float) -> Iterator[Callable[[NDArray[
         rate: Frames per second.
 
     Raises:
-        InvalidInputError: As `check_video`, the file cannot be written, times do not grow, or sizes differ.
+        InvalidInputError: As `check_video`, the file cannot be written, times do not grow, or a size differs or is too
+            small.
         MissingPackageError: PyAV is not installed.
     """
     container_format = check_video(path)
@@ -82,6 +83,9 @@ class _Film:
         import av
 
         height, width = (side - side % 2 for side in image.shape[:2])  # the codec wants even sides
+        if min(height, width) == 0:
+            have = f"{image.shape[1]} x {image.shape[0]}"
+            raise InvalidInputError("video", f"frames of {have} pixels", "Give at least 2 x 2.")
         if self._stream is None:
             options = {"movflags": "+faststart"}  # the head first, so that it plays while it loads
             self._container.options.update(options)

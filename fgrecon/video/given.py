@@ -3,15 +3,19 @@
 | file | what is in it |
 |---|---|
 | `.txt` | KITTI's tracking labels or results: boxes of cars and vans; the track -1 is none |
-| `.json` | a keypoint file whose instances name their `frame` (or an `image` that ends in its number), and a `track` |
+| `.json` | a keypoint file whose instances name their `frame`, or an `image`; and a `track` |
 | `.json` | a track file: one vehicle |
+
+An `image` is that of the frames whose name it has, where these are images whose names tell no numbers; else the last
+number of its name is its frame's. Where there are no frames but the file's, they are found by the names of the images
+as those of a folder are (`fgrecon.io.frame_names`).
 """
 
 from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -21,6 +25,8 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import box_around
+from fgrecon.io.frame_names import frames_by_name, number_of
+from fgrecon.io.frames import FrameSource, ImageFrames
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.keypoint_file import Instance, parse_keypoints
 from fgrecon.io.kitti_tracking import read_tracking
@@ -33,7 +39,10 @@ __all__ = ["KINDS", "Given", "read_given"]
 KINDS = ("Car", "Van")
 """Types of KITTI's objects that are taken."""
 
+_LARGEST_ID = 2**62  # ids that are given anew go on from the largest, and tables have 64 bits for them
+
 _Rows = list[tuple[int, Sighting]]
+_Times = Mapping[int, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +53,13 @@ class Given:
         vehicles: By the number of their frame.
         camera: The camera that the file names first, or None.
         cuboids: Whether the boxes enclose projected 3D boxes, as KITTI's do; else outlines.
+        times: Seconds of the frames, by number; None where the file tells none.
     """
 
     vehicles: Mapping[int, tuple[Sighting, ...]]
     camera: Camera | None
     cuboids: bool
+    times: _Times | None = None
 
     @property
     def largest_id(self) -> int:
@@ -67,31 +78,38 @@ class Given:
         return all(s.observation is not None for sightings in self.vehicles.values() for s in sightings)
 
 
-def read_given(path: Path, category: Category, *, forget_ids: bool = False) -> Given:
+def read_given(path: Path, category: Category, *, forget_ids: bool = False, source: FrameSource | None = None) -> Given:
     """The vehicles of a file.
 
     Args:
         path: The file.
         category: Category of its keypoints.
         forget_ids: Whether ids are left out, so that vehicles are associated anew.
+        source: The frames that they are of; None where the file alone tells them.
 
     Raises:
-        InvalidInputError: The file has another format, an instance names no frame, or an id is twice in one; names it.
+        InvalidInputError: The file has another format, an instance names no frame, or an id is too large or twice in
+            one; names it.
     """
     found: dict[int, list[Sighting]] = defaultdict(list)
     is_json = path.suffix.lower() == ".json"
-    rows, camera = _keypoints(path, category) if is_json else (_boxes(path), None)
+    rows, camera, times = _keypoints(path, category, source) if is_json else (_boxes(path), None, None)
     for number, sighting in rows:
         found[number].append(replace(sighting, identity=None) if forget_ids else sighting)
     for number, sightings in found.items():
-        ids = [s.identity for s in sightings if s.identity is not None]
-        twice = next((i for i in ids if ids.count(i) > 1), None)
-        if twice is not None:
-            raise InvalidInputError(f"{path}: frame {number}", f"track {twice}, twice", "Give each vehicle its own id.")
+        _check_ids([s.identity for s in sightings if s.identity is not None], f"{path}: frame {number}")
     if not found:
         raise InvalidInputError("tracks", str(path), f"Give a file with a vehicle: {' or '.join(KINDS)}.")
     vehicles = {number: tuple(sightings) for number, sightings in found.items()}
-    return Given(vehicles, camera, cuboids=not is_json)
+    return Given(vehicles, camera, not is_json, times)
+
+
+def _check_ids(ids: Sequence[int], place: str) -> None:
+    twice = next((i for i in ids if ids.count(i) > 1), None)
+    if twice is not None:
+        raise InvalidInputError(place, f"track {twice}, twice", "Give each vehicle its own id.")
+    if (largest := max(ids, default=0)) > _LARGEST_ID:
+        raise InvalidInputError(place, f"track {largest}", f"Give ids up to {_LARGEST_ID}.")
 
 
 def _boxes(path: Path) -> _Rows:
@@ -106,25 +124,78 @@ def _boxes(path: Path) -> _Rows:
     return rows
 
 
-def _keypoints(path: Path, category: Category) -> tuple[_Rows, Camera | None]:
+def _keypoints(
+    path: Path, category: Category, source: FrameSource | None
+) -> tuple[_Rows, Camera | None, _Times | None]:
     data = read_json(path)
     if isinstance(data, Mapping) and "frames" in data and "keypoints" not in data:
         track = parse_track(data, path.stem, category, where=f"{path}: ")
         seen = [(int(frame.name.rpartition(":")[2]), frame.observation) for frame in track.frames]
         rows = [(n, Sighting(o.box, 1.0, 0, o)) for n, o in seen if o is not None and o.box is not None]
-        return rows, track.camera
+        return rows, track.camera, None
     instances = parse_keypoints(data, category, where=f"{path}: ").instances
     camera = next((instance.camera for instance in instances if instance.camera is not None), None)
-    return [_sighting(instance, path) for instance in instances], camera
+    numbers, times = _numbers(instances, path, source)
+    rows = [(n, _sighting(one, path)) for n, one in zip(numbers, instances, strict=True) if n is not None]
+    return rows, camera, times
 
 
-def _sighting(instance: Instance, path: Path) -> tuple[int, Sighting]:
+def _numbers(
+    instances: Sequence[Instance], path: Path, source: FrameSource | None
+) -> tuple[list[int | None], _Times | None]:
+    """The number of each instance's frame, None where it is none of the source's; and times where names tell them.
+
+    Raises:
+        InvalidInputError: One names no frame, or some name numbers and others times.
+    """
+    images = {one.image for one in instances if one.frame is None and one.image is not None}
+    numbers: Mapping[str, int | None] = {image: number_of(Path(image).stem) for image in images}
+    times: _Times | None = None
+    by_place = isinstance(source, ImageFrames) and not source.numbered
+    if isinstance(source, ImageFrames) and by_place:
+        numbers = _of_frames(images, source)
+    elif source is None and None in numbers.values() and all(re.search(r"\d", Path(image).stem) for image in images):
+        if any(one.frame is not None for one in instances):
+            fix = "Give the number of its frame, as others do: the names of the images tell none."
+            raise InvalidInputError(f"{path}: frame", "nothing", fix)
+        numbers, times = _in_order(images)
+    found = []
+    for one in instances:
+        number = numbers.get(one.image or "") if one.frame is None else one.frame
+        if number is None and (one.image is None or not by_place):
+            fix = "Give the number of its frame, or an image that ends in it."
+            raise InvalidInputError(f"{path}: instance {one.name}: frame", one.image, fix)
+        found.append(number)
+    if isinstance(source, ImageFrames) and all(number is None for number in found):
+        fix = f"Give images as the frames are named, such as {source.names[0]}, or numbers of frames."
+        raise InvalidInputError(f"{path}: image", instances[0].image, fix)
+    return found, times
+
+
+def _of_frames(images: Iterable[str], source: ImageFrames) -> dict[str, int | None]:
+    """The numbers of images among a source's frames, by their names without endings, and folders as far as told."""
+    known = dict(zip(map(_parts, source.names), source.numbers, strict=True))
+    return {
+        image: next((known[parts[i:]] for i in range(len(parts)) if parts[i:] in known), None)
+        for image, parts in ((image, _parts(image)) for image in images)
+    }
+
+
+def _parts(name: str) -> tuple[str, ...]:
+    path = Path(name)
+    return (*path.parts[:-1], path.stem)
+
+
+def _in_order(images: Iterable[str]) -> tuple[dict[str, int | None], _Times | None]:
+    """The numbers of images that are all there is of the frames, and the times that their names tell."""
+    found = frames_by_name({Path(image).stem: Path(image) for image in images}.values())
+    numbers = {path.stem: number for path, number in zip(found.paths, found.numbers, strict=True)}
+    times = None if found.times is None else dict(zip(found.numbers, found.times, strict=True))
+    return {image: numbers[Path(image).stem] for image in images}, times
+
+
+def _sighting(instance: Instance, path: Path) -> Sighting:
     place = f"{path}: instance {instance.name}"
-    digits = re.findall(r"\d+", Path(instance.image).stem) if instance.image is not None else []
-    if instance.frame is None and not digits:
-        fix = "Give the number of its frame, or an image that ends in it."
-        raise InvalidInputError(f"{place}: frame", instance.image, fix)
-    number = instance.frame if instance.frame is not None else int(digits[-1])
     try:
         observation = instance.observation
     except InvalidInputError as error:
@@ -134,4 +205,4 @@ def _sighting(instance: Instance, path: Path) -> tuple[int, Sighting]:
         raise InvalidInputError(f"{place}: keypoints", "none", "Give at least one, or leave the instance out.")
     around = box_around(points)
     box = around if observation.box is None else observation.box
-    return number, Sighting(box, 1.0, instance.track, observation, instance.kind)
+    return Sighting(box, 1.0, instance.track, observation, instance.kind)

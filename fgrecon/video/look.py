@@ -45,13 +45,13 @@ class FrameLook:
         self._vehicles, self._keypoints, self._given = vehicle_detector, keypoint_detector, given
 
     def __call__(self, frame: SourceFrame) -> FrameRecord:
-        """What a frame shows; one that cannot be read shows what was given for it.
+        """What a frame shows; one that cannot be read shows what was given for it, and one of another size nothing.
 
         Raises:
             InvalidInputError: A detector returns something else than its protocol says.
         """
         if frame.image is None:
-            kept = () if self._given is None else self._given.get(frame.number, ())
+            kept = () if frame.other_size or self._given is None else self._given.get(frame.number, ())
             seen = tuple(sighting for sighting in kept if sighting.observation is not None)
             return FrameRecord(frame.number, frame.time, frame.name, frame.problem, seen)
         sightings = self._sightings(frame.number, frame.image)

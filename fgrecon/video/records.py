@@ -32,7 +32,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-FORMAT = "fgrecon.video/3"
+FORMAT = "fgrecon.video/4"
 
 _NUMBERS = pa.list_(pa.float64())
 _ARRAYS = ("keypoints", "confidence", "covariance", "azimuth")

@@ -119,6 +119,41 @@ def test_names_that_are_times(tmp_path, names, times):
     assert source.numbers == (0, 1)
     assert source.times == pytest.approx(times, abs=1e-6)
     assert not source.assumed_rate
+    with pytest.raises(InvalidInputError, match=r"fps: got 10.*tell their times"):
+        open_frames(tmp_path / "stamped", rate=10)
+
+
+def test_numbers_with_many_zeros_before_them_are_no_times(tmp_path):
+    source = open_frames(images(tmp_path / "coco", [f"{number:012d}.png" for number in (3, 4)]), rate=10)
+    assert (source.numbers, source.times) == ((3, 4), (0.3, 0.4))
+
+
+def test_dates_are_in_order(tmp_path):
+    folder = images(tmp_path / "dates", ["20230101120100.png", "20230101120059.png"])
+    source = open_frames(folder)
+    assert (source.names, source.numbers) == (("20230101120059.png", "20230101120100.png"), (0, 1))
+    assert source.assumed_rate
+    assert open_frames(folder, rate=1).times == (0.0, 1.0)
+
+
+def test_images_of_one_name_are_told_apart(tmp_path):
+    for camera in ("left", "right"):
+        images(tmp_path / camera, ["000000.png", "000001.png"])
+    source = open_frames(str(tmp_path / "*" / "*.png"))
+    names = ["left/000000.png", "left/000001.png", "right/000000.png", "right/000001.png"]
+    assert [(frame.number, frame.name) for frame in source.read()] == list(enumerate(names))
+
+
+def test_images_of_another_size_are_gaps(tmp_path):
+    folder = images(tmp_path / "x", ["0.png", "1.png", "2.png", "3.png"])
+    (folder / "0.png").write_bytes(b"torn")
+    write_png(folder / "2.png", grey(9, 24, 32))
+    source = open_frames(folder, rate=10)
+    for after in (None, 0, 1):
+        frames = {frame.number: frame for frame in source.read(after)}
+        assert [number for number, frame in frames.items() if frame.image is None] == [0, 2][after is not None :]
+        assert "2.png: 32 x 24 pixels, not 64 x 48" in frames[2].problem
+        assert [number for number, frame in frames.items() if frame.other_size] == [2]
 
 
 def test_names_that_tell_nothing_are_in_order(tmp_path):
@@ -134,6 +169,8 @@ def test_frames_without_images(tmp_path):
         (7, 0.7, None, None),
     ]
     assert numbered_frames(source.path, [3, 4, 7], end=0.2).numbers == (3, 4)
+    timed = numbered_frames(source.path, [1, 0], times={0: 5.0, 1: 5.1})
+    assert (timed.numbers, timed.times, timed.assumed_rate) == ((0, 1), (5.0, 5.1), False)
 
 
 def test_kittis_drives_have_their_left_images(tmp_path):
@@ -193,4 +230,11 @@ def test_a_video_is_whole_or_not_at_all(tmp_path):
             film(path, frames)
     with pytest.raises(InvalidInputError, match="mp4"):
         check_video(tmp_path / "a.avi")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 40), (40, 1)])
+def test_a_video_of_less_than_two_pixels_is_refused(tmp_path, size):
+    with pytest.raises(InvalidInputError, match="at least 2 x 2"):
+        film(tmp_path / "a.mp4", [(grey(9, *size), 0.0)])
     assert not list(tmp_path.iterdir())

@@ -7,7 +7,7 @@ import pytest
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_category
-from fgrecon.video import read_given
+from fgrecon.video import open_frames, read_given
 from fgrecon.video.egomotion import CameraMotion
 from fgrecon.video.records import (
     FrameRecord,
@@ -69,11 +69,84 @@ def test_a_track_file_is_one_vehicle(tmp_path, scene):
     assert given.camera is not None
 
 
+NUSCENES = "n015-2018-07-24-11-22-45+0800__CAM_FRONT__{}.jpg"
+
+
+def keypoints(tmp_path, images):
+    """A keypoint file whose instances name images."""
+    (seen,) = (car[0] for car in simulated(1, seeds=(3,)))
+    bare = {key: value for key, value in instance(seen, 0, 0).items() if key not in ("id", "frame", "track")}
+    path = tmp_path / "keypoints.json"
+    path.write_text(json.dumps([bare | {"image": image} for image in images]))
+    return path
+
+
+def test_images_that_are_named_by_times_are_in_order(tmp_path):
+    stamps = (1532402927695460, 1532402927612460, 1532402927695460)
+    given = read_given(keypoints(tmp_path, map(NUSCENES.format, stamps)), CAR14)
+    assert {number: len(seen) for number, seen in given.vehicles.items()} == {0: 1, 1: 2}
+    assert given.times == pytest.approx({0: 1532402927.61246, 1: 1532402927.69546}, abs=1e-6)
+
+
+def test_images_are_found_among_the_frames(tmp_path):
+    """By their names, where those tell no numbers; what is none of them is left out."""
+    names = ["a/1532402927612460.png", "a/1532402927695460.png", "a/1532402927778460.png"]
+    (tmp_path / "a").mkdir()
+    for name in names:
+        (tmp_path / name).touch()
+    given = read_given(
+        keypoints(tmp_path, ["/data/a/1532402927695460.jpg", "1532402927778460", "1532402927999999"]),
+        CAR14,
+        source=open_frames(tmp_path / "a"),
+    )
+    assert (sorted(given.vehicles), given.times) == ([1, 2], None)
+    with pytest.raises(InvalidInputError, match=r"such as 1532402927612460\.png"):
+        read_given(keypoints(tmp_path, ["0"]), CAR14, source=open_frames(tmp_path / "a"))
+    for camera in ("left", "right"):
+        (tmp_path / "b" / camera).mkdir(parents=True)
+        (tmp_path / "b" / camera / "0.png").touch()
+    source = open_frames(str(tmp_path / "b" / "*" / "*.png"))
+    assert list(read_given(keypoints(tmp_path, ["right/0.png"]), CAR14, source=source).vehicles) == [1]
+
+
+def test_numbered_images_are_told_by_their_numbers(tmp_path):
+    (tmp_path / "a").mkdir()
+    for number in (3, 4):
+        (tmp_path / "a" / f"left_{number}.png").touch()
+    source = open_frames(tmp_path / "a")
+    assert list(read_given(keypoints(tmp_path, ["right_000004.jpg"]), CAR14, source=source).vehicles) == [4]
+    with pytest.raises(InvalidInputError, match="instance 1: frame"):
+        read_given(keypoints(tmp_path, ["3.png", NUSCENES.format(1532402927695460)]), CAR14, source=source)
+
+
+def test_the_track_minus_one_is_none(tmp_path):
+    (seen,) = (car[0] for car in simulated(1, seeds=(3,)))
+    path = tmp_path / "keypoints.json"
+    path.write_text(json.dumps([instance(seen, 1, -1), instance(seen, 2, -1)]))
+    given = read_given(path, CAR14)
+    assert [given.vehicles[number][0].identity for number in (1, 2)] == [None, None]
+    assert given.largest_id == -1
+
+
+def test_frames_with_and_without_numbers_are_not_mixed(tmp_path):
+    (seen,) = (car[0] for car in simulated(1, seeds=(3,)))
+    path = tmp_path / "keypoints.json"
+    timed = instance(seen, None, None) | {"id": "x", "image": NUSCENES.format(1532402927695460)}
+    path.write_text(json.dumps([instance(seen, 1, 1), timed]))
+    with pytest.raises(InvalidInputError, match="frame: got nothing"):
+        read_given(path, CAR14)
+
+
 @pytest.mark.parametrize(
     ("change", "match"),
     [
         ({"frame": None}, "frame"),
         ({"frame": "x"}, "frame"),
+        ({"frame": 10**20}, "frame: got 1000"),
+        ({"frame": -3}, "frame: got -3"),
+        ({"track": 10**20}, "track: got 1000"),
+        ({"track": 2**63 - 1}, "got track 9223372036854775807"),
+        ({"track": -2}, "track: got -2"),
         ({"keypoints": [None] * 14}, "keypoints"),
         ({"confidence": [7.0] * 14}, "confidence"),
         ({"kind": "delivery van"}, "kind"),
