@@ -207,7 +207,7 @@ def _check_still_there(stored: Sequence[FrameRecord], source: ImageFrames, out: 
     Raises:
         InvalidInputError: They do not; names the first that differs.
     """
-    names = [whole_text(path.name) for path in source.paths]  # as they are stored
+    names = map(whole_text, source.names)  # as they are stored
     now = [f"frame {number} ({name})" for number, name in zip(source.numbers, names, strict=True)][: len(stored)]
     before = [f"frame {record.number} ({record.name})" for record in stored]
     for was, there in zip_longest(before, now, fillvalue="none"):

@@ -102,3 +102,14 @@ def test_no_table_is_left_of_estimates_that_are_no_more(drive, tmp_path):
     assert run(*asked).exit_code == 1
     assert not any(path.exists() for path in tables)
     assert (out / "tracks.txt").read_text() == ""
+
+
+def test_images_of_one_name_in_several_folders_go_on(drive, tmp_path):
+    images, file = drive
+    for number, path in enumerate(sorted(images.iterdir())):
+        (folder := images / f"cam{number}").mkdir()
+        path.rename(folder / "a.png")
+    asked = (images / "*" / "*.png", "--tracks", file, *FPS, "--out", tmp_path / "out", *INTRINSICS)
+    first, again = run(*asked), run(*asked)
+    assert (first.exit_code, again.exit_code) == (1, 1)  # the vehicles are of other frames
+    assert "3 were looked at before" in again.stdout
