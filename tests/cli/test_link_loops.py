@@ -15,6 +15,7 @@ def files(tmp_path):
     (tmp_path / "b.txt").write_text("Car 0 0 0 20 30 110 80 1.5 1.6 4.0 0.5 1.6 15.0 1.5\n")
     (tmp_path / "st.png").write_bytes(b"no pixels")
     (tmp_path / "images").mkdir()
+    (tmp_path / "images" / "0.png").write_bytes(b"no pixels")
     return tmp_path
 
 
