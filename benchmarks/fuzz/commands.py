@@ -24,15 +24,13 @@ from typing import Any
 import numpy as np
 
 from benchmarks.fuzz.mutate import mutated
-from benchmarks.fuzz.run import Ended, Find, keep
-from benchmarks.process_tree import processor_time
+from benchmarks.fuzz.run import Ended, Find, keep, numbered
 
 __all__ = ["COMMANDS", "Command", "Outcome", "fuzz_commands", "made_inputs", "outcome"]
 
 _SECONDS = 60.0  # by the clock, on whatever machine: a command that takes longer is a find
 _MEMORY = 1024  # MiB, of the largest of the command's processes
 _CODES = (0, 1, 2)  # done, done but failed, bad usage or input
-_WAITED = 5.0  # so many times the CPU time may pass by the clock
 
 
 @dataclass(frozen=True)
@@ -182,7 +180,6 @@ def fuzz_commands(name: str, start: int, seconds: float, out: Path | None = None
         RuntimeError: Without any damage the command fails as well.
     """
     command, ended = COMMANDS[name], Ended()
-    began, wall = processor_time(), time.perf_counter()
     with tempfile.TemporaryDirectory() as place:
         whole, folder = Path(place) / "whole", Path(place) / "work"
         shutil.copytree(_inputs().name, folder)
@@ -191,19 +188,14 @@ def fuzz_commands(name: str, start: int, seconds: float, out: Path | None = None
         shutil.copytree(folder, whole)
         _must(command.line, folder)
         shutil.rmtree(folder)
-        while (
-            processor_time() - began < seconds
-            and time.perf_counter() - wall < _WAITED * seconds
-            and (most is None or ended.files < most)
-        ):
-            rng = np.random.default_rng([start + ended.files, *name.encode()])
+        for number in numbered(start, seconds, ended, most):
+            rng = np.random.default_rng([number, *name.encode()])
             damaged = command.inputs[int(rng.integers(len(command.inputs)))]
             shutil.copytree(whole, folder)
             content = mutated((whole / damaged).read_bytes(), rng)
             (folder / damaged).write_bytes(content)
             _judge(name, Path(damaged), content, outcome(command.line, folder), ended, out)
             shutil.rmtree(folder)
-    ended.seconds = processor_time() - began
     return ended
 
 

@@ -7,6 +7,7 @@ import tempfile
 import time
 import traceback
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from benchmarks.fuzz.readers import READERS
 from benchmarks.process_tree import processor_time
 from fgrecon.core.errors import FgreconError
 
-__all__ = ["Ended", "Find", "fuzz", "judge", "keep", "read"]
+__all__ = ["Ended", "Find", "fuzz", "judge", "keep", "numbered", "read"]
 
 _WAITED = 5.0  # so many times the CPU time may pass by the clock
 _SLOW = 20.0  # seconds for one small file: a find; a picture of 178 million equal pixels takes six
@@ -69,20 +70,25 @@ def fuzz(name: str, start: int, seconds: float, out: Path | None = None, most: i
     """
     seeds = sorted(READERS[name].seeds().items())
     ended = Ended()
-    began, wall = processor_time(), time.perf_counter()
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        while (
-            processor_time() - began < seconds
-            and time.perf_counter() - wall < _WAITED * seconds
-            and (most is None or ended.files < most)
-        ):
-            number = start + ended.files
+        for number in numbered(start, seconds, ended, most):
             rng = np.random.default_rng([number, *name.encode()])
             title, content = seeds[int(rng.integers(len(seeds)))]
             judge(name, Path(folder) / title, mutated(content, rng), ended, out)
-    ended.seconds = processor_time() - began
     return ended
+
+
+def numbered(start: int, seconds: float, ended: Ended, most: int | None) -> Iterator[int]:
+    """Numbers of files from `start` on until the time is over or there are enough; takes note of the CPU time."""
+    began, wall = processor_time(), time.perf_counter()
+    while (
+        processor_time() - began < seconds
+        and time.perf_counter() - wall < _WAITED * seconds
+        and (most is None or ended.files < most)
+    ):
+        yield start + ended.files
+    ended.seconds = processor_time() - began
 
 
 def judge(name: str, path: Path, content: bytes, ended: Ended, out: Path | None) -> None:
