@@ -118,7 +118,7 @@ def read_tasks(
     camera_of = cache(source.camera)
     tasks = []
     for instance in instances:
-        given, own_offset = camera_of(instance.image or image)
+        given, own_offset = camera_of(image if is_track else instance.image or image)
         camera = given or instance.camera
         if camera is None:
             value = f"no camera for instance {instance.name}"
@@ -150,12 +150,11 @@ def _track_instances(data: object, path: Path, category: Category) -> tuple[list
     track = parse_track(data, path.stem, category, where=f"{path}: ")
     nothing = np.full((category.size, 2), np.nan)
     instances = []
-    for frame in track.frames:
-        seen = frame.observation
-        if seen is None:
-            instances.append(Instance(frame.name, nothing, camera=track.camera))
-        else:
-            instances.append(Instance(frame.name, seen.keypoints, seen.confidence, box=seen.box, camera=track.camera))
+    for frame in track.frames:  # each frame is an image of its own, in which the vehicle is seen once
+        instance = Instance(frame.name, nothing, camera=track.camera, image=frame.name)
+        if (seen := frame.observation) is not None:
+            instance = replace(instance, keypoints=seen.keypoints, confidence=seen.confidence, box=seen.box)
+        instances.append(instance)
     return instances, track.label_offset
 
 

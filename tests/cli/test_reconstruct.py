@@ -189,6 +189,10 @@ def test_a_track_is_read_too(write):
     entries = results(done.stdout)
     assert entries["track:3"]["location_in_label_frame"] == pytest.approx(LOCATION, abs=0.15)
     assert entries["track:4"]["error"]["type"] == "DegenerateProblemError"
+    done = run(write(track, "track.json"), "--together", "--json", "-")
+    assert done.exit_code == 0, done.output
+    scenes = json.loads(done.stdout)["scenes"]
+    assert [scene["image"] for scene in scenes] == ["track:3", "track:4"]  # one vehicle in two images, not two
 
 
 def test_unknown_fields_are_told(write, instance):
