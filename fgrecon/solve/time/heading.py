@@ -8,7 +8,7 @@ What a frame says is a density over headings (`rotation_y` in its camera): a bum
 by its energy; smaller bumps half a turn away, since a network that takes a front for a rear does so with all keypoints;
 the network's directions; and where the vehicle has gone, if the world is known. Neither is ever certain, and frames
 that follow each other closely err alike: the logarithms count by the time between them. From frame to frame a vehicle
-turns little; that it faces elsewhere altogether (a change of identity) has a tiny probability.
+turns little, and next to never faces elsewhere altogether: frames of another vehicle begin anew (`vehicle`).
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ _REVERSE = 0.03  # that a vehicle that moves drives backwards
 _TALL = 60.0  # pixels: of lower vehicles less can be told, and frames err alike the more
 _ALIKE = 0.3  # seconds: what frames of so much time say together is what one of them says
 _TURN = 0.3  # radians that a vehicle turns in a second (1 sigma)
-_ELSEWHERE = 1e-4  # probability in a second that it faces elsewhere altogether
+_ELSEWHERE = 1e-7  # probability in a second that it faces elsewhere: frames of another vehicle begin anew
 
 _SIDE = np.deg2rad(60.0)  # headings further apart are of different poses
 
