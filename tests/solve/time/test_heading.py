@@ -65,6 +65,22 @@ def test_later_frames_mend_earlier_ones():
     np.testing.assert_allclose(combined(beliefs[-1], later[-1]).probability, beliefs[-1].probability)
 
 
+def test_a_vehicle_does_not_turn_round_in_the_middle_of_its_track():
+    """What is doubtful at first and sure later is one vehicle, which faces as it is seen when it is near."""
+
+    def towards(heading, nats):
+        return np.where(np.abs(wrap_angle(HEADINGS - heading)) < 0.6, nats, 0.0)
+
+    evidence = [towards(np.pi, 0.8)] * 16 + [towards(0.0, 1.7)] * 25
+    beliefs = [Belief.none().told(evidence[0])]
+    for own in evidence[1:]:
+        beliefs.append(beliefs[-1].later(0.1, 0.0).told(own))
+    assert beliefs[15].facing(np.pi) > 0.99
+    later = backward(evidence, [(0.1, 0.0)] * (len(evidence) - 1))
+    whole = [combined(belief, likelihood).facing(0.0) for belief, likelihood in zip(beliefs, later, strict=True)]
+    assert min(whole) > 0.7
+
+
 def test_weights():
     assert weight_of(None, 100.0) == 1.0
     assert weight_of(0.1, 100.0) == pytest.approx(1.0 / 3.0)
