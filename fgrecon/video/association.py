@@ -6,8 +6,9 @@
 
 A track predicts its box by how the box has moved and grown, or by the pose and velocity that it was told (`tell`), and
 where it stands on the ground by how that has moved. A detection is a track's where the boxes overlap and the places
-agree; the sum of 1 - overlap and of the places' deviation is least over all pairs. Sure detections choose first, then
-doubtful ones. A track that is not seen is sought for a while, and has its id back when it is found again.
+agree; the sum of 1 - overlap, of the places' deviation and of how little the directions that a network sees them from
+have in common is least over all pairs. Sure detections choose first, then doubtful ones. A track that is not seen is
+sought for a while, and has its id back when it is found again.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ Array = NDArray[np.float64]
 _BOX_PIXELS = 3.0  # standard deviation of a box's lower edge
 _PITCH = 0.004  # radians by which the camera pitches against the road from frame to frame
 _AT_BORDER = 2.0  # pixels from the image's border, where a box is cut off
+_NEW = 0.3  # share of a frame in what is remembered of a vehicle's directions
 _NEVER = 1e6  # cost of what the gates refuse
 
 
@@ -43,12 +45,14 @@ class Candidate:
         score: Of the detection, on the scale of `AssociationSettings.birth`.
         place: (3,) where it stands in the camera's frame, by its box (`stands_at`), metres; or None.
         spread: Standard deviation of that along the line of sight, metres.
+        directions: (A,) probability of each direction that it is seen from (`Observation.azimuth`), or None.
     """
 
     box: Array
     score: float = 1.0
     place: Array | None = None
     spread: float = 1.0
+    directions: Array | None = None
 
 
 class Association(Protocol):
@@ -88,6 +92,7 @@ class AssociationSettings:
         alive: Seconds that a track may go unseen and still be first to choose.
         memory: Seconds after which it is given up.
         place_weight: Cost of a deviation of the places at its gate, relative to boxes that do not overlap.
+        direction_weight: Cost of directions that have nothing in common, likewise.
     """
 
     overlap: float = 0.25
@@ -96,6 +101,7 @@ class AssociationSettings:
     alive: float = 0.35
     memory: float = 2.0
     place_weight: float = 0.5
+    direction_weight: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +116,7 @@ class _Track:
     spread: float
     shift: Array = field(default_factory=lambda: np.zeros(4))  # of the box by the told motion
     told: bool = False
+    directions: Array | None = None  # mean of the last ones, as in `Candidate`
 
 
 @dataclass
@@ -192,7 +199,8 @@ class GatedAssociation:
                 off = _deviation(track, candidate, time)
                 if overlap[row, column] >= self.settings.overlap and off <= self.settings.deviation:
                     share = (off / self.settings.deviation) ** 2
-                    costs[row, column] = 1.0 - overlap[row, column] + self.settings.place_weight * share
+                    turned = self.settings.direction_weight * _turned(track, candidate)
+                    costs[row, column] = 1.0 - overlap[row, column] + self.settings.place_weight * share + turned
         return costs
 
 
@@ -244,7 +252,8 @@ def _updated(track: _Track | None, time: float, candidate: Candidate) -> _Track:
     """The track with what it was seen as now."""
     box = _as_state(candidate.box)
     if track is None:
-        return _Track(time, box, np.zeros(4), candidate.place, np.zeros(3), candidate.spread)
+        known = _Track(time, box, np.zeros(4), candidate.place, np.zeros(3), candidate.spread)
+        return replace(known, directions=candidate.directions)
     passed = max(time - track.time, 1e-3)
     rate = (box - track.box) / passed
     box_rate = 0.5 * track.box_rate + 0.5 * rate if track.box_rate.any() else rate
@@ -255,7 +264,10 @@ def _updated(track: _Track | None, time: float, candidate: Candidate) -> _Track:
         place, place_rate = guess + 0.5 * off, place_rate + 0.15 * off / passed
     elif place is None and track.place is not None:
         place = track.place + passed * place_rate
-    return _Track(time, box, box_rate, place, place_rate, candidate.spread)
+    directions = track.directions if candidate.directions is None else candidate.directions
+    if track.directions is not None and directions is not None and len(directions) == len(track.directions):
+        directions = track.directions + _NEW * (directions - track.directions)
+    return _Track(time, box, box_rate, place, place_rate, candidate.spread, directions=directions)
 
 
 def _seen_from(current_T_previous: Array, track: _Track) -> _Track:
@@ -281,6 +293,14 @@ def _deviation(track: _Track, candidate: Candidate, time: float) -> float:
     passed = time - track.time
     off = float(np.linalg.norm(candidate.place - track.place - passed * track.place_rate))
     return off / float(np.hypot(np.hypot(track.spread, candidate.spread), 1.0 + 4.0 * passed))
+
+
+def _turned(track: _Track, candidate: Candidate) -> float:
+    """How little the directions of a candidate and of the track have in common, 0 to 1; 0 where one has none."""
+    before, now = track.directions, candidate.directions
+    if before is None or now is None or len(before) != len(now):
+        return 0.0
+    return 1.0 - min(float(np.sqrt(before * now).sum()), 1.0)  # Bhattacharyya's coefficient
 
 
 def _as_state(box: Array) -> Array:

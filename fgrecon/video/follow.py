@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -135,7 +135,7 @@ class Follower:
         world_T_camera, previous_T_current, motion_covariance = self._world.move(record)
         known = [s for s in record.sightings if s.identity is not None]
         unknown = [s for s in record.sightings if s.identity is None]
-        found = self.association(record.time, [self._candidate(s.box, s.score) for s in unknown], previous_T_current)
+        found = self.association(record.time, [self._candidate(s) for s in unknown], previous_T_current)
         named = {s.identity: s for s in known} | dict(zip(found, unknown, strict=True))
         sightings = {identity: s for identity, s in named.items() if identity is not None}
         observations = {i: s.observation for i, s in sightings.items() if s.observation is not None}
@@ -164,9 +164,12 @@ class Follower:
             refused={identity: str(error) for identity, error in self.tracker.refused.items()},
         )
 
-    def _candidate(self, box: Array, score: float) -> Candidate:
-        stands = None if self.ground is None else stands_at(box, self.camera, self.ground)
-        return Candidate(box, score) if stands is None else Candidate(box, score, *stands)
+    def _candidate(self, one: Sighting) -> Candidate:
+        directions = None if one.observation is None else one.observation.azimuth
+        candidate = Candidate(one.box, one.score, directions=directions)
+        if self.ground is None or (stands := stands_at(one.box, self.camera, self.ground)) is None:
+            return candidate
+        return replace(candidate, place=stands[0], spread=stands[1])
 
     def _tell(self, identity: int, estimate: VehicleEstimate) -> None:
         """Let the association know where a vehicle is and how it moves, seen from the camera."""

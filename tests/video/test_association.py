@@ -78,6 +78,21 @@ def test_boxes_that_overlap_are_told_apart_by_where_they_stand():
     assert follow(alone) == [[0], [0]]
 
 
+def test_boxes_that_overlap_are_told_apart_by_which_way_they_face():
+    """One car half behind another, which faces the other way; a detector's boxes of them change places for a frame."""
+    ahead, behind = np.eye(36)[[0, 18]] * 0.95 + 0.05 / 36
+    left, right = np.array([100.0, 100.0, 160.0, 150.0]), np.array([125.0, 100.0, 185.0, 150.0])
+    scenes = [(t, [Candidate(left, directions=ahead), Candidate(right, directions=behind)]) for t in (0.0, 0.1, 0.2)]
+    nearer = 10.0 * np.array([1.0, 0.0, 1.0, 0.0])
+    changed = [Candidate(left + nearer, directions=behind), Candidate(right - nearer, directions=ahead)]
+    scenes.append((0.3, changed))
+    assert follow(scenes) == [[0, 1], [0, 1], [0, 1], [1, 0]]
+    deaf = GatedAssociation(AssociationSettings(direction_weight=0.0))
+    assert follow(scenes, deaf)[-1] == [0, 1]
+    other = [Candidate(one.box, directions=np.full(8, 0.125)) for one in changed]  # nothing to compare with
+    assert follow([*scenes[:-1], (0.3, other)])[-1] == [0, 1]
+
+
 def test_the_cameras_own_motion_is_taken_off():
     """The camera turns by 6 degrees a frame: boxes jump by their own width."""
     turn = np.radians(6.0)
