@@ -252,8 +252,8 @@ def _updated(track: _Track | None, time: float, candidate: Candidate) -> _Track:
     """The track with what it was seen as now."""
     box = _as_state(candidate.box)
     if track is None:
-        known = _Track(time, box, np.zeros(4), candidate.place, np.zeros(3), candidate.spread)
-        return replace(known, directions=candidate.directions)
+        still = np.zeros(4), candidate.place, np.zeros(3)
+        return _Track(time, box, *still, candidate.spread, directions=candidate.directions)
     passed = max(time - track.time, 1e-3)
     rate = (box - track.box) / passed
     box_rate = 0.5 * track.box_rate + 0.5 * rate if track.box_rate.any() else rate
@@ -265,8 +265,9 @@ def _updated(track: _Track | None, time: float, candidate: Candidate) -> _Track:
     elif place is None and track.place is not None:
         place = track.place + passed * place_rate
     directions = track.directions if candidate.directions is None else candidate.directions
-    if track.directions is not None and directions is not None and len(directions) == len(track.directions):
-        directions = track.directions + _NEW * (directions - track.directions)
+    if (both := _directions(track, candidate)) is not None:
+        before, now = both
+        directions = before + _NEW * (now - before)
     return _Track(time, box, box_rate, place, place_rate, candidate.spread, directions=directions)
 
 
@@ -297,10 +298,14 @@ def _deviation(track: _Track, candidate: Candidate, time: float) -> float:
 
 def _turned(track: _Track, candidate: Candidate) -> float:
     """How little the directions of a candidate and of the track have in common, 0 to 1; 0 where one has none."""
+    both = _directions(track, candidate)
+    return 0.0 if both is None else 1.0 - min(float(np.sqrt(both[0] * both[1]).sum()), 1.0)  # Bhattacharyya
+
+
+def _directions(track: _Track, candidate: Candidate) -> tuple[Array, Array] | None:
+    """Those of the track and of the candidate, where both have some and of as many."""
     before, now = track.directions, candidate.directions
-    if before is None or now is None or len(before) != len(now):
-        return 0.0
-    return 1.0 - min(float(np.sqrt(before * now).sum()), 1.0)  # Bhattacharyya's coefficient
+    return None if before is None or now is None or len(before) != len(now) else (before, now)
 
 
 def _as_state(box: Array) -> Array:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -166,10 +166,10 @@ class Follower:
 
     def _candidate(self, one: Sighting) -> Candidate:
         directions = None if one.observation is None else one.observation.azimuth
-        candidate = Candidate(one.box, one.score, directions=directions)
-        if self.ground is None or (stands := stands_at(one.box, self.camera, self.ground)) is None:
-            return candidate
-        return replace(candidate, place=stands[0], spread=stands[1])
+        stands = None if self.ground is None else stands_at(one.box, self.camera, self.ground)
+        if stands is None:
+            return Candidate(one.box, one.score, directions=directions)
+        return Candidate(one.box, one.score, *stands, directions)
 
     def _tell(self, identity: int, estimate: VehicleEstimate) -> None:
         """Let the association know where a vehicle is and how it moves, seen from the camera."""

@@ -51,12 +51,18 @@ def test_a_way_says_more_the_longer_it_is():
     assert Belief.none().told(far).facing(np.pi / 2.0) > 0.8
 
 
-def test_later_frames_mend_earlier_ones():
-    """Forward and backward is what a whole chain says: the first frame alone is wrong."""
-    evidence = [poses_say([0.3 + turn], [0.0], alone=True) for turn in (np.pi, 0.0, 0.0, 0.0)]
+def forward(evidence):
+    """The belief of each frame by it and those before, a tenth of a second apart."""
     beliefs = [Belief.none().told(evidence[0])]
     for own in evidence[1:]:
         beliefs.append(beliefs[-1].later(0.1, 0.0).told(own))
+    return beliefs
+
+
+def test_later_frames_mend_earlier_ones():
+    """Forward and backward is what a whole chain says: the first frame alone is wrong."""
+    evidence = [poses_say([0.3 + turn], [0.0], alone=True) for turn in (np.pi, 0.0, 0.0, 0.0)]
+    beliefs = forward(evidence)
     later = backward(evidence, [(0.1, 0.0)] * 3)
     assert beliefs[0].facing(0.3) < 0.2
     assert beliefs[-1].facing(0.3) > 0.9
@@ -72,9 +78,7 @@ def test_a_vehicle_does_not_turn_round_in_the_middle_of_its_track():
         return np.where(np.abs(wrap_angle(HEADINGS - heading)) < 0.6, nats, 0.0)
 
     evidence = [towards(np.pi, 0.8)] * 16 + [towards(0.0, 1.7)] * 25
-    beliefs = [Belief.none().told(evidence[0])]
-    for own in evidence[1:]:
-        beliefs.append(beliefs[-1].later(0.1, 0.0).told(own))
+    beliefs = forward(evidence)
     assert beliefs[15].facing(np.pi) > 0.99
     later = backward(evidence, [(0.1, 0.0)] * (len(evidence) - 1))
     whole = [combined(belief, likelihood).facing(0.0) for belief, likelihood in zip(beliefs, later, strict=True)]
