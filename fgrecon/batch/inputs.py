@@ -121,14 +121,23 @@ def sources_of(
 def _files(folder: Path) -> list[Path]:
     """The files of a folder, in order."""
     (left, *_) = [folder / name for name in _LEFT_COLOUR if (folder / name).is_dir()] or [folder]
-    below = sorted(path for path in left.rglob("*") if path.suffix.lower() in _READERS and path.is_file())
+    below = sorted(path for path in _below(left) if path.suffix.lower() in _READERS and path.is_file())
     results = {path.parent for path in below if path.name == RUN}  # of an earlier run, into a folder inside this one
     inputs = [path for path in below if results.isdisjoint(path.parents)]
-    visible = [p for p in inputs if not any(part.startswith(".") for part in p.relative_to(folder).parts)]
-    pictures = [path for path in visible if path.suffix.lower() in (*IMAGES, *VIDEOS)]
-    if not visible:
+    pictures = [path for path in inputs if path.suffix.lower() in (*IMAGES, *VIDEOS)]
+    if not inputs:
         raise InvalidInputError("input", str(folder), "Give a folder with images, videos or keypoint files.")
-    return pictures or [path for path in visible if path.suffix.lower() not in NOT_JSON] or visible
+    return pictures or [path for path in inputs if path.suffix.lower() not in NOT_JSON] or inputs
+
+
+def _below(folder: Path) -> Iterator[Path]:
+    """Every file below a folder that is not hidden, in linked folders too; each folder once, if links lead to it."""
+    been: set[str] = set()
+    for here, folders, names in os.walk(folder, followlinks=True):
+        new = (place := os.path.realpath(here)) not in been
+        been.add(place)
+        folders[:] = sorted(name for name in folders if new and not name.startswith("."))  # the same links each time
+        yield from (Path(here, name) for name in names if new and not name.startswith("."))
 
 
 def _count_lines(source: InputFile) -> int:

@@ -17,6 +17,7 @@ from fgrecon.batch.pool import work
 from fgrecon.batch.reconstructor import Reconstructor
 from fgrecon.batch.rows import lost_rows, single_tasks, storable
 from fgrecon.batch.tasks import Tasks, TaskSolver
+from fgrecon.batch.unedited import check_unedited
 from fgrecon.core.doubts import Doubt, Doubts
 from fgrecon.core.errors import InvalidInputError
 
@@ -110,7 +111,11 @@ def run(
         What was done.
 
     Raises:
-        InvalidInputError: The folder holds another run or a video's, or the prior cannot be loaded.
+        InvalidInputError: The folder holds another run or a video's, a file of which it has rows was edited since, or
+            the prior cannot be loaded.
+
+    Warns:
+        DamagedFileWarning: A part, or what the files were, is damaged, and is put aside.
         MissingPackageError: Ray is not installed.
         WorkerDiedError: Workers cannot even begin.
     """
@@ -123,6 +128,7 @@ def run(
         anew = begin(folder, settings or {}, anew=lambda: Parts(folder).worthless())
         parts = Parts(folder)
         done = parts.done()
+        check_unedited(folder, sources, done)
         tally = Tally(sum(source.count() for source in sources), anew=anew)
         batches = _batches(_left(sources, done, tally), batch_rows)
         report(tally)

@@ -58,14 +58,14 @@ def calibrate_command(
     told = {
         "drives": [drive.name for drive in done.drives],
         "networks": [{"file": one["file"], "drives": one["drives"]} for one in done.networks()],
-        "ground": done.ground,
+        "ground": done.told.origin,
         "size_prior": labelled.size_prior,
         "boxes": "detected" if detect else "labelled",
     }
     found = fit_detector(scored, told)
     calibration = found.calibration
     if detect:
-        seen = list(seen_boxes(done.drives, done.frames, done.scene.prior))
+        seen = list(seen_boxes(done.drives, done.frames, done.told.scene.prior))
         source = fit_boxes(seen)
         calibration = replace(calibration, boxes=source, provenance={**calibration.provenance, "outlines": len(seen)})
     screen.print(done.in_words())

@@ -114,8 +114,8 @@ def kitti_command(
 ) -> None:
     """Find keypoints in KITTI's images, reconstruct every labelled car, and score orientation and translation.
 
-    Regimes are cumulative; a car without a detection or a result counts as 180 degrees and stays in. The size prior may
-    be none as well. --verbose tells every car's errors.
+    Regimes are cumulative; a car without a detection or a result counts as 180 degrees and stays in.
+    --verbose tells every car's errors.
 
     Exit code 1: no car could be reconstructed.
     """
@@ -168,22 +168,20 @@ def _setup(
 ) -> tuple[Setup, str]:
     """What every car is reconstructed with, and in words where the ground plane comes from."""
     from fgrecon.core.options import Options
-    from fgrecon.core.size_prior import size_prior
     from fgrecon.evaluation.kitti_images import Setup
-    from fgrecon.io.catalogue import load_prior
     from fgrecon.perception.keypoints.detect import KeypointCascade
 
-    plane, origin = labelled.plane()
+    told = labelled.told()
     setup = Setup(
         detector=KeypointCascade(weights),
-        prior=load_prior(labelled.prior),
-        ground=plane,
-        size_prior=None if labelled.size_prior == "none" else size_prior(labelled.size_prior),
+        prior=told.scene.prior,
+        ground=told.ground,
+        size_prior=told.size,
         options=Options(box=boxes.enclose, traffic=traffic),
         overlap=boxes.overlap,
         together=together,
     )
-    return setup, origin
+    return setup, told.origin
 
 
 def _table(cars: list[Car]) -> Table:

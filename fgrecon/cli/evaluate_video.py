@@ -11,7 +11,7 @@ import typer
 
 from fgrecon.cli.common import check_outputs, headed_table
 from fgrecon.cli.labelled_drives import DriveOptions, DrivesArgument
-from fgrecon.cli.options import JsonOption, LabelledScene, MarkdownOption, fitting_names
+from fgrecon.cli.options import UNTOLD, JsonOption, LabelledScene, MarkdownOption, fitting_names
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.text import number_or_dash
 
@@ -67,7 +67,7 @@ def video_command(
         typer.Option(
             "--estimate-motion/--no-estimate-motion",
             help="Follow with the camera's motion as well, as the images tell it.",
-            show_default="with --track",
+            show_default="with --track and a ground",
         ),
     ] = None,
     detect: Annotated[
@@ -115,7 +115,7 @@ def video_command(
         raise InvalidInputError("forget_ids", "true", "Give --track as well: single images have no ids.")
     if estimate_motion and not track:
         raise InvalidInputError("estimate_motion", "true", "Give --track as well: single images know no motion.")
-    moving = track if estimate_motion is None else estimate_motion
+    moving = (track and labelled.ground != UNTOLD) if estimate_motion is None else estimate_motion
     if table is not None:
         check_ending(table, TABLE_FORMATS)
     screen = terminal.screen(json_out)
@@ -144,8 +144,8 @@ def video_command(
     given = {
         "drives": [drive.name for drive in scored.drives],
         "images": scored.images,
-        "prior": scored.scene.prior.describe(),
-        "ground": scored.ground,
+        "prior": scored.told.scene.prior.describe(),
+        "ground": scored.told.origin,
         "size_prior": labelled.size_prior,
         "box_model": how.encloses(detect=detect).value,
         "together": how.together,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fgrecon.cli.options import LabelledScene, TogetherOption, TrafficOption, WeightsOption
+from fgrecon.cli.options import LabelledScene, TogetherOption, Told, TrafficOption, WeightsOption
 from fgrecon.cli.progress import counting
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.text import counted
@@ -18,7 +18,6 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
     from fgrecon.cli.terminal import Screen
     from fgrecon.core.options import KeypointOptions
     from fgrecon.evaluation.kitti_images import Setup
-    from fgrecon.evaluation.methods import SceneKnowledge
     from fgrecon.evaluation.video_frames import ScoredFrame
     from fgrecon.evaluation.video_images import VideoBox
     from fgrecon.io.kitti_drives import Drive
@@ -46,8 +45,7 @@ class ScoredDrives:
         drives: The drives.
         files: Which file has the network of each, by the drive's name; None for the shipped one.
         setups: What each was reconstructed with, by its name.
-        scene: What was told.
-        ground: In words where the ground comes from.
+        told: What was told.
         images: How many images were looked at: those with a box that counts, or all where vehicles were detected.
         boxes: Those boxes, as far as they were found.
         missed: How many were not.
@@ -57,8 +55,7 @@ class ScoredDrives:
     drives: list[Drive]
     files: dict[str, Path | None]
     setups: dict[str, Setup]
-    scene: SceneKnowledge
-    ground: str
+    told: Told
     images: int
     boxes: list[VideoBox]
     missed: int = 0
@@ -68,7 +65,7 @@ class ScoredDrives:
         """How much it is, and on which ground."""
         missed = f", {self.missed} more not found" if self.missed else ""
         drives, images = counted(len(self.drives), "drive"), counted(self.images, "image")
-        return f"{drives}, {images}, {counted(len(self.boxes), 'box', 'boxes')}{missed}; {self.ground}."
+        return f"{drives}, {images}, {counted(len(self.boxes), 'box', 'boxes')}{missed}; {self.told.origin}."
 
     def networks(self) -> list[dict[str, Any]]:
         """Of each network its file, the drives that it scored, and what it has learnt from."""
@@ -129,8 +126,8 @@ class DriveOptions:
             estimate_motion: Whether they are followed with the camera's estimated motion as well.
 
         Raises:
-            InvalidInputError: A folder is no drive, no box counts or is found, or a network is given for none of the
-                drives.
+            InvalidInputError: A folder is no drive, no box counts or is found, a network is given for none of the
+                drives, or the camera's motion is to be estimated without a ground.
         """
         from fgrecon.core.errors import InvalidInputError
         from fgrecon.core.options import Options
@@ -144,13 +141,16 @@ class DriveOptions:
         if not any(len(wanted(frame)) for drive in drives for frame in drive.frames):
             fix = "Give drives with labelled cars or vans of at least 25 pixels."
             raise InvalidInputError("drives", ", ".join(drive.name for drive in drives), fix)
-        scene, (_, ground) = labelled.scene(), labelled.plane()
+        told = labelled.told()
+        if estimate_motion and told.ground is None:
+            fix = "Give a ground, which tells how far the camera goes, or leave --estimate-motion out."
+            raise InvalidInputError("estimate_motion", "no ground", fix)
         options = Options(box=self.encloses(detect=detect), keypoints=keypoints, traffic=self.traffic)
-        setups = _setups(files, scene, options, together=self.together, detect=detect)
+        setups = _setups(files, told, options, together=self.together, detect=detect)
         images = sum(len(looks_at(drive, setups[drive.name])) for drive in drives)
         with screen.bar() as advance:
             watched = counting(advance, "Images", images)
-            frames = score_frames(drives, setups, scene, rivals=rivals, jobs=self.jobs, advance=watched)
+            frames = score_frames(drives, setups, told.scene, rivals=rivals, jobs=self.jobs, advance=watched)
             boxes = [box for frame in frames for box in frame.boxes]
             if not boxes:
                 fix = "Give drives with vehicles that the detector finds."
@@ -165,7 +165,7 @@ class DriveOptions:
                     advance=counting(advance, "Followed", (1 + estimate_motion) * len(frames)),
                 )
         missed = sum(frame.missed for frame in frames)
-        return ScoredDrives(drives, files, setups, scene, ground, images, boxes, missed, frames)
+        return ScoredDrives(drives, files, setups, told, images, boxes, missed, frames)
 
 
 def read_folds(folds: Sequence[str], drives: Sequence[str], weights: Path | None) -> dict[str, Path | None]:
@@ -199,7 +199,7 @@ def read_folds(folds: Sequence[str], drives: Sequence[str], weights: Path | None
 
 
 def _setups(
-    files: dict[str, Path | None], scene: SceneKnowledge, options: Any, *, together: bool, detect: bool
+    files: dict[str, Path | None], told: Told, options: Any, *, together: bool, detect: bool
 ) -> dict[str, Setup]:
     """What each drive is reconstructed with, by its name; each network is loaded once."""
     from fgrecon.evaluation.kitti_images import Setup
@@ -210,9 +210,9 @@ def _setups(
     made = {
         file: Setup(
             detector=KeypointCascade(file),
-            prior=scene.prior,
-            ground=scene.ground,
-            size_prior=scene.size,
+            prior=told.scene.prior,
+            ground=told.ground,
+            size_prior=told.size,
             options=options,
             together=together,
             vehicles=vehicles,

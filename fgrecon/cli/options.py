@@ -22,12 +22,14 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
     from fgrecon.cli.settings import CameraSource, Settings
     from fgrecon.core.camera import Camera, Ground
     from fgrecon.core.options import Options
+    from fgrecon.core.size_prior import SizePrior
     from fgrecon.evaluation.methods import SceneKnowledge
     from fgrecon.io.boxes import NamedBox
 
 __all__ = [
     "BOX_MODEL_HELP",
     "KITTI_CAMERA_HEIGHT",
+    "UNTOLD",
     "CameraOptions",
     "DataOption",
     "HistoryOption",
@@ -37,6 +39,7 @@ __all__ = [
     "NamesOption",
     "SceneOptions",
     "TogetherOption",
+    "Told",
     "TrafficOption",
     "VehicleBoxes",
     "WeightsOption",
@@ -45,6 +48,11 @@ __all__ = [
 
 KITTI_CAMERA_HEIGHT = 1.65
 """Height of KITTI's cameras above the road, metres."""
+
+UNTOLD = "none"
+"""Where images are evaluated: nothing is told of the ground, or of the fleet's size."""
+
+_KITTI = "kitti"
 
 BOX_MODEL_HELP = (
     "What 2D boxes enclose: the outline, exactly or as the shipped detector draws it, or the 3D box; off: they are no "
@@ -236,15 +244,21 @@ class LabelledScene:
         str,
         typer.Option(
             metavar="FLEET",
-            help="Size of the fleet: kitti, apollo79 or length,width,height in m.",
+            help="Size of the fleet: kitti, apollo79 or length,width,height in m; for images also none.",
             autocompletion=FLEETS,
         ),
-    ] = "kitti"
+    ] = _KITTI
     camera_height: Annotated[
         float | None,
         typer.Option(help="Height of a level camera above the ground, m.", show_default=str(KITTI_CAMERA_HEIGHT)),
     ] = None
-    ground: GroundOption = None
+    ground: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NX,NY,NZ,D|none",
+            help="Ground plane instead: normal pointing down, camera height in m; for images also none.",
+        ),
+    ] = None
 
     def plane(self) -> tuple[Ground, str]:
         """The ground plane, and in words where it comes from.
@@ -260,7 +274,7 @@ class LabelledScene:
         )
 
     def scene(self) -> SceneKnowledge:
-        """The scene as methods are bound to it.
+        """The scene as methods are bound to it, whose names say what each is told of it.
 
         Raises:
             InvalidInputError: A value names nothing.
@@ -270,6 +284,45 @@ class LabelledScene:
         from fgrecon.io.catalogue import load_prior
 
         return SceneKnowledge(prior=load_prior(self.prior), ground=self.plane()[0], size=size_prior(self.size_prior))
+
+    def told(self) -> Told:
+        """What the whole system is told of images: ground and fleet may be none.
+
+        Raises:
+            InvalidInputError: A value names nothing.
+        """
+        untold = self.ground == UNTOLD
+        if untold and self.camera_height is not None:
+            ground_plane(self.ground, self.camera_height)  # refuses both
+        known = replace(
+            self,
+            ground=None if untold else self.ground,
+            size_prior=_KITTI if self.size_prior == UNTOLD else self.size_prior,
+        )
+        scene = known.scene()
+        return Told(
+            scene=scene,
+            ground=None if untold else scene.ground,
+            size=None if self.size_prior == UNTOLD else scene.size,
+            origin="no ground plane" if untold else known.plane()[1],
+        )
+
+
+@dataclass(frozen=True)
+class Told:
+    """What the whole system is told of images with known poses.
+
+    Attributes:
+        scene: What rivals are told whose names ask for it: KITTI's ground and fleet where the system is told none.
+        ground: Ground plane, or None.
+        size: Size of the fleet, or None.
+        origin: In words where the ground plane comes from.
+    """
+
+    scene: SceneKnowledge
+    ground: Ground | None
+    size: SizePrior | None
+    origin: str
 
 
 @dataclass(frozen=True)

@@ -156,6 +156,16 @@ def test_folders(cars, tmp_path):
     assert len(rows_of(tmp_path / "lines")) == 3
 
 
+def test_linked_folders_once(tmp_path):
+    (images := tmp_path / "elsewhere").mkdir()
+    write_png(images / "1.png", np.zeros((20, 30, 3), np.uint8))
+    (folder := tmp_path / "here").mkdir()
+    for name in ("first", "second"):
+        (folder / name).symlink_to(images)
+    (images / "back").symlink_to(folder)
+    assert [row["image"] for row in rows_of(folder)] == [str(folder / "first" / "1.png")]
+
+
 @pytest.mark.parametrize("layout", ["object", "drive", "tracking"])
 def test_folders_of_kitti_bring_their_cameras(tmp_path, layout):
     line = "P2: " + " ".join(map(str, np.hstack([K, np.ones((3, 1))]).ravel())) + "\n"

@@ -315,3 +315,53 @@ def test_no_changed_byte_of_a_part_goes_unnoticed(tmp_path):
         noticed += bool(told)
         assert told or (len(done) == 200 and list(parts.rows()) == rows)
     assert noticed > 50
+
+
+def test_an_edited_file_is_not_taken_for_done(cars, tmp_path, monkeypatch):
+    file, _ = cars
+    lines = file.read_text().splitlines()
+    out = tmp_path / "out"
+    monkeypatch.chdir(tmp_path)
+    few = write_lines(tmp_path / "few.jsonl", lines[:2])
+    assert batch("few.jsonl", "--out", out).exit_code == 0
+
+    few.touch()
+    assert "2 of 2 rows are done, 2 of them before" in batch("few.jsonl", "--out", out).stdout
+    write_lines(few, lines[:3])
+    assert "3 of 3 rows are done, 2 of them before" in batch("few.jsonl", "--out", out).stdout, (
+        "more at the end goes on"
+    )
+
+    write_lines(few, [lines[1], *lines[1:3]])
+    edited = batch("few.jsonl", "--out", out).exception
+    assert isinstance(edited, InvalidInputError)
+    assert "few.jsonl" in str(edited)
+    assert "before it was edited" in str(edited)
+    write_lines(few, lines[:1])
+    assert "before it was edited" in str(batch("few.jsonl", "--out", out).exception)
+
+    (tmp_path / "elsewhere").mkdir()
+    write_lines(tmp_path / "elsewhere" / "few.jsonl", lines[:3])
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert str(few) in str(batch("few.jsonl", "--out", out).exception), "another file of the same name"
+
+
+def test_an_edited_image_is_not_taken_for_done(tmp_path):
+    image, out = tmp_path / "a.png", tmp_path / "out"
+    write_png(image, np.zeros((40, 60, 3), np.uint8))
+    batch(image, "--out", out)
+    assert len(results(out)) == 1
+    os.utime(image, ns=(0, 0))
+    assert "before it was edited" in str(batch(image, "--out", out).exception)
+
+
+@pytest.mark.parametrize("damaged", ["{", "[1]", '{"few.jsonl": 3}', '{"few.jsonl": {"place": "x"}}'])
+def test_where_it_is_not_known_what_the_files_were_a_run_goes_on(damaged, cars, tmp_path):
+    file, _ = cars
+    few = write_lines(tmp_path / "few.jsonl", file.read_text().splitlines()[:1])
+    assert batch(few, "--out", tmp_path / "out").exit_code == 0
+    (inputs := tmp_path / "out" / "_inputs.json").write_text(damaged)
+    with pytest.warns(DamagedFileWarning, match=r"_inputs\.json"):
+        again = batch(few, "--out", tmp_path / "out")
+    assert "1 of 1 row is done, 1 of them before" in again.stdout
+    assert str(few) in json.loads(inputs.read_text())

@@ -76,6 +76,26 @@ def test_tables_files_and_which_network_scored_what(drives, weights, tmp_path):
     assert sheet.stat().st_size > 1000
 
 
+def test_nothing_told(drives, weights, tmp_path):
+    """The same keypoints, on no ground and of no fleet; a camera's motion has no length then."""
+    out = tmp_path / "r.json"
+    untold = (*drives, "--weights", weights, "--ground", "none", "--size-prior", "none", "--track", "--json", out)
+    done = run(*untold)
+    assert done.exit_code == 0, done.output
+    assert "4 boxes; no ground plane." in done.stdout
+    made = json.loads(out.read_text())
+    assert (made["given"]["ground"], made["given"]["size_prior"]) == ("no ground plane", "none")
+    assert "online" in made["methods"]
+    assert "online_moving" not in made["methods"]
+    for more, said in (
+        (("--estimate-motion",), "estimate_motion: got no ground"),
+        (("--camera-height", 1.5), "either"),
+    ):
+        refused = run(*untold, *more)
+        assert isinstance(refused.exception, InvalidInputError)
+        assert said in str(refused.exception)
+
+
 def test_a_drive_whose_name_is_no_text(drives, weights, tmp_path):
     folder = tmp_path / os.fsdecode(b"n\xff")
     try:

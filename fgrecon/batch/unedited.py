@@ -1,0 +1,97 @@
+"""What a run's files were when their rows were reconstructed: an edited one is not taken for done.
+
+Images and videos are told by size and time of change, since they are many or large; keypoint files by their content, so
+that one to which rows were added at its end goes on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import Any
+
+from fgrecon.batch.inputs import InputFile
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.plain import well_formed
+from fgrecon.core.text import whole_text
+from fgrecon.io.files import write_text
+from fgrecon.io.json_fields import read_json
+from fgrecon.io.stored import MADE_AGAIN, stored
+
+__all__ = ["INPUTS", "check_unedited"]
+
+INPUTS = "_inputs.json"
+"""What the files of a run were; beside the parts."""
+
+_BLOCK = 1 << 20  # bytes that are read at once
+
+
+def check_unedited(folder: Path, sources: Sequence[InputFile], done: Collection[str]) -> None:
+    """Refuse a file of which rows are done and that is another one now; remember what the others are.
+
+    Args:
+        folder: Of the run.
+        sources: Its files.
+        done: Ids of the rows that are done.
+
+    Raises:
+        InvalidInputError: A file was edited or replaced; names it.
+    """
+    path = folder / INPUTS
+    known = stored(path, _known) or {}
+    begun = {name.rpartition("#")[0] for name in done}.union(done)
+    for source in sources:
+        name = whole_text(str(source.path))
+        before = known.get(name)
+        try:
+            now = _told(source)
+            edited = before is not None and name in begun and not _goes_on(before, now, source.path)
+        except OSError:  # a row will say so
+            continue
+        if before is not None and edited:
+            when = "before it was edited" if before["place"] == now["place"] else f"of {before['place']}"
+            fix = f"Give another folder for its results: this one has rows of that name, reconstructed {when}."
+            raise InvalidInputError("input", name, fix)
+        known[name] = now
+    write_text(path, json.dumps(known, indent=0) + "\n")
+
+
+def _known(path: Path) -> dict[str, dict[str, Any]]:
+    """What is remembered.
+
+    Raises:
+        InvalidInputError: The file is damaged.
+    """
+    found = read_json(path)
+    with well_formed(str(path), MADE_AGAIN):
+        return {name: {"place": str(one["place"]), "bytes": int(one["bytes"]), **one} for name, one in found.items()}
+
+
+def _told(source: InputFile) -> dict[str, Any]:
+    """What tells a file from another one under its name."""
+    state = source.path.stat()
+    told = {"place": whole_text(str(source.path.resolve())), "bytes": state.st_size}
+    if source.is_picture:
+        return {**told, "modified_ns": state.st_mtime_ns}
+    return {**told, "sha256": _hash(source.path, state.st_size)}
+
+
+def _goes_on(before: dict[str, Any], now: dict[str, Any], path: Path) -> bool:
+    """Whether the rows that a file had are there still."""
+    if before == now:
+        return True
+    if "sha256" not in now or before["place"] != now["place"] or before["bytes"] > now["bytes"]:
+        return False
+    return _hash(path, before["bytes"]) == before.get("sha256")
+
+
+def _hash(path: Path, size: int) -> str:
+    """SHA-256 of a file's first bytes."""
+    found, left = hashlib.sha256(), size
+    with path.open("rb") as file:
+        while left > 0 and (block := file.read(min(_BLOCK, left))):
+            found.update(block)
+            left -= len(block)
+    return found.hexdigest()
