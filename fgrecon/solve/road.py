@@ -8,13 +8,15 @@ A camera nods, and the road bends; both change slowly, and in the long run the g
 says (`Ground`). Each frame is one step: what its vehicles say, with poses and shapes eliminated (`ground_evidence`),
 one factor from the ground before, and what is left of that. Vehicles that are seen again err alike: they count by the
 time that has passed. How sure the ground is goes by a second chain, in which they count as their keypoints do for
-covariances.
+covariances. Where nothing is told the first vehicles say about where it is, nothing draws it back there, and it may
+change fast.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import gtsam
 import numpy as np
@@ -25,12 +27,12 @@ from factors.keys import G
 from factors.marginals import Marginal, marginal, marginal_factor
 from factors.noise import full_noise
 from factors.road import road_factor
-from fgrecon.core.camera import Ground
+from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FactorCallbackError
 from fgrecon.solve.graph.graph import Graph, Seen, State
 from fgrecon.solve.graph.optimise import optimise
 from fgrecon.solve.graph.vehicle import Held
-from fgrecon.solve.standing import LEAST_HEIGHT, OWN_HEIGHT, OWN_SLOPE, Standing, own_deviations
+from fgrecon.solve.standing import LEAST_HEIGHT, OWN_HEIGHT, OWN_SLOPE, WIDE, Standing, own_deviations, seen_ground
 from fgrecon.solve.time.window import Frame
 
 __all__ = ["GroundEvidence", "KnownGround", "Road", "ground_evidence"]
@@ -39,8 +41,10 @@ Array = NDArray[np.float64]
 
 _ALIKE = 0.3  # seconds after which what vehicles say of the ground counts whole again
 _LASTS = 12.0  # seconds after which a deviation from what is told has fallen to a third, and another one has come
+_FREE = 0.1  # seconds in which a ground that nobody told may change by as much: the camera may be in a hand
 _NEAR, _FAR = 10.0, 40.0  # metres: depths at which the uncertainty is that of the ground's
 _LEAST_KEPT = 1e-6
+_LEAST_DOWN = 0.1  # of the normal of a ground: cameras look along it rather than at it
 _ROUNDS = 3  # of a solve that is nearly linear
 _STEPS = 1  # Newton's, of the vehicles of a frame together: each begins near its minimum
 
@@ -58,8 +62,42 @@ class GroundEvidence:
     common_factor: float
 
 
-Says = Callable[[Marginal, Ground], GroundEvidence | None]
-"""What a frame's vehicles say, beside what is known of G(0) and on the ground that this is."""
+class _Vehicles(Protocol):
+    """The vehicles of a frame; `fgrecon.solve.time.frame_vehicles.FrameVehicles` are such."""
+
+    def look(self, ground: Ground | None, /) -> None:
+        """Look at them on a ground."""
+
+    def poses(self) -> Sequence[Array]:
+        """Pose (4, 4) of each that was looked at."""
+
+    def say(self, known: Marginal, plane: Ground, /) -> GroundEvidence | None:
+        """What they say of G(0), a change of the plane, beside what is known of it."""
+
+
+@dataclass(frozen=True)
+class _About:
+    """About where the ground of a frame is.
+
+    Attributes:
+        plane: The plane.
+        camera: What sees it.
+        is_told: Whether somebody has told it, else vehicles speak of it.
+    """
+
+    plane: Ground
+    camera: Camera
+    is_told: bool = True
+
+    @property
+    def told(self) -> Array:
+        """(3,) standard deviations of height, pitch and roll of a ground that is told."""
+        return np.array([self.plane.height_sigma, self.plane.slope_sigma, self.plane.slope_sigma])
+
+    @property
+    def spread(self) -> Array:
+        """(3,) those of this ground before any vehicle says more."""
+        return self.told if self.is_told else np.array(WIDE)
 
 
 @dataclass(frozen=True)
@@ -67,9 +105,11 @@ class _Past:
     """The ground of the last frame."""
 
     time: float
+    about: _About
     frame: GroundFrame
     world_T_camera: gtsam.Pose3 | None
     known: _Known
+    ground: Ground
 
 
 @dataclass(frozen=True)
@@ -86,7 +126,7 @@ class KnownGround:
 
     Attributes:
         ground: The plane, and how far each vehicle is taken to lie off it for itself.
-        told: About where it was told to be.
+        told: _About where it was told to be.
         covariance: (3, 3) of its height, pitch and roll.
     """
 
@@ -120,45 +160,75 @@ class Road:
     def later(
         self,
         time: float,
-        told: Ground,
+        told: Ground | None,
+        camera: Camera,
         world_T_camera: gtsam.Pose3 | None,
-        says: Says,
+        vehicles: _Vehicles,
         *,
         motion_covariance: Array | None = None,
-    ) -> KnownGround:
-        """Take a frame.
+    ) -> KnownGround | None:
+        """Take a frame, and look at its vehicles on its ground.
 
         Args:
             time: Of the frame, seconds.
-            told: About where the ground is.
+            told: _About where the ground is, or None.
+            camera: What sees it.
             world_T_camera: Pose of the camera, or None.
-            says: What its vehicles say; may say nothing.
+            vehicles: Those of the frame; may be none.
             motion_covariance: (6, 6) of the camera's motion since the last frame with a place: rotation, translation in
                 its frame; None where it is exact.
+
+        Returns:
+            The ground; None where nothing tells of it: fewer than two vehicles do not.
         """
-        frame = GroundFrame.of(told.normal, told.distance)
+        about = self._about(told, camera, world_T_camera)
+        looked = about is None
+        if about is None:
+            vehicles.look(None)
+            poses = vehicles.poses()
+            if len(poses) < 2:
+                self._past = None
+                return None
+            about = _About(seen_ground(dict(enumerate(poses))), camera, is_told=False)
+        frame = GroundFrame.of(about.plane.normal, about.plane.distance)
         past, weight = self._past, 1.0
-        spread = np.array([told.height_sigma, told.slope_sigma, told.slope_sigma])
         known = None
-        if past is not None:
+        if past is not None and not looked and (past.about.is_told or not about.is_told):
             seconds = time - past.time
-            moved = _moved(past, seconds, frame, world_T_camera, spread, motion_covariance)
+            moved = _moved(past, seconds, frame, world_T_camera, about, motion_covariance)
             before = past.known
             known = _known(lambda: (_on_road(before.where, moved), _on_road(before.counted, moved)))
             weight = min(seconds / _ALIKE, 1.0)
         if known is None:  # the first frame, or the camera has gone where no ground before tells of this one
             values = gtsam.Values()
             values.insert(G(0), np.zeros(3))
-            first = Marginal((G(0),), (3,), values, np.diag(1.0 / spread), np.zeros(3))
+            first = Marginal((G(0),), (3,), values, np.diag(1.0 / about.spread), np.zeros(3))
             known = _Known(first, first)
-        told_by = says(known.where, _ground(told, frame, known).ground)
-        if told_by is not None:
-            said = told_by.said.scaled(weight)
-            less, until_now = said.scaled(1.0 / told_by.common_factor), known
+        if not looked:
+            vehicles.look(_ground(about, frame, known).ground)
+        evidence = vehicles.say(known.where, about.plane)
+        if evidence is not None:
+            said = evidence.said.scaled(weight)
+            less, until_now = said.scaled(1.0 / evidence.common_factor), known
             both = _known(lambda: (_both(until_now.where, said), _both(until_now.counted, less)))
             known = both or known
-        self._past = _Past(time, frame, world_T_camera, known)
-        return _ground(told, frame, known)
+        found = _ground(about, frame, known)
+        self._past = _Past(time, about, frame, world_T_camera, known, found.ground)
+        return found
+
+    def _about(self, told: Ground | None, camera: Camera, world_T_camera: gtsam.Pose3 | None) -> _About | None:
+        """About where the ground of the next frame is: as is told, else where it was; None where that is open."""
+        past = self._past
+        if told is not None:
+            return _About(told, camera)
+        if past is None:
+            return None
+        motion = _motion(past, world_T_camera)
+        if motion is not None:
+            here = replace(past.about.plane, normal=past.ground.normal, distance=past.ground.distance)
+            plane = _carried(here, motion)
+            return None if plane is None else _About(plane, camera, is_told=False)
+        return replace(past.about, is_told=False) if np.array_equal(past.about.camera.matrix, camera.matrix) else None
 
 
 def ground_evidence(
@@ -169,7 +239,7 @@ def ground_evidence(
     Args:
         seen: The image for each of them, near its minimum.
         shapes: Of each, as it is known.
-        told: About where the ground is.
+        told: _About where the ground is.
         known: What is known of its change G(0) from there; of the evidence it is no part.
 
     Returns:
@@ -205,20 +275,34 @@ def _moved(
     seconds: float,
     frame: GroundFrame,
     world_T_camera: gtsam.Pose3 | None,
-    spread: Array,
+    about: _About,
     covariance: Array | None,
 ) -> gtsam.CustomFactor:
     """What ties a frame's ground G(1) to the one before, G(0)."""
-    motion = None
-    if past.world_T_camera is not None and world_T_camera is not None:
-        motion = past.world_T_camera.between(world_T_camera)
-    kept = max(float(np.exp(-seconds / _LASTS)), _LEAST_KEPT)
-    unsure = np.diag((1.0 - kept**2) * spread**2)
+    motion = _motion(past, world_T_camera)
+    kept = max(float(np.exp(-seconds / _LASTS)), _LEAST_KEPT) if about.is_told else 1.0
+    changes = 1.0 - kept**2 if about.is_told else 2.0 * seconds / _FREE
+    unsure = np.diag(changes * about.told**2)
     if motion is not None and covariance is not None:
         by_motion = np.zeros((3, 6))  # of height and slopes, in the camera's frame now
         by_motion[0, 3:], by_motion[1:, :3] = frame.normal, np.cross(frame.normal, frame.across)
         unsure = unsure + by_motion @ covariance @ by_motion.T
     return road_factor(G(0), G(1), (past.frame, frame), full_noise("road", unsure), motion, kept)
+
+
+def _motion(past: _Past, world_T_camera: gtsam.Pose3 | None) -> gtsam.Pose3 | None:
+    """How the camera has moved since the last frame; None where that is not known."""
+    before = past.world_T_camera
+    return None if before is None or world_T_camera is None else before.between(world_T_camera)
+
+
+def _carried(plane: Ground, motion: gtsam.Pose3) -> Ground | None:
+    """The plane as it is seen after a motion of the camera; None where that looks upside down."""
+    normal = motion.rotation().matrix().T @ plane.normal
+    if normal[1] <= _LEAST_DOWN:
+        return None
+    distance = plane.distance - float(plane.normal @ motion.translation())
+    return replace(plane, normal=normal, distance=max(distance, LEAST_HEIGHT))
 
 
 def _known(make: Callable[[], tuple[Marginal, Marginal]]) -> _Known | None:
@@ -264,14 +348,15 @@ def _on_first(left: Marginal) -> Marginal:
     return Marginal((G(0),), left.dims, values, left.matrix, left.right)
 
 
-def _ground(told: Ground, frame: GroundFrame, known: _Known) -> KnownGround:
+def _ground(about: _About, frame: GroundFrame, known: _Known) -> KnownGround:
     """The plane, and how far a vehicle's origin may lie off it: as far as is told where nothing is known."""
+    told, spread = about.plane, about.spread
     normal, distance = frame.plane(known.where.values.atVector(G(0)))
     covariance = _covariance(known.where)
 
     def variance(depth: float) -> float:
         across = np.array([-1.0, depth, 0.0])
-        own, whole = _own_variance(told, depth), told.height_sigma_at_depth(depth) ** 2
+        own, whole = _own_variance(told, depth), float(np.square(across * spread).sum())
         left = min(float(across @ covariance @ across) / whole, 1.0)
         return own + (whole - own) * left**2  # what is left of it counts less: it is mostly the same for all vehicles
 

@@ -23,7 +23,7 @@ from fgrecon.core.camera import Ground
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.solve.weakness import off_ground
 
-__all__ = ["LEAST_HEIGHT", "OWN_HEIGHT", "OWN_SLOPE", "OWN_TILT", "Standing", "own_deviations"]
+__all__ = ["LEAST_HEIGHT", "OWN_HEIGHT", "OWN_SLOPE", "OWN_TILT", "WIDE", "Standing", "own_deviations", "seen_ground"]
 
 Array = NDArray[np.float64]
 
@@ -31,7 +31,8 @@ OWN_HEIGHT, OWN_SLOPE, OWN_TILT = 0.35, 0.15, 0.5
 """Shares of a told ground's deviations that are each vehicle's own; chosen on KITTI's video (docs/method.md)."""
 LEAST_HEIGHT = 0.2
 """Metres: a camera is above the road."""
-_WIDE = (0.5, 0.3, 0.1)  # metres, radians, radians: prior of height, pitch and roll where no ground is told
+WIDE = (0.5, 0.3, 0.1)
+"""Metres, radians, radians: prior of height, pitch and roll where no ground is told."""
 _OUTLYING = 3.0  # standard deviations from which on a contact counts less
 
 
@@ -56,9 +57,9 @@ class Standing:
     @classmethod
     def of(cls, image: int, poses: Mapping[int, Array], plane: Ground | None) -> Standing:
         """The ground of an image with vehicles at poses (4, 4), by number; `plane` is what is told of it."""
-        nominal = _seen_ground(poses) if plane is None else plane
+        nominal = seen_ground(poses) if plane is None else plane
         frame = GroundFrame.of(nominal.normal, nominal.distance)
-        spread = _WIDE if plane is None else (nominal.height_sigma, nominal.slope_sigma, nominal.slope_sigma)
+        spread = WIDE if plane is None else (nominal.height_sigma, nominal.slope_sigma, nominal.slope_sigma)
         contacts = {
             number: contact_factor(X(number, 0), G(image), frame, _contact_noise(nominal, float(pose[2, 3])))
             for number, pose in poses.items()
@@ -84,7 +85,7 @@ class Standing:
         return off_ground(float(normal @ result.location - distance), _own_height(self.nominal, depth))
 
 
-def _seen_ground(poses: Mapping[int, Array]) -> Ground:
+def seen_ground(poses: Mapping[int, Array]) -> Ground:
     """The plane that vehicles' poses (4, 4) speak of: their median down axis and height."""
     down = np.median([pose[:3, 1] for pose in poses.values()], axis=0)
     normal = down / np.linalg.norm(down)

@@ -10,7 +10,7 @@ A vehicle's first frame gives what `fgrecon.reconstruct` gives.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from threading import Lock
 
@@ -18,7 +18,6 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from factors.marginals import Marginal
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite, as_rigid
 from fgrecon.core.errors import FgreconError, InvalidInputError
@@ -32,19 +31,19 @@ from fgrecon.core.turned import turned_alternative
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.box_check import box_excess, boxes_off
-from fgrecon.solve.facing import face_together, faced_anew
+from fgrecon.solve.facing import face_together
 from fgrecon.solve.graph.adjust import Adjusted
 from fgrecon.solve.pipeline import ground_plane, observe
-from fgrecon.solve.proposals.adjust import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import count, results
-from fgrecon.solve.road import GroundEvidence, KnownGround, Road, ground_evidence
+from fgrecon.solve.road import KnownGround, Road
 from fgrecon.solve.threads import single_threaded
-from fgrecon.solve.time.camera_way import CameraWay, Milestone
-from fgrecon.solve.time.neighbours import neighbours_say, with_neighbours
+from fgrecon.solve.time.camera_way import CameraWay
+from fgrecon.solve.time.frame_vehicles import FrameVehicles, PastFrame, VehicleTrack
+from fgrecon.solve.time.neighbours import with_neighbours
 from fgrecon.solve.time.smooth import smooth
 from fgrecon.solve.time.vehicle import Followed
-from fgrecon.solve.time.window import Frame, FrameStep, OwnFactors, WindowSolve, velocity_covariances
+from fgrecon.solve.time.window import Frame, OwnFactors, WindowSolve, velocity_covariances
 from fgrecon.solve.vehicle.model import prepare
 
 __all__ = ["Tracker"]
@@ -53,29 +52,8 @@ Array = NDArray[np.float64]
 
 _MOST_FRAMES = 100  # of a window
 _SHORTEST = 1e-6  # seconds from frame to frame: noise that grows with time must not vanish
-_FARTHEST = 1e6  # metres: a camera that is further away than that has come there in an unknown way
 _RIGID = 1e-4  # of a place's rotation: more digits than that are seldom lost
 _ROUNDED = 1e-9  # share of the largest number of a covariance that is none
-
-
-@dataclass(frozen=True)
-class _Past:
-    """A frame of a vehicle: what was seen, from where, and the ground that it was solved on."""
-
-    frame: Frame
-    world_T_camera: gtsam.Pose3 | None
-    known: KnownGround | None
-
-
-@dataclass
-class _Track:
-    """A vehicle and its past."""
-
-    followed: Followed
-    time: float = -np.inf
-    world_T_camera: gtsam.Pose3 | None = None
-    milestone: Milestone = field(default_factory=Milestone)
-    past: list[_Past] = field(default_factory=list)
 
 
 class Tracker:
@@ -106,8 +84,9 @@ class Tracker:
             options: Settings; `joint` must be set.
             window: Frames that are solved together when a new one comes, 2 to 100: that one, the one before it, and
                 some of the seconds before.
-            shared_ground: Whether the vehicles share one ground that is a variable and changes slowly from frame to
-                frame: it is found first, by a step of a solve of all vehicles of the frame together.
+            shared_ground: Whether the vehicles share one ground that is a variable and changes from frame to frame: it
+                is found first, by a step of a solve of all vehicles of the frame together. Where none is told, two
+                vehicles and more tell where it is.
             past: Frames of each vehicle to keep for `smooth`; None keeps all.
             motion_factors: Makes factors of your own between frames of a vehicle: called with the numbers of two that
                 follow each other in a window (frames between them may have left it), the seconds between them, and a
@@ -128,7 +107,7 @@ class Tracker:
         self._model = prepare(self._prior, fleet, options.shape.basis_vectors)
         self._window, self._past = window, past
         self._shared, self._own, self._road = shared_ground, motion_factors, Road()
-        self._tracks: dict[int, _Track] = {}
+        self._tracks: dict[int, VehicleTrack] = {}
         self._forgotten: list[float] = []  # how far the boxes of vehicles were off that were forgotten
         self._time = -np.inf
         self._way = CameraWay()
@@ -195,46 +174,34 @@ class Tracker:
             raise InvalidInputError("time", time, fix)
         self._time = time
         self._way.go(place, moved)
-        looked: dict[int, tuple[_Track, Frame]] = {}
         refused: dict[int, FgreconError] = {}
 
+        def problem(observation: Observation, ground: Ground | None) -> Problem:
+            return Problem.of(observation, seen_by, self._model, ground, self._options)
+
         seen = self._seen(observations, seen_by, refused)
-
-        def look(ground: Ground | None) -> None:
-            for name, observation in seen.items():
-                track = self._tracks.get(name)
-                try:
-                    problem = Problem.of(observation, seen_by, self._model, ground, self._options)
-                    if track is None:
-                        track = _Track(Followed(self._prior.category.motion, self._window, self._own))
-                    looked[name] = track, track.followed.look(problem, time, _step(track, time, place, self._way))
-                except FgreconError as error:
-                    refused[name] = error
-            _settle(looked, refused)
-
-        def says(known: Marginal, ground: Ground) -> GroundEvidence | None:
-            look(ground)
-            assert plane is not None
-            frames = [frame for _, frame in looked.values()]
-            return ground_evidence(frames, [track.followed.shape for track, _ in looked.values()], plane, known)
-
+        vehicles = FrameVehicles(time, place, self._way, seen, problem, self._track, refused)
         known: KnownGround | None = None
-        if self._shared and plane is not None:
-            known = self._road.later(time, plane, place, says, motion_covariance=moved)
-            plane = known.ground
+        if self._shared:
+            known = self._road.later(time, plane, seen_by, place, vehicles, motion_covariance=moved)
+            plane = known.ground if known is not None else None
         else:
-            look(plane)
+            vehicles.look(plane)
         found: dict[int, VehicleEstimate] = {}
-        for name, (track, frame) in looked.items():
+        for name, (track, frame) in vehicles.looked.items():
             track.followed.take(frame, plane)
             self._tracks[name] = track
             track.time, track.world_T_camera, track.milestone = time, place, self._way.here
-            track.past.append(_Past(frame, place, known))
+            track.past.append(PastFrame(frame, place, known))
             if self._past is not None:
                 del track.past[: -self._past]
             found[name] = self._estimate(name, track)
         self.refused = refused
         return found
+
+    def _track(self, name: int) -> VehicleTrack:
+        """The track of a vehicle; a new one is among those that are kept once it is solved."""
+        return self._tracks.get(name) or VehicleTrack(Followed(self._prior.category.motion, self._window, self._own))
 
     def _seen(
         self, observations: Mapping[int, Observation], camera: Camera, refused: dict[int, FgreconError]
@@ -278,13 +245,13 @@ class Tracker:
             if (track := self._tracks.pop(vehicle, None)) is not None:
                 self._forgotten.append(_box_excess(track))
 
-    def _estimate(self, name: int, track: _Track) -> VehicleEstimate:
+    def _estimate(self, name: int, track: VehicleTrack) -> VehicleEstimate:
         """Of the last frame."""
         followed, past = track.followed, track.past[-1]
         last = len(followed.solved.seen) - 1
         return _estimates(name, {last: past}, followed.solved, last + 1)[0]
 
-    def _smoothed(self, name: int, track: _Track, frames: Sequence[Frame]) -> list[VehicleEstimate]:
+    def _smoothed(self, name: int, track: VehicleTrack, frames: Sequence[Frame]) -> list[VehicleEstimate]:
         pasts = {past.frame.number: past for past in track.past}
         found = []
         for solved, some, given in smooth(frames, track.followed.shape, track.followed.motion, self._own):
@@ -293,24 +260,14 @@ class Tracker:
         return found
 
 
-def _faced(frame: Frame) -> tuple[Problem, PoseEstimate] | None:
-    """A vehicle's first frame the other way round, where its neighbours say so; None where they do not."""
-    believed = frame.believed
-    if believed.facing(rotation_y(frame.pose.matrix())) >= 0.5:
-        return None
-    heading, place = believed.heading, np.asarray(frame.pose.translation())
-    other = faced_anew(frame.problem, heading, believed.facing(heading), place)
-    return other if other and believed.facing(rotation_y(other[1].camera_T_object)) > 0.5 else None
-
-
-def _box_excess(track: _Track) -> float:
+def _box_excess(track: VehicleTrack) -> float:
     shape, frames = track.followed.shape[0], [past.frame for past in track.past]
     found = np.array([box_excess(f.problem, f.pose.matrix(), shape, f.problem.camera) for f in frames])
     told = found[np.isfinite(found)]
     return float(np.median(told)) if len(told) else float("nan")
 
 
-def _estimates(name: int, pasts: Mapping[int, _Past], solved: WindowSolve, total: int) -> list[VehicleEstimate]:
+def _estimates(name: int, pasts: Mapping[int, PastFrame], solved: WindowSolve, total: int) -> list[VehicleEstimate]:
     """Of some frames that were solved together, by their places there."""
     frames = [past.frame for past in pasts.values()]
     alone = len(solved.seen) == 1
@@ -328,7 +285,7 @@ def _estimates(name: int, pasts: Mapping[int, _Past], solved: WindowSolve, total
 
 
 def _estimate(
-    name: int, past: _Past, result: Reconstruction, facing: float, total: int, spread: Array | None, *, moving: bool
+    name: int, past: PastFrame, result: Reconstruction, facing: float, total: int, spread: Array | None, *, moving: bool
 ) -> VehicleEstimate:
     frame, place = past.frame, past.world_T_camera
     pose = frame.pose.matrix()
@@ -354,40 +311,12 @@ def _estimate(
     )
 
 
-def _with_alternatives(adjusted: Adjusted, pasts: Mapping[int, _Past], facings: Sequence[float]) -> Adjusted:
+def _with_alternatives(adjusted: Adjusted, pasts: Mapping[int, PastFrame], facings: Sequence[float]) -> Adjusted:
     """With the vehicle turned round as an alternative of frames, as improbable as it is by the track."""
     told, shape = list(adjusted.alternatives), adjusted.optimum.state.shapes[0][0]
     for (index, past), facing in zip(pasts.items(), facings, strict=True):
         told[index] = turned_alternative(past.frame.pose.matrix(), shape, facing) or told[index]
     return replace(adjusted, alternatives=tuple(told))
-
-
-def _settle(looked: dict[int, tuple[_Track, Frame]], refused: dict[int, FgreconError]) -> None:
-    """Decide which way the vehicles of a frame face, by what each knows of itself and by one another."""
-    frames = [frame for _, frame in looked.values()]
-    says = neighbours_say(frames, [frame.belief for frame in frames])
-    for name, said in zip([*looked], says, strict=True):
-        track, frame = looked[name]
-        try:
-            track.followed.settle(frame, said)
-            if frame.step is None and (other := _faced(frame)) is not None:
-                track.followed.again(frame, *other)
-        except FgreconError as error:
-            refused[name] = error
-            del looked[name]
-
-
-def _step(track: _Track, time: float, place: gtsam.Pose3 | None, way: CameraWay) -> FrameStep | None:
-    if not track.followed.frames:
-        return None
-    before = track.world_T_camera
-    camera = None if before is None or place is None else before.between(place)
-    if camera is not None and not np.abs(camera.translation()).max() < _FARTHEST:
-        camera = None
-    unsure = None if camera is None or place is None else way.since(track.milestone, place)
-    if unsure is None:
-        return FrameStep(time - track.time, None, np.zeros((6, 6)))
-    return FrameStep(time - track.time, camera, unsure)
 
 
 def _covariance(given: ArrayLike) -> Array:
