@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fgrecon.core.checks import as_finite, own
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["LONGEST", "SHORTEST", "SIZES", "SIZE_PRIORS", "SizePrior", "size_prior"]
+__all__ = ["LONGEST", "SHORTEST", "SIZES", "SIZE_PRIORS", "SizePrior", "other_fleets", "size_prior"]
 
 SHORTEST, LONGEST = 0.3, 30.0
 """Metres: what a vehicle's length, width and height are from and to."""
@@ -77,6 +77,19 @@ class SizePrior:
     def spread(self) -> NDArray[np.float64]:
         """(3, 3) how far sizes are from `mean` in covariances, square metres: of the traffic, or else of the fleet."""
         return np.diag(self.sigma**2) if self.traffic is None else self.traffic
+
+
+_FLEETS = np.array([0.08, 0.09, 0.07])
+_ALIKE = 0.9
+"""Standard deviations of the logarithms of fleets' mean length, width and height, and their correlation: those of the
+cars of KITTI, ApolloCar3D, nuScenes, Lyft and Waymo as published."""
+
+
+def other_fleets(mean: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(3, 3) how far the mean size of a fleet is from that of another one of mean size (3,), square metres."""
+    correlation = _ALIKE + (1.0 - _ALIKE) * np.eye(3)
+    spread: NDArray[np.float64] = correlation * np.outer(_FLEETS * mean, _FLEETS * mean)
+    return spread
 
 
 SIZE_PRIORS = {

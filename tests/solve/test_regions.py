@@ -8,8 +8,9 @@ import pytest
 import fgrecon
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import KeypointOptions, Options
-from fgrecon.core.size_prior import SizePrior, size_prior
+from fgrecon.core.size_prior import SizePrior, other_fleets, size_prior
 from fgrecon.io.catalogue import load_prior
+from fgrecon.solve.vehicle.model import prepare
 from tests.cars import CAMERA, observe, yaw_pose
 
 
@@ -61,6 +62,31 @@ def test_sizes_are_as_uncertain_as_those_of_the_traffic():
     np.testing.assert_array_equal(with_vans.camera_T_object, alone.camera_T_object)
     assert (np.diag(with_vans.size_covariance) > np.diag(alone.size_covariance)).all()
     assert np.trace(with_vans.pose_covariance[3:, 3:]) > np.trace(alone.pose_covariance[3:, 3:])
+
+
+def test_where_no_fleet_is_told_it_may_be_another_one():
+    """Regions are wider by that, and nothing moves; a size that is told is known."""
+    given, prior = observe(load_prior("car14"), yaw_pose(0.6), noise=0.5), load_prior("car14")
+    model, mean = prepare(prior), prior.box_size(np.zeros(prior.dimension))
+    basis = model.dimension_basis
+    sizes = basis @ model.traffic_spread @ basis.T
+    np.testing.assert_allclose(sizes, basis @ basis.T + other_fleets(mean), rtol=1e-9)
+    known = SizePrior("known", mean, np.full(3, 0.01))
+    np.testing.assert_array_equal(prepare(prior, known).traffic_spread, np.eye(prior.dimension))
+    results = {}
+    for name, size in (("untold", None), ("its own", SizePrior("its own", mean, np.sqrt(np.diag(basis @ basis.T))))):
+        results[name] = fgrecon.reconstruct(given, CAMERA, size_prior=size)
+    spread = {name: np.trace(one.size_covariance) for name, one in results.items()}
+    assert spread["untold"] > 1.2 * spread["its own"]
+    far = {name: np.trace(one.pose_covariance[3:, 3:]) for name, one in results.items()}
+    assert far["untold"] > 1.2 * far["its own"]
+
+
+def test_fleets_differ_by_all_their_dimensions_alike():
+    spread = other_fleets(np.array([4.0, 2.0, 1.5]))
+    np.testing.assert_allclose(np.sqrt(np.diag(spread)), [0.32, 0.18, 0.105])
+    assert np.linalg.eigvalsh(spread)[0] > 0.0
+    assert spread[0, 1] == pytest.approx(0.9 * 0.32 * 0.18)
 
 
 @pytest.mark.parametrize("traffic", [np.eye(2), -np.eye(3), [[1.0, 0.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]])

@@ -139,10 +139,12 @@ class VehiclePart:
 
         The prior on lambda tells sizes and so does the fleet, and the minimum is nearer the truth with both. But the
         spread of the traffic is that of real vehicles, which the two together make too small. So lambda has the prior
-        that gives sizes this spread, and is as it was where sizes do not depend on it.
+        that gives sizes this spread, and is as it was where sizes do not depend on it. Without a fleet the prior on
+        lambda is too narrow by itself, since the vehicles may be another fleet's than it was learnt from.
         """
         key = self.shape.coefficients_key
-        if key is None or not {"coefficients", "dimensions"} <= self._makers.keys():
+        told = self.model.size is not None or self.model.fleet_told
+        if key is None or not {"coefficients", *(["dimensions"] if told else [])} <= self._makers.keys():
             return self._solved
         spread = self.model.traffic_spread
         stack = self._stacked(sized=False)

@@ -12,7 +12,7 @@ from fgrecon.core.box3d import box_corners
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import BoxModel
 from fgrecon.core.shape_prior import ShapePrior
-from fgrecon.core.size_prior import SizePrior
+from fgrecon.core.size_prior import SizePrior, other_fleets
 from fgrecon.solve.vehicle.conditioning import given_size, is_one_vehicle, of_fleet
 from fgrecon.solve.vehicle.visibility import VisibilityTable
 
@@ -43,6 +43,7 @@ class VehicleModel:
         prior: The prior; where a size was given that of the fleet, or conditioned on the size of the one vehicle
             (`fgrecon.solve.vehicle.conditioning.is_one_vehicle` decides).
         size: The fleet's size prior; None where none was given, and where the prior holds it already.
+        fleet_told: Whether one was given.
         visibility: How visible each keypoint of the mean shape is from everywhere.
         outline: Surface points that can lie on the outline, for tight 2D boxes; the box's corners without a surface.
         corners: The eight corners of the vehicle's 3D box.
@@ -52,6 +53,7 @@ class VehicleModel:
 
     prior: ShapePrior
     size: SizePrior | None
+    fleet_told: bool
     visibility: VisibilityTable
     outline: LinearPoints
     corners: LinearPoints
@@ -64,8 +66,15 @@ class VehicleModel:
 
     @cached_property
     def traffic_spread(self) -> Array:
-        """(N, N) covariance of lambda that gives sizes the spread of the traffic, and else is that of the prior, I."""
-        return np.eye(self.prior.dimension) if self.size is None else self.spread_of(self.size.spread)
+        """(N, N) covariance of lambda that gives sizes the spread of the traffic, and else is that of the prior, I.
+
+        Where no fleet is told it may be another one than the prior's (`other_fleets`).
+        """
+        if self.size is not None:
+            return self.spread_of(self.size.spread)
+        if self.fleet_told:
+            return np.eye(self.prior.dimension)
+        return self.spread_of(self.dimension_basis @ self.dimension_basis.T + other_fleets(self.dimension_mean))
 
     def spread_of(self, sizes: Array) -> Array:
         """(N, N) covariance of lambda that gives sizes the covariance (3, 3), and else is that of the prior, I."""
@@ -103,7 +112,7 @@ def prepare(prior: ShapePrior, size: SizePrior | None = None, basis_vectors: int
             raise InvalidInputError("options.shape.basis_vectors", basis_vectors, fix)
         prior = prior.truncated(basis_vectors)
     prior, left = _brought_to(prior, size)
-    return _model(prior, left, VisibilityTable.build(prior))
+    return _model(prior, left, VisibilityTable.build(prior), fleet_told=size is not None)
 
 
 def sized(model: VehicleModel, size: SizePrior) -> VehicleModel:
@@ -116,7 +125,7 @@ def sized(model: VehicleModel, size: SizePrior) -> VehicleModel:
         size: The vehicle's.
     """
     prior, left = _brought_to(model.prior, size)
-    return _model(prior, left, model.visibility)
+    return _model(prior, left, model.visibility, fleet_told=True)
 
 
 def _brought_to(prior: ShapePrior, size: SizePrior | None) -> tuple[ShapePrior, SizePrior | None]:
@@ -128,13 +137,13 @@ def _brought_to(prior: ShapePrior, size: SizePrior | None) -> tuple[ShapePrior, 
     return of_fleet(prior, size), size
 
 
-def _model(prior: ShapePrior, size: SizePrior | None, visibility: VisibilityTable) -> VehicleModel:
+def _model(prior: ShapePrior, size: SizePrior | None, visibility: VisibilityTable, *, fleet_told: bool) -> VehicleModel:
     operator = prior.category.dimension_operator
     mean = np.tensordot(operator, prior.mean, axes=2)
     basis = np.tensordot(operator, prior.basis, axes=((1, 2), (1, 2)))
     corners = LinearPoints(box_corners(mean), np.array([box_corners(column) for column in basis.T]).reshape(-1, 8, 3))
     outline = corners if prior.surface is None else _outline(prior)
-    return VehicleModel(prior, size, visibility, outline, corners, mean, basis)
+    return VehicleModel(prior, size, fleet_told, visibility, outline, corners, mean, basis)
 
 
 def _outline(prior: ShapePrior) -> LinearPoints:
