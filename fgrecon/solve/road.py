@@ -126,7 +126,7 @@ class KnownGround:
 
     Attributes:
         ground: The plane, and how far each vehicle is taken to lie off it for itself.
-        told: _About where it was told to be.
+        told: About where it is.
         covariance: (3, 3) of its height, pitch and roll.
     """
 
@@ -171,7 +171,7 @@ class Road:
 
         Args:
             time: Of the frame, seconds.
-            told: _About where the ground is, or None.
+            told: About where the ground is, or None.
             camera: What sees it.
             world_T_camera: Pose of the camera, or None.
             vehicles: Those of the frame; may be none.
@@ -186,24 +186,12 @@ class Road:
         if about is None:
             vehicles.look(None)
             poses = vehicles.poses()
+            self._past = None
             if len(poses) < 2:
-                self._past = None
                 return None
             about = _About(seen_ground(dict(enumerate(poses))), camera, is_told=False)
         frame = GroundFrame.of(about.plane.normal, about.plane.distance)
-        past, weight = self._past, 1.0
-        known = None
-        if past is not None and not looked and (past.about.is_told or not about.is_told):
-            seconds = time - past.time
-            moved = _moved(past, seconds, frame, world_T_camera, about, motion_covariance)
-            before = past.known
-            known = _known(lambda: (_on_road(before.where, moved), _on_road(before.counted, moved)))
-            weight = min(seconds / _ALIKE, 1.0)
-        if known is None:  # the first frame, or the camera has gone where no ground before tells of this one
-            values = gtsam.Values()
-            values.insert(G(0), np.zeros(3))
-            first = Marginal((G(0),), (3,), values, np.diag(1.0 / about.spread), np.zeros(3))
-            known = _Known(first, first)
+        known, weight = self._before(time, about, frame, world_T_camera, motion_covariance)
         if not looked:
             vehicles.look(_ground(about, frame, known).ground)
         evidence = vehicles.say(known.where, about.plane)
@@ -215,6 +203,29 @@ class Road:
         found = _ground(about, frame, known)
         self._past = _Past(time, about, frame, world_T_camera, known, found.ground)
         return found
+
+    def _before(
+        self,
+        time: float,
+        about: _About,
+        frame: GroundFrame,
+        world_T_camera: gtsam.Pose3 | None,
+        motion_covariance: Array | None,
+    ) -> tuple[_Known, float]:
+        """What is known of the ground of a frame before its vehicles speak, and by which share these count."""
+        past = self._past
+        if past is not None and (past.about.is_told or not about.is_told):
+            seconds = time - past.time
+            moved = _moved(past, seconds, frame, world_T_camera, about, motion_covariance)
+            before = past.known
+            known = _known(lambda: (_on_road(before.where, moved), _on_road(before.counted, moved)))
+            if known is not None:
+                return known, min(seconds / _ALIKE, 1.0)
+        # The first frame, or the camera has gone where no ground before tells of this one, or now it is told.
+        values = gtsam.Values()
+        values.insert(G(0), np.zeros(3))
+        first = Marginal((G(0),), (3,), values, np.diag(1.0 / about.spread), np.zeros(3))
+        return _Known(first, first), 1.0
 
     def _about(self, told: Ground | None, camera: Camera, world_T_camera: gtsam.Pose3 | None) -> _About | None:
         """About where the ground of the next frame is: as is told, else where it was; None where that is open."""
@@ -239,7 +250,7 @@ def ground_evidence(
     Args:
         seen: The image for each of them, near its minimum.
         shapes: Of each, as it is known.
-        told: _About where the ground is.
+        told: About where the ground is.
         known: What is known of its change G(0) from there; of the evidence it is no part.
 
     Returns:
