@@ -42,7 +42,7 @@ def judge_simulated(
 
     Args:
         count: How many.
-        prior: Shape prior, from which shapes are drawn as well, as the fleet has them.
+        prior: Shape prior, from which shapes are drawn as well, as the fleet has them; of any fleet where none is told.
         ground: The ground that is told, or None.
         size_prior: The fleet that is told, or None.
         options: Settings.
@@ -50,7 +50,7 @@ def judge_simulated(
         seed: Of everything random.
     """
     model, rng = prepare(prior, size_prior, None), np.random.default_rng(seed)
-    spread = np.eye(prior.dimension) if size_prior is None else model.spread_of(np.diag(size_prior.sigma**2))
+    spread = model.traffic_spread if size_prior is None else model.spread_of(np.diag(size_prior.sigma**2))
     for number in range(count):
         shape = rng.multivariate_normal(np.zeros(prior.dimension), spread, method="cholesky")
         ((seen, truth),) = simulate_many([Vehicle.of_prior(model.prior, shape)], 1, rng, noise)

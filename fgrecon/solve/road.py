@@ -63,7 +63,7 @@ class GroundEvidence:
 
 
 class _Vehicles(Protocol):
-    """The vehicles of a frame; `fgrecon.solve.time.frame_vehicles.FrameVehicles` are such."""
+    """The vehicles of a frame; `fgrecon.solve.frame_vehicles.FrameVehicles` are such."""
 
     def look(self, ground: Ground | None, /) -> None:
         """Look at them on a ground."""

@@ -32,6 +32,7 @@ from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.box_check import box_excess, boxes_off
 from fgrecon.solve.facing import face_together
+from fgrecon.solve.frame_vehicles import FrameVehicles, PastFrame, VehicleTrack
 from fgrecon.solve.graph.adjust import Adjusted
 from fgrecon.solve.pipeline import ground_plane, observe
 from fgrecon.solve.proposals.problem import Problem
@@ -39,7 +40,6 @@ from fgrecon.solve.result import count, results
 from fgrecon.solve.road import KnownGround, Road
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.time.camera_way import CameraWay
-from fgrecon.solve.time.frame_vehicles import FrameVehicles, PastFrame, VehicleTrack
 from fgrecon.solve.time.neighbours import with_neighbours
 from fgrecon.solve.time.smooth import smooth
 from fgrecon.solve.time.vehicle import Followed
