@@ -46,7 +46,7 @@ if TYPE_CHECKING:  # imported when used
     from factors.ground import ground_height_factor, upright_factor
     from factors.guard import guarded_factor
     from factors.kernel import Projection, ProjectionKernel
-    from factors.keys import DecodedKey, F, G, L, M, O, P, V, X, decode_key, key_name
+    from factors.keys import DecodedKey, F, G, L, M, O, P, S, V, X, decode_key, key_name
     from factors.laplacian import laplacian_factor
     from factors.losses import Loss, RobustLoss
     from factors.marginals import Marginal, marginal, marginal_factor
@@ -92,6 +92,7 @@ __all__ = [
     "Projection",
     "ProjectionKernel",
     "RobustLoss",
+    "S",
     "V",
     "X",
     "as_noise",

@@ -16,6 +16,8 @@ key        type in `Values`    meaning                                         u
 ``V(v,t)`` vector (3,)         velocity in frame t: forward, left, turn rate   metres, radians per second
 ``F(t)``   vector (1,)         focal length of frame t: log of its ratio to     -
                                the nominal one
+``S()``    vector (3,)         how far the mean length, width and height of    metres
+                               the vehicles' fleet are from the prior's
 =========  ==================  ==============================================  ======================
 """
 
@@ -27,7 +29,7 @@ import gtsam
 
 from factors.errors import InvalidInputError
 
-__all__ = ["DecodedKey", "F", "G", "L", "M", "O", "P", "V", "X", "decode_key", "key_name"]
+__all__ = ["DecodedKey", "F", "G", "L", "M", "O", "P", "S", "V", "X", "decode_key", "key_name"]
 
 _LOW_BITS = 32
 _VEHICLES = 1 << (56 - _LOW_BITS)
@@ -38,8 +40,8 @@ class DecodedKey(NamedTuple):
     """What a key stands for.
 
     Attributes:
-        letter: `X`, `L`, `O`, `P`, `M`, `G`, `V` or `F`.
-        vehicle: Number of the vehicle; 0 for the ground and the focal length.
+        letter: `X`, `L`, `O`, `P`, `M`, `G`, `V`, `F` or `S`.
+        vehicle: Number of the vehicle; 0 for the ground, the focal length and the fleet.
         low: Frame of a pose, a velocity, the ground or the focal length, face of a plane, 0 for the others.
     """
 
@@ -120,6 +122,11 @@ def F(t: int = 0) -> int:
     return _key("F", 0, t, "t")
 
 
+def S() -> int:
+    """Key of the fleet (3,): by how much the vehicles are larger than those of the prior on average, metres."""
+    return _key("S", 0, 0, "")
+
+
 def decode_key(key: int) -> DecodedKey:
     """Letter, vehicle and frame or face of a key; the reverse of the functions of this module that make one."""
     symbol = gtsam.Symbol(key)
@@ -130,6 +137,8 @@ def decode_key(key: int) -> DecodedKey:
 def key_name(key: int) -> str:
     """A key for people to read, such as `X(v=0,t=3)`, `L(v=0)` or `P(v=0,f=2)`."""
     letter, vehicle, low = decode_key(key)
+    if letter == "S":
+        return "S()"
     if letter in "GF":
         return f"{letter}(t={low})"
     detail = {"X": f",t={low}", "V": f",t={low}", "P": f",f={low}"}.get(letter, "")

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from factors.errors import InvalidInputError
-from factors.keys import L, M, O, P, X, decode_key, key_name
+from factors.keys import L, M, O, P, S, X, decode_key, key_name
 
 vehicles = st.integers(0, 2**24 - 1)
 lows = st.integers(0, 2**32 - 1)
@@ -31,6 +31,11 @@ def test_keys_work_in_values():
     values = gtsam.Values()
     values.insert(X(3, 7), gtsam.Pose3())
     assert [key_name(k) for k in list(values.keys())] == ["X(v=3,t=7)"]
+
+
+def test_the_fleet_is_no_vehicle():
+    assert decode_key(S()) == ("S", 0, 0)
+    assert key_name(S()) == "S()"
 
 
 def test_names():

@@ -69,8 +69,8 @@ def test_where_no_fleet_is_told_it_may_be_another_one():
     given, prior = observe(load_prior("car14"), yaw_pose(0.6), noise=0.5), load_prior("car14")
     model, mean = prepare(prior), prior.box_size(np.zeros(prior.dimension))
     basis = model.dimension_basis
-    sizes = basis @ model.traffic_spread @ basis.T
-    np.testing.assert_allclose(sizes, basis @ basis.T + other_fleets(mean), rtol=1e-9)
+    np.testing.assert_allclose(basis @ model.by_size, np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(model.fleet_spread, other_fleets(mean))
     known = SizePrior("known", mean, np.full(3, 0.01))
     np.testing.assert_array_equal(prepare(prior, known).traffic_spread, np.eye(prior.dimension))
     results = {}

@@ -128,7 +128,7 @@ def undetermined(graph: Graph, values: gtsam.Values, weights: Sequence[Weights])
         values: Its minimum.
         weights: Weights of each observation there.
     """
-    built = graph.for_covariances(weights)
+    built, values = graph.for_covariances(weights, values)
     factors = {number: gtsam.NonlinearFactorGraph() for number in graph.vehicles}
     for factor in map(built.at, range(built.size())):
         for number in set(map(_vehicle, factor.keys())):
@@ -149,9 +149,9 @@ def undetermined(graph: Graph, values: gtsam.Values, weights: Sequence[Weights])
 
 
 def _vehicle(key: int) -> int | None:
-    """The vehicle of a variable; None of the ground and the focal length."""
+    """The vehicle of a variable; None of the ground, the focal length and the fleet."""
     letter, vehicle, _ = decode_key(key)
-    return None if letter in "GF" else vehicle
+    return None if letter in "GFS" else vehicle
 
 
 def read_covariances(

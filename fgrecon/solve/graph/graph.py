@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors import check_in_front
-from factors.keys import F, key_name
+from factors.keys import F, S, key_name
 from factors.mixture import Form
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import Options
@@ -241,8 +241,13 @@ class Graph:
         """Error of all other factors of that graph, which no weights change, nats."""
         return float(self._own.error(values))
 
-    def for_covariances(self, weights: Sequence[Weights]) -> gtsam.NonlinearFactorGraph:
-        """All factors with these weights, sizes counted once (`VehiclePart.counted_once`)."""
+    def for_covariances(
+        self, weights: Sequence[Weights], values: gtsam.Values
+    ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+        """All factors with these weights, sizes counted once (`VehiclePart.counted_once`), and all variables.
+
+        Where no fleet is told, all vehicles are of one that may be another than the prior's.
+        """
         graph = gtsam.NonlinearFactorGraph()
         for part, weight in zip(self.observations, weights, strict=True):
             for factor in part.solved(weight, Form.WEIGHTED):
@@ -252,7 +257,11 @@ class Graph:
                 graph.add(factor)
         for factor in self.extra:
             graph.add(factor)
-        return graph
+        if fleets := [vehicle.model.fleet_spread for vehicle in self.vehicles.values() if vehicle.any_fleet]:
+            graph.add(gtsam.PriorFactorVector(S(), np.zeros(3), gtsam.noiseModel.Gaussian.Covariance(fleets[0])))
+            values = gtsam.Values(values)
+            values.insert(S(), np.zeros(3))
+        return graph, values
 
     def terms(self, weights: Sequence[Weights]) -> Iterator[tuple[str, list[gtsam.NonlinearFactor]]]:
         """Name and factors of each term, observation by observation, then vehicle by vehicle, then the extra ones."""

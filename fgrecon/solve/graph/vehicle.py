@@ -25,6 +25,8 @@ from numpy.typing import NDArray
 
 import factors
 from factors import L, LinearShape, M, O, P
+from factors.keys import S
+from factors.marginals import Marginal, marginal_factor
 from factors.native import native
 from factors.shape_terms import ShapeTerms
 from fgrecon.core.category import Category, Face
@@ -133,26 +135,38 @@ class VehiclePart:
         """The factors of all terms as the solver gets them: the stacked ones in one."""
         return self._solved
 
+    @property
+    def any_fleet(self) -> bool:
+        """Whether sizes count in covariances as those of any fleet: where none is told."""
+        return "coefficients" in self._makers and not self.model.fleet_told
+
     @cached_property
     def counted_once(self) -> Sequence[gtsam.NonlinearFactor]:
         """The same factors for covariances, where the vehicle's size is as uncertain as the traffic's and no less.
 
         The prior on lambda tells sizes and so does the fleet, and the minimum is nearer the truth with both. But the
         spread of the traffic is that of real vehicles, which the two together make too small. So lambda has the prior
-        that gives sizes this spread, and is as it was where sizes do not depend on it. Without a fleet the prior on
-        lambda is too narrow by itself, since the vehicles may be another fleet's than it was learnt from.
+        that gives sizes this spread, and is as it was where sizes do not depend on it.
+
+        Where no fleet is told (`any_fleet`) that prior is about the mean of their fleet, S.
         """
-        key = self.shape.coefficients_key
-        told = self.model.size is not None or self.model.fleet_told
-        if key is None or not {"coefficients", *(["dimensions"] if told else [])} <= self._makers.keys():
+        key, any_fleet = self.shape.coefficients_key, self.any_fleet
+        if key is None or not (any_fleet or {"coefficients", "dimensions"} <= self._makers.keys()):
             return self._solved
-        spread = self.model.traffic_spread
         stack = self._stacked(sized=False)
         slices: Collection[str] = () if stack is None else stack.slices
         names = [name for name in self._makers if name not in {"coefficients", "dimensions", *slices}]
         own = [factor for name in names for factor in self._term(name)]
-        prior = gtsam.PriorFactorVector(key, np.zeros(len(spread)), gtsam.noiseModel.Gaussian.Covariance(spread))
+        prior = self._about_fleet(key) if any_fleet else _prior(key, self.model.traffic_spread)
         return [prior, *own] if stack is None else [stack.factor(), prior, *own]
+
+    def _about_fleet(self, key: int) -> gtsam.CustomFactor:
+        """N(0, I) of lambda about the mean of a fleet S that is larger than the prior's by so much."""
+        count, at = self.model.prior.dimension, gtsam.Values()
+        at.insert(key, np.zeros(count))
+        at.insert(S(), np.zeros(3))
+        off_mean = np.hstack([np.eye(count), -self.model.by_size])
+        return marginal_factor(Marginal((key, S()), (count, 3), at, off_mean, np.zeros(count)))
 
     def energies(self, values: gtsam.Values) -> Iterator[tuple[str, float]]:
         """Name and energy of each term at the values, nats."""
@@ -316,3 +330,8 @@ def _medial_plane(key: int) -> gtsam.Values:
     values = gtsam.Values()
     values.insert(key, gtsam.OrientedPlane3(np.array([0.0, 0.0, 1.0, 0.0])))
     return values
+
+
+def _prior(key: int, spread: Array) -> gtsam.PriorFactorVector:
+    """N(0, spread) of lambda."""
+    return gtsam.PriorFactorVector(key, np.zeros(len(spread)), gtsam.noiseModel.Gaussian.Covariance(spread))

@@ -68,20 +68,33 @@ class VehicleModel:
     def traffic_spread(self) -> Array:
         """(N, N) covariance of lambda that gives sizes the spread of the traffic, and else is that of the prior, I.
 
-        Where no fleet is told it may be another one than the prior's (`other_fleets`).
+        Where no fleet is told it is I about the mean of a fleet that may be another one than the prior's
+        (`other_fleets`, `by_size`).
         """
-        if self.size is not None:
-            return self.spread_of(self.size.spread)
-        if self.fleet_told:
-            return np.eye(self.prior.dimension)
-        return self.spread_of(self.dimension_basis @ self.dimension_basis.T + other_fleets(self.dimension_mean))
+        return np.eye(self.prior.dimension) if self.size is None else self.spread_of(self.size.spread)
+
+    @property
+    def sizes(self) -> Array:
+        """(3, 3) covariance of length, width and height by the prior."""
+        sizes: Array = self.dimension_basis @ self.dimension_basis.T
+        return sizes
+
+    @property
+    def by_size(self) -> Array:
+        """(N, 3) smallest change of lambda for a change of length, width and height."""
+        inverse: Array = np.linalg.pinv(self.dimension_basis)
+        return inverse
+
+    @property
+    def fleet_spread(self) -> Array:
+        """(3, 3) covariance of the mean size of the vehicles' fleet, where none is told."""
+        return other_fleets(self.dimension_mean)
 
     def spread_of(self, sizes: Array) -> Array:
         """(N, N) covariance of lambda that gives sizes the covariance (3, 3), and else is that of the prior, I."""
-        basis = self.dimension_basis
-        by_size = np.linalg.pinv(basis)
-        spread: Array = np.eye(basis.shape[1]) + by_size @ (sizes - basis @ basis.T) @ by_size.T
-        return spread
+        by_size = self.by_size
+        change: Array = by_size @ (sizes - self.sizes) @ by_size.T
+        return np.eye(len(by_size)) + change
 
     def truncated(self, dimension: int) -> VehicleModel:
         """The same model with the first `dimension` coefficients alone: what the search for poses moves; remembered."""

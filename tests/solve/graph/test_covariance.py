@@ -6,8 +6,10 @@ import gtsam
 import numpy as np
 import pytest
 
+from factors.keys import L
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.graph.covariance import Spread, factorise, projected_covariances, read_covariances
+from fgrecon.solve.graph.covariance import Spread, factorise, joint_covariance, projected_covariances, read_covariances
+from fgrecon.solve.graph.graph import Graph, Seen, State
 from fgrecon.solve.graph.observation import Weights
 from fgrecon.solve.pipeline import reconstruct
 from tests.solve.graph.support import energy_of, graph_at, problem_of, solved, state_of, unsymmetric, vector
@@ -108,6 +110,30 @@ def test_what_is_told_is_that_of_the_weighted_keypoints(strategy):
     whole = np.linalg.inv(information)
     np.testing.assert_allclose(told.pose_covariance, whole[:6, :6], atol=0.02 * np.abs(whole[:6, :6]).max())
     np.testing.assert_allclose(told.coefficients_covariance, whole[6:11, 6:11], atol=0.02)
+
+
+def test_vehicles_of_a_fleet_that_nobody_told_are_unsure_together():
+    """Two vehicles with nothing but their fleet in common, against what each image says and the joint prior of both."""
+    cars = [solved(seed, ground=False, size=False, box_model="off") for seed in (3, 4)]
+    ends, weights = [car.optimum.state for car in cars], [car.weights for car in cars]
+    state = State([end.poses[0] for end in ends], {i: end.shapes[0] for i, end in enumerate(ends)}, weights)
+    graph = Graph([Seen(car.problem, vehicle=i) for i, car in enumerate(cars)], state, pose_free=True)
+    built, values = graph.for_covariances(weights, graph.values(state))
+    joint = joint_covariance(factorise(built, values), [L(0), L(1)])
+
+    model, count = cars[0].problem.model, cars[0].problem.model.prior.dimension
+    alike = model.by_size @ model.fleet_spread @ model.by_size.T
+    prior = np.kron(np.ones((2, 2)), alike) + np.eye(2 * count)
+    said = np.zeros((2 * count, 2 * count))
+    for number, car in enumerate(cars):
+        own = slice(number * count, (number + 1) * count)
+        one = car.graph()
+        alone, values = one.for_covariances([car.weights], one.values(car.optimum.state))
+        covariance = joint_covariance(factorise(alone, values), [L(0)])
+        said[own, own] = np.linalg.inv(covariance) - np.linalg.inv(alike + np.eye(count))
+    expected = np.linalg.inv(np.linalg.inv(prior) + said)
+    np.testing.assert_allclose(joint, expected, atol=1e-5 * np.abs(expected).max())
+    assert model.dimension_basis[0] @ joint[:count, count:] @ model.dimension_basis[0] > 0.0
 
 
 @pytest.mark.parametrize("settings", [{"free_offsets": True}, {"free_offsets": True, "ground": False, "size": False}])
