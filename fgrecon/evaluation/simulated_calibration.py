@@ -50,8 +50,7 @@ def judge_simulated(
         seed: Of everything random.
     """
     model, rng = prepare(prior, size_prior, None), np.random.default_rng(seed)
-    sizes = model.sizes + model.fleet_spread if size_prior is None else np.diag(size_prior.sigma**2)
-    spread = model.spread_of(sizes)
+    spread = model.any_fleet_spread if size_prior is None else model.spread_of(np.diag(size_prior.sigma**2))
     for number in range(count):
         shape = rng.multivariate_normal(np.zeros(prior.dimension), spread, method="cholesky")
         ((seen, truth),) = simulate_many([Vehicle.of_prior(model.prior, shape)], 1, rng, noise)

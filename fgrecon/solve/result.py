@@ -69,7 +69,7 @@ def count(graph: Graph, optimum: Optimum, at_once: Collection[int] | None = None
     weights = [_common(part, w) for part, w in zip(graph.observations, optimum.state.weights, strict=True)]
     marginals: gtsam.Marginals | Spread | None = None
     if optimum.failure is None:
-        built, values = graph.for_covariances(weights, values)
+        built = graph.for_covariances(weights)
         asked = None if at_once is None else _asked(graph, at_once)
         marginals = factorise(built, values) if asked is None else Spread.of(built, values, asked)
     return Counted(values, weights, marginals)

@@ -23,7 +23,7 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from factors.keys import F
+from factors.keys import F, S
 from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_instance, as_list
@@ -43,6 +43,7 @@ from fgrecon.solve.graph.adjust import Adjusted, SolvedStage
 from fgrecon.solve.graph.covariance import covariance_of, undetermined
 from fgrecon.solve.graph.graph import Graph, Seen, State
 from fgrecon.solve.graph.optimise import Optimum, optimise
+from fgrecon.solve.graph.vehicle import fleet_prior
 from fgrecon.solve.occlusion import with_occlusion
 from fgrecon.solve.pipeline import ground_plane
 from fgrecon.solve.result import count, history_of, results, weakened
@@ -304,6 +305,10 @@ def _together(
     if known.focal_sigma:
         others.insert(F(0), np.zeros(1))
         priors.append(focal_prior(known, alone.camera))
+    model = next(iter(solved.values())).problem.model
+    if not model.fleet_told and model.prior.dimension:
+        others.insert(S(), np.zeros(3))
+        priors.append(fleet_prior(model))
     for number, one in solved.items():
         priors += one.own(number)
         problem = one.problem.on(None) if image_of[number] in standing else one.problem

@@ -65,12 +65,12 @@ def test_sizes_are_as_uncertain_as_those_of_the_traffic():
 
 
 def test_where_no_fleet_is_told_it_may_be_another_one():
-    """Regions are wider by that, and nothing moves; a size that is told is known."""
+    """The prior and regions are wider by that; a size that is told is known."""
     given, prior = observe(load_prior("car14"), yaw_pose(0.6), noise=0.5), load_prior("car14")
     model, mean = prepare(prior), prior.box_size(np.zeros(prior.dimension))
     basis = model.dimension_basis
-    np.testing.assert_allclose(basis @ model.by_size, np.eye(3), atol=1e-9)
-    np.testing.assert_allclose(model.fleet_spread, other_fleets(mean))
+    sizes = basis @ model.any_fleet_spread @ basis.T
+    np.testing.assert_allclose(sizes, basis @ basis.T + other_fleets(mean), rtol=1e-9)
     known = SizePrior("known", mean, np.full(3, 0.01))
     np.testing.assert_array_equal(prepare(prior, known).traffic_spread, np.eye(prior.dimension))
     results = {}

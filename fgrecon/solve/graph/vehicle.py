@@ -33,7 +33,7 @@ from fgrecon.core.category import Category, Face
 from fgrecon.core.options import Options
 from fgrecon.solve.vehicle.model import VehicleModel
 
-__all__ = ["Terms", "VehiclePart", "vehicle_part"]
+__all__ = ["Terms", "VehiclePart", "fleet_prior", "vehicle_part"]
 
 Array = NDArray[np.float64]
 Terms = Mapping[str, list[gtsam.NonlinearFactor]]
@@ -54,7 +54,15 @@ class VehiclePart:
         coefficients: Key of lambda, or its value where it is held.
     """
 
-    def __init__(self, model: VehicleModel, options: Options, number: int = 0, *, held: Held | None = None) -> None:
+    def __init__(
+        self,
+        model: VehicleModel,
+        options: Options,
+        number: int = 0,
+        *,
+        held: Held | None = None,
+        of_fleet: bool = False,
+    ) -> None:
         """Prepare the part.
 
         Args:
@@ -62,9 +70,10 @@ class VehiclePart:
             options: Settings.
             number: Number of the vehicle in the keys.
             held: Lambda (N,) and offsets (K, 3) where the shape is a constant.
+            of_fleet: Whether the prior on lambda is about the mean of a fleet S, which is a variable of the graph.
         """
         prior = model.prior
-        self.model, self.options, self.number = model, options, number
+        self.model, self.options, self.number, self.of_fleet = model, options, number, of_fleet
         offsets: int | Array | None
         if held is None:
             self.coefficients: int | Array = L(number) if prior.dimension else np.zeros(0)
@@ -135,11 +144,6 @@ class VehiclePart:
         """The factors of all terms as the solver gets them: the stacked ones in one."""
         return self._solved
 
-    @property
-    def any_fleet(self) -> bool:
-        """Whether sizes count in covariances as those of any fleet: where none is told."""
-        return "coefficients" in self._makers and not self.model.fleet_told
-
     @cached_property
     def counted_once(self) -> Sequence[gtsam.NonlinearFactor]:
         """The same factors for covariances, where the vehicle's size is as uncertain as the traffic's and no less.
@@ -147,17 +151,15 @@ class VehiclePart:
         The prior on lambda tells sizes and so does the fleet, and the minimum is nearer the truth with both. But the
         spread of the traffic is that of real vehicles, which the two together make too small. So lambda has the prior
         that gives sizes this spread, and is as it was where sizes do not depend on it.
-
-        Where no fleet is told (`any_fleet`) that prior is about the mean of their fleet, S.
         """
-        key, any_fleet = self.shape.coefficients_key, self.any_fleet
-        if key is None or not (any_fleet or {"coefficients", "dimensions"} <= self._makers.keys()):
+        key = self.shape.coefficients_key
+        if key is None or not {"coefficients", "dimensions"} <= self._makers.keys():
             return self._solved
         stack = self._stacked(sized=False)
         slices: Collection[str] = () if stack is None else stack.slices
         names = [name for name in self._makers if name not in {"coefficients", "dimensions", *slices}]
         own = [factor for name in names for factor in self._term(name)]
-        prior = self._about_fleet(key) if any_fleet else _prior(key, self.model.traffic_spread)
+        prior = _prior(key, self.model.traffic_spread)
         return [prior, *own] if stack is None else [stack.factor(), prior, *own]
 
     def _about_fleet(self, key: int) -> gtsam.CustomFactor:
@@ -229,6 +231,10 @@ class VehiclePart:
 
     def _coefficients(self) -> list[gtsam.NonlinearFactor]:
         assert self.shape.coefficients_key is not None
+        if self.of_fleet:
+            return [self._about_fleet(self.shape.coefficients_key)]
+        if not self.model.fleet_told:
+            return [_prior(self.shape.coefficients_key, self.model.any_fleet_spread)]
         return [factors.coefficients_prior(self.shape.coefficients_key, self.model.prior.dimension)]
 
     def _offsets(self) -> list[gtsam.NonlinearFactor]:
@@ -303,15 +309,15 @@ Held = tuple[Array, Array]
 """Lambda (N,) and offsets (K, 3)."""
 
 
-def vehicle_part(model: VehicleModel, options: Options, number: int) -> VehiclePart:
+def vehicle_part(model: VehicleModel, options: Options, number: int, *, of_fleet: bool = False) -> VehiclePart:
     """The part of a vehicle whose shape is free; remembered, since every vehicle of a fleet has the same."""
-    return _remembered(model, options, number, get_ident())
+    return _remembered(model, options, number, of_fleet, get_ident())
 
 
 @lru_cache(maxsize=16)
-def _remembered(model: VehicleModel, options: Options, number: int, thread: int) -> VehiclePart:  # noqa: ARG001
+def _remembered(model: VehicleModel, options: Options, number: int, of_fleet: bool, thread: int) -> VehiclePart:  # noqa: ARG001
     """One for each thread: a part keeps what it evaluated last."""
-    return VehiclePart(model, options, number)
+    return VehiclePart(model, options, number, of_fleet=of_fleet)
 
 
 def _is_mirrored(face: Face, category: Category) -> bool:
@@ -335,3 +341,8 @@ def _medial_plane(key: int) -> gtsam.Values:
 def _prior(key: int, spread: Array) -> gtsam.PriorFactorVector:
     """N(0, spread) of lambda."""
     return gtsam.PriorFactorVector(key, np.zeros(len(spread)), gtsam.noiseModel.Gaussian.Covariance(spread))
+
+
+def fleet_prior(model: VehicleModel) -> gtsam.PriorFactorVector:
+    """What is known of the mean size of a fleet S that nobody told."""
+    return gtsam.PriorFactorVector(S(), np.zeros(3), gtsam.noiseModel.Gaussian.Covariance(model.fleet_spread))

@@ -66,18 +66,8 @@ class VehicleModel:
 
     @cached_property
     def traffic_spread(self) -> Array:
-        """(N, N) covariance of lambda that gives sizes the spread of the traffic, and else is that of the prior, I.
-
-        Where no fleet is told it is I about the mean of a fleet that may be another one than the prior's
-        (`other_fleets`, `by_size`).
-        """
+        """(N, N) covariance of lambda that gives sizes the spread of the traffic, and else is that of the prior, I."""
         return np.eye(self.prior.dimension) if self.size is None else self.spread_of(self.size.spread)
-
-    @property
-    def sizes(self) -> Array:
-        """(3, 3) covariance of length, width and height by the prior."""
-        sizes: Array = self.dimension_basis @ self.dimension_basis.T
-        return sizes
 
     @property
     def by_size(self) -> Array:
@@ -90,10 +80,17 @@ class VehicleModel:
         """(3, 3) covariance of the mean size of the vehicles' fleet, where none is told."""
         return other_fleets(self.dimension_mean)
 
+    @property
+    def any_fleet_spread(self) -> Array:
+        """(N, N) covariance of lambda where no fleet is told: the prior's within a fleet, and how far fleets differ."""
+        by_size = self.by_size
+        fleets: Array = by_size @ self.fleet_spread @ by_size.T
+        return np.eye(len(fleets)) + fleets
+
     def spread_of(self, sizes: Array) -> Array:
         """(N, N) covariance of lambda that gives sizes the covariance (3, 3), and else is that of the prior, I."""
-        by_size = self.by_size
-        change: Array = by_size @ (sizes - self.sizes) @ by_size.T
+        basis, by_size = self.dimension_basis, self.by_size
+        change: Array = by_size @ (sizes - basis @ basis.T) @ by_size.T
         return np.eye(len(by_size)) + change
 
     def truncated(self, dimension: int) -> VehicleModel:

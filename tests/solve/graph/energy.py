@@ -10,6 +10,8 @@ import numpy as np
 from scipy.optimize import least_squares, minimize
 from scipy.spatial.transform import Rotation
 
+from fgrecon.core.size_prior import other_fleets
+
 
 class Energy:
     """Residuals of one vehicle at fixed weights as a function of one vector.
@@ -59,6 +61,15 @@ class Energy:
         points = self.prior.mean + sum(c * b for c, b in zip(coefficients, self.prior.basis, strict=True))
         return points + offsets.reshape(-1, 3) if len(offsets) else points
 
+    def _whitened(self, coefficients):
+        """By the prior; where no fleet is told, by that and by how far fleets differ."""
+        if self.problem.model.fleet_told or not len(coefficients):
+            return coefficients
+        sizes = np.einsum("dki,nki->dn", self.category.dimension_operator, self.prior.basis)
+        by_size, mean = np.linalg.pinv(sizes), self.prior.box_size(np.zeros(self.prior.dimension))
+        spread = np.eye(len(coefficients)) + by_size @ other_fleets(mean) @ by_size.T
+        return np.linalg.solve(np.linalg.cholesky(spread), coefficients)
+
     def start(self, coefficients, offsets):
         """The vector at the pose, with planes through the mean heights of their faces."""
         x = [np.zeros(self.sizes[0]), coefficients, offsets.ravel() if self.options.shape.free_offsets else np.zeros(0)]
@@ -75,7 +86,7 @@ class Energy:
         options, problem = self.options, self.problem
         _, coefficients, offsets, *planes = self.split(x)
         pose, points = self.pose_at(x), self.points_at(x)
-        terms = {"reprojection": self._reprojection(pose, points), "coefficients": coefficients}
+        terms = {"reprojection": self._reprojection(pose, points), "coefficients": self._whitened(coefficients)}
         if len(offsets):
             spread = np.maximum(self.prior.offset_sigma, 1e-4).reshape(self.category.size, -1)
             sigma = spread * np.ones(3)

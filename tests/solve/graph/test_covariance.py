@@ -6,11 +6,12 @@ import gtsam
 import numpy as np
 import pytest
 
-from factors.keys import L
+from factors.keys import L, S
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph.covariance import Spread, factorise, joint_covariance, projected_covariances, read_covariances
 from fgrecon.solve.graph.graph import Graph, Seen, State
 from fgrecon.solve.graph.observation import Weights
+from fgrecon.solve.graph.vehicle import fleet_prior
 from fgrecon.solve.pipeline import reconstruct
 from tests.solve.graph.support import energy_of, graph_at, problem_of, solved, state_of, unsymmetric, vector
 
@@ -116,20 +117,22 @@ def test_vehicles_of_a_fleet_that_nobody_told_are_unsure_together():
     """Two vehicles with nothing but their fleet in common, against what each image says and the joint prior of both."""
     cars = [solved(seed, ground=False, size=False, box_model="off") for seed in (3, 4)]
     ends, weights = [car.optimum.state for car in cars], [car.weights for car in cars]
-    state = State([end.poses[0] for end in ends], {i: end.shapes[0] for i, end in enumerate(ends)}, weights)
-    graph = Graph([Seen(car.problem, vehicle=i) for i, car in enumerate(cars)], state, pose_free=True)
-    built, values = graph.for_covariances(weights, graph.values(state))
-    joint = joint_covariance(factorise(built, values), [L(0), L(1)])
+    others = gtsam.Values()
+    others.insert(S(), np.zeros(3))
+    state = State([end.poses[0] for end in ends], {i: end.shapes[0] for i, end in enumerate(ends)}, weights, others)
+    seen, model = [Seen(car.problem, vehicle=i) for i, car in enumerate(cars)], cars[0].problem.model
+    graph = Graph(seen, state, pose_free=True, extra=[fleet_prior(model)])
+    joint = joint_covariance(factorise(graph.for_covariances(weights), graph.values(state)), [L(0), L(1)])
 
-    model, count = cars[0].problem.model, cars[0].problem.model.prior.dimension
+    count = model.prior.dimension
     alike = model.by_size @ model.fleet_spread @ model.by_size.T
     prior = np.kron(np.ones((2, 2)), alike) + np.eye(2 * count)
     said = np.zeros((2 * count, 2 * count))
     for number, car in enumerate(cars):
         own = slice(number * count, (number + 1) * count)
         one = car.graph()
-        alone, values = one.for_covariances([car.weights], one.values(car.optimum.state))
-        covariance = joint_covariance(factorise(alone, values), [L(0)])
+        alone = factorise(one.for_covariances([car.weights]), one.values(car.optimum.state))
+        covariance = joint_covariance(alone, [L(0)])
         said[own, own] = np.linalg.inv(covariance) - np.linalg.inv(alike + np.eye(count))
     expected = np.linalg.inv(np.linalg.inv(prior) + said)
     np.testing.assert_allclose(joint, expected, atol=1e-5 * np.abs(expected).max())
