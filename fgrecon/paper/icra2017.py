@@ -87,7 +87,7 @@ def settings() -> Options:
         box=BoxOptions(BoxModel.CUBOID, sigma_relative=0.0, sigma_pixels=2.0),
         # 42 vectors leave nothing for offsets, and this prior is not symmetric. The search moves them as well.
         search=SearchOptions(basis_vectors=42),
-        shape=ShapeOptions(free_offsets=False, symmetry_sigma=0.03, rectangularity_sigma=0.05),
+        shape=ShapeOptions(free_offsets=False, own_fleet=True, symmetry_sigma=0.03, rectangularity_sigma=0.05),
         disabled_terms=["laplacian"],
     )
 

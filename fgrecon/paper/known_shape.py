@@ -20,7 +20,7 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.geometry import transform
 from fgrecon.core.metrics import FAILURE_DEGREES, keypoint_error, rotation_error
-from fgrecon.core.options import BoxModel, KeypointOptions, Options
+from fgrecon.core.options import BoxModel, KeypointOptions, Options, ShapeOptions
 from fgrecon.core.processes import one_thread_each
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
@@ -52,7 +52,12 @@ BASIS = 14
 """Basis vectors of the priors: five, as shipped, leave 2.4 degrees and 4.4 % of the distance where eight leave 2.2 and
 4.0 and fourteen 2.2 and 3.8; what comes after these is finer than the marks."""
 
-KNOWN_SHAPE_OPTIONS = Options(keypoints=KeypointOptions(sigma_relative=0.015), box=BoxModel.OFF, keep_history=True)
+KNOWN_SHAPE_OPTIONS = Options(
+    keypoints=KeypointOptions(sigma_relative=0.015),
+    box=BoxModel.OFF,
+    shape=ShapeOptions(own_fleet=True),
+    keep_history=True,
+)
 """Marks are sharper than a network's points (1.9 % of the box about the labelled model, of which a part is the labels'
 own error). The boxes are 2 to 3 % too large, and on some cars far off."""
 

@@ -110,7 +110,6 @@ class _Solver:
             confidence=marked,
             box=car.box,
             prior=prior,
-            size_prior="apollo79",
             options=options,
         )
         return judge_known(result, car.camera_T_object, car.size, car.shape, car.name.partition("_")[0])

@@ -306,7 +306,7 @@ def _together(
         others.insert(F(0), np.zeros(1))
         priors.append(focal_prior(known, alone.camera))
     model = next(iter(solved.values())).problem.model
-    if not model.fleet_told and model.prior.dimension:
+    if not (model.fleet_told or options.shape.own_fleet) and model.prior.dimension:
         others.insert(S(), np.zeros(3))
         priors.append(fleet_prior(model))
     for number, one in solved.items():

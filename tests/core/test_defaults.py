@@ -47,6 +47,7 @@ DEFAULTS = {
         "joint": True,
         "free_offsets": True,
         "basis_vectors": None,
+        "own_fleet": False,
         "planarity_sigma": 0.03,
         "symmetry_sigma": 0.01,
         "rectangularity_sigma": 0.01,

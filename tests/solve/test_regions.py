@@ -7,7 +7,7 @@ import pytest
 
 import fgrecon
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.options import KeypointOptions, Options
+from fgrecon.core.options import KeypointOptions, Options, ShapeOptions
 from fgrecon.core.size_prior import SizePrior, other_fleets, size_prior
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.vehicle.model import prepare
@@ -80,6 +80,16 @@ def test_where_no_fleet_is_told_it_may_be_another_one():
     assert spread["untold"] > 1.2 * spread["its own"]
     far = {name: np.trace(one.pose_covariance[3:, 3:]) for name, one in results.items()}
     assert far["untold"] > 1.2 * far["its own"]
+
+
+def test_who_knows_that_the_fleet_is_the_priors_own_says_so():
+    given = observe(load_prior("car14"), yaw_pose(0.6), noise=0.5)
+    own = Options(shape=ShapeOptions(own_fleet=True))
+    spread = [np.trace(fgrecon.reconstruct(given, CAMERA, options=o).size_covariance) for o in (own, Options())]
+    assert spread[1] > 1.2 * spread[0]
+    seen = [given, observe(load_prior("car14"), yaw_pose(-2.0), noise=0.5, seed=1)]
+    scenes = [fgrecon.reconstruct_scene(seen, CAMERA, options=o) for o in (own, Options())]
+    assert np.trace(scenes[1].vehicles[0].size_covariance) > 1.2 * np.trace(scenes[0].vehicles[0].size_covariance)
 
 
 def test_fleets_differ_by_all_their_dimensions_alike():

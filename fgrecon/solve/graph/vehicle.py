@@ -233,7 +233,7 @@ class VehiclePart:
         assert self.shape.coefficients_key is not None
         if self.of_fleet:
             return [self._about_fleet(self.shape.coefficients_key)]
-        if not self.model.fleet_told:
+        if not (self.model.fleet_told or self.options.shape.own_fleet):
             return [_prior(self.shape.coefficients_key, self.model.any_fleet_spread)]
         return [factors.coefficients_prior(self.shape.coefficients_key, self.model.prior.dimension)]
 
