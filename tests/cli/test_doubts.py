@@ -106,7 +106,7 @@ def said_by(*arguments):
 
 @pytest.mark.parametrize(("change", "told"), CHANGES)
 def test_of_many_it_is_told_once_with_their_number(tmp_path, many, change, told):
-    said = said_by("batch", many(change), "--out", tmp_path / "out", "--jobs", 1)
+    said = said_by("batch", many(change), "--out", tmp_path / "out", "--jobs", 1, "--size-prior", "apollo79")
     if told is None:
         assert "Warning" not in said
         assert pq.read_table(tmp_path / "out").column("doubt").null_count == 9
@@ -117,7 +117,7 @@ def test_of_many_it_is_told_once_with_their_number(tmp_path, many, change, told)
 
 @pytest.mark.parametrize(("change", "told"), CHANGES)
 def test_of_a_video_too(tmp_path, many, change, told):
-    said = said_by("run", many(change), "--out", tmp_path / "out", "--fps", 10)
+    said = said_by("run", many(change), "--out", tmp_path / "out", "--fps", 10, "--size-prior", "apollo79")
     if told is None:
         assert "keypoint" not in said
     else:
