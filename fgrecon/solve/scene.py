@@ -305,10 +305,10 @@ def _together(
     if known.focal_sigma:
         others.insert(F(0), np.zeros(1))
         priors.append(focal_prior(known, alone.camera))
-    model = next(iter(solved.values())).problem.model
-    if not (model.fleet_told or options.shape.own_fleet) and model.prior.dimension:
+    models = [one.problem.model for one in solved.values() if not one.problem.model.fleet_told]
+    if models and models[0].prior.dimension and not options.shape.own_fleet:
         others.insert(S(), np.zeros(3))
-        priors.append(fleet_prior(model))
+        priors.append(fleet_prior(models[0]))
     for number, one in solved.items():
         priors += one.own(number)
         problem = one.problem.on(None) if image_of[number] in standing else one.problem

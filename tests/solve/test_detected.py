@@ -115,6 +115,21 @@ def test_a_vehicle_without_a_box_among_others_is_as_it_would_be():
         assert np.array_equal(one.camera_T_object, other.camera_T_object)
 
 
+def test_of_a_fleet_that_nobody_told_are_those_without_a_box():
+    """A vehicle whose box tells its size says nothing of the others' fleet, wherever it stands in the list."""
+    _, seen, boxes = street(7, count=3)
+    orders = [[0, 1, 2], [1, 2, 0]]
+    found = []
+    for order in orders:
+        given = [boxes[i] if i == 0 else None for i in order]
+        scene = reconstruct_scene([seen[i] for i in order], CAMERA, ground=1.65, boxes=given, options=OPTIONS)
+        found.append(dict(zip(order, scene.vehicles, strict=True)))
+    for i in range(3):
+        np.testing.assert_allclose(found[0][i].camera_T_object, found[1][i].camera_T_object, atol=1e-3)
+        np.testing.assert_allclose(found[0][i].size_covariance, found[1][i].size_covariance, rtol=1e-2, atol=1e-6)
+    assert np.trace(found[0][0].size_covariance) < 0.5 * np.trace(found[0][1].size_covariance)
+
+
 def test_the_size_is_the_boxes_own_as_far_as_that_is_known():
     """A van among cars: its size is not pulled to a fleet's."""
     size = np.array([4.9, 1.95, 1.95])

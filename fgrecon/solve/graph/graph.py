@@ -115,7 +115,7 @@ class Graph:
                 if hold_shape:
                     self.vehicles[number] = VehiclePart(model, self.options, number, held=state.shapes[number])
                 else:
-                    of_fleet = state.others.exists(S())
+                    of_fleet = state.others.exists(S()) and not model.fleet_told
                     self.vehicles[number] = vehicle_part(model, self.options, number, of_fleet=of_fleet)
             vehicle = self.vehicles[one.vehicle]
             share = common_share(1 + self._more[one.vehicle], self.options)
