@@ -113,11 +113,11 @@ def run(
     Raises:
         InvalidInputError: The folder holds another run or a video's, a file of which it has rows was edited since, or
             the prior cannot be loaded.
+        MissingPackageError: Ray is not installed.
+        WorkerDiedError: Workers cannot even begin.
 
     Warns:
         DamagedFileWarning: A part, or what the files were, is damaged, and is put aside.
-        MissingPackageError: Ray is not installed.
-        WorkerDiedError: Workers cannot even begin.
     """
     if jobs < 1:
         raise InvalidInputError("jobs", jobs, "Give at least one.")

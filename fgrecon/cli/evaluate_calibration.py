@@ -58,7 +58,8 @@ def calibration_command(
     screen = terminal.screen(json_out)
     if not folders and not simulated:
         raise InvalidInputError("drives", "none", "Give folders of labelled drives, or --simulated N.")
-    given: dict[str, Any] = {"ground": labelled.told().origin, "size_prior": labelled.size_prior}
+    known = labelled.told()
+    given: dict[str, Any] = {"ground": known.origin, "size_prior": labelled.size_prior}
     found: dict[str, Calibration] = {}
     if folders:
         scored = how.score(folders, labelled, screen, rivals=(), track=track)
@@ -72,7 +73,6 @@ def calibration_command(
                 told = outcome.failure or f"{outcome.status}, {outcome.degrees:.1f} degrees, {outcome.metres:.2f} m"
                 screen.detail(f"{box.drive}/{box.frame:06d}/{box.index} {method}: {told}")
     if simulated:
-        known = labelled.told()
         cars = judge_simulated(simulated, known.scene.prior, ground=known.ground, size_prior=known.size)
         with screen.bar() as advance:
             judged = []

@@ -104,14 +104,7 @@ class _Solver:
         if car.model not in self.priors:
             self.priors[car.model] = apollo79_prior(self.models, basis=_BASIS, exclude=[car.model])
         prior, marked = self.priors[car.model], np.isfinite(car.keypoints[:, 0]).astype(np.float64)
-        result = reconstruct(
-            car.keypoints,
-            self.camera,
-            confidence=marked,
-            box=car.box,
-            prior=prior,
-            options=options,
-        )
+        result = reconstruct(car.keypoints, self.camera, confidence=marked, box=car.box, prior=prior, options=options)
         return judge_known(result, car.camera_T_object, car.size, car.shape, car.name.partition("_")[0])
 
 

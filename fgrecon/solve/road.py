@@ -32,7 +32,15 @@ from fgrecon.core.errors import FactorCallbackError
 from fgrecon.solve.graph.graph import Graph, Seen, State
 from fgrecon.solve.graph.optimise import optimise
 from fgrecon.solve.graph.vehicle import Held
-from fgrecon.solve.standing import LEAST_HEIGHT, OWN_HEIGHT, OWN_SLOPE, WIDE, Standing, own_deviations, seen_ground
+from fgrecon.solve.standing import (
+    LEAST_HEIGHT,
+    OWN_HEIGHT,
+    OWN_SLOPE,
+    Standing,
+    ground_spread,
+    own_deviations,
+    seen_ground,
+)
 from fgrecon.solve.time.window import Frame
 
 __all__ = ["GroundEvidence", "KnownGround", "Road", "ground_evidence"]
@@ -90,14 +98,9 @@ class _About:
     is_told: bool = True
 
     @property
-    def told(self) -> Array:
-        """(3,) standard deviations of height, pitch and roll of a ground that is told."""
-        return np.array([self.plane.height_sigma, self.plane.slope_sigma, self.plane.slope_sigma])
-
-    @property
     def spread(self) -> Array:
-        """(3,) those of this ground before any vehicle says more."""
-        return self.told if self.is_told else np.array(WIDE)
+        """(3,) standard deviations of height, pitch and roll before any vehicle says more."""
+        return ground_spread(self.plane if self.is_told else None)
 
 
 @dataclass(frozen=True)
@@ -189,7 +192,7 @@ class Road:
             self._past = None
             if len(poses) < 2:
                 return None
-            about = _About(seen_ground(dict(enumerate(poses))), camera, is_told=False)
+            about = _About(seen_ground(poses), camera, is_told=False)
         frame = GroundFrame.of(about.plane.normal, about.plane.distance)
         known, weight = self._before(time, about, frame, world_T_camera, motion_covariance)
         if not looked:
@@ -293,7 +296,7 @@ def _moved(
     motion = _motion(past, world_T_camera)
     kept = max(float(np.exp(-seconds / _LASTS)), _LEAST_KEPT) if about.is_told else 1.0
     changes = 1.0 - kept**2 if about.is_told else 2.0 * seconds / _FREE
-    unsure = np.diag(changes * about.told**2)
+    unsure = np.diag(changes * ground_spread(about.plane) ** 2)
     if motion is not None and covariance is not None:
         by_motion = np.zeros((3, 6))  # of height and slopes, in the camera's frame now
         by_motion[0, 3:], by_motion[1:, :3] = frame.normal, np.cross(frame.normal, frame.across)

@@ -43,7 +43,7 @@ from fgrecon.solve.graph.adjust import Adjusted, SolvedStage
 from fgrecon.solve.graph.covariance import covariance_of, undetermined
 from fgrecon.solve.graph.graph import Graph, Seen, State
 from fgrecon.solve.graph.optimise import Optimum, optimise
-from fgrecon.solve.graph.vehicle import fleet_prior
+from fgrecon.solve.graph.vehicle import fleet_prior, is_any_fleets
 from fgrecon.solve.occlusion import with_occlusion
 from fgrecon.solve.pipeline import ground_plane
 from fgrecon.solve.result import count, history_of, results, weakened
@@ -305,8 +305,8 @@ def _together(
     if known.focal_sigma:
         others.insert(F(0), np.zeros(1))
         priors.append(focal_prior(known, alone.camera))
-    models = [one.problem.model for one in solved.values() if not one.problem.model.fleet_told]
-    if models and models[0].prior.dimension and not options.shape.own_fleet:
+    models = [one.problem.model for one in solved.values() if is_any_fleets(one.problem.model, options)]
+    if models and models[0].prior.dimension:
         others.insert(S(), np.zeros(3))
         priors.append(fleet_prior(models[0]))
     for number, one in solved.items():

@@ -8,7 +8,7 @@ say about where it is, and the prior is wide.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -23,7 +23,16 @@ from fgrecon.core.camera import Ground
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.solve.weakness import off_ground
 
-__all__ = ["LEAST_HEIGHT", "OWN_HEIGHT", "OWN_SLOPE", "OWN_TILT", "WIDE", "Standing", "own_deviations", "seen_ground"]
+__all__ = [
+    "LEAST_HEIGHT",
+    "OWN_HEIGHT",
+    "OWN_SLOPE",
+    "OWN_TILT",
+    "Standing",
+    "ground_spread",
+    "own_deviations",
+    "seen_ground",
+]
 
 Array = NDArray[np.float64]
 
@@ -31,8 +40,7 @@ OWN_HEIGHT, OWN_SLOPE, OWN_TILT = 0.35, 0.15, 0.5
 """Shares of a told ground's deviations that are each vehicle's own; chosen on KITTI's video (docs/method.md)."""
 LEAST_HEIGHT = 0.2
 """Metres: a camera is above the road."""
-WIDE = (0.5, 0.3, 0.1)
-"""Metres, radians, radians: prior of height, pitch and roll where no ground is told."""
+_WIDE = (0.5, 0.3, 0.1)  # metres, radians, radians: prior of height, pitch and roll where no ground is told
 _OUTLYING = 3.0  # standard deviations from which on a contact counts less
 
 
@@ -57,14 +65,13 @@ class Standing:
     @classmethod
     def of(cls, image: int, poses: Mapping[int, Array], plane: Ground | None) -> Standing:
         """The ground of an image with vehicles at poses (4, 4), by number; `plane` is what is told of it."""
-        nominal = seen_ground(poses) if plane is None else plane
+        nominal = seen_ground([*poses.values()]) if plane is None else plane
         frame = GroundFrame.of(nominal.normal, nominal.distance)
-        spread = WIDE if plane is None else (nominal.height_sigma, nominal.slope_sigma, nominal.slope_sigma)
         contacts = {
             number: contact_factor(X(number, 0), G(image), frame, _contact_noise(nominal, float(pose[2, 3])))
             for number, pose in poses.items()
         }
-        return cls(G(image), nominal, frame, contacts, np.array(spread))
+        return cls(G(image), nominal, frame, contacts, ground_spread(plane))
 
     @property
     def prior(self) -> gtsam.PriorFactorVector:
@@ -85,11 +92,16 @@ class Standing:
         return off_ground(float(normal @ result.location - distance), _own_height(self.nominal, depth))
 
 
-def seen_ground(poses: Mapping[int, Array]) -> Ground:
+def ground_spread(plane: Ground | None) -> Array:
+    """(3,) standard deviations of height, pitch and roll before the vehicles tell; `plane` is what is told."""
+    return np.array(_WIDE if plane is None else (plane.height_sigma, plane.slope_sigma, plane.slope_sigma))
+
+
+def seen_ground(poses: Sequence[Array]) -> Ground:
     """The plane that vehicles' poses (4, 4) speak of: their median down axis and height."""
-    down = np.median([pose[:3, 1] for pose in poses.values()], axis=0)
+    down = np.median([pose[:3, 1] for pose in poses], axis=0)
     normal = down / np.linalg.norm(down)
-    distance = float(np.median([pose[:3, 3] @ normal for pose in poses.values()]))
+    distance = float(np.median([pose[:3, 3] @ normal for pose in poses]))
     upright = normal if normal[1] > 0.0 else np.array([0.0, 1.0, 0.0])
     return Ground(upright, max(distance, LEAST_HEIGHT))
 

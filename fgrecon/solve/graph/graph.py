@@ -21,7 +21,7 @@ from factors.mixture import Form
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import Options
 from fgrecon.solve.graph.observation import ObservationPart, Weights
-from fgrecon.solve.graph.vehicle import Held, Terms, VehiclePart, vehicle_part
+from fgrecon.solve.graph.vehicle import Held, Terms, VehiclePart, is_any_fleets, vehicle_part
 from fgrecon.solve.proposals.problem import Problem
 
 __all__ = ["EXTRA", "Graph", "Seen", "State", "Terms", "common_share"]
@@ -115,7 +115,7 @@ class Graph:
                 if hold_shape:
                     self.vehicles[number] = VehiclePart(model, self.options, number, held=state.shapes[number])
                 else:
-                    of_fleet = state.others.exists(S()) and not model.fleet_told
+                    of_fleet = state.others.exists(S()) and is_any_fleets(model, self.options)
                     self.vehicles[number] = vehicle_part(model, self.options, number, of_fleet=of_fleet)
             vehicle = self.vehicles[one.vehicle]
             share = common_share(1 + self._more[one.vehicle], self.options)

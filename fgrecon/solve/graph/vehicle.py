@@ -33,7 +33,7 @@ from fgrecon.core.category import Category, Face
 from fgrecon.core.options import Options
 from fgrecon.solve.vehicle.model import VehicleModel
 
-__all__ = ["Terms", "VehiclePart", "fleet_prior", "vehicle_part"]
+__all__ = ["Terms", "VehiclePart", "fleet_prior", "is_any_fleets", "vehicle_part"]
 
 Array = NDArray[np.float64]
 Terms = Mapping[str, list[gtsam.NonlinearFactor]]
@@ -233,7 +233,7 @@ class VehiclePart:
         assert self.shape.coefficients_key is not None
         if self.of_fleet:
             return [self._about_fleet(self.shape.coefficients_key)]
-        if not (self.model.fleet_told or self.options.shape.own_fleet):
+        if is_any_fleets(self.model, self.options):
             return [_prior(self.shape.coefficients_key, self.model.any_fleet_spread)]
         return [factors.coefficients_prior(self.shape.coefficients_key, self.model.prior.dimension)]
 
@@ -341,6 +341,11 @@ def _medial_plane(key: int) -> gtsam.Values:
 def _prior(key: int, spread: Array) -> gtsam.PriorFactorVector:
     """N(0, spread) of lambda."""
     return gtsam.PriorFactorVector(key, np.zeros(len(spread)), gtsam.noiseModel.Gaussian.Covariance(spread))
+
+
+def is_any_fleets(model: VehicleModel, options: Options) -> bool:
+    """Whether a vehicle may be of another fleet than its prior's: none is told, and nobody says that it is that one."""
+    return not (model.fleet_told or options.shape.own_fleet)
 
 
 def fleet_prior(model: VehicleModel) -> gtsam.PriorFactorVector:
