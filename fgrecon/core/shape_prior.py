@@ -65,6 +65,11 @@ class Surface:
         set_(self, "basis", own(basis))
         set_(self, "faces", own(faces.astype(np.int32, copy=False)))
 
+    @cached_property
+    def triangles(self) -> NDArray[np.int64]:
+        """(F, 3) `faces` as results have them: one array for all, since there may be thousands of results."""
+        return own(self.faces.astype(np.int64))
+
     def vertices(self, coefficients: ArrayLike) -> NDArray[np.float64]:
         """(V, 3) vertices at the coefficients (N,)."""
         return self.mean + _combined(coefficients, self.basis)

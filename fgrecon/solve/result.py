@@ -203,7 +203,7 @@ def _result(
         history=history,
         milliseconds=milliseconds,
         surface_vertices=None if prior.surface is None else vertices,
-        surface_faces=None if prior.surface is None else surface.faces.astype(np.int64),
+        surface_faces=None if prior.surface is None else surface.triangles,
         faces={face.name: face.keypoints for face in prior.category.faces},
         symmetric_pairs=np.array(prior.category.symmetric_pairs, dtype=np.int64).reshape(-1, 2),
         graph=structure,

@@ -88,6 +88,15 @@ def test_the_parts_of_a_result_fit_together(prior, seen):
     assert set(result.milliseconds) >= {"pose", "shape"}
 
 
+def test_a_result_holds_nothing_that_it_does_not_show(prior, seen):
+    """A video has thousands of them: what is common to all is there once, and no array keeps a larger one alive."""
+    one, other = solve(seen[0]), solve(observe(prior, yaw_pose(0.4)))
+    assert one.surface_faces is other.surface_faces
+    shown = {name: value for name, value in vars(one).items() if isinstance(value, np.ndarray)}
+    held = {name: whole.nbytes for name, array in shown.items() if isinstance(whole := array.base, np.ndarray)}
+    assert {name: size for name, size in held.items() if size > shown[name].nbytes} == {}
+
+
 def test_the_size_of_one_car_tells_its_shape(prior):
     """A long, tall car from few points: with its size told it comes out in shape, size and place."""
     coefficients = np.array([1.5, -0.8, 0.6, 0.4, 0.0])

@@ -53,8 +53,8 @@ class Surfaces:
         if shape.shape != result.wireframe.shape or not np.abs(shape - result.wireframe).max() < _SAME:
             return result
         assert model.surface is not None
-        faces = model.surface.faces.astype(np.int64)
-        return replace(result, surface_vertices=model.surface.vertices(result.coefficients), surface_faces=faces)
+        vertices = model.surface.vertices(result.coefficients)
+        return replace(result, surface_vertices=vertices, surface_faces=model.surface.triangles)
 
 
 def _found(settings: Mapping[str, Any]) -> ShapePrior | None:

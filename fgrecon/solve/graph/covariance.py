@@ -195,7 +195,8 @@ def read_covariances(
         return None
     by_variables = part.vehicle.size_derivative
     count = shape.dims[0] if shape.coefficients_key is not None else 0
-    return Covariances(pose, variables[:count, :count], keypoints, by_variables @ variables @ by_variables.T)
+    lambdas = variables[:count, :count].copy()  # not a view: results outlive the rest
+    return Covariances(pose, lambdas, keypoints, by_variables @ variables @ by_variables.T)
 
 
 def projected_covariances(part: ObservationPart, values: gtsam.Values, marginals: gtsam.Marginals) -> Array | None:

@@ -29,6 +29,8 @@ Pixels = NDArray[np.uint8]
 _TALLEST = 2.2  # times the height above the lamps: a large van beside a saloon
 _MOVED = -0.15, 0.5  # share of the way by which parts are moved: a coupe's rear window begins half a roof ahead
 _UNEVEN = 0.5  # standard deviation of the logarithm of the boxes' jitter
+_SAME = 0.04  # of its longer side: boxes that differ by less are the same
+_LEAST_SEEN = 0.3  # of a car's longer side: detectors hardly find one of which less can be seen
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,8 @@ class Street:
         backlit: The car is in the shade, before something too bright for the camera.
         dull: The picture has little colour, and what is dark in it is black, as a camera for driving sees a shade.
         truncated: The image's border cuts the car off.
+        seen_alone: The box is around what can be seen of a hidden car, as a detector's mostly is, and not around all of
+            it.
         extent: Range of the car's longer side in pixels before it is resampled to the crop.
         jitter: Standard deviation of the box's centre, and of its size, as a fraction of its longer side; that of the
             median box, since some are much worse than others.
@@ -88,6 +92,7 @@ class Street:
     backlit: float = 0.15
     dull: float = 0.5
     truncated: float = 0.12
+    seen_alone: float = 0.4
     extent: tuple[float, float] = (24.0, 220.0)
     jitter: float = 0.035
     roll: float = 3.0
@@ -127,7 +132,7 @@ class Street:
             view = view.mirrored(partner)
         if rng.random() < self.raised:
             view = raise_cabin(view, self.belt, np.exp(rng.uniform(0.0, np.log(_TALLEST))))
-        matrix, border = self._placement(view, rng)
+        matrix, around, border = self._placement(view, rng)
         car, mask = _warp(view.image, matrix, self.size), _warp(view.mask, matrix, self.size)
         canvas = self._background(another, rng)
         if rng.random() < self.cut_out and view.within is None:  # a street car is where it belongs
@@ -139,11 +144,12 @@ class Street:
             alpha = _warp(whole, matrix, self.size)
         keypoints = view.keypoints @ matrix[:, :2].T + matrix[:, 2]
         field = self._field(keypoints, partner, rng)
-        car, alpha, keypoints = deform(car, field), deform(alpha, field), deform_points(keypoints, field)
+        car, alpha, mask = deform(car, field), deform(alpha, field), deform(mask, field)
+        keypoints = deform_points(keypoints, field)
         canvas = _blend(canvas, car, alpha)
         untouched = view.within is not None and rng.random() < self.as_it_is
         if rng.random() < self.backlit and not untouched:
-            canvas = _backlit(canvas, deform(mask, field), rng)
+            canvas = _backlit(canvas, mask, rng)
         visible = view.visible.copy()
         cover = np.zeros((self.size, self.size), dtype=np.uint8)
         if rng.random() < self.covered:
@@ -152,6 +158,12 @@ class Street:
             canvas, cover = self._block(canvas, cover, rng)
         outside = np.zeros(cover.shape, dtype=bool) if border is None else _beyond(border, self.size)
         cover[outside] = 255
+        if rng.random() < self.seen_alone:
+            closer = _closer(np.where(cover > 127, 0, mask), *around)
+            if closer is not None:
+                canvas, cover = (_warp(pixels, closer, self.size) for pixels in (canvas, cover))
+                outside = _warp(outside.astype(np.uint8), closer, self.size) > 0
+                keypoints = keypoints @ closer[:, :2].T + closer[:, 2]
         at = np.rint(np.nan_to_num(keypoints, nan=-1.0)).astype(int)
         inside = ((at >= 0) & (at < self.size)).all(axis=1)
         column, row = np.clip(at, 0, self.size - 1).T
@@ -160,8 +172,13 @@ class Street:
         crop[outside] = FILL  # what the camera does to its image does not happen beyond it
         return Sample(crop, keypoints, visible, view.azimuth)
 
-    def _placement(self, view: LabelledView, rng: np.random.Generator) -> tuple[Array, tuple[str, float] | None]:
-        """(2, 3) map from the photograph to the crop, and the image border in the crop (side and coordinate)."""
+    def _placement(
+        self, view: LabelledView, rng: np.random.Generator
+    ) -> tuple[Array, tuple[Array, float], tuple[str, float] | None]:
+        """(2, 3) map from the photograph to the crop, the car's box there, and the image's border there.
+
+        The box by its centre (2,) and longer side, the border by side and coordinate.
+        """
         low, high = view.box[:2].copy(), view.box[2:].copy()
         width, height = high - low
         side, cut = None, 0.0
@@ -179,10 +196,11 @@ class Street:
         angle = np.deg2rad(rng.normal(0.0, self.roll)) if side is None else 0.0
         turn = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) * aspect
         matrix = np.column_stack([turn, (self.size - 1) / 2 - turn @ centre])
+        around = turn @ (low + high) / 2 + matrix[:, 2], extent * scale
         if side is None:
-            return matrix, None
+            return matrix, around, None
         corner = turn @ (low if side == "left" else high) + matrix[:, 2]
-        return matrix, (side, float(corner[1 if side == "bottom" else 0]))
+        return matrix, around, (side, float(corner[1 if side == "bottom" else 0]))
 
     def _field(self, points: Array, partner: NDArray[np.intp], rng: np.random.Generator) -> Field:
         """How the car's shape is changed: a little at random, and sometimes one pair of parts by far."""
@@ -290,6 +308,28 @@ def _warp(pixels: Pixels, matrix: Array, size: int) -> Pixels:
         matrix = np.column_stack([linear, matrix[:, 2] + matrix[:, :2] @ (ratio / 2 - 0.5)])
     warped = cv2.warpAffine(pixels, matrix, (size, size), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
     return np.asarray(warped, dtype=np.uint8)
+
+
+def _closer(seen: Pixels, centre: Array, extent: float) -> Array | None:
+    """(2, 3) map from a crop by a whole car's box to one by the box of what is seen, jittered alike.
+
+    Args:
+        seen: (S, S) above 127 on what is seen.
+        centre: (2,) of the whole car's box, pixels of the crop.
+        extent: Longer side of it.
+
+    Returns:
+        None where both boxes are about the same, or too little is seen.
+    """
+    rows, columns = np.nonzero(seen > 127)
+    if not len(rows):
+        return None
+    low, high = np.array([columns.min(), rows.min()]), np.array([columns.max(), rows.max()])
+    share, away = float((high - low).max() + 1) / extent, (low + high) / 2 - centre
+    if share < _LEAST_SEEN or (share > 1.0 - _SAME and np.abs(away).max() < _SAME * extent):
+        return None
+    scale, middle = max(1.0 / share, 1.0), (len(seen) - 1) / 2
+    return np.column_stack([scale * np.eye(2), middle - scale * (middle + away)])
 
 
 def _blend(under: Pixels, over: Pixels, alpha: Pixels) -> Pixels:

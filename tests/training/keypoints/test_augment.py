@@ -10,7 +10,7 @@ from fgrecon.training.keypoints.augment import Street
 from fgrecon.training.keypoints.labelled_view import LabelledView
 
 MIRROR = load_category("car14").mirror
-PLAIN = Street(cut_out=0, covered=0, block=0, truncated=0, extent=(200.0, 220.0))
+PLAIN = Street(cut_out=0, covered=0, block=0, truncated=0, seen_alone=0, extent=(200.0, 220.0))
 
 
 def made_up_view(rng, size=(120, 80)):
@@ -130,9 +130,9 @@ def test_a_street_car_fills_the_crop_as_a_photograph_does():
     """What is around it changes neither place nor size in the crop."""
     view = made_up_view(np.random.default_rng(0))
     for seed in range(20):
-        alone, _ = PLAIN._placement(view, np.random.default_rng(seed))
+        alone, _, _ = PLAIN._placement(view, np.random.default_rng(seed))
         wider = in_its_street(view)
-        among, _ = PLAIN._placement(wider, np.random.default_rng(seed))
+        among, _, _ = PLAIN._placement(wider, np.random.default_rng(seed))
         np.testing.assert_allclose(
             wider.keypoints @ among[:, :2].T + among[:, 2], view.keypoints @ alone[:, :2].T + alone[:, 2], atol=1e-9
         )
@@ -184,3 +184,46 @@ def test_a_dull_picture_has_less_colour_and_its_dark_parts_are_darker():
     (colour, dark), (pale, darker) = seen(0.0), seen(1.0)
     assert pale < 0.8 * colour
     assert darker < dark
+
+
+class HalfHidden(Bright):
+    """Something bright hides the right half of the crop."""
+
+    def _block(self, canvas, cover, rng):
+        canvas, cover = canvas.copy(), cover.copy()
+        canvas[:, 48:], cover[:, 48:] = 60, 255
+        return canvas, cover
+
+
+@pytest.mark.parametrize("street_car", [False, True])
+def test_a_hidden_car_is_seen_by_the_box_of_what_is_seen(street_car):
+    view = made_up_view(np.random.default_rng(0))
+    view = in_its_street(view) if street_car else view
+    still = {"jitter": 0.0, "roll": 0.0, "stretch": 0.0, "bend": 0.0, "moved": 0.0, "raised": 0.0, "backlit": 0.0}
+    plain = {"cut_out": 0.0, "covered": 0.0, "truncated": 0.0, "block": 1.0}
+    whole, seen = (
+        HalfHidden(**still, **plain, seen_alone=share).sample(view, lambda _: view, MIRROR, np.random.default_rng(4))
+        for share in (0.0, 1.0)
+    )
+    # 120 x 80 pixels: of the left half, 60 x 80, the height is the longer side.
+    np.testing.assert_allclose(np.ptp(seen.keypoints, axis=0) / np.ptp(whole.keypoints, axis=0), 1.5, atol=0.05)
+    np.testing.assert_array_equal(seen.visible, whole.visible)
+    assert 3 < np.count_nonzero(seen.visible) < 11
+    columns = np.flatnonzero((seen.crop != 127).any(axis=(0, 2)))
+    hidden = np.flatnonzero((seen.crop == 60).all(axis=(0, 2)))
+    assert abs((columns[0] + hidden[0]) / 2 - 47.5) < 24  # what is seen is in the middle
+    assert hidden[0] == pytest.approx(47.5 + 30 * 96 / 1.2 / 80, abs=2)
+
+
+def test_a_car_of_which_hardly_anything_is_seen_keeps_its_box():
+    class Hidden(Bright):
+        def _block(self, canvas, cover, rng):
+            return canvas, np.full_like(cover, 255)
+
+    view = made_up_view(np.random.default_rng(0))
+    whole, seen = (
+        Hidden(block=1.0, seen_alone=share).sample(view, lambda _: view, MIRROR, np.random.default_rng(4))
+        for share in (0.0, 1.0)
+    )
+    np.testing.assert_array_equal(seen.keypoints, whole.keypoints)
+    assert not seen.visible.any()
