@@ -15,9 +15,10 @@ from fgrecon.core.errors import FgreconError
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.solve.facing import faced_anew
+from fgrecon.solve.ground_evidence import GroundEvidence, ground_evidence
 from fgrecon.solve.proposals.adjust import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.road import GroundEvidence, KnownGround, ground_evidence
+from fgrecon.solve.road import KnownGround
 from fgrecon.solve.time.camera_way import CameraWay, Milestone
 from fgrecon.solve.time.neighbours import neighbours_say
 from fgrecon.solve.time.vehicle import Followed

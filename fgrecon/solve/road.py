@@ -5,7 +5,7 @@
              vehicles            vehicles            vehicles
 
 A camera nods, and the road bends; both change slowly, and in the long run the ground is as near to what is told as that
-says (`Ground`). Each frame is one step: what its vehicles say, with poses and shapes eliminated (`ground_evidence`),
+says (`Ground`). Each frame is one step: what its vehicles say, with poses and shapes eliminated (`ground_evidence.py`),
 one factor from the ground before, and what is left of that. Vehicles that are seen again err alike: they count by the
 time that has passed. How sure the ground is goes by a second chain, in which they count as their keypoints do for
 covariances. Where nothing is told the first vehicles say about where it is, nothing draws it back there, and it may
@@ -29,21 +29,10 @@ from factors.noise import full_noise
 from factors.road import road_factor
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FactorCallbackError
-from fgrecon.solve.graph.graph import Graph, Seen, State
-from fgrecon.solve.graph.optimise import optimise
-from fgrecon.solve.graph.vehicle import Held
-from fgrecon.solve.standing import (
-    LEAST_HEIGHT,
-    OWN_HEIGHT,
-    OWN_SLOPE,
-    Standing,
-    ground_spread,
-    own_deviations,
-    seen_ground,
-)
-from fgrecon.solve.time.window import Frame
+from fgrecon.solve.ground_evidence import GroundEvidence
+from fgrecon.solve.standing import LEAST_HEIGHT, OWN_HEIGHT, OWN_SLOPE, ground_spread, own_deviations, seen_ground
 
-__all__ = ["GroundEvidence", "KnownGround", "Road", "ground_evidence"]
+__all__ = ["KnownGround", "Road"]
 
 Array = NDArray[np.float64]
 
@@ -54,20 +43,6 @@ _NEAR, _FAR = 10.0, 40.0  # metres: depths at which the uncertainty is that of t
 _LEAST_KEPT = 1e-6
 _LEAST_DOWN = 0.1  # of the normal of a ground: cameras look along it rather than at it
 _ROUNDS = 3  # of a solve that is nearly linear
-_STEPS = 1  # Newton's, of the vehicles of a frame together: each begins near its minimum
-
-
-@dataclass(frozen=True)
-class GroundEvidence:
-    """What the vehicles of a frame say of G(0).
-
-    Attributes:
-        said: For where it is.
-        common_factor: By how much less it says of how sure that is, see `Problem.common_factor`.
-    """
-
-    said: Marginal
-    common_factor: float
 
 
 class _Vehicles(Protocol):
@@ -243,45 +218,6 @@ class Road:
             plane = _carried(here, motion)
             return None if plane is None else _About(plane, camera, is_told=False)
         return replace(past.about, is_told=False) if np.array_equal(past.about.camera.matrix, camera.matrix) else None
-
-
-def ground_evidence(
-    seen: Sequence[Frame], shapes: Sequence[Held], told: Ground, known: Marginal
-) -> GroundEvidence | None:
-    """What the vehicles of an image say of the ground, their poses and shapes eliminated.
-
-    Args:
-        seen: The image for each of them, near its minimum.
-        shapes: Of each, as it is known.
-        told: About where the ground is.
-        known: What is known of its change G(0) from there; of the evidence it is no part.
-
-    Returns:
-        The evidence about G(0); None where there are fewer than two vehicles, or they could not be solved.
-    """
-    if len(seen) < 2 or "ground" in seen[0].problem.options.disabled_terms:
-        return None
-    standing = Standing.of(0, {i: one.pose.matrix() for i, one in enumerate(seen)}, told)
-    state = State([one.pose for one in seen], dict(enumerate(shapes)), [one.weights for one in seen], known.values)
-    extra = [*standing.contacts.values(), marginal_factor(known)]
-    graph = Graph(
-        [Seen(one.problem.on(None), vehicle=i) for i, one in enumerate(seen)], state, pose_free=True, extra=extra
-    )
-    optimum = optimise(graph, state, _STEPS)
-    if optimum.failure is not None:
-        return None
-    speaking, values = gtsam.NonlinearFactorGraph(), optimum.values
-    built = graph.build(optimum.state.weights)
-    for factor in map(built.at, range(built.size())):
-        if list(factor.keys()) != [G(0)]:
-            speaking.add(factor)
-    try:
-        found = marginal(speaking, values, [key for key in values.keys() if key != G(0)])  # noqa: SIM118 - no mapping
-    except np.linalg.LinAlgError:  # vehicles that determine nothing
-        return None
-    if not (np.isfinite(found.matrix).all() and np.isfinite(found.right).all()):
-        return None
-    return GroundEvidence(found, max(one.problem.common_factor for one in seen))
 
 
 def _moved(

@@ -9,7 +9,8 @@ from factors.contact import GroundFrame
 from factors.keys import G
 from factors.marginals import Marginal
 from fgrecon.core.camera import Ground
-from fgrecon.solve.road import GroundEvidence, Road
+from fgrecon.solve.ground_evidence import GroundEvidence
+from fgrecon.solve.road import Road
 from tests.solve.time.streets import CAMERA, PRIOR, seen, upright
 
 GROUND = 1.65

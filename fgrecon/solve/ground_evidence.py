@@ -1,0 +1,74 @@
+"""What the vehicles of one image say of the ground that they stand on together, as a factor on it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from factors.keys import G
+from factors.marginals import Marginal, marginal, marginal_factor
+from fgrecon.core.camera import Ground
+from fgrecon.solve.graph.graph import Graph, Seen, State
+from fgrecon.solve.graph.optimise import optimise
+from fgrecon.solve.graph.vehicle import Held
+from fgrecon.solve.standing import Standing
+from fgrecon.solve.time.window import Frame
+
+__all__ = ["GroundEvidence", "ground_evidence"]
+
+_STEPS = 1  # Newton's, of the vehicles together: each begins near its minimum
+
+
+@dataclass(frozen=True)
+class GroundEvidence:
+    """What the vehicles of a frame say of G(0).
+
+    Attributes:
+        said: For where it is.
+        common_factor: By how much less it says of how sure that is, see `Problem.common_factor`.
+    """
+
+    said: Marginal
+    common_factor: float
+
+
+def ground_evidence(
+    seen: Sequence[Frame], shapes: Sequence[Held], told: Ground, known: Marginal
+) -> GroundEvidence | None:
+    """What the vehicles of an image say of the ground, their poses and shapes eliminated.
+
+    Args:
+        seen: The image for each of them, near its minimum.
+        shapes: Of each, as it is known.
+        told: About where the ground is.
+        known: What is known of its change G(0) from there; of the evidence it is no part.
+
+    Returns:
+        The evidence about G(0); None where there are fewer than two vehicles, or they could not be solved.
+    """
+    if len(seen) < 2 or "ground" in seen[0].problem.options.disabled_terms:
+        return None
+    standing = Standing.of(0, {i: one.pose.matrix() for i, one in enumerate(seen)}, told)
+    state = State([one.pose for one in seen], dict(enumerate(shapes)), [one.weights for one in seen], known.values)
+    extra = [*standing.contacts.values(), marginal_factor(known)]
+    graph = Graph(
+        [Seen(one.problem.on(None), vehicle=i) for i, one in enumerate(seen)], state, pose_free=True, extra=extra
+    )
+    optimum = optimise(graph, state, _STEPS)
+    if optimum.failure is not None:
+        return None
+    speaking, values = gtsam.NonlinearFactorGraph(), optimum.values
+    built = graph.build(optimum.state.weights)
+    for factor in map(built.at, range(built.size())):
+        if list(factor.keys()) != [G(0)]:
+            speaking.add(factor)
+    try:
+        found = marginal(speaking, values, [key for key in values.keys() if key != G(0)])  # noqa: SIM118 - no mapping
+    except np.linalg.LinAlgError:  # vehicles that determine nothing
+        return None
+    if not (np.isfinite(found.matrix).all() and np.isfinite(found.right).all()):
+        return None
+    return GroundEvidence(found, max(one.problem.common_factor for one in seen))
