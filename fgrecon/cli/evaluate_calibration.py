@@ -28,6 +28,9 @@ def calibration_command(
     terminal: Terminal,
     how: DriveOptions,
     folders: DrivesArgument = [],  # noqa: B006  # Typer makes a list of its own
+    detect: Annotated[
+        bool, typer.Option("--detect", help="Look at the boxes of the shipped vehicle detector, and not the labelled.")
+    ] = False,
     simulated: Annotated[
         int, typer.Option(min=0, metavar="N", help="Also so many simulated cars, whose 3D keypoints are known.")
     ] = 0,
@@ -43,8 +46,9 @@ def calibration_command(
 
     A region of 68 or 95 % should hold so many errors, and be no wider than one that is made to hold: by scaling the
     covariances, or of one size for all, with the drive (of simulated cars a tenth) left out of the fit. Vehicles turned
-    round count for the facing alone. Wrong are results more than 15 degrees or 20 % of the distance off. --verbose
-    tells every box.
+    round count for the facing alone. Wrong are results more than 15 degrees or 20 % of the distance off. With
+    --detect a labelled box is judged by the detected one that overlaps it most, by more than half. --verbose tells
+    every box.
 
     Exit code 1: no vehicle could be reconstructed.
     """
@@ -58,12 +62,15 @@ def calibration_command(
     screen = terminal.screen(json_out)
     if not folders and not simulated:
         raise InvalidInputError("drives", "none", "Give folders of labelled drives, or --simulated N.")
+    if detect and not folders:
+        raise InvalidInputError("detect", "without drives", "Give folders of labelled drives, in which to find cars.")
     known = labelled.told()
     given: dict[str, Any] = {"ground": known.origin, "size_prior": labelled.size_prior}
     found: dict[str, Calibration] = {}
     if folders:
-        scored = how.score(folders, labelled, screen, rivals=(), track=track)
+        scored = how.score(folders, labelled, screen, rivals=(), track=track, detect=detect)
         given |= {"drives": [drive.name for drive in scored.drives], "traffic": how.traffic}
+        given |= {"boxes": "detected" if detect else "labelled", "box_model": how.encloses(detect=detect).value}
         methods = (SYSTEM, ONLINE, BATCH) if track else (SYSTEM,)
         found |= {method: calibrate_boxes(scored.boxes, method) for method in methods}
         screen.print(scored.in_words())

@@ -49,7 +49,8 @@ class DetectorCalibration:
     """Settings of `fgrecon.KeypointOptions` that belong to a detector, from vehicles whose boxes are known.
 
     Attributes:
-        common_factor: By how much its keypoints and box say less than if their errors were independent.
+        common_factor: By how much its keypoints and box say less than if their errors were independent; `cuboid`
+            boxes count whole.
         facing_bias: Of the log odds of a facing.
         facing_slope: What the detector's own log odds count.
         provenance: What it was fitted to, and how well it holds; plain values.

@@ -133,8 +133,8 @@ def results(
 
 def _common(part: ObservationPart, weights: Weights) -> Weights:
     """The weights with which keypoints and box count for covariances: a detector's errors go together."""
-    factor = part.problem.common_factor
-    return replace(weights, keypoints=weights.keypoints / factor, box=weights.box / factor)
+    by_keypoints, by_box = part.problem.common_factor, part.problem.box_common_factor
+    return replace(weights, keypoints=weights.keypoints / by_keypoints, box=weights.box / by_box)
 
 
 def history_of(start: PoseEstimate, adjusted: Adjusted, index: int, *, alone: bool) -> Sequence[Iteration]:

@@ -185,6 +185,11 @@ def test_the_shipped_network_on_real_images(data, tmp_path, how, metres):
     assert whole["aop"]["5"]["value"] == 100.0
     assert whole["median_metres"] < metres
     assert all(row["facing"] > 0.9 and row["view"] == "rear" for row in made["boxes"])
+    told = CliRunner().invoke(main.app, ["evaluate", "calibration", str(drive), "--json", "-", *how])
+    assert told.exit_code == 0, told.output
+    (judged,) = json.loads(told.stdout)
+    assert judged["boxes"] == ("detected" if how else "labelled")
+    assert judged["statuses"] == [{"status": "converged", "count": 4, "turned_round": 0, "wrong": 0}]
 
 
 def test_what_results_say_of_themselves(drives, weights, tmp_path):
@@ -212,3 +217,6 @@ def test_what_results_say_of_themselves(drives, weights, tmp_path):
     refused = CliRunner().invoke(main.app, ["evaluate", "calibration", str(drives[0]), "--fold", "three=x"])
     assert isinstance(refused.exception, InvalidInputError)
     assert refused.exception.field == "fold"
+    nowhere = CliRunner().invoke(main.app, ["evaluate", "calibration", "--simulated", "3", "--detect"])
+    assert isinstance(nowhere.exception, InvalidInputError)
+    assert nowhere.exception.field == "detect"

@@ -29,6 +29,21 @@ def test_errors_that_go_together_widen_the_region_and_move_nothing():
     assert np.trace(wide.coefficients_covariance) > np.trace(narrow.coefficients_covariance)
 
 
+def test_a_projected_3d_box_counts_whole():
+    """It is no detector's: however little the keypoints say, it says where the car is."""
+    given = observe(load_prior("car14"), yaw_pose(0.6), noise=0.5)
+    detected = replace(given, covariance=np.tile(4.0 * np.eye(2), (14, 1, 1)))
+
+    def position(encloses, factor):
+        options = Options(box=encloses, keypoints=KeypointOptions(common_factor=factor))
+        found = fgrecon.reconstruct(detected, CAMERA, size_prior="3.9,1.6,1.5", options=options)
+        return np.diag(found.pose_covariance)[3:]
+
+    assert (position("cuboid", 100.0) < 20.0 * position("cuboid", 1.0)).all()
+    for encloses in ("surface", "detected"):
+        assert (position(encloses, 100.0) > 40.0 * position(encloses, 1.0)).all()
+
+
 def test_the_default_is_for_detectors_that_give_covariances():
     given = observe(load_prior("car14"), yaw_pose(0.6), noise=0.5)
     apart = Options(keypoints=KeypointOptions(common_factor=1.0))

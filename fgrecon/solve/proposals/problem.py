@@ -63,8 +63,13 @@ class Problem:
 
     @property
     def common_factor(self) -> float:
-        """By how much a detector's errors, which go together, make its keypoints and box say less; 1 for a person's."""
+        """By how much a detector's errors, which go together, make its keypoints say less; 1 for a person's."""
         return 1.0 if self.observation.covariance is None else self.options.keypoints.common_factor
+
+    @property
+    def box_common_factor(self) -> float:
+        """The same of the 2D box: a projected 3D box comes from no detector, and counts whole."""
+        return 1.0 if self.options.box.model is BoxModel.CUBOID else self.common_factor
 
     def on(self, ground: Ground | None) -> Problem:
         """The same on another ground, or on none."""
