@@ -38,10 +38,9 @@ def calibrate_command(
     from dataclasses import asdict, replace
 
     from fgrecon.core.coverage import SIGMAS
-    from fgrecon.core.options import KeypointOptions
     from fgrecon.evaluation.box_fit import fit_boxes, seen_boxes
     from fgrecon.evaluation.calibration import calibrate_boxes
-    from fgrecon.evaluation.detector_fit import FACTORS, fit_detector
+    from fgrecon.evaluation.detector_fit import FACTORS, as_said, fit_detector
     from fgrecon.evaluation.video_images import SYSTEM
     from fgrecon.io.detector_calibration import save_calibration
 
@@ -49,8 +48,7 @@ def calibrate_command(
     screen = terminal.screen()
     scored = {}
     for factor in FACTORS:
-        assumed = KeypointOptions(common_factor=factor)
-        done = how.score(folders, labelled, screen, rivals=(), track=False, keypoints=assumed, detect=detect)
+        done = how.score(folders, labelled, screen, rivals=(), track=False, keypoints=as_said(factor), detect=detect)
         scored[factor] = done.boxes
         for one in calibrate_boxes(done.boxes, SYSTEM).regions:
             shares = ", ".join(f"{100 * one.inside[level]['claimed']:.0f} in {100 * level:.0f} %" for level in SIGMAS)

@@ -17,11 +17,12 @@ from fgrecon.core.coverage import SIGMAS
 from fgrecon.core.detection import calibrated_facing
 from fgrecon.core.detector_calibration import DetectorCalibration
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.options import KeypointOptions
 from fgrecon.core.reliability import reliability
 from fgrecon.evaluation.calibration import calibrate_boxes
 from fgrecon.evaluation.video_images import SYSTEM, TURNED_ROUND, VideoBox
 
-__all__ = ["FACTORS", "FittedDetector", "fit_detector", "holding"]
+__all__ = ["FACTORS", "FittedDetector", "as_said", "fit_detector", "holding"]
 
 FACTORS = (1.0, 2.0, 4.0, 8.0, 16.0)
 """The common factors that vehicles are reconstructed with; what is fitted lies between them."""
@@ -31,6 +32,11 @@ _FEWEST_TURNED = 5  # turned round, without which nothing tells what a direction
 _QUANTITIES = "position", "yaw"
 
 Array = NDArray[np.float64]
+
+
+def as_said(factor: float) -> KeypointOptions:
+    """Settings to reconstruct with for a fit: a facing is as probable as directions and neighbours say."""
+    return KeypointOptions(common_factor=factor, facing_bias=0.0, facing_slope=1.0)
 
 
 @dataclass(frozen=True)
@@ -55,7 +61,7 @@ def fit_detector(scored: Mapping[float, Sequence[VideoBox]], provenance: Mapping
     """Fit a detector's calibration.
 
     Args:
-        scored: The same boxes reconstructed with each of `FACTORS` (`fgrecon.KeypointOptions.common_factor`).
+        scored: The same boxes reconstructed with each of `FACTORS`, and with directions as they are (`as_said`).
         provenance: What is told of the data; plain values.
 
     Raises:
@@ -131,10 +137,9 @@ def holding(settings: Sequence[float], inside: Sequence[Array]) -> float:
 
 def _chosen(boxes: Sequence[VideoBox]) -> tuple[Array, NDArray[np.bool_]]:
     """What the directions give the facing of each result that has one, and whether it is right."""
-    faced = [box for box in boxes if box.facing is not None and box.outcomes[SYSTEM].status is not None]
-    turned = np.array([_is_turned(box) for box in faced], dtype=bool)
-    truth = np.array([box.facing for box in faced], dtype=np.float64)
-    return np.where(turned, 1.0 - truth, truth), ~turned
+    faced = [box for box in boxes if box.outcomes[SYSTEM].facing is not None]
+    said = np.array([box.outcomes[SYSTEM].facing for box in faced], dtype=np.float64)
+    return said, np.array([not _is_turned(box) for box in faced], dtype=bool)
 
 
 def _facing(boxes: Sequence[VideoBox]) -> tuple[float, float]:

@@ -28,6 +28,7 @@ def boxes(factor, count=4000, turns=True):
             *(180.0 if turned else 1.0, 0.5, None, "converged", None),
             squared={} if turned else squared,
             spread=dict.fromkeys(squared, factor**0.5),
+            facing=p,
         )
         drive = "abc"[number % 3]
         truth = 1.0 - p if turned else p
