@@ -29,7 +29,7 @@ def calibrate_command(
     """Fit what results say of themselves to a keypoint network: how far its errors go together, and its facings.
 
     The network should not have learnt from the drives: --weights names it, --fold one for some of the drives. All boxes
-    are reconstructed five times, with regions of five widths. Told is how well what is fitted without a drive holds
+    are reconstructed six times, with regions of six widths. Told is how well what is fitted without a drive holds
     there. --verbose tells each width's shares.
 
     With --detect it is fitted to vehicles in detected boxes, and so is where the edges of these lie beside the

@@ -24,7 +24,7 @@ from fgrecon.evaluation.video_images import SYSTEM, TURNED_ROUND, VideoBox
 
 __all__ = ["FACTORS", "FittedDetector", "as_said", "fit_detector", "holding"]
 
-FACTORS = (1.0, 2.0, 4.0, 8.0, 16.0)
+FACTORS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """The common factors that vehicles are reconstructed with; what is fitted lies between them."""
 
 _FEWEST = 30  # vehicles that regions are judged by
