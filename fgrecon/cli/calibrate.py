@@ -21,10 +21,6 @@ def calibrate_command(
     terminal: Terminal,
     how: DriveOptions,
     out: Annotated[Path, typer.Option(metavar="FILE", help="Where to write it (JSON), for --calibration.")],
-    detect: Annotated[
-        bool,
-        typer.Option("--detect", help="In boxes of the shipped vehicle detector, whose edges are fitted as well."),
-    ] = False,
 ) -> None:
     """Fit what results say of themselves to a keypoint network: how far its errors go together, and its facings.
 
@@ -48,7 +44,7 @@ def calibrate_command(
     screen = terminal.screen()
     scored = {}
     for factor in FACTORS:
-        done = how.score(folders, labelled, screen, rivals=(), track=False, keypoints=as_said(factor), detect=detect)
+        done = how.score(folders, labelled, screen, rivals=(), track=False, keypoints=as_said(factor))
         scored[factor] = done.boxes
         for one in calibrate_boxes(done.boxes, SYSTEM).regions:
             shares = ", ".join(f"{100 * one.inside[level]['claimed']:.0f} in {100 * level:.0f} %" for level in SIGMAS)
@@ -58,11 +54,11 @@ def calibrate_command(
         "networks": [{"file": one["file"], "drives": one["drives"]} for one in done.networks()],
         "ground": done.told.origin,
         "size_prior": labelled.size_prior,
-        "boxes": "detected" if detect else "labelled",
+        "boxes": how.boxes,
     }
     found = fit_detector(scored, told)
     calibration = found.calibration
-    if detect:
+    if how.detect:
         seen = list(seen_boxes(done.drives, done.frames, done.told.scene.prior))
         source = fit_boxes(seen)
         calibration = replace(calibration, boxes=source, provenance={**calibration.provenance, "outlines": len(seen)})

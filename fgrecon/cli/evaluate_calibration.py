@@ -28,9 +28,6 @@ def calibration_command(
     terminal: Terminal,
     how: DriveOptions,
     folders: DrivesArgument = [],  # noqa: B006  # Typer makes a list of its own
-    detect: Annotated[
-        bool, typer.Option("--detect", help="Look at the boxes of the shipped vehicle detector, and not the labelled.")
-    ] = False,
     simulated: Annotated[
         int, typer.Option(min=0, metavar="N", help="Also so many simulated cars, whose 3D keypoints are known.")
     ] = 0,
@@ -62,15 +59,15 @@ def calibration_command(
     screen = terminal.screen(json_out)
     if not folders and not simulated:
         raise InvalidInputError("drives", "none", "Give folders of labelled drives, or --simulated N.")
-    if detect and not folders:
+    if how.detect and not folders:
         raise InvalidInputError("detect", "without drives", "Give folders of labelled drives, in which to find cars.")
     known = labelled.told()
     given: dict[str, Any] = {"ground": known.origin, "size_prior": labelled.size_prior}
     found: dict[str, Calibration] = {}
     if folders:
-        scored = how.score(folders, labelled, screen, rivals=(), track=track, detect=detect)
+        scored = how.score(folders, labelled, screen, rivals=(), track=track)
         given |= {"drives": [drive.name for drive in scored.drives], "traffic": how.traffic}
-        given |= {"boxes": "detected" if detect else "labelled", "box_model": how.encloses(detect=detect).value}
+        given |= {"boxes": how.boxes, "box_model": how.encloses.value}
         methods = (SYSTEM, ONLINE, BATCH) if track else (SYSTEM,)
         found |= {method: calibrate_boxes(scored.boxes, method) for method in methods}
         screen.print(scored.in_words())

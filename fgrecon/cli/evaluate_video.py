@@ -70,12 +70,6 @@ def video_command(
             show_default="with --track and a ground",
         ),
     ] = None,
-    detect: Annotated[
-        bool,
-        typer.Option(
-            "--detect", help="Look at the boxes of the shipped vehicle detector instead of the labelled ones."
-        ),
-    ] = False,
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE", help=f"Contact sheet of the {_WORST} worst tracks' worst boxes.")
     ] = None,
@@ -125,7 +119,6 @@ def video_command(
         screen,
         rivals=rival or [_RIVAL],
         track=track,
-        detect=detect,
         forget_ids=forget_ids,
         estimate_motion=moving,
     )
@@ -147,13 +140,13 @@ def video_command(
         "prior": scored.told.scene.prior.describe(),
         "ground": scored.told.origin,
         "size_prior": labelled.size_prior,
-        "box_model": how.encloses(detect=detect).value,
+        "box_model": how.encloses.value,
         "together": how.together,
         "traffic": how.traffic,
         "track": track,
         "estimate_motion": moving,
-        "ids": "associated" if forget_ids or detect else "labelled",
-        "boxes": "detected" if detect else "labelled",
+        "ids": "associated" if forget_ids or how.detect else "labelled",
+        "boxes": how.boxes,
         "missed": scored.missed,
     }
     screen.write_json(json.dumps(document(boxes, given, scored.networks()), indent=1, allow_nan=False) + "\n")

@@ -93,11 +93,23 @@ class DriveOptions:
     ] = None
     together: TogetherOption = True
     traffic: TrafficOption = None
+    detect: Annotated[
+        bool,
+        typer.Option(
+            "--detect", help="Look at the boxes of the shipped vehicle detector instead of the labelled ones."
+        ),
+    ] = False
     jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1
 
-    def encloses(self, *, detect: bool = False) -> BoxModel:
-        """What the labelled or detected boxes enclose."""
-        return self.box_model or (BoxModel.DETECTED if detect else BoxModel.CUBOID)
+    @property
+    def boxes(self) -> str:
+        """Whose the boxes are, in a word."""
+        return "detected" if self.detect else "labelled"
+
+    @property
+    def encloses(self) -> BoxModel:
+        """What the boxes enclose."""
+        return self.box_model or (BoxModel.DETECTED if self.detect else BoxModel.CUBOID)
 
     def score(
         self,
@@ -108,7 +120,6 @@ class DriveOptions:
         rivals: Sequence[str],
         track: bool,
         keypoints: KeypointOptions | None = None,
-        detect: bool = False,
         forget_ids: bool = False,
         estimate_motion: bool = False,
     ) -> ScoredDrives:
@@ -121,7 +132,6 @@ class DriveOptions:
             rivals: Methods that get the same keypoints.
             track: Whether the vehicles are followed as well.
             keypoints: What is assumed of the detector; None for the default.
-            detect: Whether the boxes are the shipped vehicle detector's instead of the labelled ones.
             forget_ids: Whether the vehicles that are followed are given ids anew; detected ones have none.
             estimate_motion: Whether they are followed with the camera's estimated motion as well.
 
@@ -145,8 +155,8 @@ class DriveOptions:
         if estimate_motion and told.ground is None:
             fix = "Give a ground, which tells how far the camera goes, or leave --estimate-motion out."
             raise InvalidInputError("estimate_motion", "no ground", fix)
-        options = Options(box=self.encloses(detect=detect), keypoints=keypoints, traffic=self.traffic)
-        setups = _setups(files, told, options, together=self.together, detect=detect)
+        options = Options(box=self.encloses, keypoints=keypoints, traffic=self.traffic)
+        setups = _setups(files, told, options, together=self.together, detect=self.detect)
         images = sum(len(looks_at(drive, setups[drive.name])) for drive in drives)
         with screen.bar() as advance:
             watched = counting(advance, "Images", images)
@@ -160,7 +170,7 @@ class DriveOptions:
                     frames,
                     drives,
                     setups,
-                    forget_ids=forget_ids or detect,
+                    forget_ids=forget_ids or self.detect,
                     estimate_motion=estimate_motion,
                     advance=counting(advance, "Followed", (1 + estimate_motion) * len(frames)),
                 )
