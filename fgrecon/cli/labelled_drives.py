@@ -1,4 +1,7 @@
-"""Labelled drives as evaluation commands take them: which network sees each, and what it finds in their boxes."""
+"""Labelled drives as evaluation commands take them: which network sees each, and what it finds in their boxes.
+
+Where no vehicle is followed, a folder of single images is as good as a drive.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,11 @@ __all__ = ["DriveOptions", "DrivesArgument", "FoldOption", "ScoredDrives", "read
 
 DrivesArgument = Annotated[
     list[Path],
-    typer.Argument(metavar="DRIVE", help="Folders with image_02, calib.txt and label_02.txt of KITTI's tracking set."),
+    typer.Argument(
+        metavar="DRIVE",
+        help="Folders with image_02, calib.txt and label_02.txt of KITTI's tracking set; where nothing is followed also "
+        "with image_2, calib and label_2 of its object set.",
+    ),
 ]
 FoldOption = Annotated[
     list[str] | None,
@@ -144,9 +151,10 @@ class DriveOptions:
         from fgrecon.evaluation.video_frames import looks_at, score_frames
         from fgrecon.evaluation.video_images import wanted
         from fgrecon.evaluation.video_tracks import follow_boxes
-        from fgrecon.io.kitti_drives import read_drive
+        from fgrecon.io.kitti_drives import read_drive, read_images
 
-        drives = [read_drive(folder.absolute()) for folder in folders]
+        read = read_drive if track else read_images
+        drives = [read(folder.absolute()) for folder in folders]
         files = read_folds(self.fold or (), [drive.name for drive in drives], self.weights)
         if not any(len(wanted(frame)) for drive in drives for frame in drive.frames):
             fix = "Give drives with labelled cars or vans of at least 25 pixels."

@@ -159,6 +159,31 @@ def test_ids_are_forgotten_only_where_vehicles_are_followed(drives, weights, tmp
     assert list(made["methods"])[-2:] == ["online", "batch"]
 
 
+def test_single_images_are_as_good_as_a_drive_where_nothing_is_followed(drives, weights, tmp_path):
+    single = tmp_path / "training"
+    for name in ("image_2", "label_2", "calib"):
+        (single / name).mkdir(parents=True)
+    for number in (4, 9):
+        shutil.copy(drives[0] / "image_02" / "000007.png", single / "image_2" / f"{number:06d}.png")
+        (single / "label_2" / f"{number:06d}.txt").write_text(f"Car {LABEL}\n")
+        focal = CALIB if number == 4 else CALIB.replace("700", "1400")
+        (single / "calib" / f"{number:06d}.txt").write_text(focal)
+    out = tmp_path / "r.json"
+    done = run(single, drives[0], "--weights", weights, "--json", out, "--results", tmp_path / "boxes")
+    assert done.exit_code == 0, done.output
+    assert "2 drives, 3 images, 4 boxes" in done.stdout
+    rows = [row for row in json.loads(out.read_text())["boxes"] if row["method"] == "reconstruct_image"]
+    assert [(row["drive"], row["frame"], row["track"]) for row in rows[:2]] == [("training", 4, 0), ("training", 9, 1)]
+    deep = [float((tmp_path / "boxes" / "training" / f"{n:06d}.txt").read_text().split()[13]) for n in (4, 9)]
+    assert deep[1] > 1.5 * deep[0]  # each image has its own camera
+    told = CliRunner().invoke(main.app, ["evaluate", "calibration", str(single), "--weights", str(weights)])
+    assert told.exit_code == 0, told.output
+    assert "1 drive, 2 images, 2 boxes" in told.stdout
+    followed = run(single, "--weights", weights, "--track")
+    assert isinstance(followed.exception, InvalidInputError)
+    assert "label_02.txt" in str(followed.exception)
+
+
 def test_a_detector_that_finds_nothing_of_what_is_labelled_is_told(drives, weights):
     done = run(drives[0], "--weights", weights, "--detect")
     assert isinstance(done.exception, InvalidInputError)
