@@ -25,15 +25,14 @@ from typing import Any
 
 from fgrecon.batch.instances import instance_text
 from fgrecon.batch.parts import RUN
-from fgrecon.batch.pictures import count_frames
 from fgrecon.core.category import Category
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.text import whole_text
 from fgrecon.io.catalogue import load_category
-from fgrecon.io.frames import VIDEOS
 from fgrecon.io.images import IMAGES
 from fgrecon.io.keypoints.records import NOT_JSON, keypoint_records
 from fgrecon.io.kitti_calibration import calibration_beside
+from fgrecon.io.video_frames import VIDEOS, count_frames
 
 __all__ = ["IMAGES", "VIDEOS", "InputFile", "sources_of"]
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,16 +13,19 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.images import decode_photograph, read_photograph
 
-__all__ = ["Pictures", "count_frames"]
+if TYPE_CHECKING:
+    from fgrecon.io.source_frames import SourceFrame
+
+__all__ = ["Pictures"]
 
 
 class Pictures:
-    """Opens images; the video that was read last stays open, since its next frame is probably wanted next."""
+    """Opens images; the video that was read last stays open, since a later frame of it is probably wanted next."""
 
     def __init__(self) -> None:
         """Nothing is open yet."""
         self._path: str | None = None
-        self._video: Any = None
+        self._frames: Iterator[SourceFrame] = iter(())
         self._next = 0
 
     def get(self, image: str | bytes, frame: int | None = None) -> tuple[NDArray[np.uint8], Camera | None]:
@@ -41,46 +45,14 @@ class Pictures:
         return read_photograph(image) if frame is None else (self._frame(image, frame), None)
 
     def _frame(self, path: str, frame: int) -> NDArray[np.uint8]:
-        import cv2
+        from fgrecon.io.source_frames import Choice
+        from fgrecon.io.video_frames import open_video
 
-        if path != self._path:
-            self.close()
-            self._path, self._video, self._next = path, cv2.VideoCapture(path), 0
-        if frame != self._next:
-            self._video.set(cv2.CAP_PROP_POS_FRAMES, frame)
-        good, pixels = self._video.read()
+        if path != self._path or frame < self._next:
+            self._path, self._frames = path, open_video(Path(path), Choice()).read(after=frame - 1)
         self._next = frame + 1
-        if not good:
-            self.close()
-            fix = f"Give a video that OpenCV reads, whole: it does not read frame {frame}."
-            raise InvalidInputError("image", path, fix)
-        return np.ascontiguousarray(pixels[..., ::-1], dtype=np.uint8)
-
-    def close(self) -> None:
-        """Close the video."""
-        if self._video is not None:
-            self._video.release()
-        self._path, self._video = None, None
-
-
-def count_frames(path: Path) -> int:
-    """How many frames a video has, by its head; where that does not say, by going through it.
-
-    Raises:
-        InvalidInputError: It is no video that OpenCV reads.
-    """
-    import cv2
-
-    video: Any = cv2.VideoCapture(str(path))
-    try:
-        if not video.isOpened():
-            raise InvalidInputError("video", str(path), "Give a video that OpenCV reads, such as MP4 or AVI.")
-        told = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
-        if told > 0:
-            return told
-        count = 0
-        while video.grab():
-            count += 1
-        return count
-    finally:
-        video.release()
+        found = next((one for one in self._frames if one.number == frame), None)
+        if found is None or found.image is None:
+            problem = f"{path}: it has no frame {frame}" if found is None else found.problem
+            raise InvalidInputError("image", path, f"Give a whole video ({problem}).")
+        return found.image

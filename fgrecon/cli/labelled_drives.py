@@ -31,8 +31,8 @@ DrivesArgument = Annotated[
     list[Path],
     typer.Argument(
         metavar="DRIVE",
-        help="Folders with image_02, calib.txt and label_02.txt of KITTI's tracking set; where nothing is followed also "
-        "with image_2, calib and label_2 of its object set.",
+        help="Folders with image_02, calib.txt and label_02.txt of KITTI's tracking set; where nothing is followed "
+        "also with image_2, calib and label_2 of its object set.",
     ),
 ]
 FoldOption = Annotated[

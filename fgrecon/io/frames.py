@@ -15,14 +15,14 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from glob import glob
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fgrecon.core.errors import InvalidInputError, MissingPackageError
+from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.frame_names import DEFAULT_RATE, distinct_names, frames_by_name, times_of
 from fgrecon.io.images import IMAGES, read_image
+from fgrecon.io.source_frames import Choice, SourceFrame, sized
+from fgrecon.io.video_frames import VIDEOS, VideoFrames, open_video
 
 __all__ = [
     "DEFAULT_RATE",
@@ -36,52 +36,7 @@ __all__ = [
     "open_frames",
 ]
 
-VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")
-"""Endings of videos."""
-
 _LEFT_COLOUR = ("image_02", "image_2")
-
-
-@dataclass(frozen=True, eq=False)
-class SourceFrame:
-    """One frame.
-
-    Attributes:
-        number: Within its source; numbers grow, and some may be missing.
-        time: Seconds, by the source's clock.
-        name: Of its file, or of the video with the number; no other frame has it.
-        image: (H, W, 3) RGB bytes; None where it cannot be used.
-        problem: Why not, or None.
-        other_size: Whether that is because it has another size than the first, and so another camera.
-    """
-
-    number: int
-    time: float
-    name: str
-    image: NDArray[np.uint8] | None
-    problem: str | None = None
-    other_size: bool = False
-
-
-@dataclass(frozen=True)
-class _Choice:
-    """Which frames are taken.
-
-    Attributes:
-        every: Every so many frames.
-        start: Seconds after the first frame before which none is taken.
-        end: Seconds after the first frame from which on none is taken, or None.
-    """
-
-    every: int
-    start: float
-    end: float | None
-
-    def takes(self, place: int, seconds: float) -> bool:
-        return place % self.every == 0 and seconds >= self.start
-
-    def ends(self, seconds: float) -> bool:
-        return self.end is not None and seconds >= self.end
 
 
 @dataclass(frozen=True)
@@ -133,46 +88,7 @@ def _of_file(path: Path, name: str, number: int, time: float, size: tuple[int, .
         image = read_image(path)
     except InvalidInputError as error:
         return SourceFrame(number, time, name, None, str(error))
-    if size is None or image.shape == size:
-        return SourceFrame(number, time, name, image)
-    (height, width, _), (rows, columns, _) = image.shape, size
-    problem = f"{path}: {width} x {height} pixels, not {columns} x {rows}"
-    return SourceFrame(number, time, name, None, problem, other_size=True)
-
-
-@dataclass(frozen=True)
-class VideoFrames:
-    """A video's frames.
-
-    Attributes:
-        path: The file.
-        count: How many frames its head tells that are taken; None where it does not.
-        choice: Which frames are taken.
-    """
-
-    path: Path
-    count: int | None
-    choice: _Choice
-    assumed_rate: bool = False
-
-    @property
-    def first_file(self) -> Path:
-        """The file itself."""
-        return self.path
-
-    def read(self, after: int | None = None) -> Iterator[SourceFrame]:
-        """The frames in order, from the first with a number above `after`; those before are decoded all the same.
-
-        Frames that the decoder calls damaged are gaps, and so is where the file breaks off.
-        """
-        first: float | None = None
-        for number, time, picture, problem in _decoded(self.path):
-            first = time if first is None else first
-            if self.choice.ends(time - first):
-                return
-            if self.choice.takes(number, time - first) and (after is None or number > after):
-                image = None if picture is None else _upright(picture)
-                yield SourceFrame(number, time, f"{self.path.name}#{number}", image, problem)
+    return sized(SourceFrame(number, time, name, image), size, str(path))
 
 
 @dataclass(frozen=True)
@@ -233,12 +149,13 @@ def open_frames(
         InvalidInputError: There is nothing of this kind, a number is out of range, or no frame is left.
         MissingPackageError: It is a video, and PyAV is not installed.
     """
-    choice = _chosen(rate, every, start, end)
+    _check_rate(rate)
+    choice = Choice(every, start, end)
     path = Path(source)
     if path.is_file() and path.suffix.lower() in VIDEOS:
         if rate is not None:
             raise InvalidInputError("fps", rate, "Leave it out: a video has times of its own.")
-        return _video(path, choice)
+        return open_video(path, choice)
     return _images(_files(str(source)), rate, choice)
 
 
@@ -266,23 +183,17 @@ def numbered_frames(
     Raises:
         InvalidInputError: A number is out of range, or no frame is left.
     """
-    choice = _chosen(rate, every, start, end)
+    _check_rate(rate)
+    choice = Choice(every, start, end)
     ordered = sorted(numbers)
     seconds, assumed = times_of(ordered, None if times is None else [times[number] for number in ordered], rate)
     taken = _taken(seconds, choice)
     return NumberedFrames(path, tuple(ordered[i] for i in taken), tuple(seconds[i] for i in taken), assumed)
 
 
-def _chosen(rate: float | None, every: int, start: float, end: float | None) -> _Choice:
+def _check_rate(rate: float | None) -> None:
     if rate is not None and not (np.isfinite(rate) and rate > 0):
         raise InvalidInputError("fps", rate, "Give a positive number of frames per second.")
-    if every < 1:
-        raise InvalidInputError("every", every, "Give at least 1.")
-    if start < 0 or (end is not None and end <= start):
-        raise InvalidInputError(
-            "end" if start >= 0 else "start", end if start >= 0 else start, "Give 0 <= start < end."
-        )
-    return _Choice(every, start, end)
 
 
 def _files(source: str) -> list[Path]:
@@ -303,7 +214,7 @@ def _files(source: str) -> list[Path]:
     return images
 
 
-def _images(paths: Sequence[Path], rate: float | None, choice: _Choice) -> ImageFrames:
+def _images(paths: Sequence[Path], rate: float | None, choice: Choice) -> ImageFrames:
     found = frames_by_name(paths)
     names = distinct_names(found.paths)
     times, assumed = times_of(found.numbers, found.times, rate)
@@ -318,73 +229,10 @@ def _images(paths: Sequence[Path], rate: float | None, choice: _Choice) -> Image
     )
 
 
-def _taken(times: Sequence[float], choice: _Choice) -> list[int]:
+def _taken(times: Sequence[float], choice: Choice) -> list[int]:
     """Which frames are taken, by their place."""
     passed = [time - times[0] for time in times]
     taken = [place for place, time in enumerate(passed) if choice.takes(place, time) and not choice.ends(time)]
     if not taken:
         raise InvalidInputError("start", choice.start, f"Give less: the frames last {passed[-1]:g} seconds.")
     return taken
-
-
-def _video(path: Path, choice: _Choice) -> VideoFrames:
-    av = _av()
-    try:
-        with av.open(str(path)) as container:
-            if not container.streams.video:
-                raise InvalidInputError("source", str(path), "Give a video: this file has no pictures.")
-            stream = container.streams.video[0]
-            rate = stream.average_rate or stream.guessed_rate
-            known = stream.frames
-            if not known and rate and container.duration:
-                known = round(container.duration / av.time_base * float(rate))
-    except av.error.FFmpegError as error:
-        fix = f"Give a video that FFmpeg reads ({error.strerror})."
-        raise InvalidInputError("source", str(path), fix) from error
-    if not known:
-        return VideoFrames(path, None, choice)
-    last = known if choice.end is None or not rate else min(known, round(choice.end * float(rate)))
-    first = round(choice.start * float(rate)) if rate else 0
-    return VideoFrames(path, max(-(-last // choice.every) - -(-first // choice.every), 0), choice)
-
-
-def _decoded(path: Path) -> Iterator[tuple[int, float, Any, str | None]]:
-    """Number, time, picture or None, and what is wrong with it, of every frame of a video."""
-    av = _av()
-    broken = av.error.FFmpegError
-    with av.open(str(path)) as container:
-        stream = container.streams.video[0]
-        step = 1.0 / float(stream.average_rate or DEFAULT_RATE)
-        number, time = -1, -step
-        packets = container.demux(stream)
-        while True:
-            try:
-                packet = next(packets, None)
-                if packet is None:
-                    return
-                pictures = packet.decode()
-            except broken as error:
-                number, time = number + 1, time + step
-                yield number, time, None, f"{path.name}: frame {number}: {error.strerror}"
-                if packet is None:  # the file breaks off
-                    return
-                continue
-            for picture in pictures:
-                number, time = number + 1, time + step if picture.time is None else picture.time
-                damaged = f"{path.name}: frame {number}: damaged" if picture.is_corrupt else None
-                yield number, time, None if damaged else picture, damaged
-
-
-def _upright(picture: Any) -> NDArray[np.uint8]:
-    """The pixels (H, W, 3), turned as the container says they are to be shown."""
-    pixels: NDArray[np.uint8] = picture.to_ndarray(format="rgb24")
-    turns = round(getattr(picture, "rotation", 0) / 90.0) % 4
-    return np.ascontiguousarray(np.rot90(pixels, turns))
-
-
-def _av() -> Any:
-    try:
-        import av
-    except ImportError as error:
-        raise MissingPackageError("fgrecon[video]", "Reading a video") from error
-    return av

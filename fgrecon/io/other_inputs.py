@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.frames import VIDEOS
 from fgrecon.io.images import IMAGES
+from fgrecon.io.video_frames import VIDEOS
 
 __all__ = ["refuse_other_file", "refuse_results"]
 

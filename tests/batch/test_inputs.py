@@ -18,6 +18,7 @@ from fgrecon.core.options import Options
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.images import write_png
 from fgrecon.io.keypoints.reader import read_any_keypoints
+from fgrecon.io.video import write_video
 from fgrecon.solve.pipeline import reconstruct
 from tests.batch.support import instances, write_lines
 from tests.cli.conftest import K
@@ -196,6 +197,18 @@ def test_videos_frame_by_frame(tmp_path):
         assert pictures.get(str(file), frame)[0].mean() == pytest.approx(20 + 30 * frame, abs=4)
     with pytest.raises(InvalidInputError, match="frame 7"):
         pictures.get(str(file), 7)
+
+
+def test_frames_of_a_video_are_told_by_their_order_whatever_their_times(tmp_path):
+    from fgrecon.batch.pictures import Pictures
+
+    for file in (tmp_path / "uneven.mp4", tmp_path / "uneven.mkv"):
+        with write_video(file, rate=30) as add:  # from 30 to 10 frames a second
+            for n in range(40):
+                add(np.full((48, 64, 3), 20 + 5 * n, np.uint8), n / 30 if n < 20 else 20 / 30 + (n - 20) / 10)
+        assert [row["frame"] for row in rows_of(file, every=8)] == [0, 8, 16, 24, 32]
+        for frame in (24, 32, 39, 3):
+            assert Pictures().get(str(file), frame)[0].mean() == pytest.approx(20 + 5 * frame, abs=2)
 
 
 def make_video(path, count):

@@ -1,7 +1,9 @@
 """Frames of videos and images: numbers, times, gaps, what is left out, and what is broken."""
 
 import sys
+from fractions import Fraction
 
+import cv2
 import numpy as np
 import pytest
 
@@ -87,7 +89,42 @@ def test_a_video_that_breaks_off_or_is_damaged_has_gaps(video, tmp_path):
     assert 1 <= len(broken) < len(frames) <= 20
     assert all("damaged.mkv: frame" in frame.problem for frame in broken)
     (tmp_path / "half.mkv").write_bytes((tmp_path / "noise.mkv").read_bytes()[:middle])
-    assert 0 < sum(frame.image is not None for frame in open_frames(tmp_path / "half.mkv").read()) < 20
+    *_, last = half = list(open_frames(tmp_path / "half.mkv").read())
+    assert 0 < sum(frame.image is not None for frame in half) < 20
+    assert last.image is None
+    assert "breaks off" in last.problem
+
+
+def test_frames_that_are_shown_in_another_order_than_they_are_stored_keep_their_times_where_some_are_lost(tmp_path):
+    noise = np.random.default_rng(0).integers(0, 60, (40, 96, 128, 3), dtype=np.uint8)
+    film(tmp_path / "whole.mp4", [(image + 4 * number, 0.1 * number) for number, image in enumerate(noise)])
+    content = (tmp_path / "whole.mp4").read_bytes()
+    (tmp_path / "cut.mp4").write_bytes(content[: len(content) // 2])
+    frames = list(open_frames(tmp_path / "cut.mp4").read())
+    assert [frame.number for frame in frames] == list(range(len(frames)))
+    times = [frame.time for frame in frames]
+    assert (np.diff(times) > 0.0).all()
+    good = [frame for frame in frames if frame.image is not None]
+    assert 10 < len(good) < 30
+    whole = {round(frame.time, 3): frame.image for frame in open_frames(tmp_path / "whole.mp4").read()}
+    assert np.mean([np.array_equal(frame.image, whole[round(frame.time, 3)]) for frame in good]) > 0.8
+
+
+def test_frames_of_another_size_in_a_video_are_gaps(tmp_path):
+    import av
+
+    with av.open(str(tmp_path / "two.avi"), "w") as container:
+        stream = container.add_stream("mjpeg", rate=10)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuvj420p"
+        for place in range(6):
+            picture = cv2.imencode(".jpg", grey(100, 48 if place < 3 else 24))[1]
+            packet = av.Packet(picture.tobytes())
+            packet.stream, packet.time_base, packet.pts, packet.dts = stream, Fraction(1, 10), place, place
+            container.mux(packet)
+    frames = list(open_frames(tmp_path / "two.avi").read())
+    assert [frame.image is not None for frame in frames] == [True] * 3 + [False] * 3
+    assert all(frame.other_size and "64 x 24" in frame.problem for frame in frames[3:])
+    assert [frame.other_size for frame in open_frames(tmp_path / "two.avi").read(after=3)] == [True, True]
 
 
 def test_numbered_images_with_gaps_and_one_that_cannot_be_read(tmp_path):
