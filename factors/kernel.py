@@ -68,9 +68,8 @@ class ProjectionKernel:
 
     __slots__ = (
         "_basis",
+        "_last",
         "_pose",
-        "_projection",
-        "_stamp",
         "camera_matrix",
         "dims",
         "focal_key",
@@ -109,13 +108,13 @@ class ProjectionKernel:
         self._pose: NDArray[np.float64] | None = None
         if not isinstance(pose, int):
             self._pose = finite_array("pose", pose.matrix(), (4, 4))
-        self._stamp: bytes | None = None
-        self._projection: Projection | None = None
+        self._last: tuple[bytes | None, Projection | None] = None, None  # in one: see `LinearShape`
 
     def evaluate(self, values: gtsam.Values, jacobian: bool = False) -> Projection:
         """The projection of all keypoints at the values, with its Jacobian where that is wanted."""
         points = self.shape.points(values)
-        last, matrix = self._projection, self.matrix(values)
+        (before, last), matrix = self._last, self.matrix(values)
+        stamp: bytes | None = None
         if self.pose_key is None:
             assert self._pose is not None
             if last is None or points is not last.points or matrix[0, 0] != last.matrix[0, 0]:
@@ -123,12 +122,11 @@ class ProjectionKernel:
         else:
             camera_T_object = values.atPose3(self.pose_key).matrix()
             stamp = camera_T_object.tobytes()
-            if last is None or points is not last.points or stamp != self._stamp or matrix[0, 0] != last.matrix[0, 0]:
+            if last is None or points is not last.points or stamp != before or matrix[0, 0] != last.matrix[0, 0]:
                 last = self._project(matrix, points, camera_T_object)
-                self._stamp = stamp
         if jacobian and last.jacobian is None:
             last.jacobian = self._differentiate(last)
-        self._projection = last
+        self._last = stamp, last
         return last
 
     def pose(self, values: gtsam.Values) -> NDArray[np.float64]:

@@ -18,6 +18,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from factors.errors import InvalidInputError
 from factors.guard import Evaluation, guarded_factor
 
 __all__ = ["Marginal", "marginal", "marginal_factor"]
@@ -83,7 +84,18 @@ def marginal(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, leaving: S
 
 
 def marginal_factor(past: Marginal) -> gtsam.CustomFactor:
-    """The factor; its residual has as many rows as the matrix, without unit."""
+    """The factor; its residual has as many rows as the matrix, without unit.
+
+    Raises:
+        InvalidInputError: A variable that is left is neither a pose X nor a vector.
+    """
+    for key in past.keys:
+        if gtsam.Symbol(key).chr() != ord("X"):
+            try:
+                past.values.atVector(key)
+            except RuntimeError as error:
+                fix = "Let planes leave as well: what is left may be about poses and vectors."
+                raise InvalidInputError("marginal", gtsam.Symbol(key).string(), fix) from error
     rows = len(past.right)
     noise = gtsam.noiseModel.Unit.Create(rows)
     return guarded_factor("marginal", noise, past.keys, past.dims, rows, _Callback(past))

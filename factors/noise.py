@@ -32,6 +32,7 @@ __all__ = [
 Noise = gtsam.noiseModel.Base | float
 """A noise model, or one sigma for every row of the residual, in the residual's unit."""
 
+_ROUNDING = 1e-9  # share of the largest number of a matrix by which it may be off symmetry
 SMALLEST_WEIGHT = 1e-12
 """A keypoint of less weight is left out."""
 
@@ -67,8 +68,9 @@ def keypoint_noise(
         noise = gtsam.noiseModel.Isotropic.Sigma(2, _positive("sigma", sigma) / float(np.sqrt(weight)))
     else:
         matrix = finite_array("covariance", covariance, (2, 2))
-        if matrix[0, 1] != matrix[1, 0] or matrix[0, 0] <= 0 or np.linalg.det(matrix) <= 0:
+        if not _symmetric(matrix) or matrix[0, 0] <= 0 or np.linalg.det(matrix) <= 0:
             raise InvalidInputError("covariance", matrix.tolist(), "Give a symmetric positive definite 2x2 matrix.")
+        matrix = (matrix + matrix.T) / 2.0
         noise = gtsam.noiseModel.Gaussian.Covariance(matrix / weight)
     return noise if robust is None else robust.wrap(noise)
 
@@ -98,7 +100,7 @@ def keypoint_whiteners(weights: ArrayLike, sigma: float, covariances: ArrayLike 
     else:
         S = finite_array("covariances", covariances, (len(array), 2, 2))
         determinants = S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] ** 2
-        wrong = (S[:, 0, 1] != S[:, 1, 0]) | (S[:, 0, 0] <= 0) | (determinants <= 0)
+        wrong = ~_symmetric(S) | (S[:, 0, 0] <= 0) | (determinants <= 0)
         if wrong.any():
             raise InvalidInputError("covariances", S[wrong][0].tolist(), "Give symmetric positive definite matrices.")
         # The inverse of the Cholesky factor [[l, 0], [m, n]] with l^2 = S_00, l m = S_01, l n = sqrt(det).
@@ -117,7 +119,7 @@ def full_noise(field: str, covariance: ArrayLike) -> gtsam.noiseModel.Gaussian:
     matrix = finite_array(field, covariance, (None, None))
     try:
         np.linalg.cholesky(matrix)
-        alike = matrix.size > 0 and bool(np.abs(matrix - matrix.T).max() <= 1e-9 * np.abs(matrix).max())
+        alike = matrix.size > 0 and bool(_symmetric(matrix))
     except np.linalg.LinAlgError:
         alike = False
     if not alike:
@@ -148,6 +150,13 @@ def as_noise(field: str, noise: Noise, rows: int) -> gtsam.noiseModel.Base:
             raise InvalidInputError(f"{field}.noise", f"dimension {noise.dim()}", f"Give a model of dimension {rows}.")
         return noise
     return gtsam.noiseModel.Isotropic.Sigma(rows, _positive(f"{field}.noise", noise))
+
+
+def _symmetric(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether matrices (..., N, N) are symmetric but for rounding, as J S J' is."""
+    off = np.abs(matrices - matrices.swapaxes(-1, -2)).max(axis=(-2, -1))
+    alike: NDArray[np.bool_] = off <= _ROUNDING * np.abs(matrices).max(axis=(-2, -1))
+    return alike
 
 
 def _positive(field: str, value: float) -> float:

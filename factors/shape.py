@@ -38,10 +38,9 @@ class LinearShape:
     __slots__ = (
         "_coefficients",
         "_constant",
+        "_last",
         "_linear",
         "_offsets",
-        "_points",
-        "_stamp",
         "basis",
         "coefficients_key",
         "derivative",
@@ -103,8 +102,8 @@ class LinearShape:
         self.derivative.flags.writeable = False
         self._constant = constant
         self._linear = flat_basis
-        self._stamp: bytes | tuple[bytes, bytes] | None = None
-        self._points = _frozen(constant)
+        # What was evaluated last: one tuple, so that another thread sees points with the stamp that they are of.
+        self._last: tuple[bytes | tuple[bytes, bytes] | None, NDArray[np.float64]] = None, _frozen(constant)
 
     @property
     def size(self) -> int:
@@ -137,28 +136,30 @@ class LinearShape:
         The same array object is returned as long as lambda and the offsets have not changed, so that ``is`` tells
         whether what depends on it is still valid.
         """
+        last, points = self._last
         if not self.keys:
-            return self._points
+            return points
         stamp: bytes | tuple[bytes, bytes]
         if self.offsets_key is None:  # the usual case, kept short: it runs for every keypoint's factor
-            first = values.atVector(self.keys[0])
-            stamp = first.tobytes()
-            if stamp != self._stamp:
-                self._points = _frozen(self._constant + self._linear @ first)
-                self._stamp = stamp
-            return self._points
-        offsets = values.atVector(self.offsets_key)
-        if self.coefficients_key is None:
-            stamp = offsets.tobytes()
-            if stamp != self._stamp:
-                self._points = _frozen(self._constant + offsets)
+            coefficients = values.atVector(self.keys[0])
+            stamp = coefficients.tobytes()
+            if stamp == last:
+                return points
+            points = _frozen(self._constant + self._linear @ coefficients)
         else:
-            coefficients = values.atVector(self.coefficients_key)
-            stamp = (coefficients.tobytes(), offsets.tobytes())
-            if stamp != self._stamp:
-                self._points = _frozen(self._constant + self._linear @ coefficients + offsets)
-        self._stamp = stamp
-        return self._points
+            offsets = values.atVector(self.offsets_key)
+            linear = self._constant
+            stamp = offsets.tobytes()
+            if self.coefficients_key is not None:
+                coefficients = values.atVector(self.coefficients_key)
+                stamp = (coefficients.tobytes(), stamp)
+            if stamp == last:
+                return points
+            if self.coefficients_key is not None:
+                linear = linear + self._linear @ coefficients
+            points = _frozen(linear + offsets)
+        self._last = stamp, points
+        return points
 
 
 def _frozen(flat: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -82,7 +82,8 @@ class Observation:
         if self.covariance is not None:
             covariance = as_shape("covariance", self.covariance, (len(keypoints), 2, 2))
             _check_covariances(covariance[~missing])
-            set_(self, "covariance", own(np.where(missing[:, None, None], np.eye(2), covariance)))
+            symmetric = (covariance + covariance.swapaxes(1, 2)) / 2.0  # J S J' need not be, to the last digit
+            set_(self, "covariance", own(np.where(missing[:, None, None], np.eye(2), symmetric)))
         if self.azimuth is not None:
             set_(self, "azimuth", as_directions("azimuth", self.azimuth))
 

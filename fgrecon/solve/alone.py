@@ -121,6 +121,7 @@ def each_alone(
     options: Options,
     known: Sequence[KnownBox | None] | None = None,
     *,
+    image_of: Sequence[int] | None = None,
     steady: float | None = None,
 ) -> Tried:
     """Solve vehicles one by one.
@@ -132,6 +133,7 @@ def each_alone(
         plane: The ground, or None.
         options: Settings.
         known: What a detector's box says of each, whose size takes the place of the fleet's; or None.
+        image_of: The image of each, for vehicles of one image say which way one another face; None for one image.
         steady: Where the solves end, as `optimise` has it.
     """
     alone: dict[int, Alone] = {}
@@ -142,7 +144,10 @@ def each_alone(
             seen[number] = observe(given, camera, model.prior, options)
         except FgreconError as error:
             refused[number] = error
-    together = dict(zip(seen, face_together([*seen.values()], camera, model.prior, options), strict=True))
+    together: dict[int, Observation] = {}
+    for image in dict.fromkeys(image_of or [0]):
+        own = {number: one for number, one in seen.items() if image_of is None or image_of[number] == image}
+        together |= zip(own, face_together([*own.values()], camera, model.prior, options), strict=True)
     for number, observation in seen.items():
         box = None if known is None else known[number]
         try:

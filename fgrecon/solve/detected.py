@@ -69,7 +69,8 @@ class KnownBox:
             raise DegenerateProblemError("box3d.size", size.tolist(), f"Give metres: {SIZES}.")
         own = model if size is None else sized(self.plain, SizePrior("its box", size, self.errors.size * size))
         counted = replace(options, keypoints=replace(options.keypoints, common_factor=1.0))  # it is in the solve
-        return Problem.of(replace(seen, covariance=_TOGETHER * covariance), camera, own, plane, counted)
+        problem = Problem.of(replace(seen, covariance=_TOGETHER * covariance), camera, own, plane, counted)
+        return replace(problem, assumed=seen.covariance is None)
 
     def factors(self, camera: Camera, vehicle: int = 0) -> list[gtsam.NonlinearFactor]:
         """The factors of the box on the pose of a vehicle in image 0; its size is in the vehicle's model."""

@@ -54,11 +54,11 @@ def face_together(
         seen: Without lens distortion.
         camera: The camera that took the image.
         prior: Its height says about how far away a vehicle is.
-        options: Which side the traffic keeps to; without the term `direction` nothing is done.
+        options: Which side the traffic keeps to.
         rows: Whether they say which way one another face; over time their tracks do (`fgrecon.solve.time`).
     """
     told = list(seen)
-    if "direction" in options.disabled_terms or (len(told) < 2 and options.traffic is None):
+    if len(told) < 2 and options.traffic is None:
         return told
     found = {i: side for i, one in enumerate(told) if (side := _Side.of(one, camera, prior)) is not None}
     sides = list(found.values())
@@ -92,7 +92,7 @@ def faced_pose(
         return problem, start
     other = replace(turned_round(seen, problem.model.prior), azimuth=seen.azimuth)
     try:
-        turned = Problem.of(other, problem.camera, problem.model, problem.ground, problem.options)
+        turned = problem.showing(other)
         again = adjust_pose(turned)
     except DegenerateProblemError:  # too few keypoints have a partner on the other side
         return problem, start
@@ -118,8 +118,7 @@ def faced_anew(problem: Problem, heading: float, right: float, place: Array) -> 
     ahead = half_around(towards, len(seen.azimuth)) * (seen.azimuth + half_a_turn(seen.azimuth))
     other = replace(seen, azimuth=_either_way(ahead / ahead.sum(), right))
     try:
-        given = Problem.of(other, problem.camera, problem.model, problem.ground, problem.options)
-        return faced_pose(given, seen)
+        return faced_pose(problem.showing(other), seen)
     except DegenerateProblemError:
         return None
 

@@ -89,10 +89,7 @@ def reconstruct(
     options = checked_options(options)
     extra_factors = own_factors(extra_factors)
     shape_prior = load_prior(prior)
-    camera = Camera.of(intrinsics, distortion)
-    if camera.focal_sigma:
-        fix = "`fgrecon.reconstruct_scene([observation], camera)` finds the focal length; or give one that is known."
-        raise InvalidInputError("intrinsics", f"focal length known to {100 * camera.focal_sigma:.0f} %", fix)
+    camera = known_camera("intrinsics", Camera.of(intrinsics, distortion))
     plane = ground_plane(ground)
     start = _initial(initial)
     fleet = None if size_prior is None else named_size_prior(size_prior)
@@ -123,6 +120,18 @@ def own_factors(given: Sequence[gtsam.NonlinearFactor]) -> Sequence[gtsam.Nonlin
     import gtsam
 
     return as_list("extra_factors", given, gtsam.NonlinearFactor)
+
+
+def known_camera(field: str, camera: Camera) -> Camera:
+    """The camera, for what takes its focal length as exact.
+
+    Raises:
+        InvalidInputError: The focal length is not known.
+    """
+    if camera.focal_sigma:
+        fix = "`fgrecon.reconstruct_scene([observation], camera)` finds the focal length; or give one that is known."
+        raise InvalidInputError(field, f"focal length known to {100 * camera.focal_sigma:.0f} %", fix)
+    return camera
 
 
 def ground_plane(ground: Ground | float | None) -> Ground | None:
@@ -187,6 +196,8 @@ def observe(
             options.confidence_midpoint,
         )
     _check_in_image(seen.box, camera)
+    if "direction" in options.disabled_terms:
+        seen = replace(seen, azimuth=None)  # neither the energy, nor neighbours or frames of a track, is to hear of it
     seen = seen.of_at_least(options.keypoints.least_confidence)
     return seen if camera.distortion is None else _ideal(seen, camera)
 
@@ -207,7 +218,9 @@ def _ideal(seen: Observation, camera: Camera) -> Observation:
         boxed = boxed and float((ideal_box[2:] - ideal_box[:2]).min()) >= 1.0
     left = keypoints[seen.measured & ~lost]
     gone = bool(lost.any()) and len(left) < max(_FEWEST, int(np.count_nonzero(lost)))
-    all_one = len(left) > 1 and float(np.ptp(left, axis=0).max()) < 1.0 <= float(np.ptp(seen.keypoints[seen.measured]))
+    all_one = len(left) > 1 and float(np.ptp(left, axis=0).max()) < 1.0 <= float(
+        np.ptp(seen.keypoints[seen.measured], axis=0).max()
+    )
     if not boxed or gone or all_one:
         fix = f"Give coefficients of this camera: they cannot be undone at the {'keypoints' if boxed else 'box'}."
         raise InvalidInputError("distortion", np.asarray(camera.distortion).tolist(), fix)

@@ -218,7 +218,7 @@ def _result(
 
 
 def _regions(problem: Problem) -> Regions:
-    if problem.observation.covariance is None:
+    if problem.assumed:
         return Regions.ASSUMED
     return Regions.FITTED if problem.options.keypoints.fitted else Regions.SHIPPED
 

@@ -30,7 +30,15 @@ from factors.road import road_factor
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FactorCallbackError
 from fgrecon.solve.ground_evidence import GroundEvidence
-from fgrecon.solve.standing import LEAST_HEIGHT, OWN_HEIGHT, OWN_SLOPE, ground_spread, own_deviations, seen_ground
+from fgrecon.solve.standing import (
+    LEAST_DOWN,
+    LEAST_HEIGHT,
+    OWN_HEIGHT,
+    OWN_SLOPE,
+    ground_spread,
+    own_deviations,
+    seen_ground,
+)
 
 __all__ = ["KnownGround", "Road"]
 
@@ -41,7 +49,6 @@ _LASTS = 12.0  # seconds after which a deviation from what is told has fallen to
 _FREE = 0.1  # seconds in which a ground that nobody told may change by as much: the camera may be in a hand
 _NEAR, _FAR = 10.0, 40.0  # metres: depths at which the uncertainty is that of the ground's
 _LEAST_KEPT = 1e-6
-_LEAST_DOWN = 0.1  # of the normal of a ground: cameras look along it rather than at it
 _ROUNDS = 3  # of a solve that is nearly linear
 
 
@@ -163,15 +170,16 @@ class Road:
         looked = about is None
         if about is None:
             vehicles.look(None)
-            poses = vehicles.poses()
-            self._past = None
-            if len(poses) < 2:
+            poses, self._past = vehicles.poses(), None
+            seen = seen_ground(poses) if len(poses) > 1 else None
+            if seen is None:
                 return None
-            about = _About(seen_ground(poses), camera, is_told=False)
+            about = _About(seen, camera, is_told=False)
         frame = GroundFrame.of(about.plane.normal, about.plane.distance)
         known, weight = self._before(time, about, frame, world_T_camera, motion_covariance)
+        here = _ground(about, frame, known)
         if not looked:
-            vehicles.look(_ground(about, frame, known).ground)
+            vehicles.look(about.plane if here is None else here.ground)
         evidence = vehicles.say(known.where, about.plane)
         if evidence is not None:
             said = evidence.said.scaled(weight)
@@ -179,7 +187,7 @@ class Road:
             both = _known(lambda: (_both(until_now.where, said), _both(until_now.counted, less)))
             known = both or known
         found = _ground(about, frame, known)
-        self._past = _Past(time, about, frame, world_T_camera, known, found.ground)
+        self._past = None if found is None else _Past(time, about, frame, world_T_camera, known, found.ground)
         return found
 
     def _before(
@@ -249,7 +257,7 @@ def _motion(past: _Past, world_T_camera: gtsam.Pose3 | None) -> gtsam.Pose3 | No
 def _carried(plane: Ground, motion: gtsam.Pose3) -> Ground | None:
     """The plane as it is seen after a motion of the camera; None where that looks upside down."""
     normal = motion.rotation().matrix().T @ plane.normal
-    if normal[1] <= _LEAST_DOWN:
+    if normal[1] <= LEAST_DOWN:
         return None
     distance = plane.distance - float(plane.normal @ motion.translation())
     return replace(plane, normal=normal, distance=max(distance, LEAST_HEIGHT))
@@ -298,10 +306,15 @@ def _on_first(left: Marginal) -> Marginal:
     return Marginal((G(0),), left.dims, values, left.matrix, left.right)
 
 
-def _ground(about: _About, frame: GroundFrame, known: _Known) -> KnownGround:
-    """The plane, and how far a vehicle's origin may lie off it: as far as is told where nothing is known."""
+def _ground(about: _About, frame: GroundFrame, known: _Known) -> KnownGround | None:
+    """The plane, and how far a vehicle's origin may lie off it: as far as is told where nothing is known.
+
+    None where the plane is no ground.
+    """
     told, spread = about.plane, about.spread
     normal, distance = frame.plane(known.where.values.atVector(G(0)))
+    if normal[1] <= LEAST_DOWN:
+        return None
     covariance = _covariance(known.where)
 
     def variance(depth: float) -> float:

@@ -47,7 +47,7 @@ from fgrecon.solve.graph.vehicle import fleet_prior, is_any_fleets
 from fgrecon.solve.occlusion import with_occlusion
 from fgrecon.solve.pipeline import ground_plane
 from fgrecon.solve.result import count, history_of, results, weakened
-from fgrecon.solve.standing import Standing
+from fgrecon.solve.standing import Standing, seen_ground
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.vehicle.model import VehicleModel, prepare
 
@@ -169,7 +169,10 @@ def _reconstruct(
     observations = [one for some in images for one in some]
     started = perf_counter()
     steady = _STEADY_ALONE if len(observations) > 1 or known.focal_sigma else None
-    tried = [each_alone(observations, one, model, plane, options, boxed, steady=steady) for one in candidates(known)]
+    tried = [
+        each_alone(observations, one, model, plane, options, boxed, image_of=image_of, steady=steady)
+        for one in candidates(known)
+    ]
     energies = energies_of(tried, known)
     found = perf_counter()
     told = _solved([tried[i] for i in starts(energies)], image_of, known, plane, options)
@@ -292,8 +295,9 @@ def _together(
     if "ground" not in options.disabled_terms:
         for image in sorted({image_of[number] for number in solved}):
             poses = {number: one.pose for number, one in solved.items() if image_of[number] == image}
-            if len(poses) > 1:
-                standing[image] = Standing.of(image, poses, plane)
+            about = seen_ground([*poses.values()]) if plane is None else plane
+            if len(poses) > 1 and about is not None:
+                standing[image] = Standing.of(image, poses, about, is_told=plane is not None)
     if not solved or not (standing or known.focal_sigma):
         return None
     seen: list[Seen] = []
@@ -356,8 +360,9 @@ def _told(best: _Joint, joint: Sequence[_Joint], known: Camera) -> _Told:
     shared: tuple[str, ...] = ()
     lengths: tuple[tuple[float, float], ...] = ()
     grounds = {
-        image: (one_ground.ground(values), covariance_of(marginals, one_ground.key))
+        image: (ground, covariance_of(marginals, one_ground.key))
         for image, one_ground in best.standing.items()
+        if (ground := one_ground.ground(values)) is not None
     }
     if known.focal_sigma:
         variance = covariance_of(marginals, F(0))

@@ -24,6 +24,7 @@ from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.solve.weakness import off_ground
 
 __all__ = [
+    "LEAST_DOWN",
     "LEAST_HEIGHT",
     "OWN_HEIGHT",
     "OWN_SLOPE",
@@ -40,6 +41,8 @@ OWN_HEIGHT, OWN_SLOPE, OWN_TILT = 0.35, 0.15, 0.5
 """Shares of a told ground's deviations that are each vehicle's own; chosen on KITTI's video (docs/method.md)."""
 LEAST_HEIGHT = 0.2
 """Metres: a camera is above the road."""
+LEAST_DOWN = 0.1
+"""Of the normal of a ground: cameras look along it rather than at it, and none is rolled by a quarter turn."""
 _WIDE = (0.5, 0.3, 0.1)  # metres, radians, radians: prior of height, pitch and roll where no ground is told
 _OUTLYING = 3.0  # standard deviations from which on a contact counts less
 
@@ -63,24 +66,25 @@ class Standing:
     spread: Array
 
     @classmethod
-    def of(cls, image: int, poses: Mapping[int, Array], plane: Ground | None) -> Standing:
-        """The ground of an image with vehicles at poses (4, 4), by number; `plane` is what is told of it."""
-        nominal = seen_ground([*poses.values()]) if plane is None else plane
+    def of(cls, image: int, poses: Mapping[int, Array], nominal: Ground, *, is_told: bool = True) -> Standing:
+        """The ground of an image with vehicles at poses (4, 4), by number, about where it was told or seen to be."""
         frame = GroundFrame.of(nominal.normal, nominal.distance)
         contacts = {
             number: contact_factor(X(number, 0), G(image), frame, _contact_noise(nominal, float(pose[2, 3])))
             for number, pose in poses.items()
         }
-        return cls(G(image), nominal, frame, contacts, ground_spread(plane))
+        return cls(G(image), nominal, frame, contacts, ground_spread(nominal if is_told else None))
 
     @property
     def prior(self) -> gtsam.PriorFactorVector:
         """What is known of the ground before the vehicles tell."""
         return gtsam.PriorFactorVector(self.key, np.zeros(3), diagonal_noise("ground", self.spread))
 
-    def ground(self, values: gtsam.Values) -> Ground:
-        """The ground at some values."""
+    def ground(self, values: gtsam.Values) -> Ground | None:
+        """The ground at some values; None where that is none."""
         normal, distance = self.frame.plane(values.atVector(self.key))
+        if normal[1] <= LEAST_DOWN:
+            return None
         return replace(self.nominal, normal=normal, distance=max(distance, LEAST_HEIGHT))
 
     def doubt(self, result: Reconstruction, told: Ground | None, values: gtsam.Values) -> list[str]:
@@ -97,13 +101,14 @@ def ground_spread(plane: Ground | None) -> Array:
     return np.array(_WIDE if plane is None else (plane.height_sigma, plane.slope_sigma, plane.slope_sigma))
 
 
-def seen_ground(poses: Sequence[Array]) -> Ground:
-    """The plane that vehicles' poses (4, 4) speak of: their median down axis and height."""
+def seen_ground(poses: Sequence[Array]) -> Ground | None:
+    """The plane that vehicles' poses (4, 4) speak of: their median down axis and height; None where it is none."""
     down = np.median([pose[:3, 1] for pose in poses], axis=0)
     normal = down / np.linalg.norm(down)
+    if normal[1] <= LEAST_DOWN:
+        return None
     distance = float(np.median([pose[:3, 3] @ normal for pose in poses]))
-    upright = normal if normal[1] > 0.0 else np.array([0.0, 1.0, 0.0])
-    return Ground(upright, max(distance, LEAST_HEIGHT))
+    return Ground(normal, max(distance, LEAST_HEIGHT))
 
 
 def _contact_noise(ground: Ground, depth: float) -> gtsam.noiseModel.Robust:

@@ -17,9 +17,13 @@ seldom show the vehicle turned round from one to the next.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from numbers import Real
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_list
@@ -38,7 +42,7 @@ from fgrecon.solve.graph.adjust import adjust
 from fgrecon.solve.graph.graph import Seen
 from fgrecon.solve.graph.history import joint_steps
 from fgrecon.solve.graph.structure import graph_factors
-from fgrecon.solve.pipeline import ground_plane, observe, own_factors
+from fgrecon.solve.pipeline import ground_plane, known_camera, observe, own_factors
 from fgrecon.solve.proposals.adjust import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import results
@@ -50,11 +54,13 @@ if TYPE_CHECKING:
 
 __all__ = ["JointStep", "TrackReconstruction", "reconstruct_track"]
 
+_NUMBERS = Real, np.ndarray, list, tuple  # what a matrix, or fx, fy, cx, cy, are made of
+
 
 @single_threaded
 def reconstruct_track(
     observations: Sequence[Observation | None],
-    cameras: Camera | Sequence[Camera],
+    cameras: Camera | ArrayLike | Sequence[Camera],
     *,
     prior: ShapePrior | str | Path = "car14",
     ground: Ground | float | None = None,
@@ -67,7 +73,7 @@ def reconstruct_track(
 
     Args:
         observations: Its keypoints in each image; None where there are none.
-        cameras: The camera, or one for each image.
+        cameras: The camera, or its matrix (3, 3), or (fx, fy, cx, cy); or a camera for each image.
         prior: Shape prior, or its name, or the path of its file.
         ground: Ground plane in every camera's frame; a number is the height in metres of a level camera.
         size_prior: Fleet (`kitti`, `apollo79`), or a size prior; one so tight that it is a single vehicle's tells its
@@ -92,10 +98,7 @@ def reconstruct_track(
     model = prepare(shape_prior, fleet, options.shape.basis_vectors)
     extra_factors = own_factors(extra_factors)
     observations = as_list("observations", observations)
-    one_camera = isinstance(cameras, Camera)
-    each = [cameras] * len(observations) if one_camera else as_list("cameras", cameras, Camera)
-    if len(each) != len(observations):
-        raise InvalidInputError("cameras", f"{len(each)} for {len(observations)} images", "Give one for each image.")
+    each = _cameras(cameras, len(observations))
 
     started = perf_counter()
     seen: list[Seen] = []
@@ -152,3 +155,18 @@ def _status(results: list[Reconstruction], refused: Mapping[int, str]) -> tuple[
     if all(result.status is Status.WEAK for result in results):
         return Status.WEAK, f"{count}{left_out}; all are weak: {results[0].message}"
     return Status.CONVERGED, f"{count}{left_out}; the joint optimisation found a minimum."
+
+
+def _cameras(given: Camera | ArrayLike | Sequence[Camera], count: int) -> list[Camera]:
+    """The camera of each image.
+
+    Raises:
+        InvalidInputError: Another number is given, or a focal length is not known.
+    """
+    each = [given] if isinstance(given, Camera) else as_list("cameras", given)
+    if isinstance(given, Camera) or (each and all(isinstance(one, _NUMBERS) for one in each)):
+        return [known_camera("cameras", Camera.of(cast("Camera | ArrayLike", given)))] * count
+    if len(each) != count:
+        raise InvalidInputError("cameras", f"{len(each)} for {count} images", "Give one for each image.")
+    cameras = as_list("cameras", each, Camera)
+    return [known_camera(f"cameras[{number}]", camera) for number, camera in enumerate(cameras)]

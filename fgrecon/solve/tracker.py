@@ -34,7 +34,7 @@ from fgrecon.solve.box_check import box_excess, boxes_off
 from fgrecon.solve.facing import face_together
 from fgrecon.solve.frame_vehicles import FrameVehicles, PastFrame, VehicleTrack
 from fgrecon.solve.graph.adjust import Adjusted
-from fgrecon.solve.pipeline import ground_plane, observe
+from fgrecon.solve.pipeline import ground_plane, known_camera, observe
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import count, results
 from fgrecon.solve.road import KnownGround, Road
@@ -154,7 +154,7 @@ class Tracker:
         time = float(as_finite("time", time, (), "Give seconds."))
         if not issubclass(kind := type(observations), Mapping):
             raise InvalidInputError("observations", kind.__name__, "Give a mapping: an `fgrecon.Observation` by id.")
-        seen_by, plane = Camera.of(camera), ground_plane(ground)
+        seen_by, plane = known_camera("camera", Camera.of(camera)), ground_plane(ground)
         place = None if world_T_camera is None else gtsam.Pose3(as_rigid("world_T_camera", world_T_camera, _RIGID))
         moved = None if motion_covariance is None else _covariance(motion_covariance)
         with self._one_call:
@@ -184,15 +184,19 @@ class Tracker:
         known: KnownGround | None = None
         if self._shared:
             known = self._road.later(time, plane, seen_by, place, vehicles, motion_covariance=moved)
-            plane = known.ground if known is not None else None
+            plane = plane if known is None else known.ground
         else:
             vehicles.look(plane)
         found: dict[int, VehicleEstimate] = {}
         for name, (track, frame) in vehicles.looked.items():
-            track.followed.take(frame, plane)
+            try:
+                track.followed.take(frame, plane)
+            except FgreconError as error:
+                refused[name] = error
+                continue
             self._tracks[name] = track
             track.time, track.world_T_camera, track.milestone = time, place, self._way.here
-            track.past.append(PastFrame(frame, place, known))
+            track.past.append(PastFrame(frame, place, known if "ground" not in self._options.disabled_terms else None))
             if self._past is not None:
                 del track.past[: -self._past]
             found[name] = self._estimate(name, track)

@@ -87,3 +87,12 @@ def test_refusals_name_the_field(field, change):
 
 def test_a_confidence_of_a_missing_keypoint_is_not_judged():
     assert Observation(PIXELS, [1.0, 1.0, np.nan, 1.0]).confidence[2] == 0.0
+
+
+def test_a_covariance_that_is_symmetric_but_for_rounding_is_kept_symmetric():
+    rng = np.random.default_rng(0)
+    jacobian, root = rng.normal(size=(2, 2)), rng.normal(size=(2, 2))
+    covariance = jacobian @ (root @ root.T) @ jacobian.T + np.array([[0.0, 3e-16], [0.0, 0.0]])
+    seen = Observation.of(np.zeros((3, 2)), covariance=np.tile(covariance, (3, 1, 1)))
+    np.testing.assert_array_equal(seen.covariance, seen.covariance.swapaxes(1, 2))
+    np.testing.assert_allclose(seen.covariance[0], covariance, rtol=1e-12)

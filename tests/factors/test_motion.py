@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from factors import L, V, X, drive_factor, marginal, marginal_factor, motion_factor
+from factors import L, M, Marginal, V, X, drive_factor, marginal, marginal_factor, motion_factor
 from factors.errors import InvalidInputError
 from factors.keys import decode_key, key_name
 from factors.motion import moved
@@ -140,3 +140,11 @@ def test_a_vector_of_any_length_may_stay():
     graph.add(gtsam.PriorFactorVector(L(), np.zeros(5), gtsam.noiseModel.Isotropic.Sigma(5, 2.0)))
     past = marginal(graph, values, [X(0, 0), V(0, 0)])
     assert dict(zip(past.keys, past.dims, strict=True)) == {L(): 5, V(0, 1): 3, X(0, 1): 6}
+
+
+def test_planes_that_are_left_are_refused():
+    values = gtsam.Values()
+    values.insert(M(0), gtsam.OrientedPlane3(0.0, 0.0, 1.0, 0.0))
+    past = Marginal((M(0),), (3,), values, np.eye(3), np.zeros(3))
+    with pytest.raises(InvalidInputError, match="planes"):
+        marginal_factor(past)

@@ -24,6 +24,16 @@ def test_covariance():
     assert np.sum(noise.whiten(r) ** 2) == pytest.approx(0.5 * r @ np.linalg.inv(S) @ r)
 
 
+def test_a_covariance_that_is_off_symmetry_by_rounding():
+    S = np.array([[4.0, 1.0], [1.0 + 2e-16, 2.0]])
+    r = np.array([3.0, -1.0])
+    assert S[0, 1] != S[1, 0]
+    assert np.sum(keypoint_noise(0.5, 1.0, covariance=S).whiten(r) ** 2) == pytest.approx(
+        0.5 * r @ np.linalg.inv(S) @ r
+    )
+    assert keypoint_whiteners([1.0], 1.0, S[None]).shape == (1, 3)
+
+
 def test_one_covariance_for_all_rows():
     root = np.random.default_rng(0).normal(size=(6, 6))
     r = np.arange(6.0)

@@ -1,5 +1,7 @@
 """Another detector's 3D boxes in the graph: nearer to the truth, the right way round; without them nothing changes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
 from fgrecon.core.metrics import orientation_error
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
-from fgrecon.core.reconstruction import Status, rotation_y
+from fgrecon.core.reconstruction import Regions, Status, rotation_y
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.catalogue import load_prior
 from fgrecon.simulation.detected_boxes import disturbed_boxes
@@ -189,3 +191,11 @@ def test_what_says_nothing_or_the_contrary_leaves_a_box_as_it_is():
     assert plain["sigma"]["rotation_y"] > 0.0
     assert plain["changed"] is True
     assert refined(farther, BoxErrors(), result, None).to_dict()["sigma"]["location"] is None
+
+
+def test_regions_rest_on_what_the_keypoints_brought_with_them():
+    _, seen, boxes = street(0, count=1)
+    plain = reconstruct_scene(seen, CAMERA, boxes=boxes, options=OPTIONS).vehicles[0]
+    assert plain.regions is Regions.ASSUMED
+    told = [replace(one, covariance=np.tile(4.0 * np.eye(2), (14, 1, 1))) for one in seen]
+    assert reconstruct_scene(told, CAMERA, boxes=boxes, options=OPTIONS).vehicles[0].regions is Regions.SHIPPED

@@ -90,8 +90,10 @@ def test_without_directions_or_anything_measured_nothing_changes():
     found = face_together([silent, nothing], KITTI_CAMERA, PRIOR, RIGHT)
     assert found[0] is silent
     assert found[1] is nothing
-    off = fgrecon.Options(traffic="right", disabled_terms=["direction"])
-    assert face_together([seen], KITTI_CAMERA, PRIOR, off)[0] is seen
+    off = fgrecon.Options(traffic="right", disabled_terms=["direction"], keep_history=False)
+    first, second = (fgrecon.reconstruct(one, KITTI_CAMERA, ground=1.65, options=off) for one in (seen, silent))
+    np.testing.assert_array_equal(first.camera_T_object, second.camera_T_object)
+    assert (first.status, first.message) == (second.status, second.message)
 
 
 def in_a_row(*sure, x=3.5, turned=(), gap=8.0):

@@ -8,11 +8,14 @@ import pytest
 import fgrecon
 from fgrecon.core.camera import Ground
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
+from fgrecon.core.geometry import view_azimuth
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options, ShapeOptions
 from fgrecon.core.reconstruction import Status
 from fgrecon.io.catalogue import load_prior
+from fgrecon.solve.alone import each_alone
 from fgrecon.solve.scene import reconstruct_scene, reconstruct_scenes
+from fgrecon.solve.vehicle.model import prepare
 from tests.cars import CAMERA, observe
 
 PITCH = np.radians(1.5)  # the camera looks up: the road falls away from its y axis
@@ -150,3 +153,22 @@ def test_a_fixed_pose_is_refused():
     with pytest.raises(InvalidInputError, match="joint"):
         reconstruct_scene([], CAMERA, options=Options(shape=ShapeOptions(joint=False)))
     assert reconstruct_scene([], CAMERA).vehicles == ()
+
+
+def test_vehicles_of_other_images_do_not_say_which_way_one_faces():
+    prior, model = load_prior("car14"), prepare(load_prior("car14"))
+    bins = 2.0 * np.pi * np.arange(36) / 36
+    seen = []
+    for yaw, place, sure in ((0.2, [1.0, 1.65, 12.0], 0.55), (0.25, [1.0, 1.65, 20.0], 0.999)):
+        pose = np.eye(4)
+        pose[:3, :3] = [[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]]
+        pose[:3, 3] = place
+        towards = float(view_azimuth(pose[:3, :3], pose[:3, 3]))
+        ahead = np.exp((np.cos(bins - towards) - 1.0) / 0.1)
+        azimuth = (sure * ahead + (1.0 - sure) * np.roll(ahead, 18)) / ahead.sum()
+        seen.append(replace(observe(prior, pose, np.zeros(5), noise=1.0, seed=3), azimuth=azimuth))
+    apart = each_alone(seen, CAMERA, model, None, Options(), image_of=[0, 1])
+    together = each_alone(seen, CAMERA, model, None, Options())
+    for number, one in enumerate(seen):
+        np.testing.assert_array_equal(apart.vehicles[number].problem.observation.azimuth, one.azimuth)
+    assert not np.allclose(together.vehicles[0].problem.observation.azimuth, seen[0].azimuth)

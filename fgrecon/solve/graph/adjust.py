@@ -60,8 +60,8 @@ class Adjusted:
     """Where the graph's optimisation ended.
 
     Attributes:
-        optimum: The end; iterations and gain are those of all stages that led there.
-        stages: The stages that led there.
+        optimum: The end; iterations and gain are those of all stages from the proposals that led there.
+        stages: All stages, those from other proposals before among them.
         alternatives: Other poses of each observation, best first.
     """
 

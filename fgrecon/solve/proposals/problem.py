@@ -40,6 +40,7 @@ class Problem:
         ground: Ground plane, or None.
         options: Settings.
         energy: The terms that apply, for many poses at once.
+        assumed: Whether no detector has told how far the keypoints are off.
     """
 
     observation: Observation
@@ -48,6 +49,7 @@ class Problem:
     ground: Ground | None
     options: Options
     energy: PoseEnergy
+    assumed: bool = False
 
     @classmethod
     def of(
@@ -59,7 +61,8 @@ class Problem:
             DegenerateProblemError: Too few points, all in one place or line, or without any weight.
         """
         _check_points(observation)
-        return cls(observation, camera, model, ground, options, _energy(observation, camera, model, ground, options))
+        energy = _energy(observation, camera, model, ground, options)
+        return cls(observation, camera, model, ground, options, energy, assumed=observation.covariance is None)
 
     @property
     def common_factor(self) -> float:
@@ -70,6 +73,15 @@ class Problem:
     def box_common_factor(self) -> float:
         """The same of the 2D box: a projected 3D box comes from no detector, and counts whole."""
         return 1.0 if self.options.box.model is BoxModel.CUBOID else self.common_factor
+
+    def showing(self, observation: Observation) -> Problem:
+        """The same of another observation of the vehicle, such as the one turned round.
+
+        Raises:
+            DegenerateProblemError: As `of`.
+        """
+        other = Problem.of(observation, self.camera, self.model, self.ground, self.options)
+        return replace(other, assumed=self.assumed)
 
     def on(self, ground: Ground | None) -> Problem:
         """The same on another ground, or on none."""
@@ -144,7 +156,7 @@ def _energy(
         box=None if "box" in off else box_term(observation, camera, model, options.box),
         size=size,
         ground=None if ground is None or "ground" in off else GroundTerm(ground),
-        direction=None if observation.azimuth is None or "direction" in off else DirectionTerm(observation.azimuth),
+        direction=None if observation.azimuth is None else DirectionTerm(observation.azimuth),
     )
 
 

@@ -59,4 +59,10 @@ class CameraWay:
         if begun is None or before.begun is not begun:
             return None
         here = place.between(begun).AdjointMap()
-        return np.asarray(here @ (self.here.covariance - before.covariance) @ here.T)
+        return _rounded(here @ (self.here.covariance - before.covariance) @ here.T)
+
+
+def _rounded(covariance: Array) -> Array:
+    """The covariance that was meant: a small difference of large sums is neither symmetric nor positive to the last."""
+    spread, axes = np.linalg.eigh((covariance + covariance.T) / 2.0)
+    return np.asarray((axes * np.maximum(spread, 0.0)) @ axes.T)

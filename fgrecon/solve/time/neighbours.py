@@ -78,4 +78,4 @@ def with_neighbours(pasts: Mapping[int, Sequence[Frame]]) -> dict[int, list[Fram
 
 def _directed(frame: Frame) -> bool:
     problem = frame.problem
-    return problem.observation.azimuth is not None and "direction" not in problem.options.disabled_terms
+    return problem.observation.azimuth is not None

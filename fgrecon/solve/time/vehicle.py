@@ -131,7 +131,18 @@ class Followed:
         self._first(frame, start)
 
     def take(self, frame: Frame, ground: Ground | None) -> None:
-        """Take a frame that was looked at, on a ground that may have been found meanwhile, and solve the window."""
+        """Take a frame that was looked at, on a ground that may have been found meanwhile, and solve the window.
+
+        Whatever is raised, the vehicle is then as it was before.
+        """
+        before = dict(vars(self), frames=[*self.frames])
+        try:
+            self._take(frame, ground)
+        except BaseException:
+            vars(self).update(before)
+            raise
+
+    def _take(self, frame: Frame, ground: Ground | None) -> None:
         if frame.problem.ground is not ground:
             turned = frame.problem is not frame.given
             frame.given = frame.given.on(ground)
@@ -154,10 +165,7 @@ class Followed:
         frame = Frame(self.count, time, problem, start, (here, *start.alternatives), np.zeros(0), step, pose, weights)
         if step is None:
             self._first(frame, start)
-        evidence = image_says(problem.observation, frame.poses)
-        frame.evidence = evidence * weight_of(None if step is None else step.seconds, _height(problem.observation))
-        if way is not None:
-            frame.evidence = frame.evidence + way
+        frame.evidence = _by_itself(frame) if way is None else _by_itself(frame) + way
         return frame
 
     def _foreseen(self, step: FrameStep) -> Array:
@@ -195,12 +203,21 @@ class Followed:
             if self._solved([*before, last.without(odd)], _AGREES):
                 last.follow(self.frames[-1])
                 return
-            self.frames, self.shape = [odd, last], _shape(self.solved)  # of another vehicle than those before
-            odd.step = None
-            self._start_velocity()
+            self._begin_anew(odd, last)  # of another vehicle than those before
         if not self._solved(self.frames, _CONTRADICTS):
             self._odd = True
             self._solve_last()
+
+    def _begin_anew(self, odd: Frame, last: Frame) -> None:
+        """Go on from two frames alone: what those before said of the heading, and their way, are another vehicle's."""
+        self.frames, self.shape = [odd, last], _shape(self.solved)
+        self._way = self._ahead = _Way()
+        odd.step = None
+        odd.evidence, last.evidence = _by_itself(odd), _by_itself(last)
+        odd.belief = Belief.none().told(odd.evidence)
+        last.believe(odd)
+        face(self.frames, self.shape)
+        self._start_velocity()
 
     def _solved(self, frames: list[Frame], energy: float) -> bool:
         """Solve frames and go on with them; nothing changes where the last contradicts those before by this energy."""
@@ -241,6 +258,12 @@ def _from(frame: Frame) -> PoseEstimate:
         visibility=frame.weights.visibility,
         alternatives=tuple(others),
     )
+
+
+def _by_itself(frame: Frame) -> Array:
+    """(B,) what a frame's image says of the heading, as far as it counts after the frame before."""
+    seen = frame.given.observation
+    return image_says(seen, frame.poses) * weight_of(None if frame.step is None else frame.step.seconds, _height(seen))
 
 
 def image_says(observation: Observation, poses: Sequence[Alternative]) -> Array:
@@ -305,7 +328,7 @@ def _turned(given: Problem) -> Problem | None:
     """The problem with its keypoints turned round; None where too few have a partner on the other side."""
     other = turned_round(given.observation, given.model.prior)
     try:
-        return Problem.of(other, given.camera, given.model, given.ground, given.options)
+        return given.showing(other)
     except DegenerateProblemError:
         return None
 

@@ -19,6 +19,9 @@ def test_where_an_id_passes_to_another_vehicle_that_begins_anew():
         online, smoothed = follow(frames)
         assert online[25].velocity is None
         assert max(off(one, second)[1] for one in online[25:]) < off(fresh, second)[1] + 3.0
+        for one in (*online[26:], *smoothed[25:]):  # from its second frame on, online
+            assert off(one, second)[0] < 10.0
+            assert one.facing_probability > 0.8
         assert np.linalg.norm(online[-1].reconstruction.location - fresh.reconstruction.location) < 0.1
         coefficients = fresh.reconstruction.coefficients
         np.testing.assert_allclose(online[-1].reconstruction.coefficients, coefficients, atol=0.2)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import fgrecon
+from factors.noise import full_noise
 from fgrecon.solve.time.camera_way import CameraWay
 from fgrecon.solve.time.heading import HEADINGS, Belief, backward, carried, combined, poses_say
 from fgrecon.solve.time.window import FrameStep
@@ -43,6 +44,21 @@ def test_two_steps_are_one():
     assert both.camera.equals(before, 1e-12)
     np.testing.assert_allclose(both.covariance, way.since(begun, before), rtol=1e-9, atol=1e-15)
     assert steps[0].then(FrameStep(0.1, None, np.zeros((6, 6)))).camera is None
+
+
+def test_a_cameras_way_of_many_kilometres_leaves_covariances_what_they_are():
+    """What is known of a step is a small difference of large sums: it stays a covariance."""
+    rng, way, place = np.random.default_rng(3), CameraWay(), gtsam.Pose3()
+    root = np.diag([1e-3] * 3 + [0.05] * 3) @ rng.normal(size=(6, 6))
+    covariance = root @ root.T
+    way.go(place, None)
+    for number in range(12_000):
+        before = way.here
+        place = place.compose(gtsam.Pose3(gtsam.Rot3.Ry(2e-4 * np.sin(1e-3 * number)), np.array([0.0, 0.0, 1.0])))
+        way.go(place, covariance)
+        found = way.since(before, place)
+        full_noise("motion", found + 1e-6 * np.eye(6))
+    np.testing.assert_allclose(found, covariance, atol=0.05 * np.abs(covariance).max())
 
 
 def test_what_a_frame_that_leaves_said_of_the_heading_stays():
