@@ -218,7 +218,7 @@ class Reconstructor:
         height, width = image.shape[:2]
         text = task.get("camera")
         own = self._camera or (_camera(json.loads(text)) if text else told)
-        return Camera.of_unknown(width, height) if own is None else replace(own, image_size=(width, height))
+        return Camera.of_unknown(width, height) if own is None else own.with_size_of(image)
 
 
 def _camera(fields: Mapping[str, Any]) -> Camera:

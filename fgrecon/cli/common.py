@@ -83,7 +83,7 @@ def parse_crop(text: str) -> PartOfImage:
 
     wanted = "left,top or left,top,width,height: the part's corner, and the size of the whole image, in pixels"
     left, top, *size = parse_numbers("crop", text, wanted, (2, 4))
-    if not (math.isfinite(left) and math.isfinite(top) and min(left, top) >= 0):
+    if min(left, top) < 0:
         raise InvalidInputError("crop", text, f"Give {wanted}.")
     if not all(side >= 1 and side == round(side) for side in size):
         raise InvalidInputError("crop", text, "Give width and height in whole pixels.")
@@ -100,7 +100,7 @@ def parse_numbers(field: str, text: str, wanted: str, counts: tuple[int, ...]) -
         counts: How many there may be.
 
     Raises:
-        InvalidInputError: Something is not a number, or there are too many or too few.
+        InvalidInputError: Something is not a finite number, or there are too many or too few.
     """
     from fgrecon.core.errors import InvalidInputError
 
@@ -108,7 +108,7 @@ def parse_numbers(field: str, text: str, wanted: str, counts: tuple[int, ...]) -
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
         numbers = []
-    if len(numbers) not in counts:
+    if len(numbers) not in counts or not all(map(math.isfinite, numbers)):
         raise InvalidInputError(field, text, f"Give {wanted}.")
     return numbers
 
@@ -170,14 +170,20 @@ def check_folder(path: Path) -> None:
         raise InvalidInputError("out", str(path), f"Give another folder: {there} is a file.")
 
 
-def check_outputs(json_out: str | None, *paths: Path | None) -> None:
+def check_outputs(json_out: str | None, *paths: Path | None, picture: Path | None = None) -> None:
     """`check_output` for what `--json` names and for further files.
 
     Raises:
-        InvalidInputError: One cannot be written.
+        InvalidInputError: One cannot be written, or the picture's name has the ending of none.
     """
-    for path in (*paths, None if json_out in (None, "-") else Path(str(json_out))):
+    for path in (*paths, picture, None if json_out in (None, "-") else Path(str(json_out))):
         check_output(path)
+    if picture is not None:
+        from fgrecon.core.errors import InvalidInputError
+        from fgrecon.viz.picture import FORMATS
+
+        if picture.suffix.lower().removeprefix(".") not in FORMATS:
+            raise InvalidInputError("picture", str(picture), f"Let the name end in one of {', '.join(FORMATS)}.")
 
 
 def headed_table(*headings: str, left: int = 1, wrap: bool = False) -> Table:

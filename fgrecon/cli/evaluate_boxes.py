@@ -61,9 +61,10 @@ def boxes_command(
     numbers = [frame.number for frame in drive.frames if frame.labelled]
     sources = {}
     for text in results:
-        name, _, place = text.rpartition("=")
+        name, named, place = text.partition("=")
+        if not named or Path(text).exists():  # a path may have the sign in it
+            name, place = Path(text).stem, text
         path = Path(place)
-        name = name or path.stem
         if name in sources:
             raise InvalidInputError("results", name, "Give each source another name, by NAME=RESULTS.")
         sources[name] = read_boxes(path, numbers)

@@ -55,7 +55,7 @@ def calibration_command(
     from fgrecon.evaluation.video_images import SYSTEM
     from fgrecon.evaluation.video_tracks import BATCH, ONLINE
 
-    check_outputs(json_out, picture)
+    check_outputs(json_out, picture=picture)
     screen = terminal.screen(json_out)
     if not folders and not simulated:
         raise InvalidInputError("drives", "none", "Give folders of labelled drives, or --simulated N.")

@@ -122,7 +122,7 @@ def kitti_command(
     from fgrecon.evaluation import kitti_images
     from fgrecon.io.kitti_files import read_image_set
 
-    check_outputs(json_out, picture)
+    check_outputs(json_out, picture=picture)
     delivery.check()
     screen = terminal.screen(json_out)
     paths = folders.paths()

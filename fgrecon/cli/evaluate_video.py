@@ -104,7 +104,7 @@ def video_command(
     from fgrecon.io.export.files import TABLE_FORMATS, export_rows
     from fgrecon.io.files import check_ending
 
-    check_outputs(json_out, picture, table, markdown)
+    check_outputs(json_out, table, markdown, picture=picture)
     if forget_ids and not track:
         raise InvalidInputError("forget_ids", "true", "Give --track as well: single images have no ids.")
     if estimate_motion and not track:

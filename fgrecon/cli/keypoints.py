@@ -43,7 +43,7 @@ def detect_command(
     from fgrecon.io.catalogue import load_category
     from fgrecon.io.images import read_image
 
-    check_outputs(json_out, picture)
+    check_outputs(json_out, picture=picture)
     screen = terminal.screen(json_out)
     pixels = read_image(image)
     named = boxes.choose(image, pixels)

@@ -58,7 +58,7 @@ def batch_command(
     from rich.table import Table
 
     from fgrecon.batch import Reconstructor, run, sources_of
-    from fgrecon.cli.settings import plain_camera, plain_settings
+    from fgrecon.cli.settings import content_hash, plain_camera, plain_settings
     from fgrecon.core.options import Options
     from fgrecon.core.reconstruction import Status
     from fgrecon.core.text import counted
@@ -88,6 +88,9 @@ def batch_command(
         "weights": None if weights is None else str(weights),
         **({} if names is None else {"names": names}),
     }
+    for name, file in (("prior", settings.prior_file), ("weights", weights), ("names", names)):
+        if (content := content_hash(None if file is None else Path(file))) is not None:
+            told[f"{name}_sha256"] = content
     with screen.bar() as advance:
 
         def report(tally: Tally) -> None:

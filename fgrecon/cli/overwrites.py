@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from glob import glob, has_magic
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -12,12 +13,15 @@ __all__ = ["OUTPUTS", "check_apart", "check_not_over"]
 
 OUTPUTS = ("out", "json_out", "picture", "animation", "save", "video", "markdown", "per_frame", "table")
 """Parameters of commands that name what is written; all others are read."""
+_ROOTS = ("data", "work")
+"""Folders in which commands find what they need by its place: other files in them are not read."""
 
 
 def check_apart(values: Mapping[str, Any], in_folder: Sequence[str] = ()) -> None:
     """Refuse outputs that are a file which the command reads, by another path or a link as well, or that are the same.
 
-    What is no file (a pipe, a terminal) may be both: nothing is lost there.
+    Files in a folder that is read, or that fit a pattern, are taken to be read. What is no file (a pipe, a terminal)
+    may be both: nothing is lost there.
 
     Args:
         values: A command's parameters.
@@ -31,9 +35,15 @@ def check_apart(values: Mapping[str, Any], in_folder: Sequence[str] = ()) -> Non
     outputs = {name: str(values[name]) for name in OUTPUTS if values.get(name) not in (None, "-")}
     inside = [Path(outputs["out"], name) for name in in_folder] if "out" in outputs else []
     inputs = [path for name, value in values.items() if name not in OUTPUTS for path in _paths(value)]
-    for name, path in [*outputs.items(), *(("out", str(file)) for file in inside)]:
+    own = [("out", str(file)) for file in inside]
+    for name, path in [*outputs.items(), *own]:
         check_not_over(_field(name), path, inputs)
-    for (first, one), (second, other) in combinations(outputs.items(), 2):
+    read = [path for name, value in values.items() if name not in (*OUTPUTS, *_ROOTS) for path in _paths(value)]
+    for name, path in outputs.items():
+        if _is_file(path) and any(_is_inside(path, source) for source in read):
+            fix = "Give another file: this one is among those that are read, and would be lost."
+            raise InvalidInputError(_field(name), path, fix)
+    for (first, one), (second, other) in combinations([*own, *outputs.items()], 2):
         if _same_target(one, other):
             raise InvalidInputError(_field(second), other, f"Give another file: --{_field(first)} is written to it.")
 
@@ -71,6 +81,16 @@ def _paths(value: Any) -> Iterator[str]:
 
 def _is_file(path: str | Path) -> bool:
     return os.path.isfile(path)  # noqa: PTH113 - Path's own raises for what can be no name
+
+
+def _is_inside(path: str, source: str) -> bool:
+    """Whether a file is in a folder, or fits a pattern of files."""
+    try:
+        if os.path.isdir(source):  # noqa: PTH112 - Path's own raises for what can be no name
+            return Path(path).resolve().is_relative_to(Path(source).resolve())
+        return has_magic(source) and any(_is_file(one) and Path(one).samefile(path) for one in glob(source))  # noqa: PTH207
+    except (OSError, RuntimeError, ValueError):  # no name at all
+        return False
 
 
 def _same_target(one: str, other: str) -> bool:

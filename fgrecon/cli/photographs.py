@@ -177,13 +177,13 @@ def _apart(photographs: Sequence[PhotographFile], how: PhotographWork, screen: S
                 outcomes, scenes = solve_together(seen.tasks, how.settings, screen)
             else:
                 outcomes = [reconstruct_work.run(task, how.settings) for task in seen.tasks]
-            _deliver(seen, outcomes, scenes, how, screen)
-            for scene in scenes:
-                if scene.result.camera.focal_sigma:
-                    screen.warn(about_camera(scene.result.camera, seen.own))
-            yield one, outcomes
         except FgreconError as error:
             yield one, error
+            continue
+        yield one, _deliver(seen, outcomes, scenes, how, screen)
+        for scene in scenes:
+            if scene.result.camera.focal_sigma:
+                screen.warn(about_camera(scene.result.camera, seen.own))
 
 
 def _same_camera(photographs: Sequence[PhotographFile], how: PhotographWork, screen: Screen) -> _Found:
@@ -205,11 +205,7 @@ def _same_camera(photographs: Sequence[PhotographFile], how: PhotographWork, scr
     cars = f"the {counted(sum(counts), 'car')} of {counted(sum(map(bool, counts)), 'image')}"
     screen.warn(about_camera(solved[0][1].result.camera, seen[0].own, cars))
     for one_seen, (outcomes, scene) in zip(seen, solved, strict=True):
-        try:
-            _deliver(one_seen, outcomes, [scene], how, screen)
-            yield one_seen.file, outcomes
-        except FgreconError as error:
-            yield one_seen.file, error
+        yield one_seen.file, _deliver(one_seen, outcomes, [scene], how, screen)
 
 
 def _alike(first: Camera, second: Camera) -> bool:
@@ -248,11 +244,16 @@ def _look(one: PhotographFile, how: PhotographWork, screen: Screen) -> _Seen:
     )
 
 
-def _deliver(seen: _Seen, outcomes: list[Outcome], scenes: list[Scene], how: PhotographWork, screen: Screen) -> None:
+def _deliver(
+    seen: _Seen, outcomes: list[Outcome], scenes: list[Scene], how: PhotographWork, screen: Screen
+) -> list[Outcome] | FgreconError:
     """Show a photograph's results, and write them to its file.
 
+    Returns:
+        The results, or why there is none.
+
     Raises:
-        FgreconError: No vehicle could be reconstructed.
+        InvalidInputError: The file cannot be written.
     """
     one, settings = seen.file, how.settings
     outcomes = with_closest(outcomes, how.models)
@@ -265,9 +266,12 @@ def _deliver(seen: _Seen, outcomes: list[Outcome], scenes: list[Scene], how: Pho
         pixels = read_photograph(one.image)[0] if seen.pixels is None else seen.pixels
         grounds = grounds_of(seen.tasks, settings, scenes)
         screen.wrote(*show.draw(_ending(one, ".png"), outcomes, pixels, grounds, sheet=False))
-    if not reconstruct_work.check_any(one.image, outcomes):
-        first = next(outcome for outcome in outcomes)
-        raise first.error or InvalidInputError("image", str(one.image), "Solving failed on every vehicle.")
+    try:
+        if reconstruct_work.check_any(one.image, outcomes):
+            return outcomes
+    except InvalidInputError as error:
+        return error
+    return outcomes[0].error or InvalidInputError("image", str(one.image), "Solving failed on every vehicle.")
 
 
 def _ending(one: PhotographFile, ending: str) -> Path:

@@ -104,13 +104,10 @@ class Drawings:
         """Refuse before the work what could not be drawn after it.
 
         Raises:
-            InvalidInputError: A name's ending means no format, or a sheet is asked for but no picture.
+            InvalidInputError: The animation's ending means no format, or a sheet is asked for but no picture.
         """
         from fgrecon.viz.animation import check_format
-        from fgrecon.viz.picture import FORMATS
 
-        if self.picture is not None and self.picture.suffix.lower().removeprefix(".") not in FORMATS:
-            raise InvalidInputError("picture", str(self.picture), f"Let the name end in one of {', '.join(FORMATS)}.")
         if self.animation is not None:
             check_format(self.animation)
         if self.sheet and self.picture is None:
@@ -205,11 +202,12 @@ def reconstruct_command(
     """
     from fgrecon.cli import photographs, picture_tasks, reconstruct_work, show
     from fgrecon.cli.doubts import about_fits, about_keypoints
+    from fgrecon.cli.picture_tasks import is_image
     from fgrecon.cli.together import grounds_of, solve_together, wants_together
     from fgrecon.core.options import Options, ShapeOptions
     from fgrecon.io.images import read_photograph
 
-    check_outputs(json_out, drawings.picture, drawings.animation)
+    check_outputs(json_out, drawings.animation, picture=drawings.picture)
     drawings.check()
     delivery.check()
     screen = terminal.screen(json_out)
@@ -225,6 +223,10 @@ def reconstruct_command(
     if same_camera and (several is None or together is False or not solving.joint):
         fix = "Give several images and --out, and let their vehicles be solved together."
         raise InvalidInputError("same_camera", "without --out, or with --apart or --no-joint", fix)
+    in_one_process = several is not None or together or (together is None and solving.joint and is_image(files[0]))
+    if jobs > 1 and in_one_process:
+        fix = "Leave it out: vehicles of an image are solved together, in one process. For many see `fgrecon batch`."
+        raise InvalidInputError("jobs", jobs, fix)
     if several is not None:
         photographs.refuse(
             json_out, drawings.wanted or drawings.image is not None, delivery.wanted, boxes.box, solving.ids
@@ -236,7 +238,7 @@ def reconstruct_command(
             raise typer.Exit(1)
         return
     (file,) = files
-    pictured = picture_tasks.is_image(file)
+    pictured = is_image(file)
     if not pictured:
         boxes.refuse()
     path = file if pictured else drawings.image

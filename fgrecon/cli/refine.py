@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,6 +11,7 @@ import typer
 from fgrecon.cli.box_errors import BoxErrorOptions
 from fgrecon.cli.common import check_outputs
 from fgrecon.cli.options import BOX_MODEL_HELP, CameraOptions, JsonOption, SceneOptions, WeightsOption
+from fgrecon.cli.overwrites import check_not_over
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError
@@ -60,11 +62,13 @@ def refine_command(
     from fgrecon.io.nuscenes_detections import is_submission
 
     check_outputs(json_out)
+    if not math.isfinite(min_score):
+        raise InvalidInputError("min_score", min_score, "Give a finite number, less than all scores to refine all.")
     screen = terminal.screen(json_out)
     submission = _submission(boxes, images, camera.camera) if is_submission(boxes) else None
     lines = boxed_images(boxes, images) if submission is None else []
     found: list[BoxedImage[Any]] = [*lines] if submission is None else [*submission.images]
-    _check_out(out, boxes, found)
+    _check_out(out, boxes, found, camera.calib)
     how = refine_work.RefineWork(
         errors=errors.errors(),
         settings=scene.settings(Options(strategy=scene.strategy, box=BoxOptions(model=box_model), keep_history=False)),
@@ -113,13 +117,16 @@ def _submission(boxes: Path, images: Path, tables: str | None) -> Submission:
     return read_submission(boxes, images, open_nuscenes(Path(tables)))
 
 
-def _check_out(out: Path, boxes: Path, found: list[BoxedImage[Any]]) -> None:
+def _check_out(out: Path, boxes: Path, found: list[BoxedImage[Any]], calib: Path | None) -> None:
     """Refuse before the work what could not be written after it, or would write over the input."""
     if behind_links(out) == behind_links(boxes):
         raise InvalidInputError("out", str(out), "Give another place than that of the boxes.")
     if boxes.is_dir():
         if out.exists() and not out.is_dir():
             raise InvalidInputError("out", str(out), "Give a folder: the boxes are in one.")
+        read = [*(one.image for one in found if one.image is not None), *_files_in(calib)]
+        for one in found:
+            check_not_over("out", out / one.source.name, read)
         out.mkdir(parents=True, exist_ok=True)
     else:
         check_outputs(None, out)
@@ -127,3 +134,7 @@ def _check_out(out: Path, boxes: Path, found: list[BoxedImage[Any]]) -> None:
         raise InvalidInputError(
             "images", f"none of {found[0].name} and {len(found) - 1} more", "Name images as the boxes."
         )
+
+
+def _files_in(folder: Path | None) -> list[Path]:
+    return [] if folder is None or not folder.is_dir() else list(folder.iterdir())

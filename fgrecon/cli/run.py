@@ -77,7 +77,7 @@ def run_command(
     from fgrecon.cli.run_job import Request, prepare
 
     delivery.check()
-    check_outputs(json_out, video, picture)
+    check_outputs(json_out, video, picture=picture)
     screen = terminal.screen(json_out)
     job = prepare(
         Request(

@@ -14,14 +14,13 @@ from fgrecon.batch.parts import refuse_batch
 from fgrecon.cli.common import about_camera, check_folder
 from fgrecon.cli.options import SceneOptions
 from fgrecon.cli.run_options import FrameOptions, MotionOptions
-from fgrecon.cli.settings import CameraSource, Settings
+from fgrecon.cli.settings import CameraSource, Settings, content_hash
 from fgrecon.cli.terminal import Screen
 from fgrecon.core.camera import DEFAULT_FIELD_OF_VIEW, Camera
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import Options
 from fgrecon.core.text import counted
-from fgrecon.io.files import check_ending
 from fgrecon.io.frames import (
     DEFAULT_RATE,
     FrameSource,
@@ -31,7 +30,6 @@ from fgrecon.io.frames import (
     numbered_frames,
     open_frames,
 )
-from fgrecon.io.hashes import file_hash
 from fgrecon.io.images import read_photograph
 from fgrecon.io.kitti_calibration import calibration_beside
 from fgrecon.io.poses import CameraPoses, read_poses
@@ -41,7 +39,6 @@ from fgrecon.perception.vehicles.detect import NanodetVehicleDetector
 from fgrecon.video import FrameLook, read_given
 from fgrecon.video.focal import found_camera
 from fgrecon.video.given import Given
-from fgrecon.viz.picture import FORMATS
 
 __all__ = ["Job", "Request", "prepare"]
 
@@ -99,7 +96,7 @@ class Job:
         files = {"source": Path(ask.source), "tracks": ask.tracks, "weights": ask.weights}
         return {
             **{name: None if path is None else _place(path) for name, path in files.items()},
-            **{f"{name}_sha256": _content(path) for name, path in files.items()},
+            **{f"{name}_sha256": content_hash(path) for name, path in files.items()},
             "fps": DEFAULT_RATE if self.source.assumed_rate else ask.frames.fps,
             "every": ask.frames.every,
             "start": ask.frames.start,
@@ -119,11 +116,6 @@ def _place(path: Path) -> str:
     return str(path.resolve() if path.exists() else path)
 
 
-def _content(path: Path | None) -> str | None:
-    """The hash of a file's content; None for what is no file."""
-    return None if path is None or not path.is_file() else file_hash(path)
-
-
 def prepare(ask: Request, screen: Screen) -> Job:
     """Read what is asked for and refuse what cannot be done, before the work.
 
@@ -135,9 +127,7 @@ def prepare(ask: Request, screen: Screen) -> Job:
     refuse_batch(ask.out)
     if ask.video is not None:
         check_video(ask.video)
-    if ask.picture is not None:
-        check_ending(ask.picture, FORMATS)
-    elif ask.picture_frame is not None:
+    if ask.picture is None and ask.picture_frame is not None:
         raise InvalidInputError("picture_frame", "without --picture", "Say with --picture where it is to be written.")
     motion = ask.motion
     settings = ask.scene.settings(Options(strategy=ask.scene.strategy, keep_history=False))

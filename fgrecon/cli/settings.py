@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -11,16 +12,18 @@ from numpy.typing import NDArray
 
 from fgrecon.cli.common import ground_plane, parse_crop, parse_numbers
 from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.options import KeypointOptions, Options
+from fgrecon.core.options import BoxOptions, KeypointOptions, Options
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as parse_size
 from fgrecon.io.cameras import MountedCamera, read_camera
 from fgrecon.io.catalogue import load_prior, shipped_priors
+from fgrecon.io.hashes import file_hash
 from fgrecon.io.kitti_calibration import read_calibration
 
-__all__ = ["CameraSource", "Settings", "plain_camera", "plain_settings"]
+__all__ = ["CameraSource", "Settings", "content_hash", "plain_camera", "plain_settings"]
 
 
 @dataclass(frozen=True)
@@ -169,7 +172,8 @@ class CameraSource:
             return camera
         if declared and camera.image_size not in (None, size):
             raise InvalidInputError("image", f"{size} pixels", f"Give the image of {camera.image_size} pixels.")
-        return replace(camera, image_size=size)
+        assert self.image is not None
+        return camera.with_size_of(self.image)
 
 
 def plain_settings(settings: Settings) -> dict[str, Any]:
@@ -182,16 +186,21 @@ def plain_settings(settings: Settings) -> dict[str, Any]:
         "strategy": settings.options.strategy.name.value,
         "box_model": settings.options.box.model.value,
         **({} if settings.options.traffic is None else {"traffic": settings.options.traffic.value}),
-        **_plain_keypoints(settings.options.keypoints),
+        **_changed("keypoints", settings.options.keypoints, KeypointOptions()),
+        **_changed("boxes", replace(settings.options.box, model=BoxModel.SURFACE), BoxOptions()),
     }
 
 
-def _plain_keypoints(given: KeypointOptions) -> dict[str, Any]:
-    """What is assumed of the keypoint detector, where that is not the default."""
-    default = KeypointOptions()
+def _changed(name: str, given: KeypointOptions | BoxOptions, default: KeypointOptions | BoxOptions) -> dict[str, Any]:
+    """What is assumed of the keypoint detector, or of boxes, where that is not the default."""
     told = {entry.name: getattr(given, entry.name) for entry in fields(given)}
-    changed = {name: value for name, value in told.items() if value != getattr(default, name)}
-    return {"keypoints": changed} if changed else {}
+    changed = {entry: value for entry, value in told.items() if value != getattr(default, entry)}
+    return {name: changed} if changed else {}
+
+
+def content_hash(path: Path | None) -> str | None:
+    """The hash of a file's content; None for what is no file."""
+    return file_hash(path) if path is not None and os.path.isfile(path) else None  # noqa: PTH113 - raises for no name
 
 
 def _plain_ground(ground: Ground | None) -> dict[str, Any] | None:

@@ -47,7 +47,7 @@ def track_command(
     from fgrecon.core.reconstruction import Status
 
     delivery.check()
-    check_outputs(json_out, picture)
+    check_outputs(json_out, picture=picture)
     screen = terminal.screen(json_out)
     settings = scene.settings(Options(strategy=scene.strategy, box=box_model, keep_history=history or delivery.wanted))
     source = camera.source()

@@ -36,10 +36,16 @@ def detect_command(
     Exit code 1: no car in any image.
     """
     from fgrecon.core.choices import BoxModel
+    from fgrecon.core.errors import InvalidInputError
     from fgrecon.io.images import read_image
     from fgrecon.perception.vehicles import NanodetVehicleDetector
 
     check_output(out)
+    named: dict[str, Path] = {}
+    for path in images:  # lines name images, and those that read them go by the name without its ending
+        if (other := named.setdefault(path.stem, path)) != path:
+            fix = f"Rename it, or look at it in a run of its own: {other} has the same name."
+            raise InvalidInputError("images", str(path), fix)
     screen = terminal.screen(error=out is None)
     detector = NanodetVehicleDetector()
     lines: list[str] = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -207,8 +207,7 @@ def _camera(given: Camera | ArrayLike | None, image: NDArray[np.uint8]) -> Camer
     height, width = image.shape[:2]
     if given is None:
         return Camera.of_unknown(width, height)
-    camera = Camera.of(given)
-    return camera if camera.image_size is not None else replace(camera, image_size=(width, height))
+    return Camera.of(given).with_size_of(image)
 
 
 def _warn_of_camera(found: Camera) -> None:

@@ -21,7 +21,10 @@ from fgrecon.batch import Reconstructor, read_folder, result_schema, run, source
 from fgrecon.batch.parts import Parts
 from fgrecon.batch.schema import task_schema
 from fgrecon.cli import main
+from fgrecon.core.detector_calibration import BoxSource, DetectorCalibration
 from fgrecon.core.errors import DamagedFileWarning, InvalidInputError, MissingPackageError
+from fgrecon.io.catalogue import load_prior, save_prior
+from fgrecon.io.detector_calibration import save_calibration
 from fgrecon.io.images import write_png
 from tests.batch.support import Deadly, instances, results, untimed, write_lines
 from tests.conftest import REPOSITORY
@@ -73,6 +76,29 @@ def test_a_folder_is_for_one_kind_of_run(cars, tmp_path):
     assert "this one has a run with other settings (size_prior)" in named, "however long its path is"
     (tmp_path / "out" / "_run.json").unlink()
     assert "no _run.json" in str(batch(few, "--out", tmp_path / "out").exception)
+
+
+def test_a_folder_is_for_one_content_of_the_files_that_settings_name(cars, tmp_path):
+    file, _ = cars
+    few = write_lines(tmp_path / "few.jsonl", file.read_text().splitlines()[:2])
+    prior = save_prior(load_prior("car14"), tmp_path / "mine.npz")
+    assert batch(few, "--out", tmp_path / "out", "--prior", prior).exit_code == 0
+    assert batch(few, "--out", tmp_path / "out", "--prior", prior).exit_code == 0
+    save_prior(load_prior("car14").scaled(1.1), prior)
+    other = batch(few, "--out", tmp_path / "out", "--prior", prior)
+    assert "other settings (prior_sha256)" in str(other.exception)
+
+
+def test_edges_of_boxes_that_a_calibration_tells_are_settings(cars, tmp_path):
+    file, _ = cars
+    few = write_lines(tmp_path / "few.jsonl", file.read_text().splitlines()[:1])
+    told = []
+    for left in (0.0, 0.1):
+        source = BoxSource(left, 0.0, 0.0, 0.0)
+        told.append(save_calibration(DetectorCalibration(boxes=source), tmp_path / f"{left}.json"))
+    assert batch(few, "--out", tmp_path / "out", "--calibration", told[0]).exit_code == 0
+    other = batch(few, "--out", tmp_path / "out", "--calibration", told[1])
+    assert "other settings (boxes)" in str(other.exception)
 
 
 def test_results_are_in_the_order_of_their_files_whenever_they_were_solved(cars, tmp_path):

@@ -31,6 +31,7 @@ def files(tmp_path, write, instance):
     (tmp_path / "st.png").write_bytes(b"pixels")
     (tmp_path / "tracks.txt").write_text("boxes")
     (tmp_path / "inside").mkdir()
+    (tmp_path / "inside" / "part-000000.parquet").write_bytes(b"rows")
     return tmp_path
 
 
@@ -54,6 +55,11 @@ def files(tmp_path, write, instance):
         (["evaluate", "video", "c.json", "--fold", "drive=st.png", "--table", "st.png"], "table"),
         (["prior", "compare", "car14", "c.json", "--json", "c.json"], "json"),
         (["vehicles", "detect", "st.png", "--out", "st.png"], "out"),
+        (["run", ".", "--out", "inside", "--picture", "st.png"], "picture"),
+        (["run", "s*.png", "--out", "inside", "--picture", "st.png"], "picture"),
+        (["track", "c.json", "--images", ".", "--picture", "st.png"], "picture"),
+        (["export", "inside", "inside/part-000000.parquet"], "out"),
+        (["run", "st.png", "--out", "inside", "--json", "inside/frames.jsonl"], "json"),
     ],
 )
 def test_an_output_that_is_an_input_is_refused_before_the_work(files, monkeypatch, arguments, field):
@@ -100,3 +106,21 @@ def test_each_option_with_a_file_is_known_as_read_or_written():
     named = {p.name for command in COMMANDS.values() for p in command.params if "FILE" in (p.metavar or "")}
     assert named - set(OUTPUTS) <= READ
     assert not READ & set(OUTPUTS)
+
+
+def test_refined_boxes_do_not_go_over_calibrations_or_images(files):
+    for name in ("boxes", "images", "calib"):
+        (files / name).mkdir()
+    line = "Car 0 0 1.5 20 20 110 80 1.5 1.6 4.0 0.1 1.6 15 1.5 0.9\n"
+    (files / "boxes" / "000001.txt").write_text(line)
+    (files / "images" / "000001.png").write_bytes((files / "st.png").read_bytes())
+    (files / "calib" / "000001.txt").write_text("P2: 700 0 80 40 0 700 50 0.2 0 0 1 0.002\n")
+    given = ("refine", files / "boxes", files / "images", "--calib", files / "calib")
+    assert "000001.txt" in refused(*given, "--out", files / "calib")
+    assert (files / "calib" / "000001.txt").read_text().startswith("P2")
+
+
+def test_results_of_before_in_other_folders_are_written_over(files):
+    (files / "r.json").write_text("{}")
+    check_apart({"source": str(files / "inside"), "out": str(files / "tracked"), "json_out": str(files / "r.json")})
+    check_apart({"data": files, "json_out": str(files / "r.json")})

@@ -65,6 +65,7 @@ def commands(sample, out):
         "sample": ["sample", "--out", out / "s"],
         "demo": ["demo", "--out", out / "d"],
         "results": ["reconstruct", cars, "--json", out / "r.json"],
+        "results of images": ["reconstruct", image, "--boxes", sample / "boxes.txt", "--calib", calib, "--out", out],
         "picture": ["reconstruct", cars, "--picture", out / "r.png"],
         "recording": ["reconstruct", cars, "--save", out / "r.rrd"],
         "batch": ["batch", cars, "--out", out / "b"],

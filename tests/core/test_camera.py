@@ -205,3 +205,13 @@ def test_a_camera_is_not_as_high_as_a_mountain():
         with pytest.raises(InvalidInputError, match="in metres"):
             Ground(np.array([0.0, 1.0, 0.0]), height).told()
     assert Ground.level(99.0).distance == 99.0
+
+
+def test_a_camera_of_another_resolution_is_refused():
+    camera = Camera(MATRIX, image_size=(1242, 375))
+    for height, width in ((375, 1242), (370, 1224)):  # KITTI's, and as it is cropped now and then
+        assert camera.with_size_of(np.zeros((height, width, 3))).image_size == (width, height)
+    for height, width in ((187, 621), (375, 1100), (750, 2484)):
+        with pytest.raises(InvalidInputError, match="1242 x 375"):
+            camera.with_size_of(np.zeros((height, width, 3)))
+    assert Camera(MATRIX).with_size_of(np.zeros((9, 7, 3))).image_size == (7, 9)

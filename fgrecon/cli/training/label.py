@@ -112,7 +112,7 @@ def label_command(
     from fgrecon.io.kitti_drives import read_images
     from fgrecon.perception.keypoints.detect import KeypointCascade
 
-    check_outputs(json_out, out, picture)
+    check_outputs(json_out, out, picture=picture)
     check_ending(out, ["json"])
     screen = terminal.screen(json_out)
     wanted, known, shape_prior = which.wanted(), unboxed.known(), load_prior(prior)
