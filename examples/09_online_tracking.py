@@ -25,8 +25,9 @@ def radar(_first: int, second: int, _seconds: float, spread: float) -> list[gtsa
 
 def main() -> None:
     rng = np.random.default_rng(2)
-    car = Vehicle.sample(fgrecon.load_prior("car14"), rng)
-    tracker = fgrecon.Tracker(size_prior="kitti", motion_factors=radar)
+    fleet = fgrecon.SIZE_PRIORS["kitti"]
+    car = Vehicle.sample(fgrecon.load_prior("car14").for_fleet(fleet), rng)
+    tracker = fgrecon.Tracker(size_prior=fleet, motion_factors=radar)
     truths = []
     for t in range(20):
         time = 0.1 * t

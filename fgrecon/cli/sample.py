@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fgrecon.cli.terminal import Quiet
+from fgrecon.core.choices import BoxModel
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from numpy.typing import NDArray
@@ -33,12 +34,13 @@ def sample_command(
     cars.json, their boxes in boxes.txt and a detector's 3D boxes in detections.txt; and TRACK.json, one car in eight
     images with its true poses, and these images in the folder drive.
     """
+    from fgrecon.core.size_prior import size_prior
     from fgrecon.io.catalogue import load_prior
     from fgrecon.io.images import write_png
     from fgrecon.simulation.sample import GROUND, sample_drive, sample_street, sample_track
 
     screen = terminal.screen()
-    prior = load_prior("car14")
+    prior = load_prior("car14").for_fleet(size_prior("kitti"))  # its cars are of the size that the guides tell
     out.mkdir(parents=True, exist_ok=True)
     street, track = sample_street(prior, seed), sample_track(prior, seed=seed)
     screen.wrote(write_png(out / "street.png", street.image))
@@ -92,19 +94,25 @@ def _keypoint_file(street: SampleStreet, category: Category) -> dict[str, Any]:
 
 
 def _boxes(street: SampleStreet, image: str) -> str:
-    """The cars' boxes as detections."""
+    """The cars' boxes as detections, about what is seen of them."""
     boxes = [car.observation.box for car in street.cars]
-    return "".join(f"{image} 2 0.990 {' '.join(f'{x:.2f}' for x in box)}\n" for box in boxes if box is not None)
+    texts = [" ".join(f"{x:.2f}" for x in box) for box in boxes if box is not None]
+    return "".join(f"{image} 2 0.990 {text} {BoxModel.SURFACE}\n" for text in texts)
 
 
 def _detections(street: SampleStreet, prior: ShapePrior, seed: int) -> str:
-    """The cars as a monocular detector would find them: lines of KITTI's results, in the frame of its labels."""
+    """The cars as a monocular detector would find them: lines of KITTI's results, in the frame of its labels.
+
+    Its 2D boxes are those of the true 3D boxes, a pixel or two off.
+    """
     import numpy as np
 
     from fgrecon.core.box3d import Box3D, BoxErrors
+    from fgrecon.core.geometry import box_around
     from fgrecon.core.reconstruction import rotation_y
     from fgrecon.io.kitti_files import Objects, format_results
     from fgrecon.simulation.detected_boxes import disturbed_boxes
+    from fgrecon.simulation.keypoint_noise import HOURGLASS
     from fgrecon.simulation.sample import LABEL_OFFSET
 
     operator = prior.category.dimension_operator
@@ -116,11 +124,12 @@ def _detections(street: SampleStreet, prior: ShapePrior, seed: int) -> str:
         )
         for car in street.cars
     ]
-    found = disturbed_boxes(true, street.camera, BoxErrors(), np.random.default_rng([seed, 2]))
+    rng = np.random.default_rng([seed, 2])
+    found = disturbed_boxes(true, street.camera, BoxErrors(), rng)
     rows = []
-    for box, car in zip(found, street.cars, strict=True):
+    for box, exact in zip(found, true, strict=True):
         assert box.size is not None
-        corners = np.full(4, -1.0) if car.observation.box is None else car.observation.box
+        corners = box_around(street.camera.project(exact.corners)) + HOURGLASS.box_sigma * rng.standard_normal(4)
         place = box.location - LABEL_OFFSET
         alpha = box.rotation_y - np.arctan2(place[0], place[2])
         rows.append([-1, -1, alpha, *corners, *box.size[::-1], *place, box.rotation_y, 0.9])

@@ -56,7 +56,7 @@ def test_a_keypoint_file_gives_what_the_image_gives(tmp_path):
     image, boxes, calib = (tmp_path / "sample" / name for name in ("street.png", "boxes.txt", "calib.txt"))
     assert run("keypoints", "detect", image, "--boxes", boxes, "--json", tmp_path / "k.json").exit_code == 0
     found = []
-    for given in ([tmp_path / "k.json", "--box-model", "cuboid"], [image, "--boxes", boxes]):
+    for given in ([tmp_path / "k.json", "--box-model", "surface"], [image, "--boxes", boxes]):
         done = run("reconstruct", *given, "--together", "--calib", calib, "--json", tmp_path / "out.json")
         assert done.exit_code == 0, done.output
         found.append(json.loads((tmp_path / "out.json").read_text())["instances"])
