@@ -69,4 +69,5 @@ def _named(row: Mapping[str, Any], category: Category, surfaces: Surfaces, groun
             focal_sigma=row.get("focal_sigma") or 0.0,
         ),
         ground=ground,
+        score=row["score"],
     )

@@ -181,7 +181,7 @@ class Reconstructor:
             return failed_row(origin, error, vehicle, name) | {"doubt": doubt}
         if doubt is None and hardly_fits(seen, result.weights):
             doubt = Doubt.FIT
-        return solved_row(origin, vehicle, name, result, camera, instance.box) | {"doubt": doubt}
+        return solved_row(origin, vehicle, name, result, camera, instance.box, instance.score) | {"doubt": doubt}
 
     def _image(self, task: Mapping[str, Any], origin: Row) -> Iterator[Row]:
         """A row for each vehicle of an image; they are solved together, as by `fgrecon.reconstruct_image`."""

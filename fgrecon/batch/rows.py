@@ -63,7 +63,7 @@ def solved_row(
         result: The reconstruction.
         camera: The camera that saw it.
         box: (4,) 2D box in pixels, or None.
-        score: Of its detection, or None.
+        score: How sure its detector is, or None.
     """
     return {
         **origin,

@@ -179,6 +179,7 @@ def entry_of(task: Task, result: Reconstruction | None, error: FgreconError | No
         "camera": plain_camera(task.camera),
         "box": None if box is None else np.asarray(box, dtype=np.float64).tolist(),
         **({} if task.box_model is None else {"box_model": task.box_model.value}),
+        **{name: told for name in ("kind", "score") if (told := getattr(task.instance, name)) is not None},
     }
     if result is not None:
         small = result.to_dict(compact=True, history=history)

@@ -64,6 +64,7 @@ _INSTANCE_FIELDS = {
     "frame",
     "track",
     "kind",
+    "score",
 } | _CAMERA_FIELDS
 _TOLD_FIELDS = {"visible", "front_probability", "left_probability"}
 """What `fgrecon keypoints detect` tells beside what is read: nobody need wonder that it is left out."""
@@ -87,7 +88,8 @@ class Instance:
         image: Name of the photograph that it is in, as the file has it, or None.
         frame: Number of the frame of a video that it is in, or None.
         track: Id of the vehicle through the frames of a video, or None.
-        kind: What it is, one word such as `Van`, which results of videos repeat; or None.
+        kind: What it is, one word such as `Van`, which results repeat; or None.
+        score: How sure its detector is, which exports repeat; or None.
     """
 
     name: str
@@ -103,6 +105,7 @@ class Instance:
     frame: int | None = None
     track: int | None = None
     kind: str | None = None
+    score: float | None = None
 
     @property
     def observation(self) -> Observation:
@@ -197,6 +200,7 @@ def _instance(fields: Fields, name: str, category: Category, camera: Camera | No
         frame=fields.whole("frame") if "frame" in fields else None,
         track=_track(fields),
         kind=one_word(fields.where + "kind", fields.get("kind", str)) if "kind" in fields else None,
+        score=float(fields.numbers("score", ())) if "score" in fields else None,
     )
 
 

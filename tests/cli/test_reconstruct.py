@@ -377,3 +377,22 @@ def test_a_real_track(data):
     assert np.abs(np.angle(np.exp(1j * np.array(turns)))).max() < np.radians(10)
     places = [np.subtract(e["location_in_label_frame"], g["location"]) for e, g in zip(entries, labels, strict=True)]
     assert np.median(np.linalg.norm(places, axis=1)) < 1.0
+
+
+def test_kind_and_score_of_a_detector_come_back_in_exports(write, instance, tmp_path):
+    told = {"instances": [{**instance, "id": "a", "kind": "Van", "score": 0.25}, {**instance, "id": "b"}]}
+    out = tmp_path / "out.json"
+    assert run(write(told), INTRINSICS, "--json", out).exit_code == 0
+    first, second = json.loads(out.read_text())["instances"]
+    assert (first["kind"], first["score"]) == ("Van", 0.25)
+    assert not {"kind", "score"} & set(second)
+    batched = tmp_path / "batch"
+    again = CliRunner().invoke(main.app, ["batch", str(write(told)), INTRINSICS, "--out", str(batched)])
+    assert again.exit_code == 0
+    for results, kinds in ((out, ["Van", "Car"]), (batched, ["Car", "Car"])):  # tables have no kind
+        exported = CliRunner().invoke(main.app, ["export", str(results), str(tmp_path / "kitti.txt")])
+        assert exported.exit_code == 0, exported.output
+        lines = [line.split() for line in (tmp_path / "kitti.txt").read_text().splitlines()]
+        assert [line[0] for line in lines] == kinds
+        assert float(lines[0][-1]) == 0.25
+        assert float(lines[1][-1]) > 0.3  # by its keypoints

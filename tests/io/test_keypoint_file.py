@@ -78,9 +78,9 @@ def test_a_list_and_an_object_with_instances():
 
 
 def test_fields_without_a_meaning_are_listed():
-    first, other = {"keypoints": POINTS, "score": 1, "visible": [1.0]}, {"keypoints": POINTS, "class": 2}
+    first, other = {"keypoints": POINTS, "weight": 1, "visible": [1.0]}, {"keypoints": POINTS, "class": 2}
     data = {"source": "x", "instances": [first, other]}
-    assert parse_keypoints(data, CATEGORY).ignored == ("class", "score", "source")
+    assert parse_keypoints(data, CATEGORY).ignored == ("class", "source", "weight")
 
 
 @pytest.mark.parametrize(

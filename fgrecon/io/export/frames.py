@@ -127,7 +127,9 @@ def box_in(info: ImageInfo, camera_T_object: Array, size: Array) -> tuple[Array,
 
 
 def score(item: NamedResult) -> float:
-    """Mean weight of the keypoints that the pose shows: how much of what should be seen was found in its place."""
+    """Its detector's; else the mean weight of the keypoints that the pose shows: how much was found in its place."""
+    if item.score is not None:
+        return item.score
     visible = item.result.visibility >= _VISIBLE
     return float(item.result.weights[visible].mean()) if visible.any() else 0.0
 

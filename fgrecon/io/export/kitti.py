@@ -19,10 +19,11 @@ _UNKNOWN = -1.0
 
 
 def kitti_text(results: Sequence[NamedResult]) -> str:
-    """One line per vehicle: box, size, location in the label frame where its offset is known, yaw and score.
+    """One line per vehicle: kind, box, size, location in the label frame where its offset is known, yaw and score.
 
-    The 2D box is the observed one, else that of the projected wireframe. The score is the mean weight of the keypoints
-    that the pose shows: it tells how much of what should be seen was found where it should be.
+    The kind is its detector's, else `Car`. The 2D box is the observed one, else that of the projected wireframe. The
+    score is its detector's, else the mean weight of the keypoints that the pose shows: it tells how much of what should
+    be seen was found where it should be.
 
     Raises:
         InvalidInputError: The vehicles are of several images, each of which has a file of its own in KITTI.
@@ -33,7 +34,8 @@ def kitti_text(results: Sequence[NamedResult]) -> str:
         fix = "Write a file for each image (fgrecon.io.export.export): KITTI's lines do not tell it. Or give .csv."
         raise InvalidInputError("results", told, fix)
     rows = [_row(item) for item in solved]
-    return format_results(Objects.of_rows(["Car"] * len(rows), np.array(rows).reshape(len(rows), -1)))
+    kinds = [item.kind or "Car" for item in solved]
+    return format_results(Objects.of_rows(kinds, np.array(rows).reshape(len(rows), -1)))
 
 
 def _row(item: NamedResult) -> list[float]:

@@ -42,6 +42,8 @@ class NamedResult:
         camera: The camera that took it, or None.
         ground: The ground plane in its frame that the settings tell, or None.
         row: Row of a batch that it is from; stands for the image where that is not told.
+        kind: What it is by its detector, such as `Van`, or None.
+        score: How sure its detector is, or None.
     """
 
     name: str
@@ -52,6 +54,8 @@ class NamedResult:
     camera: Camera | None = None
     ground: Ground | None = None
     row: str = ""
+    kind: str | None = None
+    score: float | None = None
 
     __repr__ = brief_repr
 
@@ -140,6 +144,8 @@ def _named(
         image=image,
         camera=_camera(entry.get("camera")),
         ground=grounds.get(image, grounds[None]),
+        kind=entry.get("kind"),
+        score=entry.get("score"),
     )
 
 

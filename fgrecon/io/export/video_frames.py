@@ -88,7 +88,8 @@ def _add(frame: Any, results: list[NamedResult], infos: dict[str, ImageInfo]) ->
     for vehicle in frame["vehicles"]:
         if vehicle["result"] is not None:
             result, box = Reconstruction.from_dict(vehicle["result"]), as_finite("box", vehicle["box"], (4,))
-            results.append(NamedResult(str(vehicle["id"]), result, box, image=image, ground=ground_of(frame)))
+            told = {name: vehicle.get(name) for name in ("kind", "score")}
+            results.append(NamedResult(str(vehicle["id"]), result, box, image=image, ground=ground_of(frame), **told))
 
 
 def _with(own: ImageInfo, told: ImageInfo) -> ImageInfo:
