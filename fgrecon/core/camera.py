@@ -57,7 +57,8 @@ class Camera:
         Raises:
             InvalidInputError: The matrix is singular or not upper triangular, or the number of coefficients is wrong.
         """
-        matrix = as_finite("intrinsics", self.matrix, (3, 3), "Give the 3x3 camera matrix K; of fx, fy, cx, cy: Camera.of((fx, fy, cx, cy)).")
+        fix = "Give the 3x3 camera matrix K; of fx, fy, cx, cy: Camera.of((fx, fy, cx, cy))."
+        matrix = as_finite("intrinsics", self.matrix, (3, 3), fix)
         if matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
             raise InvalidInputError("intrinsics", matrix.diagonal()[:2].tolist(), "Give positive focal lengths fx, fy.")
         if np.abs(matrix).max() > _LARGEST or min(matrix[0, 0], matrix[1, 1]) < 1.0 / _LARGEST:
