@@ -53,11 +53,13 @@ class Recording:
         make: Makes everything, and returns what sends it into a `rerun.RecordingStream`.
         layout: Makes the `rerun.blueprint.Blueprint` for the viewer.
         application: First part of the application that it names.
+        in_memory: Whether a file of it is made in memory, which is faster; a video's goes there bit by bit.
     """
 
     make: Callable[[], Callable[[Any], None]]
     layout: Callable[[], Any]
     application: str = APPLICATION
+    in_memory: bool = True
 
     def write(self, path: str | Path) -> Path:
         """Write it to a `.rrd` file, whole or not at all.
@@ -81,7 +83,11 @@ class Recording:
 
         def finish() -> Path:
             with rest:
-                part.write_bytes(_encoded(f"{self.application}: {Path(path).stem}", send, layout))
+                name = f"{self.application}: {Path(path).stem}"
+                if self.in_memory:
+                    part.write_bytes(_encoded(name, send, layout))
+                else:
+                    _write_straight(part, name, send, layout)
             return Path(path)
 
         return finish
@@ -139,6 +145,18 @@ def _encoded(application: str, send: Callable[[Any], None], layout: Any) -> byte
     content: bytes = kept.drain_as_bytes()
     stream.disconnect()
     return content
+
+
+def _write_straight(path: Path, application: str, send: Callable[[Any], None], layout: Any) -> None:
+    """Send to a file by rerun's own writer."""
+    import rerun as rr
+
+    stream = rr.RecordingStream(whole_text(application))
+    stream.save(path)
+    _lay_out(stream, layout)
+    send(stream)
+    stream.flush()
+    stream.disconnect()
 
 
 def connected(application: str, address: str, layout: Any) -> Any:

@@ -95,7 +95,7 @@ def video_recording_of(frames: Callable[[], Iterable[ShownFrame]], camera: Camer
 
         return send
 
-    return Recording(make, _layout)
+    return Recording(make, _layout, in_memory=False)
 
 
 def log_shown_frame(stream: Any, frame: ShownFrame, camera: Camera) -> None:
