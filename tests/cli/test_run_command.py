@@ -306,7 +306,7 @@ def test_a_viewer_sees_it_while_it_goes_on(drive, tmp_path):
         (["--poses", "none.txt"], "poses"),
         (["--tracks", "none.json"], "file"),
         (["--save", "a.mp4"], "save"),
-        (["--picture", "a.bmp"], "a.bmp"),
+        (["--picture", "a.bmp"], "picture"),
         (["--picture-frame", "5"], "picture_frame"),
         (["--picture-frame", "99", "--picture", "a.png"], "picture_frame"),
         (["--end", "0"], "end"),
