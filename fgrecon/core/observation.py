@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from fgrecon.core.brief import brief_repr
 from fgrecon.core.checks import as_finite, as_shape, own
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["Observation", "as_directions"]
+__all__ = ["KeypointsLike", "Observation", "as_directions"]
 
 _SUM = 1e-3
 """By so much the sum of probabilities may be off."""
@@ -134,6 +135,10 @@ class Observation:
             return float(max(self.box[2] - self.box[0], self.box[3] - self.box[1]))
         points = self.keypoints[self.measured]
         return float(np.ptp(points, axis=0).max()) if len(points) else 0.0
+
+
+KeypointsLike = Observation | Mapping[str, ArrayLike] | ArrayLike
+"""Keypoints of a vehicle: an observation; (u, v) or (u, v, confidence) by name; or pixels (K, 2), NaN for not found."""
 
 
 def as_directions(field: str, azimuth: ArrayLike) -> NDArray[np.float64]:

@@ -19,7 +19,7 @@ from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_list
 from fgrecon.core.errors import FgreconError, InvalidInputError
-from fgrecon.core.observation import Observation
+from fgrecon.core.observation import KeypointsLike, Observation
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Alternative, rotation_y
 from fgrecon.core.turned import turned_alternative
@@ -114,7 +114,7 @@ def known_boxes(
 
 
 def each_alone(
-    observations: Sequence[Observation],
+    observations: Sequence[KeypointsLike],
     camera: Camera,
     model: VehicleModel,
     plane: Ground | None,

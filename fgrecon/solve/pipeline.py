@@ -17,7 +17,7 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.category import Category
 from fgrecon.core.checks import as_finite, as_list, as_shape
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.observation import Observation
+from fgrecon.core.observation import KeypointsLike, Observation
 from fgrecon.core.options import Options, checked_options
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
@@ -45,7 +45,7 @@ _FEWEST = 3  # keypoints that a pose needs
 
 @single_threaded
 def reconstruct(
-    keypoints: ArrayLike | Mapping[str, ArrayLike] | Observation,
+    keypoints: KeypointsLike,
     intrinsics: Camera | ArrayLike,
     *,
     confidence: ArrayLike | None = None,
@@ -159,7 +159,7 @@ def _initial(initial: Box3D | float | None) -> Box3D | float | None:
 
 
 def observe(
-    keypoints: ArrayLike | Mapping[str, ArrayLike] | Observation,
+    keypoints: KeypointsLike,
     camera: Camera,
     prior: ShapePrior,
     options: Options,

@@ -27,7 +27,7 @@ from factors.keys import F, S
 from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_instance, as_list
-from fgrecon.core.observation import Observation
+from fgrecon.core.observation import KeypointsLike
 from fgrecon.core.options import Options, checked_options
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.scene_reconstruction import SceneReconstruction
@@ -66,7 +66,7 @@ _STEADY = 5e-4
 
 @single_threaded
 def reconstruct_scene(
-    observations: Sequence[Observation],
+    observations: Sequence[KeypointsLike],
     camera: Camera | ArrayLike,
     *,
     prior: ShapePrior | str | Path = "car14",
@@ -79,7 +79,7 @@ def reconstruct_scene(
     """Recover pose and shape of all vehicles of an image, and the ground that they stand on.
 
     Args:
-        observations: The keypoints of each vehicle.
+        observations: The keypoints of each vehicle, as `fgrecon.reconstruct` takes them.
         camera: The camera that took the image, or its matrix (3, 3), or (fx, fy, cx, cy). One whose focal length is not
             known (`Camera.focal_sigma`, `Camera.of_unknown`) is found with the vehicles.
         prior: Shape prior, or its name, or the path of its file.
@@ -114,7 +114,7 @@ def reconstruct_scene(
 
 @single_threaded
 def reconstruct_scenes(
-    images: Sequence[Sequence[Observation]],
+    images: Sequence[Sequence[KeypointsLike]],
     camera: Camera | ArrayLike,
     *,
     prior: ShapePrior | str | Path = "car14",
@@ -157,7 +157,7 @@ def _settings(
 
 
 def _reconstruct(
-    images: Sequence[Sequence[Observation]],
+    images: Sequence[Sequence[KeypointsLike]],
     known: Camera,
     model: VehicleModel,
     plane: Ground | None,

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite, as_rigid
 from fgrecon.core.errors import FgreconError, InvalidInputError
-from fgrecon.core.observation import Observation
+from fgrecon.core.observation import KeypointsLike, Observation
 from fgrecon.core.options import Options, checked_options
 from fgrecon.core.reconstruction import Reconstruction, rotation_y
 from fgrecon.core.shape_prior import ShapePrior
@@ -126,7 +126,7 @@ class Tracker:
     def update(
         self,
         time: float,
-        observations: Mapping[int, Observation],
+        observations: Mapping[int, KeypointsLike],
         *,
         camera: Camera | ArrayLike,
         world_T_camera: ArrayLike | None = None,
@@ -137,7 +137,7 @@ class Tracker:
 
         Args:
             time: Of the frame, seconds, later than of all before, by a microsecond at least.
-            observations: Keypoints of each vehicle that it shows, by id.
+            observations: Keypoints of each vehicle that it shows, by id: as `fgrecon.reconstruct` takes them.
             camera: The camera that took it, or its matrix (3, 3), or (fx, fy, cx, cy).
             world_T_camera: (4, 4) pose of the camera in a world that stands still; None where it is not known. Between
                 frames that both have one, vehicles move as their category does, and parked ones stand.
@@ -163,7 +163,7 @@ class Tracker:
     def _update(
         self,
         time: float,
-        observations: Mapping[int, Observation],
+        observations: Mapping[int, KeypointsLike],
         seen_by: Camera,
         place: gtsam.Pose3 | None,
         plane: Ground | None,
@@ -208,7 +208,7 @@ class Tracker:
         return self._tracks.get(name) or VehicleTrack(Followed(self._prior.category.motion, self._window, self._own))
 
     def _seen(
-        self, observations: Mapping[int, Observation], camera: Camera, refused: dict[int, FgreconError]
+        self, observations: Mapping[int, KeypointsLike], camera: Camera, refused: dict[int, FgreconError]
     ) -> dict[int, Observation]:
         """The observations as they are solved from; those that cannot be used go to `refused`."""
         found: dict[int, Observation] = {}

@@ -71,3 +71,18 @@ def test_a_camera_that_lies_on_its_side_sees_no_ground(roll):
     assert len(scene.vehicles) == 3
     if roll > 95.0:
         assert scene.ground is None
+
+
+def test_keypoints_by_name_are_what_an_observation_of_them_is():
+    observation = replace(seen(approaching()[4], np.random.default_rng(9)), box=None, azimuth=None)
+    names = fgrecon.load_category("car14").keypoints
+    triples = np.column_stack([observation.keypoints, observation.confidence])
+    by_name = {name: row for name, row in zip(names, triples, strict=True) if np.isfinite(row).all()}
+    for one, other in (
+        [
+            fgrecon.Tracker().update(0.0, {1: given}, camera=CAMERA)[1].reconstruction
+            for given in (by_name, observation)
+        ],
+        [fgrecon.reconstruct_scene([given] * 2, CAMERA).vehicles[1] for given in (by_name, observation)],
+    ):
+        np.testing.assert_array_equal(one.camera_T_object, other.camera_T_object)
