@@ -65,6 +65,12 @@ class Alone:
         pose: Array = self.adjusted.optimum.state.poses[0].matrix()
         return pose
 
+    def to_the_end(self) -> Alone:
+        """The vehicle as it is solved where nothing follows; with a box it is already."""
+        if self.known is not None:
+            return self
+        return replace(self, adjusted=adjust([Seen(self.problem)], [self.start]))
+
     def own(self, vehicle: int = 0) -> list[gtsam.NonlinearFactor]:
         """The factors of its box."""
         return [] if self.known is None else self.known.factors(self.problem.camera, vehicle)

@@ -181,11 +181,7 @@ def _reconstruct(
         told = _Told({}, {}, known, (), (), alone)
     alone = told.alone
     each = dict(told.results)
-    left = [number for number in alone.vehicles if number not in each]
-    if left:  # these are solved alone after all, to the end
-        known_of = None if boxed is None else [boxed[number] for number in left]
-        ended = each_alone([observations[number] for number in left], alone.camera, model, plane, options, known_of)
-        each |= {left[i]: _result(one) for i, one in ended.vehicles.items()}
+    each |= {number: _result(one.to_the_end()) for number, one in alone.vehicles.items() if number not in each}
     milliseconds = {"alone": (found - started) * 1e3, "together": (perf_counter() - found) * 1e3}
     scenes, first = [], 0
     for image, some in enumerate(images):
