@@ -74,6 +74,7 @@ def calibrate_command(
         for quantity, inside in found.inside.items():
             held.add_row(quantity, *(f"{100 * inside[level]:.0f}" for level in SIGMAS))
         screen.print(held, f"The facing's expected calibration error there is {found.facing_error:.3f}.")
-    if found.turned == 0:
-        screen.print("No vehicle is turned round: the facing's numbers are the default ones.")
+    if found.facing_is_default:
+        few = "Too few vehicles are turned round" if found.turned else "No vehicle is turned round"
+        screen.print(f"{few}: the facing's numbers are the default ones.")
     screen.wrote(save_calibration(calibration, out))

@@ -1,15 +1,17 @@
 """3D boxes of any source against KITTI's labels, several sources side by side: what each labelled vehicle got.
 
-Vehicles count as in `fgrecon.evaluation.video_images` (`wanted`): cars and vans of at least 25 px. Each gets the box
-that overlaps it most in the image; one without any counts in every share. Average precision is the official one
-(`fgrecon.evaluation.kitti_devkit`), over all boxes that a source gives.
+Vehicles count as in `fgrecon.evaluation.video_images` (`wanted`): cars and vans of at least 25 px. Each gets the box of
+a car, or else of a van, that overlaps it most in the image and is no other's; one without any counts in every share.
+Average precision is the official one (`fgrecon.evaluation.kitti_devkit`), over all boxes of cars that a source gives;
+labels that something is drawn over may be found or missed. Intervals are by bootstrap over tracks, or images of a
+folder of single ones.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -21,10 +23,10 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import FAILURE_DEGREES, THRESHOLDS, orientation_error
 from fgrecon.core.plain import finite
 from fgrecon.evaluation.bootstrap import Interval, mean_interval
-from fgrecon.evaluation.kitti_devkit import REGIMES, evaluate, match_detections
+from fgrecon.evaluation.kitti_devkit import REGIMES, evaluate
 from fgrecon.evaluation.kitti_overlap import Space, overlap
-from fgrecon.evaluation.video_images import TURNED_ROUND, wanted
-from fgrecon.io.kitti_drives import Drive
+from fgrecon.evaluation.video_images import TURNED_ROUND, matched, wanted
+from fgrecon.io.kitti_drives import Drive, DriveFrame
 from fgrecon.io.kitti_files import LABEL_COLUMNS, Defect, Objects, parse_objects
 
 __all__ = [
@@ -46,6 +48,7 @@ LEAST_OVERLAPS = (0.5, 0.7)
 
 _DISTANCES = (0.0, 15.0, 30.0, np.inf)  # metres
 _NAME = "{:06d}"  # of a frame
+_UNKNOWN = 3  # KITTI's grade of occlusion
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,7 @@ class LabelledBox:
         index: Position among the frame's labels.
         kind: `Car` or `Van`.
         distance: Of the labelled origin, metres.
+        group: What errs alike: its track in a drive, its image among single ones.
         found: Whether there is a box.
         overlap: Intersection over union in 3D, and
         footprint: from above; 0 without a box.
@@ -70,6 +74,7 @@ class LabelledBox:
     index: int
     kind: str
     distance: float
+    group: str
     found: bool
     overlap: float
     footprint: float
@@ -171,6 +176,9 @@ def score(
         min_score: Boxes of a lower score are none.
     """
     chosen = set(frames)
+    is_video = len(np.unique(np.concatenate([frame.tracks for frame in drive.frames]))) < sum(
+        len(frame.tracks) for frame in drive.frames
+    )
     found: list[LabelledBox] = []
     for frame in drive.frames:
         if frame.number not in chosen:
@@ -178,10 +186,11 @@ def score(
         rows = wanted(frame)
         labels, boxes = frame.objects.take(rows), results[frame.number]
         boxes = boxes.take(boxes.score >= min_score)
-        at = match_detections(labels, boxes, least)
+        at = matched(frame, boxes, least)
         for i, (row, j) in enumerate(zip(rows.tolist(), at.tolist(), strict=True)):
-            label = labels.take(np.array([i]))
-            found.append(_scored(_NAME.format(frame.number), row, label, None if j < 0 else boxes.take(np.array([j]))))
+            label, name = labels.take(np.array([i])), _NAME.format(frame.number)
+            group = str(frame.tracks[row]) if is_video else name
+            found.append(_scored(name, row, group, label, None if j < 0 else boxes.take(np.array([j]))))
     return found
 
 
@@ -197,7 +206,7 @@ def summarise(vehicles: Sequence[LabelledBox]) -> dict[str, BoxesSummary]:
 
 def precisions(drive: Drive, results: Mapping[int, Objects], frames: Sequence[int]) -> list[Precision]:
     """KITTI's average precision of cars in each regime, over the frames."""
-    labels = {str(frame.number): frame.objects for frame in drive.frames if frame.number in set(frames)}
+    labels = {str(frame.number): _counting(frame) for frame in drive.frames if frame.number in set(frames)}
     boxes = {name: results[int(name)] for name in labels}
     image = evaluate(labels, boxes)
     spaces = {
@@ -255,8 +264,13 @@ def _objects(text: str, place: str) -> Objects:
     return objects
 
 
-def _scored(frame: str, index: int, label: Objects, box: Objects | None) -> LabelledBox:
-    about = (frame, index, label.kind[0], float(np.linalg.norm(label.location[0])), box is not None)
+def _counting(frame: DriveFrame) -> Objects:
+    """The labels; those that something is drawn over as KITTI's of unknown occlusion, which no regime counts."""
+    return replace(frame.objects, occlusion=np.where(frame.usable, frame.objects.occlusion, _UNKNOWN))
+
+
+def _scored(frame: str, index: int, group: str, label: Objects, box: Objects | None) -> LabelledBox:
+    about = (frame, index, label.kind[0], float(np.linalg.norm(label.location[0])), group, box is not None)
     if box is None:
         return LabelledBox(*about, 0.0, 0.0, np.inf, np.nan, FAILURE_DEGREES, (np.nan, np.nan, np.nan))
     length, width, height = (box.size[0] - label.size[0]).tolist()
@@ -272,7 +286,7 @@ def _scored(frame: str, index: int, label: Objects, box: Objects | None) -> Labe
 
 
 def _summary(vehicles: Sequence[LabelledBox]) -> BoxesSummary:
-    frames = np.unique([one.frame for one in vehicles], return_inverse=True)[1]
+    groups = np.unique([one.group for one in vehicles], return_inverse=True)[1]
     got = np.array([one.found for one in vehicles])
     degrees, shared = np.array([one.degrees for one in vehicles]), np.array([one.overlap for one in vehicles])
     metres = np.array([one.metres for one in vehicles])[got]
@@ -282,10 +296,10 @@ def _summary(vehicles: Sequence[LabelledBox]) -> BoxesSummary:
     return BoxesSummary(
         vehicles=len(vehicles),
         found=int(got.sum()),
-        right=tuple(mean_interval(100.0 * (shared >= least), frames) for least in LEAST_OVERLAPS),
-        within=tuple(mean_interval(100.0 * (degrees <= most), frames) for most in THRESHOLDS),
+        right=tuple(mean_interval(100.0 * (shared >= least), groups) for least in LEAST_OVERLAPS),
+        within=tuple(mean_interval(100.0 * (degrees <= most), groups) for most in THRESHOLDS),
         turned=np.nan if nothing else 100.0 * float((degrees[got] > TURNED_ROUND).mean()),
-        mean_metres=None if nothing else mean_interval(metres, frames[got]),
+        mean_metres=None if nothing else mean_interval(metres, groups[got]),
         median_metres=np.nan if nothing else float(np.median(metres)),
         depth=np.nan if nothing else 100.0 * float(np.median([one.depth for one in vehicles if one.found])),
         size=(length, width, height),

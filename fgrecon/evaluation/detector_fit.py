@@ -56,6 +56,12 @@ class FittedDetector:
     facing_error: float
     turned: int
 
+    @property
+    def facing_is_default(self) -> bool:
+        """Whether too few vehicles were turned round to fit the facing's numbers."""
+        found, default = self.calibration, DetectorCalibration()
+        return (found.facing_bias, found.facing_slope) == (default.facing_bias, default.facing_slope)
+
 
 def fit_detector(scored: Mapping[float, Sequence[VideoBox]], provenance: Mapping[str, Any]) -> FittedDetector:
     """Fit a detector's calibration.
@@ -73,7 +79,11 @@ def fit_detector(scored: Mapping[float, Sequence[VideoBox]], provenance: Mapping
     if len(solved) < _FEWEST:
         fix = f"Give drives with at least {_FEWEST} labelled vehicles that can be reconstructed."
         raise InvalidInputError("drives", f"{len(solved)} vehicles", fix)
-    factor, facing, turned = _factor(scored), _facing(boxes), sum(_is_turned(box) for box in boxes)
+    curves_of_all = _curves(scored)
+    if not curves_of_all:
+        fix = "Give drives whose vehicles are seldom turned round: those are not judged."
+        raise InvalidInputError("drives", f"{len(solved)} vehicles without regions", fix)
+    factor, facing, turned = _factor(curves_of_all), _facing(boxes), sum(_is_turned(box) for box in boxes)
     inside: dict[str, dict[float, float]] = {name: dict.fromkeys(SIGMAS, float("nan")) for name in _QUANTITIES}
     said: list[float] = []
     right: list[bool] = []
@@ -82,16 +92,18 @@ def fit_detector(scored: Mapping[float, Sequence[VideoBox]], provenance: Mapping
         for drive in drives:
             others = {f: [box for box in some if box.drive != drive] for f, some in scored.items()}
             own = {f: [box for box in some if box.drive == drive] for f, some in scored.items()}
-            parts.append(
-                (sum(bool(box.outcomes[SYSTEM].squared) for box in own[FACTORS[0]]), _curves(own), _factor(others))
-            )
+            curves, without = _curves(own), _curves(others)
+            if curves and without:  # of a drive that alone has vehicles, or has none, nothing is told
+                count = sum(bool(box.outcomes[SYSTEM].squared) for box in own[FACTORS[0]])
+                parts.append((count, curves, _factor(without)))
             probability, hit = _chosen(own[FACTORS[0]])
             said += [calibrated_facing(p, *_facing(others[FACTORS[0]])) for p in probability.tolist()]
             right += hit.tolist()
         for name in _QUANTITIES:
             for level in SIGMAS:
-                held = [(count, _at(curves[name, level], best)) for count, curves, best in parts if count]
-                inside[name][level] = float(np.average([share for _, share in held], weights=[n for n, _ in held]))
+                held = [(count, _at(curves[name, level], best)) for count, curves, best in parts]
+                if held:
+                    inside[name][level] = float(np.average([share for _, share in held], weights=[n for n, _ in held]))
     error = reliability(said, right).error if said else float("nan")
     told = {**provenance, "vehicles": len(solved), "turned_round": turned}
     calibration = DetectorCalibration(factor, *facing, told)
@@ -104,23 +116,24 @@ def _is_turned(box: VideoBox) -> bool:
 
 
 def _curves(scored: Mapping[float, Sequence[VideoBox]]) -> dict[tuple[str, float], Array]:
-    """(F,) share inside each region at each of `FACTORS`."""
-    curves: dict[tuple[str, float], list[float]] = {}
+    """(F,) share inside each region at each of `FACTORS`; none where not every factor has a vehicle to judge."""
+    curves: dict[tuple[str, float], list[float]] = {(name, level): [] for name in _QUANTITIES for level in SIGMAS}
     for factor in FACTORS:
         for one in calibrate_boxes(scored[factor], SYSTEM).regions:
             if one.quantity in _QUANTITIES:
                 for level in SIGMAS:
-                    curves.setdefault((one.quantity, level), []).append(one.inside[level]["claimed"])
-    return {key: np.array(shares) for key, shares in curves.items()}
+                    curves[one.quantity, level].append(one.inside[level]["claimed"])
+    whole = all(len(shares) == len(FACTORS) for shares in curves.values())
+    return {key: np.array(shares) for key, shares in curves.items()} if whole else {}
 
 
 def _at(curve: Array, factor: float) -> float:
     return float(np.interp(np.log(factor), np.log(FACTORS), curve))
 
 
-def _factor(scored: Mapping[float, Sequence[VideoBox]]) -> float:
+def _factor(curves: Mapping[tuple[str, float], Array]) -> float:
     """Where the regions hold as much as they claim, on the mean over quantities and levels."""
-    return holding(FACTORS, list(_curves(scored).values()))
+    return holding(FACTORS, list(curves.values()))
 
 
 def holding(settings: Sequence[float], inside: Sequence[Array]) -> float:

@@ -2,9 +2,10 @@
 
 The rules are those of the official object evaluation (2017, with the minimum-height fix): an object of the class, or of
 its neighbouring class (Van for Car, Person_sitting for Pedestrian), that a regime leaves out may be found or missed
-without consequence, and so may a detection below the regime's minimum height; a detection with its larger part in a
-`DontCare` area is no false positive. Scores of the true positives give up to 41 thresholds at evenly spaced recall, and
-at each of them labels are matched in the order of the file, each to the free detection of largest overlap.
+without consequence, and so may a detection below the regime's minimum height; a detection that lies in a `DontCare`
+area by more than the least overlap is no false positive. Scores of the true positives give up to 41 thresholds at
+evenly spaced recall, and at each of them labels are matched in the order of the file, each to the free detection of
+largest overlap.
 """
 
 from __future__ import annotations
@@ -237,16 +238,24 @@ def _match(frame: _Frame, r: int, thresholds: Array) -> tuple[Array, Array, Arra
     return right, wrong.sum(axis=1).astype(np.float64), similar
 
 
-def match_detections(labels: Objects, detections: Objects, least: float = MINIMUM_OVERLAP["Car"]) -> NDArray[np.int64]:
+def match_detections(
+    labels: Objects, detections: Objects, least: float = MINIMUM_OVERLAP["Car"], *, kind: str = "Car"
+) -> NDArray[np.int64]:
     """For each label the detected car that overlaps it most, by more than KITTI's 0.7 or another; -1 where none does.
 
     A detection is given to one label at most: pairs are made in the order of their overlap.
+
+    Args:
+        labels: M labels.
+        detections: What was found.
+        least: Overlap that a detection must exceed.
+        kind: Of the detections that are taken.
     """
     matched = np.full(len(labels), -1)
     if not len(labels) or not len(detections):
         return matched
     shared = box_overlap(labels.box, detections.box)
-    shared[:, [kind != "Car" for kind in detections.kind]] = 0.0
+    shared[:, [other != kind for other in detections.kind]] = 0.0
     for flat in np.argsort(-shared, axis=None, kind="stable"):
         i, j = np.unravel_index(flat, shared.shape)
         if shared[i, j] <= least:

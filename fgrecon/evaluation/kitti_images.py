@@ -26,7 +26,7 @@ from fgrecon.core.size_prior import SizePrior
 from fgrecon.evaluation.kitti_devkit import MINIMUM_OVERLAP, REGIMES, match_detections, regime_members
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_calibration import KittiCalibration, read_calibration
-from fgrecon.io.kitti_files import Fault, Objects, read_detections, read_labels
+from fgrecon.io.kitti_files import Defect, Fault, Objects, read_detections, read_labels
 from fgrecon.perception.from_image import FromImage, reconstruct_image
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.protocols import VehicleDetector
@@ -171,6 +171,9 @@ def read_frames(
     if not chosen:
         raise InvalidInputError("images", str(images), "Give a folder with images of these frames.")
     objects, problems = read_labels(labels, chosen)
+    if names is not None and (without := [name for name in names if name not in files]):
+        more = f", as for {len(without) - 1} more" if len(without) > 1 else ""
+        problems.append(Fault(Defect.MISSING_FRAME, without[0], f"no image{more}"))
     missing = [name for name in chosen if name not in objects]
     if missing:
         raise InvalidInputError("labels", f"no label of {missing[0]}", "Give the folder with a label file per frame.")

@@ -24,8 +24,7 @@ from fgrecon.core.plain import finite
 from fgrecon.core.refined_box import RefinedBox
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
-from fgrecon.evaluation.kitti_devkit import match_detections
-from fgrecon.evaluation.video_images import TURNED_ROUND, wanted
+from fgrecon.evaluation.video_images import TURNED_ROUND, matched, wanted
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_drives import Drive, DriveFrame
 from fgrecon.io.kitti_files import Objects
@@ -176,7 +175,7 @@ def refine_drive(
             given = disturbed_boxes(true, calibration.camera, how.errors, boxes)
         else:
             own = boxes[frame.number]
-            at, given = match_detections(labels, own, _OVERLAP), _boxes(own, calibration.label_offset)
+            at, given = matched(frame, own, _OVERLAP), _boxes(own, calibration.label_offset)
         scored += _refine_frame(drive.name, frame, given, own.box, at, how)
         advance(drive.name)
     return scored

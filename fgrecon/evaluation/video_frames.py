@@ -18,11 +18,10 @@ from fgrecon.core.detection import facing_probability
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import FAILURE_DEGREES
 from fgrecon.core.processes import processes_with
-from fgrecon.evaluation.kitti_devkit import match_detections
 from fgrecon.evaluation.kitti_images import Setup, reconstruct_boxes
 from fgrecon.evaluation.methods import SceneKnowledge, Solver, select
 from fgrecon.evaluation.run import score_pose
-from fgrecon.evaluation.video_images import SYSTEM, BoxOutcome, VideoBox, labelled_azimuth, outcome, wanted
+from fgrecon.evaluation.video_images import SYSTEM, BoxOutcome, VideoBox, labelled_azimuth, matched, outcome, wanted
 from fgrecon.io.export.kitti import kitti_text
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.images import read_image
@@ -38,7 +37,6 @@ __all__ = ["Looked", "ScoredFrame", "looks_at", "reconstruct_frame", "score_fram
 Array = NDArray[np.float64]
 
 _OVERLAP = 0.5  # from which on a detected box is a labelled one's
-_COUNTING = "Car", "Van"
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,14 +101,10 @@ def reconstruct_frame(frame: DriveFrame, setup: Setup) -> tuple[NDArray[np.uint8
 
 
 def _labels_of(frame: DriveFrame, boxes: Array) -> tuple[list[int | None], list[int]]:
-    """The label that counts of each detected box (M, 4), and its number; those with one come first.
-
-    A box that is a car's or van's that does not count is no other's.
-    """
-    rows = np.flatnonzero(np.isin(frame.objects.kind, _COUNTING))
+    """The label that counts of each detected box (M, 4), and its number; those with one come first."""
     detected = Objects.detections(["Car"] * len(boxes), boxes, np.ones(len(boxes)))
-    at = dict(zip(rows.tolist(), match_detections(frame.objects.take(rows), detected, _OVERLAP).tolist(), strict=True))
-    pairs: list[tuple[int | None, int]] = [(row, at[row]) for row in wanted(frame).tolist() if at[row] >= 0]
+    at = zip(wanted(frame).tolist(), matched(frame, detected, _OVERLAP).tolist(), strict=True)
+    pairs: list[tuple[int | None, int]] = [(row, number) for row, number in at if number >= 0]
     named = {number for _, number in pairs}
     pairs += [(None, number) for number in range(len(boxes)) if number not in named]
     return [label for label, _ in pairs], [number for _, number in pairs]

@@ -1,9 +1,10 @@
 """Labelled boxes of video drives, and how far what was found in them is off.
 
-Cars and vans count that are at least 25 px high, largely occluded at most, and at most half outside the image, in the
-frames where nothing is drawn over them. Every box has one outcome by method: `SYSTEM` is the whole way from pixels to
-the pose; the rivals (`fgrecon.evaluation.methods`) get the keypoints that it found. Nothing is left out: a refused box
-counts as 180 degrees.
+Cars and vans count that are at least 25 px high, largely occluded at most, and at most half outside the image (none
+that is cut off where labels have grades in the place of shares, as KITTI's tracking set), in the frames where nothing
+is drawn over them. Every box has one outcome by method: `SYSTEM` is the whole way from pixels to the pose; the rivals
+(`fgrecon.evaluation.methods`) get the keypoints that it found. Nothing is left out: a refused box counts as 180
+degrees.
 """
 
 from __future__ import annotations
@@ -20,8 +21,10 @@ from fgrecon.annotation.wanted import Wanted
 from fgrecon.core.geometry import view_azimuth, yaw_rotation
 from fgrecon.core.metrics import orientation_error, translation_error, wrap_angle
 from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.evaluation.kitti_devkit import match_detections
 from fgrecon.evaluation.regions import DIMENSIONS, claimed
 from fgrecon.io.kitti_drives import DriveFrame
+from fgrecon.io.kitti_files import Objects
 from fgrecon.io.track_file import GroundTruth
 
 __all__ = [
@@ -31,6 +34,7 @@ __all__ = [
     "VideoBox",
     "View",
     "labelled_azimuth",
+    "matched",
     "outcome",
     "view_of",
     "wanted",
@@ -167,6 +171,25 @@ def wanted(frame: DriveFrame) -> NDArray[np.intp]:
     rows, _ = Wanted().judge(frame)
     counting: NDArray[np.intp] = rows[frame.boxed[rows]]
     return counting
+
+
+def matched(frame: DriveFrame, boxes: Objects, least: float) -> NDArray[np.int64]:
+    """For each label that counts (`wanted`) the box that overlaps it most in the image, by more than that; or -1.
+
+    A box that is a car's or van's that does not count is no other's. Where no box of a car is there, one of a van is
+    taken: detectors call the same vehicle both.
+
+    Args:
+        frame: The labels.
+        boxes: What was found.
+        least: Overlap.
+    """
+    rows = np.flatnonzero(np.isin(frame.objects.kind, Wanted().kinds))
+    labels = frame.objects.take(rows)
+    at = match_detections(labels, boxes, least)
+    without = np.flatnonzero(at < 0)
+    at[without] = match_detections(labels.take(without), boxes, least, kind="Van")
+    return at[np.isin(rows, wanted(frame))]
 
 
 def labelled_azimuth(rotation_y: float, location: Array) -> float:

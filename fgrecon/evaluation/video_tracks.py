@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.camera import Camera
 from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.metrics import FAILURE_DEGREES
 from fgrecon.core.vehicle_estimate import VehicleEstimate
@@ -111,7 +112,7 @@ def _follow(
         if estimate_motion or not moving
     ]
     frames, velocities = {frame.number: frame for frame in drive.frames}, labelled_velocities(drive)
-    scored = []
+    scored, camera = [], _camera(drive)
     for frame in seen:
         for box, one in zip(frame.boxes, frame.sightings, strict=False):  # the first are the labelled ones
             labelled = frames[box.frame]
@@ -120,7 +121,7 @@ def _follow(
             size, velocity = objects.size[box.index], velocities.get((box.frame, box.track))
             more: dict[str, BoxOutcome] = {}
             if setup.together:
-                more[ALONE] = _alone(box, one, labelled, setup, truth)
+                more[ALONE] = _alone(box, one, labelled, camera, setup, truth)
             for *names, found in ways:
                 for name, estimate in zip(names, found.get((box.frame, box.index), (None, None)), strict=True):
                     if estimate is None:
@@ -147,7 +148,7 @@ def _estimates(
     )
     largest = max((int(frame.tracks.max(initial=-1)) for frame in drive.frames), default=-1)
     association = GatedAssociation(first=largest + 1)
-    follower = Follower(tracker, association, drive.calibration.camera, ground=setup.ground, moving=moving)
+    follower = Follower(tracker, association, _camera(drive), ground=setup.ground, moving=moving)
     online: dict[tuple[int, int], VehicleEstimate] = {}
     named: dict[tuple[int, int], int] = {}  # the vehicle that each label was taken for
     boxes = {frame.number: frame.boxes for frame in seen}
@@ -189,14 +190,20 @@ def labelled_velocities(drive: Drive) -> dict[tuple[int, int], Array]:
     return found
 
 
-def _alone(box: VideoBox, seen: Sighting, frame: DriveFrame, setup: Setup, truth: GroundTruth) -> BoxOutcome:
-    calibration = frame.calibration
+def _camera(drive: Drive) -> Camera:
+    """The camera of a drive with the size of its images, as single images have it."""
+    return drive.calibration.camera.with_size_of(read_image(drive.frames[0].image))
+
+
+def _alone(
+    box: VideoBox, seen: Sighting, frame: DriveFrame, camera: Camera, setup: Setup, truth: GroundTruth
+) -> BoxOutcome:
     if seen.observation is None:
         return BoxOutcome(FAILURE_DEGREES, float("inf"), None, None, "no keypoints")
     try:
         result = reconstruct(
             seen.observation,
-            calibration.camera,
+            camera,
             prior=setup.prior,
             ground=setup.ground,
             size_prior=setup.size_prior,
@@ -204,7 +211,7 @@ def _alone(box: VideoBox, seen: Sighting, frame: DriveFrame, setup: Setup, truth
         )
     except DegenerateProblemError as error:
         return BoxOutcome(FAILURE_DEGREES, float("inf"), None, None, str(error))
-    return outcome(result, truth, frame.objects.size[box.index], calibration.label_offset)
+    return outcome(result, truth, frame.objects.size[box.index], frame.calibration.label_offset)
 
 
 def _moving(found: BoxOutcome, estimate: VehicleEstimate, velocity: Array | None) -> BoxOutcome:

@@ -122,6 +122,59 @@ def test_malformed_lines_are_named(tmp_path, text, match):
 
 
 @pytest.mark.data
+def test_a_box_of_a_vehicle_that_does_not_count_is_no_others(drive):
+    """A hidden van, and in the image over it a car that counts; the source finds the van alone."""
+    frame = frames_of(drive)[0]
+    row = int(wanted(frame)[0])
+    one = frame.objects.take(np.array([row]))
+    labels = one.take(np.array([0, 0]))
+    corners = labels.box.copy()
+    corners[1, [0, 2]] += 0.1 * (corners[1, 2] - corners[1, 0])
+    labels = replace(labels, kind=("Car", "Van"), box=corners, occlusion=np.array([0, 3]))
+    made = replace(frame, objects=labels, tracks=np.array([4, 5]), usable=np.array([True, True]))
+    found = replace(labels.take(np.array([1])), kind=("Car",), score=np.ones(1))
+    (car,) = score(replace(drive, frames=(made,)), {frame.number: found}, [frame.number])
+    assert not car.found
+    own = replace(found, box=corners[:1])
+    assert score(replace(drive, frames=(made,)), {frame.number: own}, [frame.number])[0].found
+
+
+@pytest.mark.data
+def test_a_detectors_vans_are_vehicles_too(drive, tmp_path):
+    frames = frames_of(drive)
+    numbers = [frame.number for frame in frames]
+    folder = write_moved(tmp_path, frames, lambda labels: replace(shifted(labels), kind=("Van",) * len(labels)))
+    assert all(one.found for one in score(drive, read_boxes(folder, numbers), numbers))
+
+
+@pytest.mark.data
+def test_what_is_drawn_over_may_be_missed(drive):
+    """Only what counts is found, and precision and recall are whole nevertheless."""
+    numbers = [frame.number for frame in drive.frames if frame.labelled]
+    results = {}
+    for frame in drive.frames:
+        usable = frame.objects.take(np.flatnonzero(frame.usable & np.isin(frame.objects.kind, ("Car", "Van"))))
+        results[frame.number] = replace(shifted(usable), score=np.full(len(usable), 0.9))
+    assert not all(frame.usable.all() for frame in drive.frames)
+    _, *found = precisions(drive, results, numbers)
+    assert [one.image for one in found] == pytest.approx([100.0] * 2)
+    clean = [replace(frame, usable=np.ones(len(frame.objects), dtype=bool)) for frame in drive.frames]
+    assert precisions(replace(drive, frames=tuple(clean)), results, numbers)[1].image < 95.0
+
+
+@pytest.mark.data
+def test_intervals_are_over_tracks_of_a_drive_and_over_single_images(drive, data):
+    frames = frames_of(drive)
+    results = {frame.number: replace(shifted(frame.objects), score=np.ones(len(frame.objects))) for frame in frames}
+    groups = {one.group for one in score(drive, results, [*results])}
+    assert groups == {str(frame.tracks[row]) for frame in frames for row in wanted(frame)}
+    single = read_images(data / "kitti_object" / "training")
+    nothing = {frame.number: frame.objects.take(np.zeros(0, dtype=int)) for frame in single.frames}
+    empty = {number: replace(objects, score=np.zeros(0)) for number, objects in nothing.items()}
+    assert all(one.group == one.frame for one in score(single, empty, [*empty]))
+
+
+@pytest.mark.data
 def test_the_command_sets_sources_side_by_side(data, drive, tmp_path):
     frames = frames_of(drive, 5)
     good = write_moved(tmp_path / "good", frames, shifted)

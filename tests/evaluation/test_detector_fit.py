@@ -1,6 +1,7 @@
 """Fitting a detector's calibration: recovered from boxes of known make, kept in a file, used by a solve."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -47,6 +48,19 @@ def test_what_made_them_is_found():
             assert shares[level] == pytest.approx(level, abs=0.03)
     assert found.calibration.provenance["drives"] == ["a", "b", "c"]
     assert found.calibration.provenance["turned_round"] == found.turned > 100
+
+
+@pytest.mark.parametrize("where", ["everywhere", "at one factor"])
+def test_a_drive_without_a_vehicle_that_can_be_judged_is_no_part_of_the_test(where):
+    """Of a drive whose vehicles are all turned round, or only with some factors, nothing can be said."""
+    scored = {factor: boxes(factor) for factor in FACTORS}
+    for factor, some in scored.items():
+        for box in some:
+            if box.drive == "c" and (where == "everywhere" or factor == FACTORS[2]):
+                box.outcomes[SYSTEM] = replace(box.outcomes[SYSTEM], degrees=180.0, squared={}, spread={})
+    found = fit_detector(scored, {})
+    assert found.calibration.common_factor == pytest.approx(FACTOR, rel=0.1)
+    assert found.inside["position"][SIGMAS[0]] == pytest.approx(SIGMAS[0], abs=0.04)
 
 
 def test_without_a_vehicle_turned_round_the_facing_is_left():

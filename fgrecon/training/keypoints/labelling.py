@@ -157,6 +157,9 @@ def read_source(data: Path, marks: Path | None = None) -> Source:
     cars = read_posed_cars(data / "posed_cars")
     apart = read_validation_ids(data / "hand_labels" / "validation_cad_ids.json")
     held = np.array([car.cad_id in apart for car in cars])
+    if not held.any():
+        fix = "Name shapes that photographs are of: confidences are calibrated on those that are not learnt from."
+        raise InvalidInputError("validation_cad_ids.json", "no photograph held out", fix)
     learn, prior, given = np.flatnonzero(~held), unit_prior(load_apollo79(data)), None
     if marks is not None:
         given = np.full((len(cars), prior.category.size, 2), np.nan)

@@ -172,6 +172,9 @@ def train_networks(
     display.log("Calibration")
     rough = save_weights(work / "uncalibrated.safetensors", stored)
     held = labelling.samples(photographs, source.validate)
+    if not len(held):
+        fix = "Hold out shapes whose photographs' labels agree with their outlines."
+        raise InvalidInputError("validation_cad_ids.json", "no trusted photograph held out", fix)
     fitted = calibrate(KeypointCascade(rough, device=plan.device), photographs, held, partner, seed=plan.seed + 1)
     save_weights(out, replace(stored, calibration=fitted))  # once, whole: a file that is there is finished
 

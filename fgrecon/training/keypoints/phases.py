@@ -60,7 +60,7 @@ def train_phases(
     _check(settings, phases, data)
     chain = _Chain(settings, data, work, label, display)
     network, alone = settings.start, None
-    seen_street = False
+    seen_street = any(phase.on_street for phase in settings.phases[:begin])  # and so has what they left behind
     for phase in phases:
         network = chain.run(phase, network)
         seen_street = seen_street or phase.on_street
@@ -248,7 +248,8 @@ def _check(settings: TrainingSettings, phases: Sequence[Phase], data: Path) -> N
     first = phases[0]
     if first.trained is not None:
         load_weights(first.trained)
-        if settings.without and first.on_street:
+        seen = settings.phases[: settings.phases.index(first) + 1]
+        if settings.without and any(phase.on_street for phase in seen):
             fix = "Leave no drive out, or train that phase: nothing tells which drives the file has learnt from."
             raise InvalidInputError(f"phase {first.name}: trained", str(first.trained), fix)
     for phase in trained:

@@ -83,6 +83,7 @@ def train_in_rounds(
     network: Any = None
     labelling: Labelling | None = None
     photographs: Photographs | None = None
+    open_photographs(source, first, folder / "photographs", silhouettes, progress)  # prepared by the first labels
     for number, last in enumerate(stops):
         path = folder / f"labels-{number}.npz"
         labelling = Labelling.open(path, source.cars)

@@ -237,6 +237,12 @@ def test_nobody_knows_which_drives_a_given_network_has_seen(place, unbroken):
     done = run(place, "given", "given.safetensors", "--trained", trained, "--without", "far")
     assert isinstance(done.exception, InvalidInputError)
     assert done.exception.field == "phase street: trained"
+    later = SETTINGS + '\n[[phase]]\nname = "later"\nsteps = 1\nrelabel_at = []\nrefine_steps = 0\n'
+    (place / "later.toml").write_text(later)
+    given = ("--trained", f"later={place / 'whole.safetensors'}", "--without", "far")
+    done = run(place, "given", "given.safetensors", *given, settings="later.toml")
+    assert isinstance(done.exception, InvalidInputError)
+    assert done.exception.field == "phase later: trained"
     done = run(place, "given", "given.safetensors", "--trained", trained)
     assert done.exit_code == 0, done.output
     assert (place / "given.safetensors").read_bytes() == contents(place, "whole")[0]
