@@ -47,7 +47,7 @@ def boxes_command(
     """Score 3D boxes against labels: overlaps, positions, angles and sizes of labelled vehicles, and average precision.
 
     The frames are those that every source speaks of. Shares are of all labelled vehicles, found or not, with intervals
-    of 95 % by bootstrap over images. --verbose tells every vehicle.
+    of 95 % by bootstrap over tracks, of single images over these. --verbose tells every vehicle.
 
     Exit code 1: no labelled vehicle got a box.
     """
