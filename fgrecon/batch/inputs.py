@@ -147,8 +147,18 @@ def _count_lines(source: InputFile) -> int:
 def _lines(source: InputFile) -> Iterator[Row]:
     with source.path.open(encoding="utf-8-sig", errors="replace") as file:
         for number, line in enumerate(file, start=1):
-            if line.strip():
-                yield {"row_id": f"{source.path}#{number}", "instance": line.strip()}
+            if line.strip():  # one that somebody is still writing is another row once it is whole
+                whole = line.endswith("\n") or _is_json(line)
+                name = f"{source.path}#{number}" if whole else f"{source.path}#{number}-unfinished"
+                yield {"row_id": name, "instance": line.strip()}
+
+
+def _is_json(text: str) -> bool:
+    try:
+        json.loads(text)
+    except (ValueError, RecursionError):
+        return False
+    return True
 
 
 def _count_records(source: InputFile) -> int:

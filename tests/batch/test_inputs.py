@@ -199,6 +199,15 @@ def test_videos_frame_by_frame(tmp_path):
         pictures.get(str(file), 7)
 
 
+def test_a_line_that_is_being_written_is_another_row_once_it_is_whole(tmp_path):
+    lines = [json.dumps({"keypoints": [[1.0, 2.0]] * 14, "id": name}) for name in "abc"]
+    file = tmp_path / "grows.jsonl"
+    file.write_text("\n".join(lines[:2])[:-9])
+    assert [row["row_id"] for row in rows_of(file)] == [f"{file}#1", f"{file}#2-unfinished"]
+    file.write_text("\n".join(lines))
+    assert [row["row_id"] for row in rows_of(file)] == [f"{file}#{n}" for n in (1, 2, 3)]
+
+
 def test_frames_of_a_video_are_told_by_their_order_whatever_their_times(tmp_path):
     from fgrecon.batch.pictures import Pictures
 
