@@ -9,7 +9,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-__all__ = ["OUTPUTS", "check_apart", "check_not_over"]
+__all__ = ["OUTPUTS", "check_apart", "check_not_over", "files_in"]
 
 OUTPUTS = ("out", "json_out", "picture", "animation", "save", "video", "markdown", "per_frame", "table")
 """Parameters of commands that name what is written; all others are read."""
@@ -63,6 +63,11 @@ def check_not_over(field: str, output: str | Path, inputs: Sequence[str | Path])
 
     if _is_file(output) and any(_is_file(path) and Path(path).samefile(output) for path in inputs):
         raise InvalidInputError(field, str(output), "Give another file: this one is read, and would be lost.")
+
+
+def files_in(folder: Path | None) -> list[Path]:
+    """What is in a folder that is read; nothing where the option is left out or names a file."""
+    return [] if folder is None or not folder.is_dir() else list(folder.iterdir())
 
 
 def _field(name: str) -> str:

@@ -13,7 +13,7 @@ from fgrecon.cli import reconstruct_work, show
 from fgrecon.cli.common import about_camera
 from fgrecon.cli.models import with_closest
 from fgrecon.cli.options import CameraOptions, VehicleBoxes
-from fgrecon.cli.overwrites import check_not_over
+from fgrecon.cli.overwrites import check_not_over, files_in
 from fgrecon.cli.picture_tasks import is_image, read_image_tasks
 from fgrecon.cli.reconstruct_work import Outcome, Task
 from fgrecon.cli.settings import Settings
@@ -107,17 +107,12 @@ def wanted(
         raise InvalidInputError("out", str(out), "Give a folder.")
     taken: set[str] = set()
     found = [PhotographFile(image, out / distinct(image.stem, taken)) for image in images]
-    read = [*images, *_files_of(boxes)]
+    read = [*images, *files_in(boxes)]
     for one in found:
         for ending in (".json", ".png") if pictures else (".json",):
             check_not_over("out", _ending(one, ending), read)
     out.mkdir(parents=True, exist_ok=True)
     return found
-
-
-def _files_of(boxes: Path | None) -> list[Path]:
-    """Files of boxes that are in a folder."""
-    return [] if boxes is None or not boxes.is_dir() else list(boxes.iterdir())
 
 
 def refuse(

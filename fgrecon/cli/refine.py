@@ -11,7 +11,7 @@ import typer
 from fgrecon.cli.box_errors import BoxErrorOptions
 from fgrecon.cli.common import check_outputs
 from fgrecon.cli.options import BOX_MODEL_HELP, CameraOptions, JsonOption, SceneOptions, WeightsOption
-from fgrecon.cli.overwrites import check_not_over
+from fgrecon.cli.overwrites import check_not_over, files_in
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError
@@ -124,7 +124,7 @@ def _check_out(out: Path, boxes: Path, found: list[BoxedImage[Any]], calib: Path
     if boxes.is_dir():
         if out.exists() and not out.is_dir():
             raise InvalidInputError("out", str(out), "Give a folder: the boxes are in one.")
-        read = [*(one.image for one in found if one.image is not None), *_files_in(calib)]
+        read = [*(one.image for one in found if one.image is not None), *files_in(calib)]
         for one in found:
             check_not_over("out", out / one.source.name, read)
         out.mkdir(parents=True, exist_ok=True)
@@ -134,7 +134,3 @@ def _check_out(out: Path, boxes: Path, found: list[BoxedImage[Any]], calib: Path
         raise InvalidInputError(
             "images", f"none of {found[0].name} and {len(found) - 1} more", "Name images as the boxes."
         )
-
-
-def _files_in(folder: Path | None) -> list[Path]:
-    return [] if folder is None or not folder.is_dir() else list(folder.iterdir())

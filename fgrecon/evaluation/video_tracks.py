@@ -106,13 +106,14 @@ def _follow(
     forget_ids: bool,
     estimate_motion: bool,
 ) -> list[VideoBox]:
+    camera = drive.calibration.camera.with_size_of(read_image(drive.frames[0].image))  # as single images have it
     ways = [
-        (online, batch, _estimates(seen, drive, setup, advance, forget_ids=forget_ids, moving=moving))
+        (online, batch, _estimates(seen, drive, camera, setup, advance, forget_ids=forget_ids, moving=moving))
         for online, batch, moving in ((ONLINE, BATCH, False), (ONLINE_MOVING, BATCH_MOVING, True))
         if estimate_motion or not moving
     ]
     frames, velocities = {frame.number: frame for frame in drive.frames}, labelled_velocities(drive)
-    scored, camera = [], _camera(drive)
+    scored = []
     for frame in seen:
         for box, one in zip(frame.boxes, frame.sightings, strict=False):  # the first are the labelled ones
             labelled = frames[box.frame]
@@ -136,6 +137,7 @@ def _follow(
 def _estimates(
     seen: Sequence[ScoredFrame],
     drive: Drive,
+    camera: Camera,
     setup: Setup,
     advance: Callable[[str], None],
     *,
@@ -148,7 +150,7 @@ def _estimates(
     )
     largest = max((int(frame.tracks.max(initial=-1)) for frame in drive.frames), default=-1)
     association = GatedAssociation(first=largest + 1)
-    follower = Follower(tracker, association, _camera(drive), ground=setup.ground, moving=moving)
+    follower = Follower(tracker, association, camera, ground=setup.ground, moving=moving)
     online: dict[tuple[int, int], VehicleEstimate] = {}
     named: dict[tuple[int, int], int] = {}  # the vehicle that each label was taken for
     boxes = {frame.number: frame.boxes for frame in seen}
@@ -188,11 +190,6 @@ def labelled_velocities(drive: Drive) -> dict[tuple[int, int], Array]:
                 slope, _ = np.polyfit(np.array(near) / _RATE, np.array([places[n] for n in near]), 1)
                 found[number, track] = slope
     return found
-
-
-def _camera(drive: Drive) -> Camera:
-    """The camera of a drive with the size of its images, as single images have it."""
-    return drive.calibration.camera.with_size_of(read_image(drive.frames[0].image))
 
 
 def _alone(

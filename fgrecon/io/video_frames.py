@@ -126,7 +126,7 @@ def count_frames(path: Path) -> int:
 def _decoded(path: Path, lasts: float | None) -> Iterator[_Decoded]:
     """Every frame of a video in the order of their times, broken ones among them; and where the file breaks off."""
     av = _av()
-    with av.open(str(path)) as container:
+    with _opened(path) as container:
         stream = container.streams.video[0]
         step = 1.0 / float(stream.average_rate or DEFAULT_RATE)
         start = 0.0 if container.start_time is None else container.start_time / av.time_base
