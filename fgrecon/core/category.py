@@ -7,7 +7,7 @@ All indices are 0-based; the file itself refers to keypoints by name. This modul
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -24,6 +24,8 @@ __all__ = ["DIMENSIONS", "Category", "Dimension", "Face"]
 
 DIMENSIONS = ("length", "width", "height")
 """The three dimensions in the order used everywhere; their object axes are x, z and y."""
+
+_FIELDS = ["name", "keypoints", "symmetric_pairs", "faces", "edges", "neighbours", "dimensions", "ground", "motion"]
 
 _DIRECTIONS = {"length": (1.0, 0.0, 0.0), "width": (0.0, 0.0, 1.0), "height": (0.0, -1.0, 0.0)}
 
@@ -191,6 +193,10 @@ class _Reader:
         self.names: list[str] = names
 
     def category(self) -> Category:
+        self.known("category", self.data, _FIELDS)
+        ground = self.get("ground", dict)
+        self.known("category.ground", ground, ("keypoints", "ratio"))
+        self.known("category.dimensions", self.get("dimensions", dict), DIMENSIONS)
         edges = tuple(self.group("edges", edge, 2) for edge in self.get("edges", list))
         return Category(
             name=self.get("name", str),
@@ -200,8 +206,8 @@ class _Reader:
             edges=tuple((a, b) for a, b in edges),
             neighbours=self.neighbours(edges),
             dimensions=tuple(self.dimension(name) for name in DIMENSIONS),
-            ground_keypoints=self.group("ground.keypoints", self.get("ground", dict).get("keypoints")),
-            ground_ratio=self.ratio("ground.ratio", self.get("ground", dict).get("ratio"), lowest=0.0),
+            ground_keypoints=self.group("ground.keypoints", ground.get("keypoints")),
+            ground_ratio=self.ratio("ground.ratio", ground.get("ratio"), lowest=0.0),
             motion=MotionModel.from_dict(self.data.get("motion", {})),
         )
 
@@ -209,6 +215,19 @@ class _Reader:
         value = self.data.get(field)
         if not isinstance(value, kind):
             raise InvalidInputError(f"category.{field}", value, f"Give a {kind.__name__}.")
+        return value
+
+    @staticmethod
+    def known(where: str, entry: Mapping[str, Any], fields: Sequence[str]) -> None:
+        """A misspelt field would be left out without a word, and what it says with it."""
+        if unknown := [name for name in entry if name not in fields]:
+            raise InvalidInputError(where, unknown[0], f"Give no other fields than {', '.join(fields)}.")
+
+    @staticmethod
+    def flag(field: str, entry: Mapping[str, Any], name: str) -> bool:
+        value = entry.get(name, False)
+        if not isinstance(value, bool):
+            raise InvalidInputError(f"category.{field}.{name}", value, "Give true or false.")
         return value
 
     def group(self, field: str, names: Any, size: int | None = None) -> tuple[int, ...]:
@@ -231,19 +250,22 @@ class _Reader:
     def face(self, face: Any) -> Face:
         if not isinstance(face, Mapping) or not isinstance(face.get("name"), str):
             raise InvalidInputError("category.faces", face, "Give an object with name and keypoints.")
-        keypoints = self.group(f"faces.{face['name']}", face.get("keypoints"))
+        field = f"faces.{face['name']}"
+        self.known(f"category.{field}", face, ("name", "keypoints", "ground_parallel", "rectangular"))
+        keypoints = self.group(field, face.get("keypoints"))
         if len(keypoints) < 3:
-            raise InvalidInputError(f"category.faces.{face['name']}", keypoints, "Give at least three keypoints.")
-        rectangular = bool(face.get("rectangular", False))
+            raise InvalidInputError(f"category.{field}", keypoints, "Give at least three keypoints.")
+        rectangular = self.flag(field, face, "rectangular")
         if rectangular and len(keypoints) != 4:
-            raise InvalidInputError(f"category.faces.{face['name']}", keypoints, "A rectangle needs four keypoints.")
-        return Face(face["name"], keypoints, bool(face.get("ground_parallel", False)), rectangular)
+            raise InvalidInputError(f"category.{field}", keypoints, "A rectangle needs four keypoints.")
+        return Face(face["name"], keypoints, self.flag(field, face, "ground_parallel"), rectangular)
 
     def neighbours(self, edges: tuple[tuple[int, ...], ...]) -> tuple[tuple[int, ...], ...]:
         """The named neighbourhoods; a keypoint without one has the keypoints it shares an edge with."""
         given = self.data.get("neighbours", {})
         if not isinstance(given, Mapping):
             raise InvalidInputError("category.neighbours", given, "Give an object from keypoint to list of keypoints.")
+        self.known("category.neighbours", given, self.names)
         result: list[tuple[int, ...]] = []
         for i, name in enumerate(self.names):
             if name in given:
@@ -257,6 +279,7 @@ class _Reader:
         if not isinstance(entry, Mapping):
             raise InvalidInputError(f"category.dimensions.{name}", entry, "Give an object with plus, minus and ratio.")
         field = f"dimensions.{name}"
+        self.known(f"category.{field}", entry, ("plus", "minus", "ratio"))
         return Dimension(
             name,
             self.group(f"{field}.plus", entry.get("plus")),

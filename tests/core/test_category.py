@@ -11,6 +11,8 @@ from tests.conftest import REPOSITORY
 
 FILE = REPOSITORY / "fgrecon/data/categories/car14.json"
 
+_FOUR = ["left_front_wheel", "right_front_wheel", "left_back_wheel", "right_back_wheel"]
+
 
 @pytest.fixture
 def content():
@@ -52,6 +54,11 @@ def test_dimensions_of_a_box_with_known_size(content):
         ({"faces": [{"name": "f", "keypoints": ["left_front_wheel"]}]}, "category.faces.f"),
         ({"dimensions": {}}, "category.dimensions.length"),
         ({"name": 3}, "category.name"),
+        ({"neighbors": {}}, "category"),
+        ({"neighbours": {"nose": ["left_front_wheel"]}}, "category.neighbours"),
+        ({"ground": {"keypoints": ["left_front_wheel"], "ratio": 0.2, "height": 1}}, "category.ground"),
+        ({"faces": [{"name": "f", "keypoints": _FOUR, "rectangle": True}]}, "category.faces.f"),
+        ({"faces": [{"name": "f", "keypoints": _FOUR, "ground_parallel": "no"}]}, "category.faces.f.ground_parallel"),
     ],
 )
 def test_errors_name_the_field(content, change, field):
