@@ -118,6 +118,7 @@ def train_networks(
     plan: Plan,
     display: Display,
     more: Mapping[str, str] | None = None,
+    common: Path | None = None,
 ) -> None:
     """Train the networks and write them; an interrupted training goes on from what is in its folder.
 
@@ -129,6 +130,7 @@ def train_networks(
         plan: How much is trained.
         display: Shows how it goes.
         more: What else the network's provenance is to say.
+        common: Folder of what trainings of the same photographs, marks and silhouettes have in common; None is `work`.
 
     Raises:
         InvalidInputError: Something of the data cannot be used, a drive to leave out is unknown, or the training in the
@@ -157,6 +159,7 @@ def train_networks(
         log=display.log,
         progress=display.progress,
         street=street,
+        common=common,
     )
     state = network.state_dict()
     if begun is not None:

@@ -3,7 +3,8 @@
 Each phase has a folder of its name there, and `phase.json` in it once it is finished: its settings, and hashes of what
 went in and of the network that came out. Started again, what is finished is taken over and the rest goes on. Where
 drives are left out, a phase that would learn from them, and what follows it, is in `without-DRIVE+DRIVE` in that
-folder; phases that learn from photographs alone serve every choice of drives.
+folder; phases that learn from photographs alone serve every choice of drives. Prepared photographs, and labels that
+come before any step, are in a folder of all phases that begin with the same.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ Labeller = Callable[[Sequence[Path], Path, Path, Progress], None]
 """Labels the street cars of drives (folders) by a network, to a file (COCO), and shows how far it has come."""
 
 _FINISHED = "phase.json"
+_COMMON = "_photographs"  # no phase's name begins so
 
 
 def train_phases(
@@ -133,7 +135,9 @@ class _Chain:
             beginning = replace(beginning, without=tuple(name for name in self.left if name in there))
         plan = replace(phase.plan, device=self.settings.device, workers=self.settings.workers)
         more = {"settings": json.dumps(self.done)}
-        train_networks(self.data, folder, network, beginning, plan, display, more)
+        alike = {name: wanted["inputs"][name] for name in ("photographs", "silhouettes")}
+        common = self.work / f"{_COMMON}-{text_hash(json.dumps(alike))}"
+        train_networks(self.data, folder, network, beginning, plan, display, more, common)
         write_text(finished, json.dumps({**wanted, "network": file_hash(network)}, indent=1) + "\n")
         return network
 

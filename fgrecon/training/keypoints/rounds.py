@@ -1,8 +1,9 @@
 """The whole training in rounds: labels from boxes, training, labels corrected by the network, training on.
 
-Everything lives in one folder, so that an interrupted run goes on where it was: `photographs/` (prepared images),
-`labels-first.npz` (of boxes and silhouettes), `labels-0.npz`, `labels-1.npz`, ... (one per round) and `knet.pt` (the
-checkpoint).
+Everything lives in folders, so that an interrupted run goes on where it was. What trainings of the same photographs,
+marks and silhouettes have in common is in one of their own: `photographs/` (prepared images), `labels-first.npz` (of
+boxes and silhouettes), and `labels-by-HASH.npz` (corrected by the network that a training begins with). The training's
+has `labels-0.npz`, `labels-1.npz`, ... (one per round) and `knet.pt` (the checkpoint).
 """
 
 from __future__ import annotations
@@ -49,6 +50,7 @@ def train_in_rounds(
     log: Callable[[str], None] = lambda _: None,
     progress: Progress = no_progress,
     street: StreetShare | None = None,
+    common: Path | None = None,
 ) -> tuple[Any, Labelling, Photographs]:
     """Train KNet, correcting the labels at given steps.
 
@@ -65,6 +67,7 @@ def train_in_rounds(
         log: Called with a line about what begins.
         progress: Shows how far every other loop that takes long has come.
         street: Street cars that are learnt from beside the photographs.
+        common: Where what depends on `source`, `silhouettes` and `start` alone is kept; None is `folder`.
 
     Returns:
         The averaged network, and the last labels with their photographs.
@@ -72,20 +75,24 @@ def train_in_rounds(
     Raises:
         InvalidInputError: There is no step, no photograph to learn from, or the folder's training began otherwise.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    common = folder if common is None else common
+    for needed in (folder, common):
+        needed.mkdir(parents=True, exist_ok=True)
+    prepared = common / "photographs"
+    by_start = None if start is None else common / f"labels-by-{file_hash(start)}.npz"
     checkpoint, partner = folder / "knet.pt", source.prior.category.mirror
     how = replace(how, street=how.street.shaping(source.prior))
     stops = [*(step for step in relabel_at if step < how.steps), how.steps]
     begin_alike(folder / "began.json", _named(source, how, stops, imagenet, start, silhouettes, street))
-    first = _first(source, folder / "labels-first.npz", silhouettes, log, progress)
+    first = _first(source, common / "labels-first.npz", silhouettes, log, progress)
     begun = None if start is None else load_weights(start)
     stored(checkpoint, load_checkpoint)  # puts a damaged one aside: all steps are made again
     network: Any = None
     labelling: Labelling | None = None
-    photographs: Photographs | None = None
-    open_photographs(source, first, folder / "photographs", silhouettes, progress)  # prepared by the first labels
+    # Prepared by the first labels, whichever come after.
+    photographs = open_photographs(source, first, prepared, silhouettes, progress)
     for number, last in enumerate(stops):
-        path = folder / f"labels-{number}.npz"
+        path = by_start if number == 0 and by_start is not None else folder / f"labels-{number}.npz"
         labelling = Labelling.open(path, source.cars)
         if labelling is None and number == 0 and start is None:
             labelling = first
@@ -96,10 +103,9 @@ def train_in_rounds(
                 detector = KeypointCascade(start, device=device)
             else:
                 detector = _as_detector(load_checkpoint(checkpoint), begun, folder, device)
-            prepared = open_photographs(source, first, folder / "photographs", silhouettes, progress)
-            labelling = corrected(source, first, detector, prepared, silhouettes, progress)
+            labelling = corrected(source, first, detector, photographs, silhouettes, progress)
             labelling.save(path)
-        photographs = open_photographs(source, labelling, folder / "photographs", silhouettes, progress)
+        photographs = open_photographs(source, labelling, prepared, silhouettes, progress)
         if checkpoint.exists() and load_checkpoint(checkpoint)["step"] >= last and number < len(stops) - 1:
             continue
         log(f"Training to step {last}")
@@ -120,7 +126,7 @@ def train_in_rounds(
             until=last,
             held=None if not len(held) else HeldOut.draw(photographs, held, how.street, partner, how.seed),
         )
-    if labelling is None or photographs is None:
+    if labelling is None:
         raise InvalidInputError("steps", how.steps, "Give at least one step.")
     return network, labelling, photographs
 

@@ -94,8 +94,10 @@ def contents(place, stem):
 
 def test_one_command_makes_both_networks(place, unbroken):
     assert unbroken.stdout == "".join(f"Wrote {place / f'whole{end}.safetensors'}.\n" for end in ("", "-photographs"))
+    lines = unbroken.stderr.splitlines()
     for line in ("alone: Training to step 2", "street: Labels of street cars", "street: Calibration"):
-        assert line in unbroken.stderr.splitlines()
+        assert line in lines
+    assert [line for line in lines if line.endswith("Labels from the boxes")] == ["alone: Labels from the boxes"]
     whole, alone = (load_weights(place / f"whole{end}.safetensors") for end in ("", "-photographs"))
     assert "street cars" in whole.provenance["data"]
     assert "street cars" not in alone.provenance["data"]
@@ -156,6 +158,11 @@ def test_folds_share_what_has_seen_no_street(place, unbroken):
     assert done.exit_code == 0, done.output
     assert "alone: finished before" in done.stderr
     assert "street: Labels of street cars" not in done.stderr  # those of all drives are there
+    assert "street: Labels corrected" not in done.stderr  # nor are the photographs' made again
+    (common,) = (place / "work").glob("_photographs-*")
+    assert [path.parent for path in (place / "work").rglob("images.npy") if path.parent.name != "street"] == [
+        common / "photographs"
+    ]
     assert (place / "work" / "street" / "without-far" / "phase.json").exists()
     fold, whole = contents(place, "fold"), contents(place, "whole")
     assert fold[1] == whole[1]
