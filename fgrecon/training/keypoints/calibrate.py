@@ -16,7 +16,10 @@ from fgrecon.training.keypoints.dataset import Photographs
 from fgrecon.training.keypoints.labels import SEEN
 from fgrecon.training.keypoints.views import azimuth_weights
 
-__all__ = ["Reliability", "calibrate", "reliability"]
+__all__ = ["SCORED", "Reliability", "calibrate", "reliability"]
+
+SCORED = replace(Street(), covered=0.25, block=0.1, stretch=0.0, bend=0.0)
+"""Degradation of the samples: less occlusion than in the training, as street cars are, and no deformed cars."""
 
 _BATCH = 32
 _SIDE = 176  # pixels of the samples: as fine as the networks look
@@ -32,7 +35,7 @@ def calibrate(
     chosen: NDArray[np.intp],
     partner: NDArray[np.intp],
     *,
-    street: Street | None = None,
+    street: Street = SCORED,
     samples: int = 1500,
     seed: int = 1,
 ) -> ConfidenceCalibration:
@@ -43,13 +46,11 @@ def calibrate(
         photographs: With labels.
         chosen: Which of them to use.
         partner: (K,) index of each keypoint's mirror image.
-        street: Degradation; None for that of the training with less occlusion, as street cars are, and with
-            cars that are not deformed.
+        street: Degradation.
         samples: How many samples.
         seed: Of the samples.
     """
-    scene = replace(Street(), covered=0.25, block=0.1, stretch=0.0, bend=0.0) if street is None else street
-    scene = replace(scene, size=_SIDE)
+    scene = replace(street, size=_SIDE)
     extent = _SIDE / MARGIN
     box = (_SIDE - 1) / 2 + np.array([-0.5, -0.5, 0.5, 0.5]) * extent
     weights = azimuth_weights(photographs.azimuth, chosen)

@@ -13,8 +13,9 @@ from fgrecon.io.stored import stored as taken_over
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.keypoints.weights import Stored, load_weights, mean_state, save_weights
+from fgrecon.training.keypoints.augment import Street
 from fgrecon.training.keypoints.began import begin_alike, file_hash, source_hash
-from fgrecon.training.keypoints.calibrate import calibrate
+from fgrecon.training.keypoints.calibrate import SCORED, calibrate
 from fgrecon.training.keypoints.labelling import Labelling, Source, read_source
 from fgrecon.training.keypoints.rounds import train_in_rounds
 from fgrecon.training.keypoints.street_cars import (
@@ -69,6 +70,9 @@ class Plan:
         refine_steps: Gradient steps of the refinement networks; 0 leaves those that the training begins with, if any.
         rate: KNet's learning rate; lower where a trained network goes on.
         decay: Share of KNet's steps over which the rate falls to zero.
+        dull: Share of the degraded samples that have little colour (`Street`).
+        raised: Share of the samples whose cabin is made higher (`Street`).
+        seen_alone: Share of the hidden cars whose box is around what is seen of them (`Street`).
         seed: Seed of everything random.
         device: Torch's name of the device.
         workers: Processes that make samples.
@@ -80,6 +84,9 @@ class Plan:
     refine_steps: int = count(7000, least=0)
     rate: float = number(1e-3, least=0.0)
     decay: float = number(0.25, least=0.0, most=1.0)
+    dull: float = number(Street.dull, least=0.0, most=1.0)
+    raised: float = number(Street.raised, least=0.0, most=1.0)
+    seen_alone: float = number(Street.seen_alone, least=0.0, most=1.0)
     seed: int = count(0, least=0)
     device: str = "cpu"
     workers: int = count(1, least=0)
@@ -95,6 +102,10 @@ class Plan:
         if not all(type(stop) is int and stop > 0 for stop in stops) or list(stops) != sorted(set(stops)):
             raise InvalidInputError("plan.relabel_at", self.relabel_at, "Give whole numbers from 1 in rising order.")
         object.__setattr__(self, "relabel_at", stops)
+
+    def samples_of(self, street: Street) -> Street:
+        """A degradation with the shares of this plan."""
+        return replace(street, dull=self.dull, raised=self.raised, seen_alone=self.seen_alone)
 
 
 class Display(Protocol):
@@ -144,7 +155,13 @@ def train_networks(
     begun = None if beginning.start is None else load_weights(beginning.start)
     street = _street(beginning, work / "street", display)
     how = Training(
-        steps=plan.steps, batch=plan.batch, rate=plan.rate, decay=plan.decay, seed=plan.seed, workers=plan.workers
+        steps=plan.steps,
+        batch=plan.batch,
+        rate=plan.rate,
+        decay=plan.decay,
+        seed=plan.seed,
+        workers=plan.workers,
+        street=plan.samples_of(Street()),
     )
     network, labelling, photographs = train_in_rounds(
         source,
@@ -178,7 +195,8 @@ def train_networks(
     if not len(held):
         fix = "Hold out shapes whose photographs' labels agree with their outlines."
         raise InvalidInputError("validation_cad_ids.json", "no trusted photograph held out", fix)
-    fitted = calibrate(KeypointCascade(rough, device=plan.device), photographs, held, partner, seed=plan.seed + 1)
+    rough_cascade, scenes = KeypointCascade(rough, device=plan.device), plan.samples_of(SCORED)
+    fitted = calibrate(rough_cascade, photographs, held, partner, street=scenes, seed=plan.seed + 1)
     save_weights(out, replace(stored, calibration=fitted))  # once, whole: a file that is there is finished
 
 
@@ -214,6 +232,7 @@ def _refined(
 ) -> Stored:
     """The network with refinement networks."""
     refining = RefineTraining(steps=plan.refine_steps, seed=plan.seed)
+    refining = replace(refining, street=plan.samples_of(refining.street))
     schedule = {name: value for name, value in asdict(refining).items() if name != "save_every"}
     begin_alike(work / "began-refine.json", schedule)
     refining = replace(refining, street=refining.street.shaping(source.prior))

@@ -9,6 +9,7 @@ from fgrecon.core.errors import InvalidInputError
 pytest.importorskip("torch")
 
 from fgrecon.perception.keypoints.weights import WITHOUT_STREET, load_weights, shipped
+from fgrecon.training.keypoints.augment import Street
 from fgrecon.training.keypoints.networks import Plan
 from fgrecon.training.keypoints.settings import Phase, TrainingSettings, read_settings, shipped_settings
 
@@ -25,13 +26,17 @@ def written(tmp_path, text):
 def test_a_file_says_what_the_plan_does_not(tmp_path):
     text = (
         'needs = ["marks"]\nmarks = "m.json"\nstart = "/s.safetensors"\nwithout = ["a"]\ndevice = "cuda"\nworkers = 2\n'
-        f'{ONE}steps = 7\nrelabel_at = [2, 3]\nrate = 1\ntrained = "t.safetensors"\n'
+        f'{ONE}steps = 7\nrelabel_at = [2, 3]\nrate = 1\ndull = 0\nraised = 0.1\ntrained = "t.safetensors"\n'
         '[[phase]]\nname = "two"\nsilhouettes = false\ndrives = ["b/a"]\nstart_share = 0\n'
     )
     found = read_settings(written(tmp_path, text))
     assert found == TrainingSettings(
         (
-            Phase("one", Plan(steps=7, relabel_at=(2, 3), rate=1.0), trained=tmp_path / "t.safetensors"),
+            Phase(
+                "one",
+                Plan(steps=7, relabel_at=(2, 3), rate=1.0, dull=0.0, raised=0.1),
+                trained=tmp_path / "t.safetensors",
+            ),
             Phase("two", drives=("b/a",), silhouettes=False, start_share=0.0),
         ),
         needs=("marks",),
@@ -79,6 +84,7 @@ def test_options_take_the_place_of_what_the_file_says(tmp_path):
         (ONE + "steps = 1.5", "phase one: steps", 1.5, "whole number"),
         (ONE + "steps = true", "phase one: steps", True, "whole number"),
         (ONE + "decay = 2.0", "phase one: decay", 2.0, "from 0 to 1"),
+        (ONE + "dull = 2", "phase one: dull", 2, "from 0 to 1"),
         (ONE + "start_share = -1", "phase one: start_share", -1, "from 0 to 1"),
         (ONE + "relabel_at = [3, 2]", "phase one: relabel_at", [3, 2], "rising"),
         (ONE + "relabel_at = 3", "phase one: relabel_at", 3, "rising"),
@@ -129,3 +135,11 @@ def test_the_shipped_settings_name_drives_that_are_there(data):
     drives = [data / drive for drive in read_settings(SHIPPED).phases[-1].drives]
     assert all((drive / "label_02.txt").is_file() for drive in drives)
     assert {drive.name for drive in drives} == {path.name for path in (data / "kitti_video").iterdir() if path.is_dir()}
+
+
+def test_a_plan_says_what_samples_are_like():
+    street = Plan(dull=0.25, raised=0.0, seen_alone=0.75).samples_of(Street(covered=0.1))
+    assert (street.dull, street.raised, street.seen_alone, street.covered) == (0.25, 0.0, 0.75, 0.1)
+    assert Plan().samples_of(Street()) == Street()
+    shares = {(p.plan.dull, p.plan.raised, p.plan.seen_alone) for p in read_settings(SHIPPED).phases}
+    assert shares == {(0.0, 0.0, 0.0)}  # there were none when the shipped networks were trained
