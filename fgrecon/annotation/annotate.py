@@ -19,6 +19,8 @@ from fgrecon.annotation.wanted import LeftOut, Reason, Wanted
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.camera import Camera
 from fgrecon.core.detection import Detection
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.observation import Observation
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_drives import Drive, DriveFrame
@@ -39,6 +41,11 @@ class _Member:
     row: int
     camera: Camera
     found: Detection
+
+    @property
+    def track(self) -> int:
+        """Number of its track."""
+        return int(self.frame.tracks[self.row])
 
     @property
     def box(self) -> Box3D:
@@ -79,45 +86,48 @@ def annotate(
     """
     wanted = Wanted() if wanted is None else wanted
     left: list[LeftOut] = []
-    tracks: dict[tuple[int, bool], list[_Member]] = defaultdict(list)
+    boxed: dict[int, list[_Member]] = defaultdict(list)
+    others: list[_Member] = []
     for frame in progress(drive.frames, "Keypoints"):
-        rows, others = wanted.judge(frame)
-        left += others
+        rows, unwanted = wanted.judge(frame)
+        left += unwanted
         usable = frame.boxed[rows] | (unboxed is not None)
         left += [_left_out(frame, row, Reason.NO_BOX) for row in rows[~usable]]
         for member in _seen(frame, rows[usable], detector, prior, left):
-            tracks[int(frame.tracks[member.row]), bool(frame.boxed[member.row])].append(member)
-    fits: dict[tuple[int, int], Fit] = {}
-    fitted: list[_Member] = []
-    for _, members in progress(sorted(tracks.items()), "Shapes"):
-        for member, fit in zip(members, _fit(members, prior, how, unboxed), strict=True):
-            if isinstance(fit, Reason):
-                left.append(member.left_out(fit))
-            else:
-                fits[member.frame.number, member.row] = fit
-                fitted.append(member)
+            (boxed[member.track] if frame.boxed[member.row] else others).append(member)
+    found: list[tuple[_Member, Fit | Reason]] = []
+    for _, members in progress(sorted(boxed.items()), "Shapes"):
+        views = [BoxedView(one.found.observation, one.camera, one.box) for one in members]
+        found += zip(members, fit_known_boxes(views, prior, how), strict=True)
+    if unboxed is not None:
+        fitted = fit_unboxed(_by_frame(others), prior, unboxed, progress)
+        found += [(one, fitted[one.frame.number, one.track]) for one in others]
+    left += [member.left_out(fit) for member, fit in found if isinstance(fit, Reason)]
+    fits = {(member.frame.number, member.row): fit for member, fit in found if isinstance(fit, Fit)}
     made = [
-        Annotation.of(
-            *(member.frame, member.row, member.camera, member.found, fits[member.frame.number, member.row]),
-            _nearer(member.frame, member.row, prior, fits),
-        )
-        for member in fitted
+        Annotation.of(*(member.frame, member.row, member.camera, member.found, fit), _nearer(member, prior, fits))
+        for member, fit in found
+        if isinstance(fit, Fit)
     ]
     made.sort(key=lambda a: (a.frame.number, a.track))
     left.sort(key=lambda one: (one.frame, one.track))
     return made, left
 
 
-def _fit(
-    members: Sequence[_Member], prior: ShapePrior, how: KnownBoxOptions | None, unboxed: Unboxed | None
-) -> list[Fit | Reason]:
-    """The fits of a vehicle's images, which all have 3D boxes or none."""
-    seen = [member.found.observation for member in members]
-    if unboxed is not None and not members[0].frame.boxed[members[0].row]:
-        views = zip(seen, (member.camera for member in members), strict=True)
-        return fit_unboxed(list(views), prior, unboxed)
-    boxed = [BoxedView(one, member.camera, member.box) for one, member in zip(seen, members, strict=True)]
-    return fit_known_boxes(boxed, prior, how)
+def _by_frame(members: Sequence[_Member]) -> dict[int, tuple[Camera, dict[int, Observation]]]:
+    """What each frame shows, by its number.
+
+    Raises:
+        InvalidInputError: Two vehicles of a frame have one number.
+    """
+    frames: dict[int, tuple[Camera, dict[int, Observation]]] = {}
+    for one in members:
+        _, seen = frames.setdefault(one.frame.number, (one.camera, {}))
+        if one.track in seen:
+            value = f"track {one.track} twice in frame {one.frame.number}"
+            raise InvalidInputError("labels", value, "Give every vehicle of a frame a number of its own.")
+        seen[one.track] = one.found.observation
+    return frames
 
 
 def _seen(
@@ -146,8 +156,9 @@ def _box(frame: DriveFrame, row: int) -> Box3D:
     return Box3D(o.location[row] + frame.calibration.label_offset, float(o.rotation_y[row]), o.size[row])
 
 
-def _nearer(frame: DriveFrame, row: int, prior: ShapePrior, fits: Mapping[tuple[int, int], Fit]) -> tuple[Solid, ...]:
+def _nearer(one: _Member, prior: ShapePrior, fits: Mapping[tuple[int, int], Fit]) -> tuple[Solid, ...]:
     """Surfaces of the objects that are nearer than one and touch its 2D box."""
+    frame, row = one.frame, one.row
     o = frame.objects
     x1, y1, x2, y2 = o.box[row]
     distance = _distance(frame, row, fits)

@@ -42,6 +42,7 @@ class Annotation:
         faces: (F, 3) its triangles.
         before: Surfaces of vehicles that are nearer.
         agreement: Share of the network's confidence that agrees with the keypoints.
+        boxed: Whether its 3D box was labelled; else it was reconstructed.
     """
 
     frame: DriveFrame
@@ -60,6 +61,7 @@ class Annotation:
     faces: NDArray[np.integer]
     before: tuple[Solid, ...]
     agreement: float
+    boxed: bool
 
     @classmethod
     def of(
@@ -75,7 +77,7 @@ class Annotation:
             fit: The fit.
             before: Surfaces of what is nearer.
         """
-        labels, result = frame.objects, fit.result
+        labels, result, boxed = frame.objects, fit.result, bool(frame.boxed[row])
         return cls(
             frame=frame,
             track=int(frame.tracks[row]),
@@ -85,7 +87,7 @@ class Annotation:
             occlusion=int(labels.occlusion[row]),
             camera=camera,
             camera_T_object=result.camera_T_object,
-            size=labels.size[row] if frame.boxed[row] else result.box_size,
+            size=labels.size[row] if boxed else result.box_size,
             keypoints=result.wireframe_uv,
             visible=_visible(fit, camera, before),
             covariance=fit.covariance,
@@ -93,6 +95,7 @@ class Annotation:
             faces=fit.solid.faces,
             before=before,
             agreement=_agreement(found, result.wireframe_uv),
+            boxed=boxed,
         )
 
     @property

@@ -1,13 +1,15 @@
-"""The keypoints of a vehicle of which only 2D boxes and its track are known: its own reconstruction stands for the box.
+"""The keypoints of vehicles of which only 2D boxes and tracks are known: their own reconstruction stands for the box.
 
-Nothing outvotes the network here but the other images and what is known of the scene, so only images that a
-reconstruction of the whole track is sure of are kept.
+Nothing outvotes the network here but the other images of a vehicle, its neighbours and what is known of the scene: all
+images go through `fgrecon.Tracker`, whose smoothing decides which way each vehicle faces, and only images that it is
+sure of are kept. A vehicle that the network takes for turned round in most of its images stays turned round.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,18 +21,19 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.geometry import pixel_jacobian, transform
 from fgrecon.core.observation import Observation
-from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
-from fgrecon.solve.track import reconstruct_track
+from fgrecon.io.kitti_drives import IMAGES_PER_SECOND
+from fgrecon.solve.tracker import Tracker
 from fgrecon.solve.vehicle.model import prepare
 
 __all__ = ["Unboxed", "fit_unboxed"]
 
 Array = NDArray[np.float64]
 
-_NEIGHBOURS = 5  # images before and after that tell which way a vehicle faces
+Frames = Mapping[int, tuple[Camera, Mapping[int, Observation]]]
+"""By the number of a frame: the camera, and the vehicles that it shows by their tracks."""
 
 
 @dataclass(frozen=True)
@@ -46,51 +49,46 @@ class Unboxed:
     size: SizePrior | None = None
 
 
-def fit_unboxed(views: Sequence[tuple[Observation, Camera]], prior: ShapePrior, known: Unboxed) -> list[Fit | Reason]:
-    """The poses and the shape of a vehicle of unknown boxes.
+def fit_unboxed(
+    frames: Frames,
+    prior: ShapePrior,
+    known: Unboxed,
+    progress: Callable[[Sequence[Any], str], Iterable[Any]] = lambda things, _: things,
+) -> dict[tuple[int, int], Fit | Reason]:
+    """The poses and shapes of vehicles of unknown boxes.
 
     Args:
-        views: Its keypoints, with the 2D box, and the camera in each image, in the order of time.
+        frames: Their keypoints, with the 2D boxes, ten images a second.
         prior: Shape prior.
         known: What is known beside.
+        progress: Shows how far it is.
 
     Returns:
-        A fit for each image, or why there is none. Covariances take pose and shape for independent, which they are not:
-        they are rather too large than too small.
+        A fit for each frame and track, or why there is none. Covariances take pose and shape for independent, which
+        they are not: they are rather too large than too small.
 
     Raises:
         InvalidInputError: An observation is of another category.
     """
-    observations, cameras = [seen for seen, _ in views], [camera for _, camera in views]
-    try:
-        track = reconstruct_track(
-            *(observations, cameras),
-            prior=prior,
-            ground=known.ground,
-            size_prior=known.size,
-            options=Options(keep_history=False),
-        )
-    except DegenerateProblemError:
-        return [Reason.FEW_POINTS] * len(views)
+    tracker = Tracker(prior=prior, size_prior=known.size, past=None)
+    found: dict[tuple[int, int], Fit | Reason] = {}
+    for number in progress(sorted(frames), "Tracks"):
+        camera, seen = frames[number]
+        tracker.update(number / IMAGES_PER_SECOND, seen, camera=camera, ground=known.ground)
+        for track, error in tracker.refused.items():
+            if not isinstance(error, DegenerateProblemError):
+                raise error
+            found[number, track] = Reason.FEW_POINTS
     model = prepare(prior, known.size)
-    turned = _turned([result.camera_T_object for result in track.frames])
-    found: list[Fit | Reason] = [Reason.FEW_POINTS] * len(views)
-    for number, result, wrong in zip(track.numbers, track.frames, turned, strict=True):
-        if not result.status.settled or result.pose_covariance is None:
-            found[number] = Reason.UNSURE
-        elif wrong:
-            found[number] = Reason.TURNED
-        else:
-            found[number] = Fit.of(result, _covariances(result, cameras[number]), model.prior)
+    for track, estimates in tracker.smooth().items():
+        numbers = (number for number in sorted(frames) if track in frames[number][1] and (number, track) not in found)
+        for number, estimate in zip(numbers, estimates, strict=True):
+            result = estimate.reconstruction
+            if not result.status.settled or result.pose_covariance is None:
+                found[number, track] = Reason.UNSURE
+            else:
+                found[number, track] = Fit.of(result, _covariances(result, frames[number][0]), model.prior)
     return found
-
-
-def _turned(poses: Sequence[Array]) -> list[bool]:
-    """Whether most of the images around each show the vehicle facing the other way."""
-    forward = np.array([pose[:3, 0] for pose in poses])
-    votes = forward @ forward.T
-    apart = np.abs(np.subtract.outer(np.arange(len(poses)), np.arange(len(poses))))
-    return [bool(total < 0.0) for total in np.where((apart > 0) & (apart <= _NEIGHBOURS), votes, 0.0).sum(axis=1)]
 
 
 def _covariances(result: Reconstruction, camera: Camera) -> Array:

@@ -26,10 +26,8 @@ class Reason(StrEnum):
     """Neither is there one nor was there word of how to do without: see `fgrecon.annotation.unboxed`."""
     FEW_POINTS = "too few keypoints found"
     NO_MINIMUM = "no minimum of the graph"
-    UNSURE = "not converged"
-    """It has no 3D box, and its own reconstruction is not one to trust."""
-    TURNED = "turned round against its track"
-    """It has no 3D box, and the images before and after show it facing the other way."""
+    UNSURE = "not sure"
+    """It has no 3D box, and its own reconstruction is not one to trust, or may face the other way."""
 
 
 @dataclass(frozen=True)

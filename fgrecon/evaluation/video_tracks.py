@@ -24,7 +24,7 @@ from fgrecon.evaluation.video_frames import ScoredFrame
 from fgrecon.evaluation.video_images import TURNED_ROUND, BoxOutcome, VideoBox, outcome
 from fgrecon.io.frames import SourceFrame
 from fgrecon.io.images import read_image
-from fgrecon.io.kitti_drives import Drive, DriveFrame
+from fgrecon.io.kitti_drives import IMAGES_PER_SECOND, Drive, DriveFrame
 from fgrecon.io.track_file import GroundTruth
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.tracker import Tracker
@@ -47,7 +47,6 @@ BATCH = "batch"
 ONLINE_MOVING, BATCH_MOVING = "online_moving", "batch_moving"
 """The same with the camera's motion, as the images tell it."""
 
-_RATE = 10.0  # images of KITTI's drives in a second
 _OVER_GROUND = [0, 2]  # axes of the camera
 _ABOUT, _FEWEST = 2, 4  # a labelled velocity is of labels at most so many frames away, and of so many labels
 
@@ -89,7 +88,7 @@ def _records(seen: Sequence[ScoredFrame], drive: Drive, setup: Setup, *, moving:
         look = MotionLook(drive.calibration.camera, setup.ground)
     for frame in drive.frames:
         shown = sightings.get(frame.number, ())
-        record = FrameRecord(frame.number, frame.number / _RATE, frame.image.name, None, tuple(shown))
+        record = FrameRecord(frame.number, frame.number / IMAGES_PER_SECOND, frame.image.name, None, tuple(shown))
         if look is not None and sightings and min(sightings) <= frame.number <= max(sightings):
             image = SourceFrame(record.number, record.time, record.name, read_image(frame.image))
             yield replace(record, motion=look(image, shown))
@@ -187,7 +186,7 @@ def labelled_velocities(drive: Drive) -> dict[tuple[int, int], Array]:
         for number in places:
             near = [n for n in range(number - _ABOUT, number + _ABOUT + 1) if n in places]
             if len(near) >= _FEWEST and near[0] < number < near[-1]:
-                slope, _ = np.polyfit(np.array(near) / _RATE, np.array([places[n] for n in near]), 1)
+                slope, _ = np.polyfit(np.array(near) / IMAGES_PER_SECOND, np.array([places[n] for n in near]), 1)
                 found[number, track] = slope
     return found
 

@@ -11,7 +11,7 @@ image. There every object is a track of its own.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,10 @@ from fgrecon.io.kitti_calibration import KittiCalibration, read_calibration
 from fgrecon.io.kitti_files import Objects, parse_object
 from fgrecon.io.kitti_tracking import TrackedObjects, read_tracking
 
-__all__ = ["Drive", "DriveFrame", "read_drive", "read_images", "read_object_folder"]
+__all__ = ["IMAGES_PER_SECOND", "Drive", "DriveFrame", "read_drive", "read_images", "read_object_folder"]
+
+IMAGES_PER_SECOND = 10.0
+"""Of KITTI's drives."""
 
 _SUFFIXES = "jpg", "png"
 _DRIVE, _SINGLE = "label_02.txt", "label_2"
@@ -94,14 +97,21 @@ def read_images(folder: Path) -> Drive:
     raise InvalidInputError("drive", str(folder), fix)
 
 
-def read_drive(folder: Path) -> Drive:
+def read_drive(folder: Path, tracks: Path | None = None) -> Drive:
     """Read a drive; the images are not opened.
+
+    Args:
+        folder: With its images, labels and calibration.
+        tracks: A tracker's results in the place of the labels: kinds, 2D boxes and numbers alone are taken.
 
     Raises:
         InvalidInputError: A file is missing or malformed; names file and line.
     """
-    fix = f"Give a folder with {_DRIVE} of KITTI's tracking set."
-    rows = read_tracking(folder / _DRIVE, fix, results=False)
+    if tracks is None:
+        rows = read_tracking(folder / _DRIVE, f"Give a folder with {_DRIVE} of KITTI's tracking set.", results=False)
+    else:
+        results = read_tracking(tracks, "Give results in the format of KITTI's tracking set.")
+        rows = {number: replace(one, objects=one.objects.flat()) for number, one in results.items()}
     clean = _optional(folder / "clean_tracks.json")
     labelled = _optional(folder / "object_frames.json")
     calibration = read_calibration(folder / "calib.txt")

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import NamedTuple
@@ -158,6 +158,15 @@ class Objects:
         )
         rows[:, 3:7], rows[:, 14] = np.reshape(box, (-1, 4)), score
         return cls.of_rows(kind, rows)
+
+    def flat(self) -> Objects:
+        """The same without 3D boxes: KITTI's marks for what is unknown."""
+        return replace(
+            self,
+            size=np.full_like(self.size, _UNKNOWN),
+            location=np.full_like(self.location, -1000.0),
+            rotation_y=np.full_like(self.rotation_y, -10.0),
+        )
 
     def take(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> Objects:
         """The objects at an index or mask."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from fgrecon.core.geometry import view_azimuth
 from fgrecon.core.observation import Observation
 from fgrecon.io.images import write_png
 from tests.cars import project, yaw_pose
@@ -35,6 +36,12 @@ class Car:
     def box(self, prior):
         outline = project(prior.surface.mean, self.pose(), MATRIX)
         return np.clip([*outline.min(axis=0), *outline.max(axis=0)], 0.0, [SIZE[0] - 1, SIZE[1] - 1] * 2)
+
+    def directions(self):
+        """(36,) what a network says of the direction that it is seen from."""
+        pose, centres = self.pose(), 2.0 * np.pi * np.arange(36) / 36
+        seen = np.exp((np.cos(centres - view_azimuth(pose[:3, :3], pose[:3, 3])) - 1.0) / 0.1) + 0.002
+        return seen / seen.sum()
 
     def line(self, prior):
         """Its line of a label file."""
@@ -87,5 +94,5 @@ class Told:
             confidence = np.full(len(points), 0.9)
             if self.changed is not None:
                 points, confidence = self.changed(number, car, points, confidence)
-            found.append(Observation(points, confidence, box, confidence_midpoint=0.5))
+            found.append(Observation(points, confidence, box, confidence_midpoint=0.5, azimuth=car.directions()))
         return found

@@ -7,14 +7,24 @@ import pytest
 
 from fgrecon.annotation.annotate import LeftOut, Reason, annotate
 from fgrecon.annotation.fit import Fit
-from fgrecon.annotation.unboxed import Unboxed, _turned, fit_unboxed
+from fgrecon.annotation.unboxed import Unboxed, fit_unboxed
 from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.turned import partners
 from fgrecon.io.kitti_drives import read_drive
 from fgrecon.simulation.vehicles import KITTI_CAMERA
 from tests.annotation.streets import Car, Told, write_drive
 from tests.cars import observe, project, yaw_pose
 
 KNOWN = Unboxed(Ground.level(1.6))
+
+
+def alone(seen, prior, known=KNOWN, camera=KITTI_CAMERA):
+    """The fit of a vehicle of one image, or why there is none."""
+    (found,) = fit_unboxed({0: (camera, {0: seen})}, prior, known).values()
+    return found
+
+
 PATH = [Car((-3.0 + 0.3 * t, 1.6, 13.0 - 0.7 * t), 1.0 + 0.02 * t, boxed=False) for t in range(5)]
 
 
@@ -73,7 +83,8 @@ def test_images_that_are_not_sure_are_left_out(scene, tmp_path):
 def test_a_track_without_any_pose(scene):
     seen = observe(scene.prior, yaw_pose(0.5))
     nothing = replace(seen, keypoints=np.full((14, 2), np.nan), confidence=np.zeros(14))
-    assert fit_unboxed([(nothing, KITTI_CAMERA)] * 2, scene.prior, KNOWN) == [Reason.FEW_POINTS] * 2
+    frames = {n: (KITTI_CAMERA, {7: nothing}) for n in (3, 4)}
+    assert fit_unboxed(frames, scene.prior, KNOWN) == {(3, 7): Reason.FEW_POINTS, (4, 7): Reason.FEW_POINTS}
 
 
 def test_an_image_that_leaves_the_direction_open_is_not_sure(scene):
@@ -81,15 +92,33 @@ def test_an_image_that_leaves_the_direction_open_is_not_sure(scene):
     seen = observe(scene.prior, yaw_pose(0.0))
     few = np.where(np.isin(np.arange(14), [0, 2, 10, 12])[:, None], seen.keypoints, np.nan)
     seen = replace(seen, keypoints=few, confidence=np.full(14, 0.3))
-    assert fit_unboxed([(seen, KITTI_CAMERA)], scene.prior, KNOWN) == [Reason.UNSURE]
+    assert alone(seen, scene.prior) is Reason.UNSURE
 
 
-def test_which_images_face_against_their_neighbours():
-    facing = [0.0, 0.1, 3.2, 0.2, 0.3, 0.4, 0.5, 0.6]
-    assert _turned([yaw_pose(yaw) for yaw in facing]) == [False, False, True, *5 * [False]]
-    assert _turned([yaw_pose(0.0)]) == [False]
-    half = [0.0] * 12 + [np.pi] * 12  # it really turned, somewhere
-    assert sum(_turned([yaw_pose(yaw) for yaw in half])) == 0
+def test_images_that_show_it_turned_round_are_put_right(scene, tmp_path):
+    """Two of nine show the other end; the network is outvoted, and the labels are as without them."""
+    path = [Car((-3.0 + 0.3 * t, 1.6, 15.0 - 0.7 * t), 1.0 + 0.02 * t, boxed=False) for t in range(9)]
+    frames = [{4: car} for car in path]
+    partner = np.asarray(partners(scene.prior))
+
+    def turn(number, car, points, confidence):
+        wrong = number in (3, 6)
+        return (np.where(partner[:, None] >= 0, points[partner], np.nan) if wrong else points), confidence
+
+    drive = read_drive(write_drive(tmp_path / "drive", scene.prior, frames))
+    made, left = annotate(drive, Told(frames, scene.prior, changed=turn), scene.prior, unboxed=KNOWN)
+    assert left == []
+    for one, car in zip(made, path, strict=True):
+        extent = (one.box[2:] - one.box[:2]).max()
+        assert np.median(np.linalg.norm(one.keypoints - car.keypoints(scene.prior), axis=1)) < 0.03 * extent
+
+
+def test_two_vehicles_of_one_number_are_refused(scene, tmp_path):
+    drive = read_drive(write_drive(tmp_path / "drive", scene.prior, [{1: PATH[0], 2: PATH[3]}]))
+    (frame,) = drive.frames
+    twice = replace(drive, frames=(replace(frame, tracks=np.array([1, 1])),))
+    with pytest.raises(InvalidInputError, match="track 1 twice in frame 0"):
+        annotate(twice, Told([{1: PATH[0], 2: PATH[3]}], scene.prior), scene.prior, unboxed=KNOWN)
 
 
 def test_size_and_ground_tell_how_far_it_is(scene):
@@ -97,7 +126,7 @@ def test_size_and_ground_tell_how_far_it_is(scene):
     camera = Camera(KITTI_CAMERA.matrix)
     found = []
     for height in (1.65, 1.2):
-        (fit,) = fit_unboxed([(seen, camera)], scene.prior, Unboxed(Ground.level(height), scene.size))
+        fit = alone(seen, scene.prior, Unboxed(Ground.level(height), scene.size), camera)
         assert isinstance(fit, Fit)
         found.append(fit.result.location[2])
     assert found[0] - found[1] > 0.3
@@ -106,7 +135,7 @@ def test_size_and_ground_tell_how_far_it_is(scene):
 def test_covariances_are_those_of_independent_samples(scene):
     pose = yaw_pose(0.5)
     camera = Camera(KITTI_CAMERA.matrix)
-    (fit,) = fit_unboxed([(observe(scene.prior, pose), camera)], scene.prior, KNOWN)
+    fit = alone(observe(scene.prior, pose), scene.prior, KNOWN, camera)
     result, rng, scale = fit.result, np.random.default_rng(0), 0.05
     steps = scale * rng.multivariate_normal(np.zeros(6), result.pose_covariance, 3000)
     shifts = np.array([scale * rng.multivariate_normal(np.zeros(3), c, 3000) for c in result.keypoint_covariance])
@@ -123,7 +152,7 @@ def test_covariances_are_those_of_independent_samples(scene):
 @pytest.mark.parametrize("size", [None, "kitti"])
 def test_the_surface_is_that_of_the_result(scene, size):
     known = Unboxed(Ground.level(1.65), None if size is None else scene.size)
-    (fit,) = fit_unboxed([(observe(scene.prior, yaw_pose(0.5)), KITTI_CAMERA)], scene.prior, known)
+    fit = alone(observe(scene.prior, yaw_pose(0.5)), scene.prior, known)
     pose = fit.result.camera_T_object
     expected = fit.result.surface_vertices @ pose[:3, :3].T + pose[:3, 3]
     np.testing.assert_allclose(fit.solid.vertices, expected, atol=1e-12)

@@ -158,3 +158,25 @@ def test_a_slice_of_a_real_drive(data, tmp_path):
         seen = vehicle.keypoints[vehicle.flags == 2]
         assert len(seen) >= 5
         assert ((seen > [x1 - 8, y1 - 8]) & (seen < [x2 + 8, y2 + 8])).all()
+
+
+def test_a_trackers_boxes_take_the_place_of_labels(known, scene, drive, tmp_path):
+    """As `fgrecon run` writes them, with scores; its 3D boxes are estimates, and not believed."""
+    lines = (drive / "label_02.txt").read_text().splitlines()
+    tracks, out = tmp_path / "tracks.txt", tmp_path / "labels.json"
+    tracks.write_text("".join(f"{line} 0.9\n" for line in lines))
+    (drive / "label_02.txt").unlink()
+    done = run(drive, "--tracks", tracks, "--camera-height", 1.6, "--size-prior", "kitti", "--out", out)
+    assert done.exit_code == 0, done.output
+    labels = read_coco_keypoints(out)
+    assert {(v.image.frame, v.track) for v in labels.vehicles} >= {(0, 7), (1, 7)}
+    assert "without labelled 3D boxes" in labels.info["description"]
+    box = NEAR.box(scene.prior)
+    seen = labels.vehicles[[v.track for v in labels.vehicles].index(7)]
+    off = ((seen.keypoints - NEAR.keypoints(scene.prior)) ** 2).sum(axis=1) ** 0.5
+    assert sorted(off)[7] < 0.03 * max(box[2:] - box[:2])
+    alone = run(drive, "--tracks", tracks, "--out", out)
+    assert isinstance(alone.exception, InvalidInputError)
+    assert "--camera-height" in str(alone.exception)
+    several = run(drive, drive, "--tracks", tracks, "--camera-height", 1.6, "--out", out)
+    assert "one drive" in str(several.exception)

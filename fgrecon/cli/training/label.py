@@ -13,6 +13,7 @@ from fgrecon.cli.common import check_outputs, ground_plane
 from fgrecon.cli.options import FLEETS, GroundOption, JsonOption, PriorOption, WeightsOption
 from fgrecon.cli.progress import counted
 from fgrecon.cli.terminal import Terminal
+from fgrecon.core.errors import InvalidInputError
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from fgrecon.annotation.unboxed import Unboxed
@@ -76,6 +77,19 @@ class UnboxedOptions:
         return Unboxed(plane and plane[0], None if self.size_prior is None else size_prior(self.size_prior))
 
 
+def check_tracked(folders: list[Path], known: Unboxed | None) -> None:
+    """Refuse a tracker's results that fit no drive, or of whose vehicles nothing is known.
+
+    Raises:
+        InvalidInputError: There are several drives, or neither the ground nor sizes are told.
+    """
+    if len(folders) > 1:
+        raise InvalidInputError("--tracks", f"{len(folders)} drives", "Give one drive: the file is of one.")
+    if known is None:
+        fix = "Give --camera-height, --ground or --size-prior as well: its vehicles have no labelled boxes."
+        raise InvalidInputError("--tracks", "nothing known of its vehicles", fix)
+
+
 def label_command(
     folders: Annotated[
         list[Path],
@@ -88,6 +102,14 @@ def label_command(
     which: WantedOptions,
     unboxed: UnboxedOptions,
     terminal: Terminal,
+    tracks: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="In the place of label_02.txt: 2D boxes and ids of a tracker (KITTI tracking, such as tracks.txt of "
+            "`fgrecon run`).",
+        ),
+    ] = None,
     weights: WeightsOption = None,
     prior: PriorOption = "car14",
     meshes: Annotated[bool, typer.Option("--meshes", help="Also write each vehicle's surface.")] = False,
@@ -99,8 +121,8 @@ def label_command(
     """Label the keypoints of vehicles whose 3D boxes are known, hidden ones as well, all images of each together.
 
     A factor graph outvotes the network where box and other images contradict it. Vehicles without 3D boxes are left out
-    unless the ground or their size is told; then their tracks are reconstructed, and what is sure is kept. Images are
-    named relative to the file.
+    unless the ground or their size is told; then their tracks are reconstructed, and what is sure is kept. With
+    --tracks no labels are needed. Images are named relative to the file.
     --verbose names every vehicle that is left out.
 
     Exit code 0: labels were written; 1: no vehicle could be labelled; 2: bad usage or input.
@@ -109,14 +131,18 @@ def label_command(
     from fgrecon.io.catalogue import load_prior
     from fgrecon.io.export.coco_keypoints import write_coco_keypoints
     from fgrecon.io.files import check_ending
-    from fgrecon.io.kitti_drives import read_images
+    from fgrecon.io.kitti_drives import read_drive, read_images
     from fgrecon.perception.keypoints.detect import KeypointCascade
 
     check_outputs(json_out, out, picture=picture)
     check_ending(out, ["json"])
     screen = terminal.screen(json_out)
     wanted, known, shape_prior = which.wanted(), unboxed.known(), load_prior(prior)
-    drives = [read_images(folder.absolute()) for folder in folders]
+    if tracks is None:
+        drives = [read_images(folder.absolute()) for folder in folders]
+    else:
+        check_tracked(folders, known)
+        drives = [read_drive(folder.absolute(), tracks) for folder in folders]
     detector = KeypointCascade(weights)
     with screen.bar() as advance:
         watch = partial(counted, advance=advance)

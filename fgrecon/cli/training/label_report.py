@@ -99,20 +99,26 @@ def label_street(drives: Sequence[Path], network: Path, out: Path, watch: Progre
     done = label_drives([read_images(folder.absolute()) for folder in drives], detector, prior, watch)
     labels = labels_of(done, prior, detector.provenance)
     if not labels.vehicles:
-        fix = "Give drives with boxes of cars on which network and boxes agree."
+        fix = "Give drives with labelled 3D boxes of cars."
         raise InvalidInputError("drives", ", ".join(map(str, drives)), fix)
     write_coco_keypoints(out, labels)
 
 
 def labels_of(done: Sequence[Labelled], prior: ShapePrior, network: Mapping[str, str]) -> VehicleLabels:
     """All annotations as labels."""
+    made = [(one.drive.name, annotation) for one in done for annotation in one.made]
+    boxed = {annotation.boxed for _, annotation in made}
+    of = {
+        frozenset({True}): "with labelled 3D boxes",
+        frozenset({False}): "without labelled 3D boxes, reconstructed over time",
+    }.get(frozenset(boxed), "with labelled 3D boxes and, reconstructed over time, without")
     info = {
-        "description": "Keypoints of vehicles with labelled boxes, by a factor graph over all images of each.",
+        "description": f"Keypoints of vehicles {of}, by a factor graph over all images of each.",
         "fgrecon": metadata.version("fgrecon"),
         "prior": prior.name,
         **{f"network, {name}": value for name, value in network.items()},
     }
-    return vehicle_labels([(one.drive.name, a) for one in done for a in one.made], prior.category, info)
+    return vehicle_labels(made, prior.category, info)
 
 
 def show(screen: Screen, done: Sequence[Labelled], labels: VehicleLabels) -> None:
