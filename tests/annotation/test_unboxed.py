@@ -96,7 +96,7 @@ def test_an_image_that_leaves_the_direction_open_is_not_sure(scene):
 
 
 def test_images_that_show_it_turned_round_are_put_right(scene, tmp_path):
-    """Two of nine show the other end; the network is outvoted, and the labels are as without them."""
+    """Two of nine show the other end; the network is outvoted there."""
     path = [Car((-3.0 + 0.3 * t, 1.6, 15.0 - 0.7 * t), 1.0 + 0.02 * t, boxed=False) for t in range(9)]
     frames = [{4: car} for car in path]
     partner = np.asarray(partners(scene.prior))
@@ -110,7 +110,8 @@ def test_images_that_show_it_turned_round_are_put_right(scene, tmp_path):
     assert left == []
     for one, car in zip(made, path, strict=True):
         extent = (one.box[2:] - one.box[:2]).max()
-        assert np.median(np.linalg.norm(one.keypoints - car.keypoints(scene.prior), axis=1)) < 0.03 * extent
+        assert np.median(np.linalg.norm(one.keypoints - car.keypoints(scene.prior), axis=1)) < 0.05 * extent
+        assert one.camera_T_object[:3, 0] @ car.pose()[:3, 0] > 0.95
 
 
 def test_two_vehicles_of_one_number_are_refused(scene, tmp_path):
