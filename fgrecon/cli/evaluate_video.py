@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli.common import check_outputs, headed_table
+from fgrecon.cli.common import check_folder, check_outputs, headed_table
 from fgrecon.cli.labelled_drives import DriveOptions, DrivesArgument
-from fgrecon.cli.options import UNTOLD, JsonOption, LabelledScene, MarkdownOption, fitting_names
+from fgrecon.cli.options import UNTOLD, JsonOption, LabelledScene, MarkdownOption, ResultsOption, fitting_names
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.text import number_or_dash
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
     from fgrecon.cli.labelled_drives import ScoredDrives
     from fgrecon.core.reliability import Reliability
     from fgrecon.evaluation.bootstrap import Interval
+    from fgrecon.evaluation.video_frames import ScoredFrame
     from fgrecon.evaluation.video_images import VideoBox
     from fgrecon.viz import Sight
 
@@ -76,12 +77,7 @@ def video_command(
     table: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Rows by box and method as .csv or .parquet.")
     ] = None,
-    results: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER", help="Write the boxes as KITTI's results, DRIVE/FRAME.txt, for `evaluate boxes`."
-        ),
-    ] = None,
+    results_out: ResultsOption = None,
     markdown: MarkdownOption = None,
     json_out: JsonOption = None,
 ) -> None:
@@ -112,6 +108,8 @@ def video_command(
     moving = (track and labelled.ground != UNTOLD) if estimate_motion is None else estimate_motion
     if table is not None:
         check_ending(table, TABLE_FORMATS)
+    if results_out is not None:
+        check_folder(results_out)
     screen = terminal.screen(json_out)
     scored = how.score(
         folders,
@@ -150,8 +148,8 @@ def video_command(
         "missed": scored.missed,
     }
     screen.write_json(json.dumps(document(boxes, given, scored.networks()), indent=1, allow_nan=False) + "\n")
-    if results is not None:
-        screen.wrote(*_write_results(results, boxes))
+    if results_out is not None:
+        screen.wrote(*_write_results(results_out, scored.frames))
     if table is not None:
         screen.wrote(export_rows(table, [row for box in boxes for row in box.rows()]))
     screen.write_text(markdown, side_by_side(boxes))
@@ -164,18 +162,18 @@ def video_command(
         raise typer.Exit(1)
 
 
-def _write_results(folder: Path, boxes: Sequence[VideoBox]) -> list[Path]:
-    """The folder of each drive, which has a file for each image with a box that counts."""
+def _write_results(folder: Path, frames: Sequence[ScoredFrame]) -> list[Path]:
+    """The folder of each drive, which has a file for each image with a label that counts, found or not."""
     from fgrecon.io.files import write_text
 
-    lines: dict[Path, str] = {}
-    for box in boxes:
-        path = folder / box.drive / f"{box.frame:06d}.txt"
-        lines[path] = lines.get(path, "") + box.line
-    for path, text in lines.items():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_text(path, text)
-    return sorted({path.parent for path in lines})
+    folders = set()
+    for frame in frames:
+        if frame.boxes or frame.missed:
+            path = folder / frame.drive / f"{frame.number:06d}.txt"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_text(path, "".join(box.line for box in frame.boxes))
+            folders.add(path.parent)
+    return sorted(folders)
 
 
 def _table(boxes: list[VideoBox], method: str) -> Table:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
     from fgrecon.evaluation.video_images import VideoBox
     from fgrecon.io.kitti_drives import Drive
 
-__all__ = ["DriveOptions", "DrivesArgument", "FoldOption", "ScoredDrives", "read_folds"]
+__all__ = ["DriveOptions", "DrivesArgument", "FoldOption", "ScoredDrives", "check_names", "read_folds"]
 
 DrivesArgument = Annotated[
     list[Path],
@@ -186,6 +186,19 @@ class DriveOptions:
         return ScoredDrives(drives, files, setups, told, images, boxes, missed, frames)
 
 
+def check_names(drives: Sequence[str]) -> None:
+    """Refuse drives of which two have one name.
+
+    Raises:
+        InvalidInputError: Two have.
+    """
+    from fgrecon.core.errors import InvalidInputError
+
+    twice = [name for number, name in enumerate(drives) if name in drives[:number]]
+    if twice:
+        raise InvalidInputError("drives", twice[0], "Give each drive once; their folders need different names.")
+
+
 def read_folds(folds: Sequence[str], drives: Sequence[str], weights: Path | None) -> dict[str, Path | None]:
     """Which file has the network that scores each drive, by the drive's name; None for the shipped one.
 
@@ -199,9 +212,7 @@ def read_folds(folds: Sequence[str], drives: Sequence[str], weights: Path | None
     """
     from fgrecon.core.errors import InvalidInputError
 
-    twice = [name for number, name in enumerate(drives) if name in drives[:number]]
-    if twice:
-        raise InvalidInputError("drives", twice[0], "Give each drive once; their folders need different names.")
+    check_names(drives)
     found: dict[str, Path | None] = {}
     for text in folds:
         names, _, file = text.partition("=")

@@ -37,6 +37,7 @@ __all__ = [
     "LabelledScene",
     "MarkdownOption",
     "NamesOption",
+    "ResultsOption",
     "SceneOptions",
     "TogetherOption",
     "Told",
@@ -129,6 +130,10 @@ HistoryOption = Annotated[
 ]
 MarkdownOption = Annotated[
     Path | None, typer.Option("--markdown", metavar="FILE", help="Write the tables as Markdown.")
+]
+ResultsOption = Annotated[
+    Path | None,
+    typer.Option("--results", metavar="FOLDER", help="Write the boxes as KITTI's results, for `evaluate boxes`."),
 ]
 DataOption = Annotated[Path, typer.Option(metavar="FOLDER", envvar="FGRECON_DATA", help="Folder of the data.")]
 DATA = Path("../shared/data")

@@ -11,7 +11,7 @@ from typing import Any
 
 __all__ = ["OUTPUTS", "check_apart", "check_not_over", "files_in"]
 
-OUTPUTS = ("out", "json_out", "picture", "animation", "save", "video", "markdown", "per_frame", "table")
+OUTPUTS = ("out", "json_out", "results_out", "picture", "animation", "save", "video", "markdown", "per_frame", "table")
 """Parameters of commands that name what is written; all others are read."""
 _ROOTS = ("data", "work")
 """Folders in which commands find what they need by its place: other files in them are not read."""

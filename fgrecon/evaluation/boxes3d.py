@@ -2,53 +2,28 @@
 
 Vehicles count as in `fgrecon.evaluation.video_images` (`wanted`): cars and vans of at least 25 px. Each gets the box of
 a car, or else of a van, that overlaps it most in the image and is no other's; one without any counts in every share.
-Average precision is the official one (`fgrecon.evaluation.kitti_devkit`), over all boxes of cars that a source gives;
-labels that something is drawn over may be found or missed. Intervals are by bootstrap over tracks, or images of a
-folder of single ones.
+`fgrecon.evaluation.boxes_summary` says what they come to.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.metrics import FAILURE_DEGREES, THRESHOLDS, orientation_error
-from fgrecon.core.plain import finite
-from fgrecon.evaluation.bootstrap import Interval, mean_interval
-from fgrecon.evaluation.kitti_devkit import REGIMES, evaluate
+from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error
 from fgrecon.evaluation.kitti_overlap import Space, overlap
-from fgrecon.evaluation.video_images import TURNED_ROUND, matched, wanted
-from fgrecon.io.kitti_drives import Drive, DriveFrame
+from fgrecon.evaluation.video_images import matched, wanted
+from fgrecon.io.kitti_drives import Drive
 from fgrecon.io.kitti_files import LABEL_COLUMNS, Defect, Objects, parse_objects
 
-__all__ = [
-    "LEAST_OVERLAPS",
-    "BoxesSummary",
-    "LabelledBox",
-    "Precision",
-    "document",
-    "precisions",
-    "read_boxes",
-    "score",
-    "summarise",
-]
+__all__ = ["LabelledBox", "read_boxes", "read_boxes_of_drives", "score", "score_drives", "scored_box"]
 
-Array = NDArray[np.float64]
-
-LEAST_OVERLAPS = (0.5, 0.7)
-"""3D overlaps from which on a box counts as right."""
-
-_DISTANCES = (0.0, 15.0, 30.0, np.inf)  # metres
 _NAME = "{:06d}"  # of a frame
-_UNKNOWN = 3  # KITTI's grade of occlusion
 
 
 @dataclass(frozen=True)
@@ -56,6 +31,7 @@ class LabelledBox:
     """One labelled vehicle, and the box that a source has for it.
 
     Attributes:
+        drive: Name of the drive, or of the folder of single images.
         frame: Name of the frame.
         index: Position among the frame's labels.
         kind: `Car` or `Van`.
@@ -70,6 +46,7 @@ class LabelledBox:
         size: (3,) length, width and height, estimated minus labelled, metres; NaN without a box.
     """
 
+    drive: str
     frame: str
     index: int
     kind: str
@@ -82,54 +59,6 @@ class LabelledBox:
     depth: float
     degrees: float
     size: tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class BoxesSummary:
-    """A group of vehicles; shares in percent of all of them, found or not.
-
-    Attributes:
-        vehicles: How many there are.
-        found: How many got a box.
-        right: Share with a 3D overlap of at least each of `LEAST_OVERLAPS`.
-        within: Share within 5, 15 and 30 degrees.
-        turned: Share of the found ones that is turned by more than 90 degrees.
-        mean_metres: Mean distance of the origins over the found ones.
-        median_metres: The median.
-        depth: Median relative error of the depth, percent.
-        size: Mean errors of length, width and height, metres.
-    """
-
-    vehicles: int
-    found: int
-    right: tuple[Interval, ...]
-    within: tuple[Interval, ...]
-    turned: float
-    mean_metres: Interval | None
-    median_metres: float
-    depth: float
-    size: tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class Precision:
-    """Average precision at 40 recall points, percent.
-
-    Attributes:
-        regime: `Easy`, `Moderate` or `Hard`.
-        labels: Number of cars that count.
-        image: Of 2D boxes at an overlap of 0.7.
-        orientation: Average orientation similarity (AOS), where the source has angles.
-        ground: From above, at each of `LEAST_OVERLAPS`.
-        volume: In 3D, likewise.
-    """
-
-    regime: str
-    labels: int
-    image: float
-    orientation: float | None
-    ground: tuple[float, ...]
-    volume: tuple[float, ...]
 
 
 def read_boxes(path: Path, frames: Sequence[int]) -> dict[int, Objects]:
@@ -147,7 +76,7 @@ def read_boxes(path: Path, frames: Sequence[int]) -> dict[int, Objects]:
         files = {number: path / f"{_NAME.format(number)}.txt" for number in frames}
         texts = {number: _text(file) for number, file in files.items() if file.is_file()}
         if not texts:
-            fix = f"Give a folder with files {_NAME.format(frames[0])}.txt, or a file of tracking lines."
+            fix = "Give a folder with files FFFFFF.txt of labelled frames, or a file of tracking lines."
             raise InvalidInputError("results", str(path), fix)
         return {number: _objects(text, str(files[number])) for number, text in texts.items()}
     lines: dict[int, list[str]] = defaultdict(list)
@@ -161,6 +90,28 @@ def read_boxes(path: Path, frames: Sequence[int]) -> dict[int, Objects]:
             fix = "Give lines of frame, track and an object label."
             raise InvalidInputError(f"{path}:{at}", line[:80], fix) from error
     return {number: _objects("\n".join(lines[number]), f"{path}, frame {number}") for number in frames}
+
+
+def read_boxes_of_drives(path: Path, drives: Sequence[Drive]) -> dict[str, dict[int, Objects]]:
+    """Boxes by the drive's name and the frame, of the labelled frames that the source speaks of.
+
+    Args:
+        path: Folder with a folder or file (`.txt`) for each drive, by its name, as `read_boxes` takes it; of a single
+            drive also what `read_boxes` takes itself. Drives that are not there are left out.
+        drives: The labels.
+
+    Raises:
+        InvalidInputError: There is none of the drives, one cannot be read, or a line is malformed; names file and line.
+    """
+    found = {}
+    for drive in drives:
+        place = _place(path, drive.name, alone=len(drives) == 1)
+        if place is not None:
+            found[drive.name] = read_boxes(place, [frame.number for frame in drive.frames if frame.labelled])
+    if not found:
+        name = drives[0].name
+        raise InvalidInputError("results", str(path), f"Give a folder with a folder {name} of boxes, or {name}.txt.")
+    return found
 
 
 def score(
@@ -190,61 +141,60 @@ def score(
         for i, (row, j) in enumerate(zip(rows.tolist(), at.tolist(), strict=True)):
             label, name = labels.take(np.array([i])), _NAME.format(frame.number)
             group = str(frame.tracks[row]) if is_video else name
-            found.append(_scored(name, row, group, label, None if j < 0 else boxes.take(np.array([j]))))
+            box = None if j < 0 else boxes.take(np.array([j]))
+            found.append(scored_box(drive.name, name, row, group, label, box))
     return found
 
 
-def summarise(vehicles: Sequence[LabelledBox]) -> dict[str, BoxesSummary]:
-    """Summaries of all vehicles, of each kind, and of cars by distance; groups without any are left out."""
-    cars = [one for one in vehicles if one.kind == "Car"]
-    groups = {"cars": cars, "vans": [one for one in vehicles if one.kind == "Van"]}
-    for low, high in pairwise(_DISTANCES):
-        name = f"cars {low:.0f}-{high:.0f} m" if np.isfinite(high) else f"cars beyond {low:.0f} m"
-        groups[name] = [one for one in cars if low <= one.distance < high]
-    return {name: _summary(members) for name, members in groups.items() if members}
+def score_drives(
+    drives: Sequence[Drive],
+    results: Mapping[str, Mapping[int, Objects]],
+    frames: Mapping[str, Sequence[int]],
+    *,
+    least: float = 0.5,
+    min_score: float = 0.0,
+) -> list[LabelledBox]:
+    """`score` of several drives; results and frames are by their names."""
+    return [
+        one
+        for drive in drives
+        for one in score(drive, results[drive.name], frames[drive.name], least=least, min_score=min_score)
+    ]
 
 
-def precisions(drive: Drive, results: Mapping[int, Objects], frames: Sequence[int]) -> list[Precision]:
-    """KITTI's average precision of cars in each regime, over the frames."""
-    labels = {str(frame.number): _counting(frame) for frame in drive.frames if frame.number in set(frames)}
-    boxes = {name: results[int(name)] for name in labels}
-    image = evaluate(labels, boxes)
-    spaces = {
-        space: [evaluate(labels, boxes, space=space, minimum_overlap=least) for least in LEAST_OVERLAPS]
-        for space in (Space.GROUND, Space.VOLUME)
-    }
-    told = []
-    for i, regime in enumerate(REGIMES):
-        similarity = image[i].orientation_similarity
-        ground, volume = (tuple(curves[i].average_precision[1] for curves in spaces[space]) for space in spaces)
-        told.append(
-            Precision(
-                regime.name,
-                image[i].labels,
-                image[i].average_precision[1],
-                None if similarity is None else similarity[1],
-                ground,
-                volume,
-            )
-        )
-    return told
+def scored_box(drive: str, frame: str, index: int, group: str, label: Objects, box: Objects | None) -> LabelledBox:
+    """A labelled vehicle and its box.
+
+    Args:
+        drive: Name of the drive, or of the folder of single images.
+        frame: Name of the frame.
+        index: Position among the frame's labels.
+        group: What errs alike.
+        label: The one label.
+        box: The one box, or None.
+    """
+    about = (drive, frame, index, label.kind[0], float(np.linalg.norm(label.location[0])), group, box is not None)
+    if box is None:
+        return LabelledBox(*about, 0.0, 0.0, np.inf, np.nan, FAILURE_DEGREES, (np.nan, np.nan, np.nan))
+    length, width, height = (box.size[0] - label.size[0]).tolist()
+    return LabelledBox(
+        *about,
+        float(overlap(Space.VOLUME, label, box)[0, 0]),
+        float(overlap(Space.GROUND, label, box)[0, 0]),
+        float(np.linalg.norm(box.location[0] - label.location[0])),
+        float(box.location[0, 2] / label.location[0, 2] - 1.0),
+        float(orientation_error(box.rotation_y, label.rotation_y)[0]),
+        (length, width, height),
+    )
 
 
-def document(scored: Mapping[str, Sequence[LabelledBox]], curves: Mapping[str, Sequence[Precision]]) -> dict[str, Any]:
-    """Plain values for JSON."""
-    return {
-        "format": "fgrecon.boxes/1",
-        "least_overlaps": list(LEAST_OVERLAPS),
-        "sources": [
-            {
-                "name": name,
-                "groups": {group: _plain(summary) for group, summary in summarise(vehicles).items()},
-                "average_precision_40": [vars(one) for one in curves[name]],
-                "vehicles": [finite(vars(one)) for one in vehicles],
-            }
-            for name, vehicles in scored.items()
-        ],
-    }
+def _place(path: Path, drive: str, *, alone: bool) -> Path | None:
+    folder, file = path / drive, path / f"{drive}.txt"
+    if folder.is_dir():
+        return folder
+    if alone:
+        return path
+    return file if file.is_file() else None
 
 
 def _text(path: Path) -> str:
@@ -262,53 +212,3 @@ def _objects(text: str, place: str) -> Objects:
     if faults:
         raise InvalidInputError(faults[0].place, str(faults[0]), "Give lines of KITTI's object results.")
     return objects
-
-
-def _counting(frame: DriveFrame) -> Objects:
-    """The labels; those that something is drawn over as KITTI's of unknown occlusion, which no regime counts."""
-    return replace(frame.objects, occlusion=np.where(frame.usable, frame.objects.occlusion, _UNKNOWN))
-
-
-def _scored(frame: str, index: int, group: str, label: Objects, box: Objects | None) -> LabelledBox:
-    about = (frame, index, label.kind[0], float(np.linalg.norm(label.location[0])), group, box is not None)
-    if box is None:
-        return LabelledBox(*about, 0.0, 0.0, np.inf, np.nan, FAILURE_DEGREES, (np.nan, np.nan, np.nan))
-    length, width, height = (box.size[0] - label.size[0]).tolist()
-    return LabelledBox(
-        *about,
-        float(overlap(Space.VOLUME, label, box)[0, 0]),
-        float(overlap(Space.GROUND, label, box)[0, 0]),
-        float(np.linalg.norm(box.location[0] - label.location[0])),
-        float(box.location[0, 2] / label.location[0, 2] - 1.0),
-        float(orientation_error(box.rotation_y, label.rotation_y)[0]),
-        (length, width, height),
-    )
-
-
-def _summary(vehicles: Sequence[LabelledBox]) -> BoxesSummary:
-    groups = np.unique([one.group for one in vehicles], return_inverse=True)[1]
-    got = np.array([one.found for one in vehicles])
-    degrees, shared = np.array([one.degrees for one in vehicles]), np.array([one.overlap for one in vehicles])
-    metres = np.array([one.metres for one in vehicles])[got]
-    sizes = np.array([one.size for one in vehicles])[got].reshape(-1, 3)
-    nothing = not got.any()
-    length, width, height = (np.full(3, np.nan) if nothing else sizes.mean(axis=0)).tolist()
-    return BoxesSummary(
-        vehicles=len(vehicles),
-        found=int(got.sum()),
-        right=tuple(mean_interval(100.0 * (shared >= least), groups) for least in LEAST_OVERLAPS),
-        within=tuple(mean_interval(100.0 * (degrees <= most), groups) for most in THRESHOLDS),
-        turned=np.nan if nothing else 100.0 * float((degrees[got] > TURNED_ROUND).mean()),
-        mean_metres=None if nothing else mean_interval(metres, groups[got]),
-        median_metres=np.nan if nothing else float(np.median(metres)),
-        depth=np.nan if nothing else 100.0 * float(np.median([one.depth for one in vehicles if one.found])),
-        size=(length, width, height),
-    )
-
-
-def _plain(summary: BoxesSummary) -> dict[str, Any]:
-    told: dict[str, Any] = finite(vars(summary))
-    for name in ("right", "within"):
-        told[name] = [vars(one) for one in getattr(summary, name)]
-    told["mean_metres"] = None if summary.mean_metres is None else vars(summary.mean_metres)
-    return told

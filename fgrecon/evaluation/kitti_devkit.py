@@ -21,6 +21,7 @@ from fgrecon.evaluation.kitti_overlap import Space, box_overlap, overlap
 from fgrecon.io.kitti_files import Objects
 
 __all__ = [
+    "LEAST_LABELS",
     "MINIMUM_OVERLAP",
     "REGIMES",
     "Curves",
@@ -58,6 +59,9 @@ MINIMUM_OVERLAP = {"Car": 0.7, "Pedestrian": 0.5, "Cyclist": 0.5}
 
 _NEIGHBOUR = {"Car": "van", "Pedestrian": "person_sitting"}
 _SAMPLES = 41
+
+LEAST_LABELS = _SAMPLES
+"""Labels from which on average precision can come to 100 %: each gives a point of the curve at most."""
 
 
 @dataclass(frozen=True)

@@ -99,6 +99,7 @@ class Car:
         index: Position in its label file.
         regimes: (3,) whether Easy, Moderate and Hard count it.
         box: (4,) the box that was looked at, or None without a detection that overlaps it enough.
+        score: Of that detection; None without one, and where the labelled box was looked at.
         degrees: Orientation error; 180 without a result.
         metres: Translation error; infinite without a result.
         camera: The camera.
@@ -113,6 +114,7 @@ class Car:
     index: int
     regimes: NDArray[np.bool_]
     box: Array | None
+    score: float | None
     degrees: float
     metres: float
     camera: Camera
@@ -204,12 +206,14 @@ def score_frame(frame: ImageFrame, setup: Setup) -> list[Car]:
     image = read_image(frame.image)
     camera = frame.calibration.camera.with_size_of(image)
     boxes: list[Array | None] = [labels.box[i] for i in chosen]
+    scores: list[float | None] = [None] * len(chosen)
     if frame.detections is not None:
         at = match_detections(labels.take(chosen), frame.detections, setup.overlap)
         boxes = [frame.detections.box[i] if i >= 0 else None for i in at]
+        scores = [float(frame.detections.score[i]) if i >= 0 else None for i in at]
     results = iter(reconstruct_boxes(image, camera, [box for box in boxes if box is not None], setup))
     cars = []
-    for index, box in zip(chosen.tolist(), boxes, strict=True):
+    for index, box, score in zip(chosen.tolist(), boxes, scores, strict=True):
         found = None if box is None else next(results)
         result = None if found is None else found.result
         location = labels.location[index] + offset
@@ -224,6 +228,7 @@ def score_frame(frame: ImageFrame, setup: Setup) -> list[Car]:
                 index=index,
                 regimes=members[:, index],
                 box=box,
+                score=score,
                 degrees=degrees,
                 metres=metres,
                 camera=camera,

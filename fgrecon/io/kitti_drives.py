@@ -25,7 +25,15 @@ from fgrecon.io.kitti_calibration import KittiCalibration, read_calibration
 from fgrecon.io.kitti_files import Objects, parse_object
 from fgrecon.io.kitti_tracking import TrackedObjects, read_tracking
 
-__all__ = ["IMAGES_PER_SECOND", "Drive", "DriveFrame", "read_drive", "read_images", "read_object_folder"]
+__all__ = [
+    "IMAGES_PER_SECOND",
+    "Drive",
+    "DriveFrame",
+    "has_labels",
+    "read_drive",
+    "read_images",
+    "read_object_folder",
+]
 
 IMAGES_PER_SECOND = 10.0
 """Of KITTI's drives."""
@@ -81,6 +89,11 @@ class Drive:
     def calibration(self) -> KittiCalibration:
         """Camera and offset of the first image: those of a drive are all alike, those of single images need not be."""
         return self.frames[0].calibration
+
+
+def has_labels(folder: Path) -> bool:
+    """Whether it is a drive or a folder of single images."""
+    return (folder / _DRIVE).is_file() or (folder / _SINGLE).is_dir()
 
 
 def read_images(folder: Path) -> Drive:

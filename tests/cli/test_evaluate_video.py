@@ -12,8 +12,10 @@ import pytest
 from typer.testing import CliRunner
 
 from fgrecon.cli import main
+from fgrecon.cli.evaluate_video import _write_results
 from fgrecon.cli.labelled_drives import read_folds
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.evaluation.video_frames import ScoredFrame
 from fgrecon.io.images import write_png
 
 pytest.importorskip("torch")
@@ -74,6 +76,28 @@ def test_tables_files_and_which_network_scored_what(drives, weights, tmp_path):
     assert len(rows) == len(made["boxes"]) == 28
     assert [float(row["degrees"]) for row in rows] == [row["degrees"] for row in made["boxes"]]
     assert sheet.stat().st_size > 1000
+
+
+def test_results_of_several_drives_are_scored_together(drives, weights, tmp_path):
+    boxes, table = tmp_path / "boxes", tmp_path / "r.json"
+    done = run(*drives, "--weights", weights, "--results", boxes)
+    assert done.exit_code == 0, done.output
+    for folder in drives:  # both labels have one box: leave each vehicle that counts a box of its own
+        (folder / "label_02.txt").write_text(f"7 2 Car {LABEL}\n")
+    done = CliRunner().invoke(main.app, ["evaluate", "boxes", *map(str, (*drives, boxes)), "--json", str(table)])
+    assert done.exit_code == 0, done.output
+    assert "2 drives, 2 images." in done.stdout
+    vehicles = json.loads(table.read_text())["sources"][0]["vehicles"]
+    assert [(one["drive"], one["frame"], one["found"]) for one in vehicles] == [
+        ("one", "000007", True),
+        ("two", "000007", True),
+    ]
+
+
+def test_images_in_which_nothing_labelled_was_found_have_a_file_of_results(tmp_path):
+    frames = [ScoredFrame("one", 3, [], (), 2), ScoredFrame("one", 4, [], (), 0)]
+    assert _write_results(tmp_path, frames) == [tmp_path / "one"]
+    assert [path.name for path in (tmp_path / "one").iterdir()] == ["000003.txt"]
 
 
 def test_nothing_told(drives, weights, tmp_path):

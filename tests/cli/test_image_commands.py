@@ -130,6 +130,7 @@ def kitti(street, weights, *more):
 
 def test_kitti_is_scored_by_regime(street, weights):
     outputs = ("--json", street / "r.json", "--picture", street / "sheet.png", "--save", street / "cars.rrd")
+    outputs += ("--results", street / "results", "--markdown", street / "r.md")
     done = kitti(street, weights, *outputs)
     assert done.exit_code == 0, done.output
     assert "Moderate" in done.stdout
@@ -145,6 +146,24 @@ def test_kitti_is_scored_by_regime(street, weights):
     assert (street / "sheet.png").exists()
     errors = replay.read(street / "cars-000001-1.rrd").scalars["error/orientation_deg"]
     assert errors.values[-1, 0] == pytest.approx(car["degrees"])
+    boxes = document["boxes"]
+    (vehicle,) = boxes["vehicles"]
+    assert (vehicle["degrees"], vehicle["metres"]) == pytest.approx((car["degrees"], car["metres"]))
+    assert list(boxes["groups"]) == ["Easy", "Moderate", "Hard", "Hard 15-30 m"]
+    assert boxes["groups"]["Easy"]["mean_metres"]["value"] == pytest.approx(car["metres"])
+    assert [one["volume"] for one in boxes["average_precision_40"]] == [[None, None]] * 3
+    assert (street / "r.md").read_text().count("| labelled boxes |") == 11
+    (street / "label_2" / "000001.txt").write_text(f"Car {LABEL}\n")  # the van's box is the same
+    done = run("evaluate", "boxes", street, street / "results", "--json", "-")  # what was written is what was scored
+    (again,) = json.loads(done.stdout)["sources"][0]["vehicles"]
+    assert (again["degrees"], again["metres"]) == pytest.approx((vehicle["degrees"], vehicle["metres"]), abs=0.01)
+
+
+def test_results_do_not_go_over_labels(street, weights):
+    for name in ("label_2", "calib"):
+        refused = kitti(street, weights, "--results", street / name).exception
+        assert (refused.field, refused.value) == ("results", str(street / name / "000001.txt"))
+    assert kitti(street, weights, "--results", street / "image_2" / "000001.png").exception.field == "results"
 
 
 def test_a_car_without_a_detection_counts_as_wrong(street, weights):
@@ -156,6 +175,7 @@ def test_a_car_without_a_detection_counts_as_wrong(street, weights):
     assert document["regimes"][0]["mean_degrees"] == 180.0
     assert document["regimes"][0]["median_metres"] is None
     assert document["cars"][0]["failure"] == "no detection"
+    assert document["boxes"]["groups"]["Hard"]["found"] == 0
 
 
 def test_kitti_without_images_is_refused(street, weights):

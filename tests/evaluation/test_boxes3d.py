@@ -9,10 +9,11 @@ from typer.testing import CliRunner
 
 from fgrecon.cli.main import app
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.evaluation.boxes3d import document, precisions, read_boxes, score, summarise
+from fgrecon.evaluation.boxes3d import read_boxes, read_boxes_of_drives, score, score_drives
+from fgrecon.evaluation.boxes_summary import document, precisions, precisions_of_drives, summarise
 from fgrecon.evaluation.video_images import wanted
 from fgrecon.io.kitti_drives import read_drive, read_images
-from fgrecon.io.kitti_files import format_results, write_results
+from fgrecon.io.kitti_files import format_results, parse_objects, write_results
 
 
 def run(*arguments):
@@ -23,6 +24,10 @@ def run(*arguments):
 def drive(data):
     """A drive of labelled frames; `moved` writes results that are its labels, changed."""
     return read_drive(data / "kitti_video" / "kitti_tracking_0001")
+
+
+def precisions_of(drive, results, numbers):
+    return precisions_of_drives([drive], {drive.name: results}, {drive.name: numbers})
 
 
 def frames_of(drive, count=3):
@@ -49,7 +54,7 @@ def shifted(objects, metres=0.0, turn=0.0, longer=0.0):
 
 @pytest.mark.data
 def test_labels_as_results_are_perfect(drive, tmp_path):
-    frames = frames_of(drive)
+    frames = frames_of(drive, 15)
     numbers = [frame.number for frame in frames]
     boxes = read_boxes(write_moved(tmp_path, frames, shifted), numbers)
     vehicles = score(drive, boxes, numbers)
@@ -58,11 +63,11 @@ def test_labels_as_results_are_perfect(drive, tmp_path):
         one.found and one.overlap == pytest.approx(1.0, abs=0.02) for one in vehicles
     )  # two decimals are written
     whole = summarise(vehicles)["cars"]
-    assert [share.value for share in (*whole.right, *whole.within)] == [100.0] * 5
+    assert [share.value for share in (*whole.right, *whole.ground, *whole.within)] == [100.0] * 7
     assert (whole.turned, whole.mean_metres.value) == (0.0, pytest.approx(0.0, abs=1e-3))
-    hard = precisions(drive, boxes, numbers)[2]
-    assert (hard.orientation, hard.volume[1]) == pytest.approx((hard.image, hard.image))
-    assert hard.labels > 0
+    hard = precisions_of(drive, boxes, numbers)[2]
+    assert (hard.image, hard.orientation, hard.volume[1]) == pytest.approx((100.0, 100.0, 100.0))
+    assert hard.labels > 41
 
 
 @pytest.mark.data
@@ -76,8 +81,11 @@ def test_errors_are_those_that_were_made(drive, tmp_path):
     assert cars.mean_metres.value == pytest.approx(1.0, abs=1e-3)
     assert (cars.turned, cars.within[2].value) == (100.0, 0.0)
     np.testing.assert_allclose(cars.size, [0.2, 0.0, 0.0], atol=1e-3)
+    assert cars.intervals["absolute_size"].value == pytest.approx(0.2 / 3.0, abs=1e-3)
+    assert cars.intervals["median_metres"].value == cars.median_metres == pytest.approx(1.0, abs=1e-3)
     assert cars.depth > 0.0
     assert all(0.0 < one.overlap <= one.footprint < 0.9 for one in vehicles)
+    assert all(above.value >= volume.value for above, volume in zip(cars.ground, cars.right, strict=True))
     assert sum(groups[name].vehicles for name in groups if name.startswith("cars ")) == cars.vehicles
 
 
@@ -91,8 +99,9 @@ def test_what_is_not_found_counts(drive, tmp_path):
     assert cars.right[0].value == pytest.approx(100.0 * cars.found / cars.vehicles)
     nothing = score(drive, boxes, numbers, min_score=0.95)
     assert not any(one.found for one in nothing)
-    told = document({"none": nothing}, {"none": precisions(drive, boxes, numbers)})
-    assert json.loads(json.dumps(told, allow_nan=False))["sources"][0]["groups"]["cars"]["mean_metres"] is None
+    told = document({"none": nothing}, {"none": precisions_of(drive, boxes, numbers)})
+    plain = json.loads(json.dumps(told, allow_nan=False))["sources"][0]["groups"]["cars"]
+    assert (plain["mean_metres"], plain["median_metres"], plain["intervals"]) == (None, None, {})
 
 
 @pytest.mark.data
@@ -156,10 +165,22 @@ def test_what_is_drawn_over_may_be_missed(drive):
         usable = frame.objects.take(np.flatnonzero(frame.usable & np.isin(frame.objects.kind, ("Car", "Van"))))
         results[frame.number] = replace(shifted(usable), score=np.full(len(usable), 0.9))
     assert not all(frame.usable.all() for frame in drive.frames)
-    _, *found = precisions(drive, results, numbers)
+    _, *found = precisions_of(drive, results, numbers)
     assert [one.image for one in found] == pytest.approx([100.0] * 2)
     clean = [replace(frame, usable=np.ones(len(frame.objects), dtype=bool)) for frame in drive.frames]
-    assert precisions(replace(drive, frames=tuple(clean)), results, numbers)[1].image < 95.0
+    assert precisions_of(replace(drive, frames=tuple(clean)), results, numbers)[1].image < 95.0
+
+
+@pytest.mark.parametrize(("count", "image"), [(40, None), (41, 100.0)])
+def test_of_few_labels_there_is_no_average_precision(count, image):
+    """At most one point of the curve's 41 is each label's: of 40, perfect boxes come to 97.5 %."""
+    line = "Car 0 0 0 100 100 200 200 1.5 1.6 4.0 0 1.6 15 0 1\n"
+    cars = parse_objects(line, "a line", scored=True)[0]
+    found = {str(number): cars for number in range(count)}
+    for regime in precisions(found, found):
+        assert regime.labels == count
+        assert regime.image == regime.orientation == image
+        assert regime.ground == regime.volume == (image, image)
 
 
 @pytest.mark.data
@@ -188,6 +209,68 @@ def test_the_command_sets_sources_side_by_side(data, drive, tmp_path):
     assert len({len(one["vehicles"]) for one in sources}) == 1  # the frames that both speak of
     again = run("evaluate", "boxes", data / "kitti_video" / "kitti_tracking_0001", good, good)
     assert "another name" in str(again.exception)
+
+
+@pytest.fixture
+def two_drives(tmp_path):
+    """Two drives of two images, one car in each, whose track has the same number in both; images are not opened."""
+    folders = [tmp_path / "labels" / name for name in ("one", "two")]
+    for folder in folders:
+        (folder / "image_02").mkdir(parents=True)
+        for number in (3, 4):
+            (folder / "image_02" / f"{number:06d}.png").touch()
+        (folder / "label_02.txt").write_text("".join(f"{number} 7 {CAR}\n" for number in (3, 4)))
+        (folder / "calib.txt").write_text("P2: 700 0 80 40 0 700 50 0.2 0 0 1 0.002\n")
+    return folders
+
+
+CAR = "Car 0 0 1.5 100 100 200 200 1.5 1.6 4.0 0.1 1.6 15 1.5"
+
+
+def test_drives_are_scored_together(two_drives, tmp_path):
+    """A folder or a file by the drive's name; intervals draw tracks of both; what only one source has is left out."""
+    boxes, other = tmp_path / "boxes", tmp_path / "other"
+    for place in (boxes / "one", other / "one"):
+        place.mkdir(parents=True)
+    far = CAR.replace(" 15 ", " 18 ")
+    (boxes / "one" / "000003.txt").write_text(f"{CAR}\n")
+    (boxes / "one" / "000004.txt").write_text("")
+    (boxes / "two.txt").write_text(f"3 1 {far}\n4 1 {far}\n")
+    (other / "one" / "000003.txt").write_text(f"{far} 0.5\n")
+    made, table = tmp_path / "r.json", tmp_path / "r.md"
+    done = run("evaluate", "boxes", *two_drives, boxes, "--json", made, "--markdown", table, "--verbose")
+    assert done.exit_code == 0, done.output
+    assert "2 drives, 4 images." in done.stdout
+    assert "boxes two/000004/0 Car: 3.00 m" in done.stdout
+    (source,) = json.loads(made.read_text())["sources"]
+    assert [(one["drive"], one["frame"], one["found"]) for one in source["vehicles"]] == [
+        *(("one", "000003", True), ("one", "000004", False)),
+        *(("two", "000003", True), ("two", "000004", True)),
+    ]
+    cars = source["groups"]["cars"]
+    assert (cars["tracks"], cars["found"], cars["right"][0]) == (2, 3, {"value": 25.0, "low": 0.0, "high": 50.0})
+    assert source["average_precision_40"][0]["volume"] == [None, None]
+    rows = [line.split(" | ") for line in table.read_text().splitlines()]
+    assert rows[2][:5] == ["| cars", "boxes", "4", "3", "25 (0-50)"]
+    assert rows[-1][3:] == ["-"] * 5 + ["- |"]
+    alone = run("evaluate", "boxes", *two_drives, boxes, other)
+    assert "1 drive, 1 image." in alone.stdout
+    assert "of them: two." in alone.stdout
+    (drive,) = (read_drive(folder) for folder in two_drives[:1])
+    found = read_boxes_of_drives(boxes, [drive])
+    assert score_drives([drive], found, {"one": [3, 4]}) == score(drive, read_boxes(boxes / "one", [3, 4]), [3, 4])
+
+
+def test_drives_and_boxes_that_cannot_be_scored_together(two_drives, tmp_path):
+    for given, field in (
+        ((*two_drives, *two_drives[:1], tmp_path), "drives"),
+        (two_drives, "results"),
+        ((*two_drives, tmp_path), "results"),
+        ((two_drives[0], tmp_path / "none"), "results"),
+    ):
+        refused = run("evaluate", "boxes", *given).exception
+        assert isinstance(refused, InvalidInputError)
+        assert refused.field == field
 
 
 @pytest.mark.data

@@ -13,14 +13,24 @@ from fgrecon.io.export.frames import score
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.kitti_files import Objects, format_results
 
-__all__ = ["kitti_text"]
+__all__ = ["kitti_objects", "kitti_text"]
 
 _UNKNOWN = -1.0
 
 
 def kitti_text(results: Sequence[NamedResult]) -> str:
-    """One line per vehicle: kind, box, size, location in the label frame where its offset is known, yaw and score.
+    """`kitti_objects` of the vehicles as lines.
 
+    Raises:
+        InvalidInputError: The vehicles are of several images, each of which has a file of its own in KITTI.
+    """
+    return format_results(kitti_objects(results))
+
+
+def kitti_objects(results: Sequence[NamedResult]) -> Objects:
+    """One object per vehicle with a pose: kind, box, size, location in the label frame, yaw and score.
+
+    Where the offset of the label frame is not known, the location is in the camera's.
     The kind is its detector's, else `Car`. The 2D box is the observed one, else that of the projected wireframe. The
     score is its detector's, else the mean weight of the keypoints that the pose shows: it tells how much of what should
     be seen was found where it should be.
@@ -35,7 +45,7 @@ def kitti_text(results: Sequence[NamedResult]) -> str:
         raise InvalidInputError("results", told, fix)
     rows = [_row(item) for item in solved]
     kinds = [item.kind or "Car" for item in solved]
-    return format_results(Objects.of_rows(kinds, np.array(rows).reshape(len(rows), -1)))
+    return Objects.of_rows(kinds, np.array(rows))
 
 
 def _row(item: NamedResult) -> list[float]:
