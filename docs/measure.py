@@ -2,8 +2,8 @@
 
     python docs/measure.py --data DATA [NAME...]
 
-Names: tracks, together, kitti, icra2017, shape, models, priors_in_use, priors; without one all are made (half an hour
-on one core).
+Names: tracks, together, over_tracks, kitti, icra2017, shape, models, priors_in_use, priors; without one all are made
+(half an hour on one core).
 Every figure that the documentation quotes without another source stands in one of these tables.
 """
 
@@ -20,14 +20,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from fgrecon.core.metrics import orientation_error
+from fgrecon import Options, Tracker
+from fgrecon.core.metrics import THRESHOLDS, orientation_error, orientation_precision
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.track_file import GroundTruth, read_track
 
 TABLES = Path(__file__).parent / "tables"
 TOLD = {"+size": ["--size-prior", "kitti"], "+ground+size": ["--size-prior", "kitti", "--camera-height", "1.65"]}
 """What `fgrecon track` is told, by the name of the row."""
+RATE = 10.0
+"""Images of KITTI's drives in a second."""
 
 
 def run(arguments: Sequence[str | Path]) -> None:
@@ -73,25 +77,75 @@ def tracks(data: Path, folder: Path) -> str:
 
 def together(data: Path, folder: Path) -> str:
     """The images of each track solved with one shape, beside the same images one by one."""
-    category = load_category("car14")
-    truth = {frame.name: frame.truth for file in track_files(data) for frame in read_track(file, category).frames}
     rows = []
     for name, told in TOLD.items():
-        options = [*told, "--box-model", "cuboid"]
-        joint = loaded(["track", *track_files(data), *options], folder)["instances"]
-        alone = [car for f in track_files(data) for car in loaded(["reconstruct", f, *options], folder)["instances"]]
-        for kind, cars in ((f"one shape, {name}", joint), (f"image by image, {name}", alone)):
-            yaw, metres, size = np.mean([_errors(car, truth[car["id"]]) for car in cars], axis=0)
-            rows.append([kind, len(cars), f"{yaw:.2f}", f"{metres:.2f}", f"{100 * size:.0f}"])
+        for kind, errors in _from_images(data, folder, told).items():
+            yaw, metres, size = np.mean(errors, axis=0)
+            rows.append([f"{kind}, {name}", len(errors), f"{yaw:.2f}", f"{metres:.2f}", f"{100 * size:.0f}"])
     return table(["solved", "images", "mean yaw °", "mean position m", "mean of length, width, height cm"], rows)
 
 
-def _errors(car: Mapping[str, Any], label: GroundTruth) -> tuple[float, float, float]:
-    """Errors of yaw in degrees, of position and of size in metres."""
+def over_tracks(data: Path, folder: Path) -> str:
+    """The same, and the images followed over time."""
+    rows = []
+    for name, told in TOLD.items():
+        height = float(told[-1]) if "--camera-height" in told else None
+        for kind, errors in (_from_images(data, folder, told) | _over_time(data, height)).items():
+            yaw, metres, size = np.array(errors).T
+            within = " / ".join(f"{100 * orientation_precision(yaw, threshold):.1f}" for threshold in THRESHOLDS)
+            position = [f"{np.median(metres):.2f}", f"{metres.mean():.2f}"]
+            rows.append(
+                [f"{kind}, {name}", len(yaw), f"{yaw.mean():.2f}", within, *position, f"{100 * size.mean():.0f}"]
+            )
+    heads = ["solved", "images", "mean yaw °", "AOP 5 / 15 / 30° %", "median m", "mean m"]
+    return table([*heads, "mean of length, width, height cm"], rows)
+
+
+Errors = tuple[float, float, float]
+"""Of yaw in degrees, of position and of size in metres."""
+
+
+def _from_images(data: Path, folder: Path, told: Sequence[str]) -> dict[str, list[Errors]]:
+    """Errors of all images of the tracks, solved with one shape for each track and by themselves."""
+    category = load_category("car14")
+    truth = {frame.name: frame.truth for file in track_files(data) for frame in read_track(file, category).frames}
+    options = [*told, "--box-model", "cuboid"]
+    joint = loaded(["track", *track_files(data), *options], folder)["instances"]
+    alone = [car for f in track_files(data) for car in loaded(["reconstruct", f, *options], folder)["instances"]]
+    return {
+        kind: [
+            _errors(car["rotation_y"], car["location_in_label_frame"], car["result"]["box_size"], truth[car["id"]])
+            for car in cars
+        ]
+        for kind, cars in (("one shape", joint), ("image by image", alone))
+    }
+
+
+def _over_time(data: Path, height: float | None) -> dict[str, list[Errors]]:
+    """Errors of all images of the tracks as `fgrecon.Tracker` has them, after each image and at the end."""
+    found: dict[str, list[Errors]] = {"online": [], "in batch": []}
+    for file in track_files(data):
+        track = read_track(file, load_category("car14"))
+        tracker = Tracker(size_prior="kitti", options=Options(box="cuboid"))
+        online = []
+        for frame in track.frames:
+            time = int(frame.name.rpartition(":")[2]) / RATE
+            assert frame.observation is not None
+            online.append(tracker.update(time, {0: frame.observation}, camera=track.camera, ground=height)[0])
+        for kind, estimates in (("online", online), ("in batch", tracker.smooth()[0])):
+            for frame, estimate in zip(track.frames, estimates, strict=True):
+                result = estimate.reconstruction
+                place = result.location - track.label_offset
+                found[kind].append(_errors(result.rotation_y, place, result.box_size, frame.truth))
+    return found
+
+
+def _errors(yaw: float, location: ArrayLike, size: ArrayLike, label: GroundTruth) -> Errors:
+    """Of a yaw in radians, a location in the label's frame and a size."""
     assert label.box_size is not None
-    yaw = float(orientation_error([car["rotation_y"]], [label.rotation_y])[0])
-    metres = float(np.linalg.norm(np.subtract(car["location_in_label_frame"], label.location)))
-    return yaw, metres, float(np.abs(np.subtract(car["result"]["box_size"], label.box_size)).mean())
+    degrees = float(orientation_error([yaw], [label.rotation_y])[0])
+    metres = float(np.linalg.norm(np.subtract(location, label.location)))
+    return degrees, metres, float(np.abs(np.subtract(size, label.box_size)).mean())
 
 
 def kitti(data: Path, folder: Path) -> str:
@@ -172,7 +226,8 @@ def priors(data: Path, folder: Path) -> str:
 
 
 MADE: Mapping[str, Callable[[Path, Path], str]] = {
-    made.__name__: made for made in (tracks, together, kitti, icra2017, shape, models, priors_in_use, priors)
+    made.__name__: made
+    for made in (tracks, together, over_tracks, kitti, icra2017, shape, models, priors_in_use, priors)
 }
 """What makes each table, by its name."""
 

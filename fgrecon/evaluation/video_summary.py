@@ -50,7 +50,8 @@ _UNITS = {
     "jitter_degrees": "mean change of the yaw error from a box to the next one of its track, at most two frames later; "
     "null where no yaw errors are known",
     "jitter_metres": "the same of the position error, a vector",
-    "median_velocity": "metres per second over the ground, estimated minus labelled; labels within 0.2 s make a line",
+    "median_velocity": "metres per second over the ground, estimated minus labelled; labels within 0.2 s make a line, "
+    "and are carried into the world by the camera's estimated motion where that is known",
     "consistency": "normalised squared errors by dimension (NEES): mean, its 95 % bounds for as many draws as tracks, "
     "median over that of the chi-square distribution, percent within the 95 % region; boxes turned round are left out",
     "intervals": "of the numbers of the same names",

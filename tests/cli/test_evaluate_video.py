@@ -57,11 +57,17 @@ def test_tables_files_and_which_network_scored_what(drives, weights, tmp_path):
     assert "expected calibration error" in done.stdout
     assert "one/000007/1 epnp: " in done.stdout
     lines = (tmp_path / "r.md").read_text().splitlines()
-    assert lines[0].startswith("| boxes | method | turned % ")
-    assert {line.count("|") for line in lines} == {lines[0].count("|")}
-    assert [line.split(" | ")[0] for line in lines[2:]] == ["| cars, 2"] * 7 + ["| all, 4"] * 7
-    names = [line.split(" | ")[1] for line in lines[2:9]]
-    assert names == ["reconstruct_image", "epnp", "alone", "online", "batch", "online_moving", "batch_moving"]
+    by = [line for line in lines if line.startswith("By ")]
+    assert by == [f"By {name}:" for name in ("regime", "drive", "view", "height", "occlusion", "distance")]
+    assert lines[2].startswith("| boxes | method | AOP 5° % | AOP 15° % | AOP 30° % | turned % |")
+    rows = [line for line in lines if line.startswith("| ")]
+    assert {line.count("|") for line in rows} == {lines[2].count("|")}
+    names = [line.split(" | ")[1] for line in lines[4:13]]
+    assert names[:5] == ["reconstruct_image", "epnp", "alone", "vote", "vote_batch"]
+    assert names[5:] == ["online", "batch", "online_moving", "batch_moving"]
+    groups = ("cars_easy, 2", "cars_moderate, 2", "cars, 2", "vans, 2", "all, 4")
+    assert [line.split(" | ")[0] for line in lines[4:49]] == [f"| {group}" for group in groups for _ in names]
+    assert [line.split(" | ")[0] for line in lines[54:72]] == ["| one, 2"] * 9 + ["| two, 2"] * 9
     assert "squared errors by covariance" in done.stdout
     made = json.loads(out.read_text())
     assert made["networks"] == [
@@ -73,7 +79,7 @@ def test_tables_files_and_which_network_scored_what(drives, weights, tmp_path):
     counts = {name: group["boxes"] for name, group in made["methods"]["epnp"]["regime"].items()}
     assert counts == {"cars_easy": 2, "cars_moderate": 2, "cars": 2, "vans": 2, "all": 4}
     rows = list(csv.DictReader(table.read_text().splitlines()))
-    assert len(rows) == len(made["boxes"]) == 28
+    assert len(rows) == len(made["boxes"]) == 36
     assert [float(row["degrees"]) for row in rows] == [row["degrees"] for row in made["boxes"]]
     assert sheet.stat().st_size > 1000
 
