@@ -33,7 +33,7 @@ def ground_plane(plane: str | None, height: float | None) -> tuple[Ground, str] 
     """The ground plane and, in words, where it comes from; None where neither option is given.
 
     Args:
-        plane: `nx,ny,nz,d`.
+        plane: `nx,ny,nz,d`, or `d` alone of a camera that may be tilted.
         height: Height of a level camera, metres.
 
     Raises:
@@ -52,9 +52,12 @@ def ground_plane(plane: str | None, height: float | None) -> tuple[Ground, str] 
         return level, f"level camera {height:g} m above the ground"
     if plane is None:
         return None
-    nx, ny, nz, distance = parse_numbers("ground", plane, "nx,ny,nz,d: four numbers", (4,))
+    numbers = parse_numbers("ground", plane, "nx,ny,nz,d: four numbers, or d alone, the camera's height", (4, 1))
+    if len(numbers) == 1:
+        return Ground.of_height(numbers[0]), f"camera {numbers[0]:g} m above the ground, however tilted"
     import numpy as np
 
+    nx, ny, nz, distance = numbers
     return Ground(np.array([nx, ny, nz]), distance).told(), f"plane {plane}"
 
 

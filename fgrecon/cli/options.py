@@ -105,7 +105,10 @@ PriorArgument = Annotated[
 ]
 GroundOption = Annotated[
     str | None,
-    typer.Option(metavar="NX,NY,NZ,D", help="Ground plane instead: normal pointing down, camera height in m."),
+    typer.Option(
+        metavar="NX,NY,NZ,D|D",
+        help="Ground plane instead: normal pointing down, camera height in m; or the height alone, of a tilted camera.",
+    ),
 ]
 TrafficOption = Annotated[
     TrafficSide | None,

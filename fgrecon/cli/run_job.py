@@ -131,6 +131,9 @@ def prepare(ask: Request, screen: Screen) -> Job:
         raise InvalidInputError("picture_frame", "without --picture", "Say with --picture where it is to be written.")
     motion = ask.motion
     settings = ask.scene.settings(Options(strategy=ask.scene.strategy, keep_history=False))
+    if settings.ground is not None and settings.ground.is_vague:
+        fix = "Give the plane, NX,NY,NZ,D, or leave it out: vehicles are told apart by where they stand."
+        raise InvalidInputError("ground", ask.scene.ground, fix)
     source, given = _source(ask, settings)
     if source.assumed_rate:
         screen.warn(f"No --fps is given: {DEFAULT_RATE:g} frames per second are assumed; speeds go with it.")

@@ -29,6 +29,7 @@ _CUT_OFF = 0.03  # share of rows or columns that an image may have lost: KITTI's
 _LARGEST_SIGMA = 2.0  # of a focal length's logarithm: five times longer or shorter is no lens any more
 _SIZE = "Give width and height in whole pixels."
 _NARROWEST, _FARTHEST = 1e-9, 1e6  # metres, radians: what a ground is known to, and how high a camera is at most
+_ANY_TILT = 0.3  # radians (1 sigma)
 _HIGHEST = 100.0  # metres, of a camera as somebody tells it: more are millimetres or centimetres
 _LARGEST = 1e9
 """No focal length is longer, in pixels; beyond, squares of numbers soon overflow."""
@@ -322,6 +323,22 @@ class Ground:
             fix = f"Give the camera's height in metres, at most {_HIGHEST:g}."
             raise InvalidInputError("ground.distance", self.distance, fix)
         return self
+
+    @classmethod
+    def of_height(cls, camera_height: float) -> Ground:
+        """The ground under a camera at a height in metres that may look down or up and be rolled, by 17 degrees or so.
+
+        Vehicles that are solved together tell how it is tilted.
+
+        Raises:
+            InvalidInputError: It is not positive, or is more than 100 metres.
+        """
+        return replace(cls.level(camera_height), slope_sigma=_ANY_TILT, tilt_sigma=_ANY_TILT)
+
+    @property
+    def is_vague(self) -> bool:
+        """Whether hardly more than the camera's height is known."""
+        return self.slope_sigma >= _ANY_TILT
 
     @classmethod
     def level(cls, camera_height: float) -> Ground:

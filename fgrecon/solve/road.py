@@ -33,8 +33,6 @@ from fgrecon.solve.ground_evidence import GroundEvidence
 from fgrecon.solve.standing import (
     LEAST_DOWN,
     LEAST_HEIGHT,
-    OWN_HEIGHT,
-    OWN_SLOPE,
     ground_spread,
     own_deviations,
     seen_ground,
@@ -324,8 +322,9 @@ def _ground(about: _About, frame: GroundFrame, known: _Known) -> KnownGround | N
         return own + (whole - own) * left**2  # what is left of it counts less: it is mostly the same for all vehicles
 
     near, far = variance(_NEAR), variance(_FAR)
-    slope = max((far - near) / (_FAR**2 - _NEAR**2), (OWN_SLOPE * told.slope_sigma) ** 2)
-    height = max(near - slope * _NEAR**2, (OWN_HEIGHT * told.height_sigma) ** 2)
+    least_height, least_slope = own_deviations(told, 1.0)
+    slope = max((far - near) / (_FAR**2 - _NEAR**2), least_slope**2)
+    height = max(near - slope * _NEAR**2, least_height**2)
     ground = replace(
         told,
         normal=normal,

@@ -26,8 +26,6 @@ from fgrecon.solve.weakness import off_ground
 __all__ = [
     "LEAST_DOWN",
     "LEAST_HEIGHT",
-    "OWN_HEIGHT",
-    "OWN_SLOPE",
     "OWN_TILT",
     "Standing",
     "ground_spread",
@@ -38,7 +36,10 @@ __all__ = [
 Array = NDArray[np.float64]
 
 OWN_HEIGHT, OWN_SLOPE, OWN_TILT = 0.35, 0.15, 0.5
-"""Shares of a told ground's deviations that are each vehicle's own; chosen on KITTI's video (docs/method.md)."""
+"""Shares of a told ground's deviations that are each vehicle's own; chosen on KITTI's video (docs/method.md).
+
+Of a ground that is told more vaguely than `Ground` is by itself these are shares of what that has: vehicles lie as near
+to their road, whatever is known of it."""
 LEAST_HEIGHT = 0.2
 """Metres: a camera is above the road."""
 LEAST_DOWN = 0.1
@@ -113,13 +114,14 @@ def seen_ground(poses: Sequence[Array]) -> Ground | None:
 
 def _contact_noise(ground: Ground, depth: float) -> gtsam.noiseModel.Robust:
     """What is a vehicle's own of its deviation from the plane."""
-    height, tilt = _own_height(ground, depth), OWN_TILT * ground.tilt_sigma
+    height, tilt = _own_height(ground, depth), OWN_TILT * min(ground.tilt_sigma, Ground.tilt_sigma)
     return RobustLoss.of(Loss.CAUCHY, _OUTLYING).wrap(diagonal_noise("contact", np.array([height, tilt, tilt, tilt])))
 
 
 def own_deviations(ground: Ground, depth: float) -> tuple[float, float]:
     """How far a vehicle's origin lies off the ground of the others by its height and slope, metres (1 sigma each)."""
-    return OWN_HEIGHT * ground.height_sigma, OWN_SLOPE * ground.slope_sigma * depth
+    height = OWN_HEIGHT * min(ground.height_sigma, Ground.height_sigma)
+    return height, OWN_SLOPE * min(ground.slope_sigma, Ground.slope_sigma) * depth
 
 
 def _own_height(ground: Ground, depth: float) -> float:

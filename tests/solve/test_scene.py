@@ -15,6 +15,7 @@ from fgrecon.core.reconstruction import Status
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.alone import each_alone
 from fgrecon.solve.scene import reconstruct_scene, reconstruct_scenes
+from fgrecon.solve.standing import own_deviations
 from fgrecon.solve.vehicle.model import prepare
 from tests.cars import CAMERA, observe
 
@@ -68,14 +69,31 @@ def test_a_pitched_camera_is_found_and_cars_come_closer():
     assert np.mean(together) < 0.85 * np.mean(alone)
 
 
-def test_with_nothing_told_a_roadside_camera_is_found():
-    """6 m up, 15 degrees down."""
-    poses, seen = street(3, count=6, height=6.0, pitch=np.radians(15.0))
-    scene = reconstruct_scene(seen, CAMERA, size_prior="kitti")
-    _, normal = on_the_road(np.random.default_rng(0), pitch=np.radians(15.0))
-    assert np.degrees(np.arccos(scene.ground.normal @ normal)) < 1.5
-    assert scene.ground.distance == pytest.approx(6.0, rel=0.1)
-    assert np.median(errors_of(scene, poses) / np.linalg.norm(np.array(poses)[:, :3, 3], axis=1)) < 0.05
+@pytest.mark.parametrize(
+    ("ground", "size_prior", "furthest"), [(None, "kitti", 0.05), (Ground.of_height(6.0), None, 0.07)]
+)
+def test_a_roadside_camera_is_found(ground, size_prior, furthest):
+    """6 m up, 15 degrees down; told are sizes alone, or the height alone."""
+    tilts, heights, shares = [], [], []
+    for seed in (3, 4, 5):
+        poses, seen = street(seed, count=6, height=6.0, pitch=np.radians(15.0))
+        scene = reconstruct_scene(seen, CAMERA, ground=ground, size_prior=size_prior)
+        _, normal = on_the_road(np.random.default_rng(0), pitch=np.radians(15.0))
+        tilts.append(np.degrees(np.arccos(scene.ground.normal @ normal)))
+        heights.append(scene.ground.distance)
+        shares += (errors_of(scene, poses) / np.linalg.norm(np.array(poses)[:, :3, 3], axis=1)).tolist()
+    assert np.median(tilts) < 1.0
+    np.testing.assert_allclose(heights, 6.0, rtol=0.1 if ground is None else 0.02)
+    assert np.median(shares) < furthest
+
+
+def test_a_vaguely_told_ground_leaves_vehicles_as_near_to_it():
+    """What is not known is the plane; the vehicles stand on it as on any other."""
+    known, vague = Ground.level(1.65), Ground.of_height(1.65)
+    assert (known.is_vague, vague.is_vague) == (False, True)
+    assert own_deviations(vague, 20.0) == own_deviations(known, 20.0)
+    narrow = replace(known, height_sigma=0.01, slope_sigma=0.001)
+    assert all(np.less(own_deviations(narrow, 20.0), own_deviations(known, 20.0)))
 
 
 def test_one_vehicle_is_as_alone():
