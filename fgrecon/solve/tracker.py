@@ -50,6 +50,7 @@ __all__ = ["Tracker"]
 
 Array = NDArray[np.float64]
 
+_MAPPING = "Give a mapping: an `fgrecon.Observation` by id. Images go to `fgrecon.video.ImageTracker`."
 _MOST_FRAMES = 100  # of a window
 _SHORTEST = 1e-6  # seconds from frame to frame: noise that grows with time must not vanish
 _RIGID = 1e-4  # of a place's rotation: more digits than that are seldom lost
@@ -155,7 +156,7 @@ class Tracker:
         """
         time = float(as_finite("time", time, (), "Give seconds."))
         if not issubclass(kind := type(observations), Mapping):
-            raise InvalidInputError("observations", kind.__name__, "Give a mapping: an `fgrecon.Observation` by id.")
+            raise InvalidInputError("observations", kind.__name__, _MAPPING)
         seen_by, plane = known_camera("camera", Camera.of(camera)), ground_plane(ground)
         place = None if world_T_camera is None else gtsam.Pose3(as_rigid("world_T_camera", world_T_camera, _RIGID))
         moved = None if motion_covariance is None else _covariance(motion_covariance)
