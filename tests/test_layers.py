@@ -48,7 +48,7 @@ ROOMS = {
         "perception/vehicles",
     },
     "video": {
-        *("factors", "core", "io", "solve", "batch", "perception", "perception/keypoints"),
+        *("factors", "core", "io", "solve", "batch", "perception", "perception/keypoints", "perception/vehicles"),
     },
     "simulation": {"factors", "core", "solve/vehicle"},
     "viz": {"core", "io", "io/export", "perception/keypoints"},

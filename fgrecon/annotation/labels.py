@@ -20,7 +20,7 @@ __all__ = ["vehicle_labels"]
 
 
 def vehicle_labels(
-    annotations: Iterable[tuple[str, Annotation]], category: Category, info: Mapping[str, str]
+    annotations: Iterable[tuple[str, Annotation]], category: Category, info: Mapping[str, str], terms: str = ""
 ) -> VehicleLabels:
     """The labels of annotated vehicles.
 
@@ -28,6 +28,7 @@ def vehicle_labels(
         annotations: The vehicles, each with the name of its drive.
         category: Their category.
         info: What made them, in words.
+        terms: Of the images, in words.
 
     Returns:
         The labels; without triangles where the surfaces do not share them.
@@ -45,6 +46,7 @@ def vehicle_labels(
         vehicles=tuple(label for _, label in made),
         faces=faces.astype(np.int64) if alike else None,
         info=info,
+        terms=terms,
     )
 
 

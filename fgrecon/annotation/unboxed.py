@@ -32,6 +32,8 @@ __all__ = ["Unboxed", "fit_unboxed"]
 
 Array = NDArray[np.float64]
 
+_SURE = 0.99  # least probability of the way that a vehicle faces, by all of its images
+
 Frames = Mapping[int, tuple[Camera, Mapping[int, Observation]]]
 """By the number of a frame: the camera, and the vehicles that it shows by their tracks."""
 
@@ -84,7 +86,7 @@ def fit_unboxed(
         numbers = (number for number in sorted(frames) if track in frames[number][1] and (number, track) not in found)
         for number, estimate in zip(numbers, estimates, strict=True):
             result = estimate.reconstruction
-            if not result.status.settled or result.pose_covariance is None:
+            if not result.status.settled or result.pose_covariance is None or estimate.facing_probability < _SURE:
                 found[number, track] = Reason.UNSURE
             else:
                 found[number, track] = Fit.of(result, _covariances(result, frames[number][0]), model.prior)

@@ -17,6 +17,7 @@ from fgrecon.core.errors import InvalidInputError
 __all__ = [
     "FAILURE_DEGREES",
     "THRESHOLDS",
+    "average_precision",
     "hausdorff_distance",
     "instances_within",
     "keypoint_error",
@@ -80,6 +81,34 @@ def orientation_precision(errors: ArrayLike, threshold: float) -> float:
     if not count:
         raise InvalidInputError("errors", "no instance", "Give at least one.")
     return instances_within(errors, threshold) / count
+
+
+def average_precision(scores: ArrayLike, right: ArrayLike, total: int) -> float:
+    """Average precision: area below the curve of precision over recall, each precision the largest from there on.
+
+    Of a keypoint's places in many vehicles, right where they are within a tolerance, it is the APK of Yang and Ramanan.
+
+    Args:
+        scores: (M,) of what was found, the surest largest; those that are equal count together.
+        right: (M,) whether each is right.
+        total: How many there are to be found.
+
+    Returns:
+        Fraction from 0 to 1; NaN where there is nothing to be found.
+
+    Raises:
+        InvalidInputError: The lengths differ, a score is not finite, or more are right than there are.
+    """
+    sure = as_finite("scores", scores, (None,))
+    order = np.argsort(-sure, kind="stable")
+    hits = np.cumsum(as_shape("right", right, sure.shape)[order])
+    if len(hits) and hits[-1] > total:
+        raise InvalidInputError("right", int(hits[-1]), f"Give at most one for each of the {total} to be found.")
+    if total == 0:
+        return float("nan")
+    last = np.flatnonzero(np.append(np.diff(sure[order]) != 0.0, True)[: len(order)])  # of each score
+    precision = np.maximum.accumulate((hits[last] / (last + 1.0))[::-1])[::-1]
+    return float(np.diff(hits[last], prepend=0.0) @ precision / total)
 
 
 def translation_error(estimated: ArrayLike, true: ArrayLike) -> NDArray[np.float64]:

@@ -33,9 +33,10 @@ _FARTHEST = 1e6  # metres: a camera that is further away than that has come ther
 
 @dataclass(frozen=True)
 class PastFrame:
-    """A frame of a vehicle: what was seen, from where, and the ground that it was solved on."""
+    """A frame of a vehicle: what was seen, the time that was told, from where, and the ground that it was solved on."""
 
     frame: Frame
+    time: float
     world_T_camera: gtsam.Pose3 | None
     known: KnownGround | None
 
@@ -56,7 +57,7 @@ class FrameVehicles:
     """The vehicles of a frame.
 
     Attributes:
-        time: Of the frame, seconds.
+        time: Of the frame, seconds, by a clock on which no two frames are of one time.
         world_T_camera: Pose of the camera, or None.
         way: How the camera came there.
         observations: Of each vehicle, by id.

@@ -7,9 +7,9 @@
 A camera nods, and the road bends; both change slowly, and in the long run the ground is as near to what is told as that
 says (`Ground`). Each frame is one step: what its vehicles say, with poses and shapes eliminated (`ground_evidence.py`),
 one factor from the ground before, and what is left of that. Vehicles that are seen again err alike: they count by the
-time that has passed. How sure the ground is goes by a second chain, in which they count as their keypoints do for
-covariances. Where nothing is told the first vehicles say about where it is, nothing draws it back there, and it may
-change fast.
+time that has passed; what other cameras see at one time counts alike. How sure the ground is goes by a second chain, in
+which they count as their keypoints do for covariances. Where nothing is told the first vehicles say about where it is,
+nothing draws it back there, and it may change fast.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ from fgrecon.solve.standing import (
     own_deviations,
     seen_ground,
 )
+from fgrecon.solve.time.window import AT_ONCE
 
 __all__ = ["KnownGround", "Road"]
 
@@ -93,6 +94,7 @@ class _Past:
     world_T_camera: gtsam.Pose3 | None
     known: _Known
     ground: Ground
+    weight: float  # share by which its vehicles counted
 
 
 @dataclass(frozen=True)
@@ -185,7 +187,7 @@ class Road:
             both = _known(lambda: (_both(until_now.where, said), _both(until_now.counted, less)))
             known = both or known
         found = _ground(about, frame, known)
-        self._past = None if found is None else _Past(time, about, frame, world_T_camera, known, found.ground)
+        self._past = None if found is None else _Past(time, about, frame, world_T_camera, known, found.ground, weight)
         return found
 
     def _before(
@@ -204,7 +206,7 @@ class Road:
             before = past.known
             known = _known(lambda: (_on_road(before.where, moved), _on_road(before.counted, moved)))
             if known is not None:
-                return known, min(seconds / _ALIKE, 1.0)
+                return known, past.weight if seconds < AT_ONCE else min(seconds / _ALIKE, 1.0)
         # The first frame, or the camera has gone where no ground before tells of this one, or now it is told.
         values = gtsam.Values()
         values.insert(G(0), np.zeros(3))

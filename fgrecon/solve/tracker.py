@@ -50,6 +50,7 @@ __all__ = ["Tracker"]
 
 Array = NDArray[np.float64]
 
+_MAPPING = "Give a mapping: an `fgrecon.Observation` by id. Images go to `fgrecon.video.ImageTracker`."
 _MOST_FRAMES = 100  # of a window
 _SHORTEST = 1e-6  # seconds from frame to frame: noise that grows with time must not vanish
 _RIGID = 1e-4  # of a place's rotation: more digits than that are seldom lost
@@ -109,7 +110,8 @@ class Tracker:
         self._shared, self._own, self._road = shared_ground, motion_factors, Road()
         self._tracks: dict[int, VehicleTrack] = {}
         self._forgotten: list[float] = []  # how far the boxes of vehicles were off that were forgotten
-        self._time = -np.inf
+        self._time = self._clock = -np.inf
+        self._cameras: list[tuple[Camera, gtsam.Pose3 | None]] = []  # of the last time
         self._way = CameraWay()
         self._one_call = Lock()
         self.refused = {}
@@ -136,7 +138,8 @@ class Tracker:
         """Take a frame. Calls from several threads are taken one after the other.
 
         Args:
-            time: Of the frame, seconds, later than of all before, by a microsecond at least.
+            time: Of the frame, seconds, later than of all before, by a microsecond at least; or that of the last one,
+                where both have a place and are of different cameras.
             observations: Keypoints of each vehicle that it shows, by id: as `fgrecon.reconstruct` takes them.
             camera: The camera that took it, or its matrix (3, 3), or (fx, fy, cx, cy).
             world_T_camera: (4, 4) pose of the camera in a world that stands still; None where it is not known. Between
@@ -153,7 +156,7 @@ class Tracker:
         """
         time = float(as_finite("time", time, (), "Give seconds."))
         if not issubclass(kind := type(observations), Mapping):
-            raise InvalidInputError("observations", kind.__name__, "Give a mapping: an `fgrecon.Observation` by id.")
+            raise InvalidInputError("observations", kind.__name__, _MAPPING)
         seen_by, plane = known_camera("camera", Camera.of(camera)), ground_plane(ground)
         place = None if world_T_camera is None else gtsam.Pose3(as_rigid("world_T_camera", world_T_camera, _RIGID))
         moved = None if motion_covariance is None else _covariance(motion_covariance)
@@ -169,10 +172,7 @@ class Tracker:
         plane: Ground | None,
         moved: Array | None,
     ) -> dict[int, VehicleEstimate]:
-        if not time - self._time >= _SHORTEST:
-            fix = f"Give frames in order, a microsecond apart at least: the last one was at {self._time:.10g} s."
-            raise InvalidInputError("time", time, fix)
-        self._time = time
+        clock = self._go_on(time, seen_by, place)
         self._way.go(place, moved)
         refused: dict[int, FgreconError] = {}
 
@@ -180,10 +180,10 @@ class Tracker:
             return Problem.of(observation, seen_by, self._model, ground, self._options)
 
         seen = self._seen(observations, seen_by, refused)
-        vehicles = FrameVehicles(time, place, self._way, seen, problem, self._track, refused)
+        vehicles = FrameVehicles(clock, place, self._way, seen, problem, self._track, refused)
         known: KnownGround | None = None
         if self._shared:
-            known = self._road.later(time, plane, seen_by, place, vehicles, motion_covariance=moved)
+            known = self._road.later(clock, plane, seen_by, place, vehicles, motion_covariance=moved)
             plane = plane if known is None else known.ground
         else:
             vehicles.look(plane)
@@ -195,13 +195,40 @@ class Tracker:
                 refused[name] = error
                 continue
             self._tracks[name] = track
-            track.time, track.world_T_camera, track.milestone = time, place, self._way.here
-            track.past.append(PastFrame(frame, place, known if "ground" not in self._options.disabled_terms else None))
+            track.time, track.world_T_camera, track.milestone = clock, place, self._way.here
+            stands_on = known if "ground" not in self._options.disabled_terms else None
+            track.past.append(PastFrame(frame, time, place, stands_on))
             if self._past is not None:
                 del track.past[: -self._past]
             found[name] = self._estimate(name, track)
         self.refused = refused
         return found
+
+    def _go_on(self, time: float, camera: Camera, place: gtsam.Pose3 | None) -> float:
+        """Go on to a frame; returns its time by a clock on which frames of one time are a microsecond apart.
+
+        Noise that grows with time must not vanish.
+
+        Raises:
+            InvalidInputError: It is not later, nor of another camera at a known place.
+        """
+        if abs(time - self._time) < _SHORTEST and place is not None and self._are_others(camera, place):
+            self._cameras.append((camera, place))
+        elif time - self._time >= _SHORTEST:
+            self._cameras = [(camera, place)]
+        else:
+            fix = f"Give frames in order, a microsecond apart at least: the last one was at {self._time:.10g} s."
+            fix += " Different cameras may have frames at the same time, if all of these have `world_T_camera`."
+            raise InvalidInputError("time", time, fix)
+        self._time, self._clock = time, max(time, self._clock + _SHORTEST)
+        return self._clock
+
+    def _are_others(self, camera: Camera, place: gtsam.Pose3) -> bool:
+        """Whether the cameras of the last time have places as well, and none of them is this one."""
+        return all(
+            there is not None and not (there.equals(place, 0.0) and np.array_equal(other.matrix, camera.matrix))
+            for other, there in self._cameras
+        )
 
     def _track(self, name: int) -> VehicleTrack:
         """The track of a vehicle; a new one is among those that are kept once it is solved."""
@@ -304,7 +331,7 @@ def _estimate(
         spread = None if spread is None else axes @ spread @ axes.T
     return VehicleEstimate(
         id=name,
-        time=frame.time,
+        time=past.time,
         reconstruction=result,
         velocity=velocity,
         turn_rate=turn_rate,

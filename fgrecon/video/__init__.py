@@ -1,10 +1,10 @@
 """From the frames of a video to tracked vehicles.
 
-`run_video` does what `fgrecon run` does: a `FrameLook` finds vehicles and keypoints in each frame and stores them, a
-`MotionLook` estimates how the camera itself has moved, a `Follower` gives ids (`GatedAssociation`, or any
-`Association`) and lets a tracker estimate (`fgrecon.Tracker`, or any `VehicleTracker`). `camera_motion` estimates the
-motion between two images; `read_given` reads vehicles that others have found; `found_camera` finds a focal length that
-nobody knows.
+`ImageTracker` takes one image after the other and returns estimates. `run_video` does what `fgrecon run` does: a
+`FrameLook` finds vehicles and keypoints in each frame and stores them, a `MotionLook` estimates how the camera itself
+has moved, a `Follower` gives ids (`GatedAssociation`, or any `Association`) and lets a tracker estimate
+(`fgrecon.Tracker`, or any `VehicleTracker`). `camera_motion` estimates the motion between two images; `read_given`
+reads vehicles that others have found; `found_camera` finds a focal length that nobody knows.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.video.focal import FoundCamera, found_camera
     from fgrecon.video.follow import Follower, TrackedFrame, VehicleTracker
     from fgrecon.video.given import Given, read_given
+    from fgrecon.video.image_tracker import ImageTracker
     from fgrecon.video.look import FrameLook
     from fgrecon.video.motion_look import MotionLook
     from fgrecon.video.records import FrameRecord, Sighting
@@ -41,6 +42,7 @@ __all__ = [
     "FrameRecord",
     "GatedAssociation",
     "Given",
+    "ImageTracker",
     "MotionLook",
     "Sighting",
     "SingleImages",

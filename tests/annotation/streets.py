@@ -16,6 +16,13 @@ SIZE = 640, 240
 P2 = "P2: 700 0 320 0 0 700 120 0 0 0 1 0\n"
 
 
+def directions(pose):
+    """(36,) what a network says of the direction that a car in a pose is seen from."""
+    centres = 2.0 * np.pi * np.arange(36) / 36
+    seen = np.exp((np.cos(centres - view_azimuth(pose[:3, :3], pose[:3, 3])) - 1.0) / 0.1) + 1e-4
+    return seen / seen.sum()
+
+
 @dataclass
 class Car:
     """The prior's mean car at a place."""
@@ -36,12 +43,6 @@ class Car:
     def box(self, prior):
         outline = project(prior.surface.mean, self.pose(), MATRIX)
         return np.clip([*outline.min(axis=0), *outline.max(axis=0)], 0.0, [SIZE[0] - 1, SIZE[1] - 1] * 2)
-
-    def directions(self):
-        """(36,) what a network says of the direction that it is seen from."""
-        pose, centres = self.pose(), 2.0 * np.pi * np.arange(36) / 36
-        seen = np.exp((np.cos(centres - view_azimuth(pose[:3, :3], pose[:3, 3])) - 1.0) / 0.1) + 0.002
-        return seen / seen.sum()
 
     def line(self, prior):
         """Its line of a label file."""
@@ -94,5 +95,5 @@ class Told:
             confidence = np.full(len(points), 0.9)
             if self.changed is not None:
                 points, confidence = self.changed(number, car, points, confidence)
-            found.append(Observation(points, confidence, box, confidence_midpoint=0.5, azimuth=car.directions()))
+            found.append(Observation(points, confidence, box, confidence_midpoint=0.5, azimuth=directions(car.pose())))
         return found

@@ -13,14 +13,15 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.turned import partners
 from fgrecon.io.kitti_drives import read_drive
 from fgrecon.simulation.vehicles import KITTI_CAMERA
-from tests.annotation.streets import Car, Told, write_drive
+from tests.annotation.streets import Car, Told, directions, write_drive
 from tests.cars import observe, project, yaw_pose
 
 KNOWN = Unboxed(Ground.level(1.6))
 
 
-def alone(seen, prior, known=KNOWN, camera=KITTI_CAMERA):
-    """The fit of a vehicle of one image, or why there is none."""
+def alone(seen, pose, prior, known=KNOWN, camera=KITTI_CAMERA):
+    """The fit of a vehicle of one image, whose network says where it is seen from, or why there is none."""
+    seen = replace(seen, azimuth=directions(pose))
     (found,) = fit_unboxed({0: (camera, {0: seen})}, prior, known).values()
     return found
 
@@ -92,7 +93,7 @@ def test_an_image_that_leaves_the_direction_open_is_not_sure(scene):
     seen = observe(scene.prior, yaw_pose(0.0))
     few = np.where(np.isin(np.arange(14), [0, 2, 10, 12])[:, None], seen.keypoints, np.nan)
     seen = replace(seen, keypoints=few, confidence=np.full(14, 0.3))
-    assert alone(seen, scene.prior) is Reason.UNSURE
+    assert alone(seen, yaw_pose(0.0), scene.prior) is Reason.UNSURE
 
 
 def test_images_that_show_it_turned_round_are_put_right(scene, tmp_path):
@@ -127,7 +128,7 @@ def test_size_and_ground_tell_how_far_it_is(scene):
     camera = Camera(KITTI_CAMERA.matrix)
     found = []
     for height in (1.65, 1.2):
-        fit = alone(seen, scene.prior, Unboxed(Ground.level(height), scene.size), camera)
+        fit = alone(seen, yaw_pose(0.5), scene.prior, Unboxed(Ground.level(height), scene.size), camera)
         assert isinstance(fit, Fit)
         found.append(fit.result.location[2])
     assert found[0] - found[1] > 0.3
@@ -136,7 +137,7 @@ def test_size_and_ground_tell_how_far_it_is(scene):
 def test_covariances_are_those_of_independent_samples(scene):
     pose = yaw_pose(0.5)
     camera = Camera(KITTI_CAMERA.matrix)
-    fit = alone(observe(scene.prior, pose), scene.prior, KNOWN, camera)
+    fit = alone(observe(scene.prior, pose), pose, scene.prior, KNOWN, camera)
     result, rng, scale = fit.result, np.random.default_rng(0), 0.05
     steps = scale * rng.multivariate_normal(np.zeros(6), result.pose_covariance, 3000)
     shifts = np.array([scale * rng.multivariate_normal(np.zeros(3), c, 3000) for c in result.keypoint_covariance])
@@ -153,7 +154,7 @@ def test_covariances_are_those_of_independent_samples(scene):
 @pytest.mark.parametrize("size", [None, "kitti"])
 def test_the_surface_is_that_of_the_result(scene, size):
     known = Unboxed(Ground.level(1.65), None if size is None else scene.size)
-    fit = alone(observe(scene.prior, yaw_pose(0.5)), scene.prior, known)
+    fit = alone(observe(scene.prior, yaw_pose(0.5)), yaw_pose(0.5), scene.prior, known)
     pose = fit.result.camera_T_object
     expected = fit.result.surface_vertices @ pose[:3, :3].T + pose[:3, 3]
     np.testing.assert_allclose(fit.solid.vertices, expected, atol=1e-12)

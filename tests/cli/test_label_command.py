@@ -62,12 +62,14 @@ def test_all_drives_share_one_set_of_bars(known, scene, drive, tmp_path, monkeyp
 
 def test_labels_summary_and_picture(known, drive, tmp_path):
     out, sheet, told = tmp_path / "labels.json", tmp_path / "labels.png", tmp_path / "told.json"
-    done = run(drive, "--out", out, "--picture", sheet, "--json", told, "--verbose")
+    done = run(*(drive, "--out", out, "--picture", sheet, "--json", told, "--verbose", "--license", "CC BY-NC-SA 3.0"))
     assert done.exit_code == 0, done.output
     found = read_coco_keypoints(out)
     assert [(v.image.frame, v.track, v.kind) for v in found.vehicles] == [(0, 3, "Van"), (0, 7, "Car"), (1, 7, "Car")]
     assert found.faces is None
     assert found.info["network, data"] == "made up"
+    assert "LICENSE-DATA.md" in found.info["terms"]
+    assert found.terms == "CC BY-NC-SA 3.0"
     assert found.vehicles[0].image.path == drive / "image_02" / "000000.png"
     row = next(line for line in done.stdout.splitlines() if line.strip().startswith("drive  "))
     assert row.split()[:1] == ["drive"]

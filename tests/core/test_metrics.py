@@ -100,3 +100,19 @@ def test_bad_input_names_the_field(call, field):
     with pytest.raises(InvalidInputError) as error:
         call()
     assert error.value.field == field
+
+
+def test_average_precision_by_hand():
+    # right, wrong, right, of three: precision 1 up to a third, 2/3 up to two thirds, then nothing
+    assert metrics.average_precision([0.9, 0.8, 0.7], [True, False, True], 3) == pytest.approx(5 / 9)
+    assert metrics.average_precision([0.7, 0.9, 0.8], [True, True, False], 3) == pytest.approx(5 / 9)
+    # a precision is the largest from there on: wrong, right, right
+    assert metrics.average_precision([0.9, 0.8, 0.7], [False, True, True], 2) == pytest.approx(2 / 3)
+    # equal scores count together, in whatever order they come
+    for right in ([True, False], [False, True]):
+        assert metrics.average_precision([0.5, 0.5], right, 1) == pytest.approx(0.5)
+    assert metrics.average_precision([], [], 2) == 0.0
+    assert np.isnan(metrics.average_precision([0.5], [False], 0))
+    for scores, right, total in (([np.nan], [True], 1), ([0.5], [True, False], 1), ([0.5, 0.4], [True, True], 1)):
+        with pytest.raises(InvalidInputError):
+            metrics.average_precision(scores, right, total)

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -96,6 +97,35 @@ def test_the_fields_are_those_of_coco(labels, tmp_path):
     assert read_coco_keypoints(tmp_path / "labels.json").faces is None
 
 
+def test_the_area_is_that_of_the_polygons(labels, tmp_path):
+    """As pycocotools counts the pixels in them; of the box where no part of the vehicle is seen."""
+    mask = pytest.importorskip("pycocotools.mask")
+    notched = np.array([[20.0, 30.0], [95.5, 28.0], [60.0, 50.0], [101.25, 77.0], [18.0, 70.0]])
+    apart = np.array([[105.0, 40.0], [105.0, 70.0], [109.0, 70.0]])[::-1]
+    seen = [(notched,), (notched, apart), ()]
+    vehicles = tuple(replace(v, silhouette=s) for v, s in zip(labels.vehicles, seen, strict=True))
+    path = write_coco_keypoints(tmp_path / "labels.json", replace(labels, vehicles=vehicles))
+    annotations = json.loads(path.read_text())["annotations"]
+    for one, polygons in zip(annotations[:2], seen, strict=False):
+        expected = sum(cv2.contourArea(polygon.astype(np.float32)) for polygon in polygons)
+        counted = mask.area(mask.merge(mask.frPyObjects(one["segmentation"], 375, 1242)))
+        assert one["area"] == pytest.approx(expected, rel=1e-5)
+        assert one["area"] == pytest.approx(counted, rel=0.03)
+    assert annotations[2]["area"] == pytest.approx(99.75 * 59.5, rel=1e-5)
+    again = write_coco_keypoints(tmp_path / "again.json", read_coco_keypoints(path))
+    assert again.read_bytes() == path.read_bytes()
+
+
+def test_terms_of_the_images_are_a_license_of_each(labels, tmp_path):
+    assert json.loads(write_coco_keypoints(tmp_path / "labels.json", labels).read_text())["licenses"] == []
+    told = replace(labels, terms="CC BY-NC-SA 3.0")
+    path = write_coco_keypoints(tmp_path / "labels.json", told)
+    content = json.loads(path.read_text())
+    assert content["licenses"] == [{"id": 1, "name": "CC BY-NC-SA 3.0", "url": ""}]
+    assert [image["license"] for image in content["images"]] == [1, 1]
+    assert read_coco_keypoints(path).terms == told.terms
+
+
 def test_flags_are_those_of_the_numbers_written(labels, tmp_path):
     first = labels.vehicles[0]
     first.keypoints[0], first.probability[1] = (1241.4999, 100.0), 0.49999999
@@ -153,6 +183,32 @@ def test_links_to_one_file_of_a_store_are_images_of_their_own(labels, tmp_path):
         assert json.loads(again.read_text())["images"] == told["images"]
 
 
+def test_images_behind_a_link_move_with_it(labels, tmp_path):
+    """The data folder is a link; file and link are moved together, and the link leads elsewhere then."""
+    for disk in ("disk", "other"):
+        (tmp_path / disk / "drive").mkdir(parents=True)
+        for number in (4, 5):
+            (tmp_path / disk / "drive" / f"{number:06d}.png").write_bytes(disk.encode())
+    (project := tmp_path / "project").mkdir()
+    (project / "data").symlink_to(tmp_path / "disk")
+    linked = tuple(
+        replace(v, image=replace(v.image, path=project / "data" / "drive" / v.image.path.name)) for v in labels.vehicles
+    )
+    (project / "made").mkdir()
+    for folder, up in ((project, ""), (project / "made", "../"), (project / "made" / ".." / "made", "../")):
+        path = write_coco_keypoints(folder / "labels.json", replace(labels, vehicles=linked))
+        names = [image["file_name"] for image in json.loads(path.read_text())["images"]]
+        assert names == [f"{up}data/drive/{n:06d}.png" for n in (4, 5)]
+        found = read_coco_keypoints(path)
+        assert found.vehicles[0].image.path == linked[0].image.path
+        again = write_coco_keypoints(folder / "again.json", found)
+        assert again.read_bytes() == write_coco_keypoints(path, found).read_bytes()
+    moved = project.rename(tmp_path / "moved")
+    (moved / "data").unlink()
+    (moved / "data").symlink_to(tmp_path / "other")
+    assert read_coco_keypoints(moved / "labels.json").vehicles[0].image.path.read_bytes() == b"other"
+
+
 GONE = object()
 
 
@@ -169,6 +225,7 @@ GONE = object()
         (["images", 1, "id"], GONE, "images[1].id"),
         (["images", 1, "width"], 0, "images[1].width, height"),
         (["images", 1, "camera_matrix", 2], None, "images[1].camera_matrix[2]"),
+        (["licenses"], [{}], "licenses[0].name"),
         (["annotations", 2], 7, "annotations[2]"),
         (["annotations", 2, "image_id"], 9, "annotations[2].image_id"),
         (["annotations", 2, "bbox"], [1, 2, 3], "annotations[2].bbox"),

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
@@ -38,12 +39,17 @@ def print_marks(screen: Screen, scored: Sequence[Scored], names: Sequence[str]) 
     for least in _SIZES[1:]:
         _row(table, f"street, from {least:.0f} px", localisation(scored, GROUPS["hard"], least=least))
     screen.print(table)
-    by_keypoint = _table("keypoint", "photographs 0.1", "0.05", "street 0.1", "0.05")
-    photographs, street = localisation(scored, GROUPS["photographs"]), localisation(scored, GROUPS["hard"])
-    for keypoint, name in enumerate(names):
-        shares = [*photographs.keypoints[keypoint], *street.keypoints[keypoint]]
-        by_keypoint.add_row(name, *("" if np.isnan(share) else f"{100 * share:.0f}" for share in shares))
-    screen.print(by_keypoint)
+    for name, groups in (("photographs", GROUPS["photographs"]), ("street", GROUPS["hard"])):
+        result = localisation(scored, groups)
+        by_keypoint = _table(f"{name}, by keypoint", "points", "PCK 0.1", "PCK 0.05", "APK 0.1", "APK 0.05")
+        for keypoint, point in enumerate(names):
+            shares = [*result.keypoints[keypoint], *result.precisions[keypoint]]
+            by_keypoint.add_row(point, *_shares(int(result.counts[keypoint]), shares))
+        mean = result.precisions[result.counts > 0].mean(axis=0)
+        by_keypoint.add_row(
+            "all, mean APK", *_shares(result.points, [result.within_tenth, result.within_twentieth, *mean])
+        )
+        screen.print(by_keypoint)
     found = marks_reliability(scored)
     by_confidence = _table("confidence", "right", "points")
     for sure, right, count in zip(found.confidence, found.right, found.count, strict=True):
@@ -55,18 +61,20 @@ def print_marks(screen: Screen, scored: Sequence[Scored], names: Sequence[str]) 
 def marks_document(scored: Sequence[Scored], names: Sequence[str]) -> dict[str, Any]:
     """The same numbers as plain values."""
 
+    def by_name(rows: NDArray[np.float64]) -> dict[str, list[float | None]]:
+        plain_rows = [[None if np.isnan(share) else float(share) for share in row] for row in rows]
+        return dict(zip(names, plain_rows, strict=False))
+
     def plain(result: Localisation) -> dict[str, Any]:
-        shares = {
-            name: [None if np.isnan(share) else float(share) for share in row]
-            for name, row in zip(names, result.keypoints, strict=False)
-        }
         return {
             "cars": result.cars,
             "points": result.points,
             "pck_0.1": result.within_tenth,
             "pck_0.05": result.within_twentieth,
             "median": result.median,
-            "keypoints": shares,
+            "keypoints": by_name(result.keypoints),
+            "keypoints_apk": by_name(result.precisions),
+            "keypoints_points": dict(zip(names, result.counts.tolist(), strict=False)),
         }
 
     found = marks_reliability(scored)
@@ -159,6 +167,10 @@ def _table(*headings: str) -> Table:
     for number, heading in enumerate(headings):
         table.add_column(heading, justify="right" if number else "left")
     return table
+
+
+def _shares(count: int, shares: Sequence[float]) -> list[str]:
+    return [str(count), *("" if np.isnan(share) else f"{100 * share:.0f}" for share in shares)]
 
 
 def _row(table: Table, name: str, result: Localisation) -> None:

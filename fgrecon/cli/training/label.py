@@ -113,6 +113,10 @@ def label_command(
     weights: WeightsOption = None,
     prior: PriorOption = "car14",
     meshes: Annotated[bool, typer.Option("--meshes", help="Also write each vehicle's surface.")] = False,
+    terms: Annotated[
+        str,
+        typer.Option("--license", metavar="TEXT", help="Terms of the images, such as CC BY-NC-SA 3.0, for the file."),
+    ] = "",
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Draw some of the labelled vehicles (png, jpg, svg, pdf).")
     ] = None,
@@ -147,7 +151,7 @@ def label_command(
     with screen.bar() as advance:
         watch = partial(counted, advance=advance)
         done = report.label_drives(drives, detector, shape_prior, watch, wanted, known)
-    labels = report.labels_of(done, shape_prior, detector.provenance)
+    labels = report.labels_of(done, shape_prior, detector.provenance, terms)
     report.show(screen, done, labels)
     screen.write_json(report.document(done, labels))
     if not labels.vehicles:

@@ -34,6 +34,10 @@ from fgrecon.training.keypoints.progress import Progress
 __all__ = ["Labelled", "document", "draw", "label_drives", "label_street", "labels_of", "show"]
 
 _DRAWN = 24  # vehicles of a picture, at most
+_TERMS = (
+    "The images are under the terms of their owners. The keypoints come from a network that has learnt from images of "
+    "others, whose terms its model card tells; for those of fgrecon see fgrecon/data/LICENSE-DATA.md."
+)
 
 
 @dataclass
@@ -104,8 +108,10 @@ def label_street(drives: Sequence[Path], network: Path, out: Path, watch: Progre
     write_coco_keypoints(out, labels)
 
 
-def labels_of(done: Sequence[Labelled], prior: ShapePrior, network: Mapping[str, str]) -> VehicleLabels:
-    """All annotations as labels."""
+def labels_of(
+    done: Sequence[Labelled], prior: ShapePrior, network: Mapping[str, str], terms: str = ""
+) -> VehicleLabels:
+    """All annotations as labels, with the terms of their images."""
     made = [(one.drive.name, annotation) for one in done for annotation in one.made]
     boxed = {annotation.boxed for _, annotation in made}
     of = {
@@ -115,10 +121,11 @@ def labels_of(done: Sequence[Labelled], prior: ShapePrior, network: Mapping[str,
     info = {
         "description": f"Keypoints of vehicles {of}, by a factor graph over all images of each.",
         "fgrecon": metadata.version("fgrecon"),
+        "terms": _TERMS,
         "prior": prior.name,
         **{f"network, {name}": value for name, value in network.items()},
     }
-    return vehicle_labels(made, prior.category, info)
+    return vehicle_labels(made, prior.category, info, terms)
 
 
 def show(screen: Screen, done: Sequence[Labelled], labels: VehicleLabels) -> None:

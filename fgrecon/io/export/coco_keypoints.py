@@ -8,7 +8,6 @@ vertices millimetres.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.brief import brief_repr
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.export.image_names import as_given, folder_of, name_from, place_of
 from fgrecon.io.files import write_text
 from fgrecon.io.json_fields import Fields, numbers, read_json
 
@@ -37,7 +37,7 @@ COCO_KEYPOINTS_FORMAT = "fgrecon.keypoint_labels/1"
 SEEN = 0.5
 """A keypoint of at least this probability is flagged as visible."""
 
-_CATEGORY = 1
+_CATEGORY = _LICENSE = 1
 _CORNERS = 8
 _FLAGS = 0, 1, 2
 
@@ -127,6 +127,7 @@ class VehicleLabels:
         vehicles: The labels.
         faces: (F, 3) triangles of every vehicle's surface, or None.
         info: What made them, in words.
+        terms: Of the images, in words; empty where they are not told.
     """
 
     category: str
@@ -135,12 +136,13 @@ class VehicleLabels:
     vehicles: tuple[VehicleLabel, ...]
     faces: NDArray[np.int64] | None = None
     info: Mapping[str, str] = field(default_factory=dict)
+    terms: str = ""
 
     __repr__ = brief_repr
 
 
 def write_coco_keypoints(path: str | Path, labels: VehicleLabels, *, meshes: bool = False) -> Path:
-    """Write labels, whole or not at all; images are named relative to the file's folder.
+    """Write labels, whole or not at all; images are named relative to the file's folder, by their paths as given.
 
     Args:
         path: JSON file.
@@ -157,13 +159,15 @@ def write_coco_keypoints(path: str | Path, labels: VehicleLabels, *, meshes: boo
         raise InvalidInputError("labels.vehicles", "none", "Give at least one.")
     if meshes and (labels.faces is None or any(vehicle.vertices is None for vehicle in labels.vehicles)):
         raise InvalidInputError("meshes", "a vehicle without a surface", "Give each its vertices, and the faces.")
-    folder = Path(path).resolve().parent
+    folder = folder_of(Path(path))
     images: dict[Path, dict[str, Any]] = {}
     annotations = []
     for number, vehicle in enumerate(labels.vehicles, start=1):
-        at = _place(vehicle.image.path)
+        at = place_of(vehicle.image.path)
         if at not in images:
-            images[at] = _image(vehicle.image, Path(os.path.relpath(at, folder)).as_posix(), len(images) + 1)
+            images[at] = _image(vehicle.image, name_from(folder, vehicle.image.path), len(images) + 1)
+            if labels.terms:
+                images[at]["license"] = _LICENSE
         annotations.append(_annotation(vehicle, number, images[at]["id"], meshes=meshes))
     category: dict[str, Any] = {
         "id": _CATEGORY,
@@ -177,20 +181,12 @@ def write_coco_keypoints(path: str | Path, labels: VehicleLabels, *, meshes: boo
     document = {
         "format": COCO_KEYPOINTS_FORMAT,
         "info": dict(labels.info),
-        "licenses": [],
+        "licenses": [{"id": _LICENSE, "name": labels.terms, "url": ""}] if labels.terms else [],
         "images": list(images.values()),
         "categories": [category],
         "annotations": annotations,
     }
     return write_text(path, json.dumps(document, allow_nan=False) + "\n")
-
-
-def _place(path: Path) -> Path:
-    """Where a file lies, its folder's links followed, since `..` is of where they lead, and its own not.
-
-    Several images may be links to one file of a store.
-    """
-    return path.parent.resolve() / path.name
 
 
 def _image(image: LabelledImage, name: str, number: int) -> dict[str, Any]:
@@ -211,13 +207,14 @@ def _annotation(vehicle: VehicleLabel, number: int, image: int, *, meshes: bool)
     points, probability = np.array(_short(vehicle.keypoints)), np.array(_short(vehicle.probability))
     flags = replace(vehicle, keypoints=points, probability=probability).flags  # as a reader will tell them
     corners = _short(np.where(np.isfinite(vehicle.corners), vehicle.corners, 0.0))
+    polygons = [_short(polygon.ravel()) for polygon in vehicle.silhouette]
     entry = {
         "id": number,
         "image_id": image,
         "category_id": _CATEGORY,
         "bbox": _short([x1, y1, x2 - x1, y2 - y1]),
-        "segmentation": [_short(polygon.ravel()) for polygon in vehicle.silhouette],
-        "area": _short((x2 - x1) * (y2 - y1)),
+        "segmentation": polygons,
+        "area": _short(sum(map(_area, polygons)) or (x2 - x1) * (y2 - y1)),
         "iscrowd": 0,
         "num_keypoints": int((flags > 0).sum()),
         "keypoints": [x for (u, v), f in zip(points.tolist(), flags.tolist(), strict=True) for x in _flagged(u, v, f)],
@@ -240,6 +237,12 @@ def _annotation(vehicle: VehicleLabel, number: int, image: int, *, meshes: bool)
     if meshes and vehicle.vertices is not None:
         entry["mesh"] = np.round(vehicle.vertices, 3).tolist()
     return entry
+
+
+def _area(polygon: Sequence[float]) -> float:
+    """Of COCO's polygon u, v, u, v, ... that does not cross itself (the shoelace formula)."""
+    u, v = (np.reshape(polygon, (-1, 2)) - polygon[:2]).T
+    return 0.5 * abs(float(u @ np.roll(v, -1) - v @ np.roll(u, -1)))
 
 
 def _flagged(u: float, v: float, flag: int) -> tuple[float, float, int]:
@@ -274,7 +277,7 @@ def read_coco_keypoints(path: str | Path) -> VehicleLabels:
     images: dict[int, LabelledImage] = {}
     for number, item in enumerate(top.get("images", list)):
         one = Fields(item, f"{source}: images[{number}].")
-        images[one.get("id", int)] = _read_image(one, source.resolve().parent)
+        images[one.get("id", int)] = _read_image(one, folder_of(source))
     vehicles = [
         _read_annotation(Fields(item, f"{source}: annotations[{number}]."), images, size)
         for number, item in enumerate(top.get("annotations", list))
@@ -290,7 +293,14 @@ def read_coco_keypoints(path: str | Path) -> VehicleLabels:
         vehicles=tuple(vehicles),
         faces=faces,
         info={key: str(value) for key, value in top.get("info", dict).items()},
+        terms=_terms(top),
     )
+
+
+def _terms(top: Fields) -> str:
+    """The name of the first licence that the file has."""
+    entries = top.get("licenses", list) if "licenses" in top else []
+    return Fields(entries[0], f"{top.where}licenses[0].").get("name", str) if entries else ""
 
 
 def _exactly_one(fields: Fields, name: str) -> Sequence[Any]:
@@ -322,7 +332,7 @@ def _read_image(fields: Fields, folder: Path) -> LabelledImage:
     if min(size) < 1:
         raise InvalidInputError(f"{fields.where}width, height", size, "Give pixels, from 1.")
     return LabelledImage(
-        path=_place(folder / fields.get("file_name", str)),
+        path=as_given(folder / fields.get("file_name", str)),
         size=size,
         matrix=fields.numbers("camera_matrix", (3, 3)),
         drive=fields.get("drive", str),

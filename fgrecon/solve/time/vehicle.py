@@ -165,6 +165,7 @@ class Followed:
         frame = Frame(self.count, time, problem, start, (here, *start.alternatives), np.zeros(0), step, pose, weights)
         if step is None:
             self._first(frame, start)
+        frame.since = _since(self.frames[-1] if self.frames else None, step)
         frame.evidence = _by_itself(frame) if way is None else _by_itself(frame) + way
         return frame
 
@@ -174,7 +175,7 @@ class Followed:
         camera = step.camera or gtsam.Pose3()
         if last.step is not None and last.known != (step.camera is not None):
             camera = gtsam.Pose3()  # which a velocity relative to it counts already
-            if last.step.camera is not None:
+            if last.step.camera is not None and not last.step.at_once:
                 share = step.seconds / last.step.seconds
                 camera = gtsam.Pose3.Expmap(share * gtsam.Pose3.Logmap(last.step.camera))
         return np.asarray(moved(last.pose, last.velocity, step.seconds, camera).matrix())
@@ -188,13 +189,17 @@ class Followed:
         frame.poses = (here, *self.solved.adjusted.alternatives[0])
 
     def _start_velocity(self) -> None:
-        """A new frame goes on as the one before did; the second tells how both do, and one of another kind likewise."""
-        *_, before, frame = self.frames
-        assert frame.step is not None
-        if len(self.frames) == 2 or (before.step is not None and before.known != frame.known):
-            camera = gtsam.Pose3() if frame.step.camera is None else frame.step.camera
-            twist = gtsam.Pose3.Logmap(before.pose.inverse().compose(camera.compose(frame.pose))) / frame.step.seconds
+        """A new frame goes on as those before did; the second moment tells how, and a step of another kind likewise."""
+        *earlier, frame = self.frames
+        before, step = earlier[-1], frame.step
+        assert step is not None
+        begins = all(one.step is not None and one.step.at_once for one in earlier[1:])
+        if not step.at_once and (begins or (before.step is not None and before.known != frame.known)):
+            camera = gtsam.Pose3() if step.camera is None else step.camera
+            twist = gtsam.Pose3.Logmap(before.pose.inverse().compose(camera.compose(frame.pose))) / step.seconds
             before.velocity = np.array([*np.clip(twist[[3, 5]], -_FAST, _FAST), 0.0])
+            for one in earlier if begins else ():
+                one.velocity = before.velocity
         frame.velocity = before.velocity
 
     def _solve(self) -> None:
@@ -212,7 +217,8 @@ class Followed:
         """Go on from two frames alone: what those before said of the heading, and their way, are another vehicle's."""
         self.frames, self.shape = [odd, last], _shape(self.solved)
         self._way = self._ahead = _Way()
-        odd.step = None
+        odd.step = odd.since = None
+        last.since = _since(odd, last.step)
         odd.evidence, last.evidence = _by_itself(odd), _by_itself(last)
         odd.belief = Belief.none().told(odd.evidence)
         last.believe(odd)
@@ -261,9 +267,9 @@ def _from(frame: Frame) -> PoseEstimate:
 
 
 def _by_itself(frame: Frame) -> Array:
-    """(B,) what a frame's image says of the heading, as far as it counts after the frame before."""
+    """(B,) what a frame's image says of the heading, as far as it counts after the frames before."""
     seen = frame.given.observation
-    return image_says(seen, frame.poses) * weight_of(None if frame.step is None else frame.step.seconds, _height(seen))
+    return image_says(seen, frame.poses) * weight_of(frame.since, _height(seen))
 
 
 def image_says(observation: Observation, poses: Sequence[Alternative]) -> Array:
@@ -372,6 +378,13 @@ class _Way:
         if np.linalg.norm(moved) < max(_WAY, 4.0 * sigma):
             return None, _Way(camera, self.begun)
         return motion_says(np.asarray(camera.rotation().unrotate(moved)), sigma), _Way(camera, place)
+
+
+def _since(before: Frame | None, step: FrameStep | None) -> float | None:
+    """Seconds to a frame from those of an earlier moment: what images of one moment say counts alike in any order."""
+    if before is None or step is None:
+        return None
+    return before.since if step.at_once else step.seconds
 
 
 def _height(observation: Observation) -> float:

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import groupby, pairwise
 
 import gtsam
 import numpy as np
@@ -41,9 +41,21 @@ from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.time.heading import HEADINGS, Belief, another_side, carried
 from fgrecon.solve.time.motion import link, velocity_terms
 
-__all__ = ["Frame", "FrameStep", "OwnFactors", "WindowSolve", "solve_alone", "solve_window", "velocity_covariances"]
+__all__ = [
+    "AT_ONCE",
+    "Frame",
+    "FrameStep",
+    "OwnFactors",
+    "WindowSolve",
+    "solve_alone",
+    "solve_window",
+    "velocity_covariances",
+]
 
 Array = NDArray[np.float64]
+
+AT_ONCE = 1e-4
+"""Seconds: nothing moves between frames that are no further apart; they are of two cameras."""
 
 _LONGEST = 1.0  # seconds that one velocity stands for
 _DRIVES = 7.0
@@ -90,6 +102,11 @@ class FrameStep:
         )
 
     @property
+    def at_once(self) -> bool:
+        """Whether both frames are of one moment, by two cameras."""
+        return self.seconds < AT_ONCE
+
+    @property
     def turn(self) -> float:
         """By how much `rotation_y` of a thing at rest changes, radians."""
         if self.camera is None:
@@ -116,6 +133,7 @@ class Frame:
         velocity: (3,) where it is now.
         belief: Of the heading, by this frame and those before.
         neighbours: (B,) what the other vehicles say of it, logarithms; no part of the belief.
+        since: Seconds since the frames of an earlier moment; None where there are none.
     """
 
     number: int
@@ -131,6 +149,7 @@ class Frame:
     belief: Belief = field(default_factory=Belief.none)
     neighbours: Array = field(default_factory=lambda: np.zeros(len(HEADINGS)))
     given: Problem = None  # type: ignore[assignment]  # the problem, unless it is told
+    since: float | None = None
 
     def __post_init__(self) -> None:
         """Take the problem as it is given."""
@@ -173,7 +192,8 @@ class WindowSolve:
         adjusted: Where the graph's optimisation ended.
         extra: The factors of motion.
         tied: Share of their information that these have.
-        over_world: Whether the velocity of each is over the world; else it is relative to the camera.
+        over_world: Whether the velocity of each is over the world, else it is relative to the camera; None where no
+            time has passed that tells it.
         stands: Whether the vehicle stands in all of them, or drives; None where that is in doubt, or cannot be said.
     """
 
@@ -182,7 +202,7 @@ class WindowSolve:
     adjusted: Adjusted
     extra: tuple[gtsam.NonlinearFactor, ...]
     tied: float = 1.0
-    over_world: tuple[bool, ...] = ()
+    over_world: tuple[bool | None, ...] = ()
     stands: bool | None = None
 
     def bring(self, frames: Sequence[Frame]) -> None:
@@ -301,12 +321,22 @@ def _solved(
         optimum = replace(optimum, unfinished=None)
     adjusted = Adjusted(optimum, (SolvedStage("track", graph, optimum.steps),), ((),) * len(frames))
     starts = tuple(frame.start for frame in frames)
-    return WindowSolve(seen, starts, adjusted, tuple(extra), tied, tuple(_over_world(frames)), stands)
+    return WindowSolve(seen, starts, adjusted, tuple(extra), tied, tuple(_told_over_world(frames)), stands)
 
 
 def _over_world(frames: Sequence[Frame]) -> list[bool]:
     """Whether the velocity in each of several frames is over the world."""
     return [after.known for after in (*frames[1:], frames[-1])]
+
+
+def _told_over_world(frames: Sequence[Frame]) -> list[bool | None]:
+    """The same; None of frames that follow each other and are all of one moment."""
+    found: list[bool | None] = []
+    for known, some in groupby((*frames[1:], frames[-1]), lambda after: after.known):
+        steps = [after.step for after in some]
+        told = any(step is not None and not step.at_once for step in steps)
+        found += [known if told else None] * len(steps)
+    return found
 
 
 def velocity_covariances(solved: WindowSolve, frames: Sequence[Frame]) -> list[Array | None]:
@@ -345,7 +375,8 @@ def motion_factors(
         numbers = before.number, frame.number
         carried, alike = step.carried(frame.pose), kinds[0] == kinds[1]
         found += link(numbers, step.seconds, model, step.camera, carried=carried, share=tied, alike=alike)
-    for frame, after, known in zip(frames, [*frames[1:], frames[-1]], over_world, strict=True):
+    last = next((frame for frame in frames[:0:-1] if frame.step and not frame.step.at_once), frames[-1])
+    for frame, after, known in zip(frames, [*frames[1:], last], over_world, strict=True):
         assert after.step is not None
         seconds = min(after.step.seconds, _LONGEST)
         found += velocity_terms(frame.number, seconds, model, known=known, share=share, stands=stands)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.geometry import view_azimuth
+from fgrecon.core.metrics import average_precision
 from fgrecon.io.images import read_image
 from fgrecon.perception.keypoints.detect import REACH, Detection, KeypointCascade
 from fgrecon.training.keypoints.calibrate import Reliability, reliability
@@ -64,10 +65,13 @@ class Localisation:
     Attributes:
         cars: Number of cars.
         points: Number of visible points.
-        within_tenth: Share of them within 0.1 of the box's longer side (PCK, the paper's APK threshold).
+        within_tenth: Share of them within 0.1 of the box's longer side (PCK).
         within_twentieth: Within 0.05.
         median: Median distance, same unit.
         keypoints: (K, 2) both shares by keypoint, NaN where none is visible.
+        precisions: (K, 2) average precision by keypoint (APK) at the same distances, likewise: of all cars' points by
+            their confidences, of which hidden ones are wrong.
+        counts: (K,) number of visible points by keypoint.
     """
 
     cars: int
@@ -76,6 +80,8 @@ class Localisation:
     within_twentieth: float
     median: float
     keypoints: Array
+    precisions: Array
+    counts: NDArray[np.int64]
 
 
 def score_marks(detector: KeypointCascade, marks: Sequence[Mark], progress: Progress = no_progress) -> list[Scored]:
@@ -101,15 +107,29 @@ def localisation(scored: Sequence[Scored], groups: Sequence[str] | None = None, 
     """
     used = [s for s in scored if (groups is None or s.mark.group in groups) and s.mark.extent >= least]
     if not used:
-        return Localisation(0, 0, np.nan, np.nan, np.nan, np.zeros((0, 2)))
+        none = np.zeros((0, 2))
+        return Localisation(0, 0, np.nan, np.nan, np.nan, none, none, np.zeros(0, dtype=np.int64))
     error, visible = np.array([s.error for s in used]), np.array([s.mark.visible for s in used])
     near, nearer = (error <= REACH) & visible, (error <= REACH / 2) & visible
     count = visible.sum(axis=0)
     with np.errstate(invalid="ignore"):
         shares = np.stack([near.sum(axis=0) / count, nearer.sum(axis=0) / count], axis=1)
+    sure = np.array([s.detection.observation.confidence for s in used])
+    precisions = [
+        [average_precision(sure[:, k], right[:, k], int(count[k])) for right in (near, nearer)]
+        for k in range(len(count))
+    ]
     total = max(int(visible.sum()), 1)
-    median = float(np.median(error[visible])) if visible.any() else float("nan")
-    return Localisation(len(used), int(visible.sum()), near.sum() / total, nearer.sum() / total, median, shares)
+    return Localisation(
+        cars=len(used),
+        points=int(visible.sum()),
+        within_tenth=near.sum() / total,
+        within_twentieth=nearer.sum() / total,
+        median=float(np.median(error[visible])) if visible.any() else float("nan"),
+        keypoints=shares,
+        precisions=np.array(precisions),
+        counts=count,
+    )
 
 
 def marks_reliability(scored: Sequence[Scored], bins: int = 8) -> Reliability:

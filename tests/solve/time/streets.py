@@ -21,10 +21,10 @@ def upright(yaw, place):
     return pose
 
 
-def seen(pose, rng, *, noise=0.015, turned=False, shape=None):
+def seen(pose, rng, *, noise=0.015, turned=False, shape=None, camera=CAMERA):
     """The observation of a car in a pose, with directions as a network gives them; turned round where it is so."""
     points = PRIOR.keypoints(np.zeros(PRIOR.dimension) if shape is None else shape)
-    pixels = CAMERA.project(points @ pose[:3, :3].T + pose[:3, 3])
+    pixels = camera.project(points @ pose[:3, :3].T + pose[:3, 3])
     box = np.array([*pixels.min(axis=0), *pixels.max(axis=0)])
     extent = float((box[2:] - box[:2]).max())
     pixels = pixels + noise * extent * rng.normal(size=pixels.shape)

@@ -1,0 +1,124 @@
+"""One image after the other in, estimates of the tracked vehicles out: for whoever has images and no keypoints.
+
+image ---- FrameLook: boxes, keypoints ---- Follower: ids, by association ---- fgrecon.Tracker ---- estimates by id
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.checks import as_finite, as_rigid
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.options import Options
+from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.core.vehicle_estimate import VehicleEstimate
+from fgrecon.io.catalogue import load_prior
+from fgrecon.io.frames import SourceFrame
+from fgrecon.io.images import read_image
+from fgrecon.io.poses import CameraPoses
+from fgrecon.perception.boxes import for_detected
+from fgrecon.perception.keypoints.detect import as_rgb8, shipped_cascade
+from fgrecon.perception.protocols import KeypointDetector, VehicleDetector, check_category
+from fgrecon.perception.vehicles.detect import NanodetVehicleDetector
+from fgrecon.solve.pipeline import ground_plane, known_camera
+from fgrecon.solve.tracker import Tracker
+from fgrecon.video.association import Association, GatedAssociation
+from fgrecon.video.follow import Follower, TrackedFrame
+from fgrecon.video.look import FrameLook
+
+__all__ = ["ImageTracker"]
+
+_RIGID = 1e-4  # of a place's rotation, as `Tracker` takes it
+
+
+class ImageTracker:
+    """Follows the vehicles that a camera sees, image by image.
+
+    Attributes:
+        tracker: Estimates the vehicles: its `smooth` gives those of the past by all images.
+        frame: What the last image shows, by id: boxes, scores, keypoints, why vehicles have no estimate; None before
+            the first one.
+    """
+
+    def __init__(
+        self,
+        *,
+        prior: ShapePrior | str | Path = "car14",
+        options: Options | None = None,
+        vehicle_detector: VehicleDetector | None = None,
+        keypoint_detector: KeypointDetector | None = None,
+        association: Association | None = None,
+        **arguments: Any,
+    ) -> None:
+        """Prepare for vehicles of one category.
+
+        Args:
+            prior: Shape prior, or its name, or the path of its file; of the category of the keypoint detector.
+            options: Settings. Where the package's detector finds the boxes, `surface` is `detected`.
+            vehicle_detector: Finds the boxes; None for that of the package.
+            keypoint_detector: Finds the keypoints; None for the networks of the package.
+            association: Gives ids; None for one that forgets vehicles that it has not seen for two seconds, the
+                tracker's past of them as well. `GatedAssociation()` keeps that for `smooth`.
+            arguments: Further ones of `fgrecon.Tracker`: size_prior, window, shared_ground, past, motion_factors.
+
+        Raises:
+            InvalidInputError: An argument cannot be used; names it, its value and the fix.
+        """
+        shape_prior = load_prior(prior)
+        networks = shipped_cascade() if keypoint_detector is None else keypoint_detector
+        check_category(networks, shape_prior.category)
+        boxes = NanodetVehicleDetector() if vehicle_detector is None else vehicle_detector
+        chosen = for_detected(options) if vehicle_detector is None else options
+        self.tracker = Tracker(prior=shape_prior, options=chosen, **arguments)
+        self.frame: TrackedFrame | None = None
+        self._look = FrameLook(shape_prior.category, vehicle_detector=boxes, keypoint_detector=networks)
+        self._association = GatedAssociation(given_up=self.tracker.forget) if association is None else association
+        self._places: dict[int, NDArray[np.float64]] = {}  # of the camera in the image at hand, by its number
+        self._follower: Follower | None = None
+
+    def update(
+        self,
+        time: float,
+        image: NDArray[Any] | str | Path,
+        *,
+        camera: Camera | ArrayLike,
+        world_T_camera: ArrayLike | None = None,
+        ground: Ground | float | None = None,
+    ) -> dict[int, VehicleEstimate]:
+        """Take an image; the networks look at it.
+
+        Args:
+            time: Of the image, seconds, later than of all before.
+            image: (H, W, 3) RGB, or grey; 8 or 16 bits; or the path of an image file.
+            camera: The camera that took it, or its matrix (3, 3), or (fx, fy, cx, cy). It may zoom; a camera that looks
+                elsewhere needs an `ImageTracker` of its own, since ids go on by where boxes were in the image before.
+            world_T_camera: (4, 4) pose of the camera in a world that stands still; None where it is not known.
+            ground: Ground plane in the camera's frame; a number is the height in metres of a level camera.
+
+        Returns:
+            The estimates by id, by this image and those before.
+
+        Raises:
+            InvalidInputError: An argument cannot be used, or a detector returns something else than its protocol says.
+        """
+        time = float(as_finite("time", time, (), "Give seconds."))
+        if self.frame is not None and not time > self.frame.time:
+            fix = f"Give the images of one camera in order: the last one was at {self.frame.time:.10g} s."
+            raise InvalidInputError("time", time, fix)
+        pixels = read_image(image) if isinstance(image, str | Path) else as_rgb8(image)
+        seen_by = known_camera("camera", Camera.of(camera)).with_size_of(pixels)
+        plane, number = ground_plane(ground), 0 if self.frame is None else self.frame.number + 1
+        self._places.clear()
+        if world_T_camera is not None:
+            self._places[number] = as_rigid("world_T_camera", world_T_camera, _RIGID)
+        record = self._look(SourceFrame(number, time, f"image {number}", pixels))
+        if self._follower is None:
+            self._follower = Follower(self.tracker, self._association, seen_by, poses=CameraPoses(self._places))
+        self._follower.camera, self._follower.ground = seen_by, plane
+        self.frame = self._follower(record)
+        return dict(self.frame.estimates)
