@@ -73,4 +73,5 @@ def _label(drive: str, one: Annotation) -> VehicleLabel:
         agreement=one.agreement,
         silhouette=silhouette(one),
         vertices=one.vertices,
+        boxed=one.boxed,
     )

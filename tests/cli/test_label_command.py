@@ -173,6 +173,7 @@ def test_a_trackers_boxes_take_the_place_of_labels(known, scene, drive, tmp_path
     labels = read_coco_keypoints(out)
     assert {(v.image.frame, v.track) for v in labels.vehicles} >= {(0, 7), (1, 7)}
     assert "without labelled 3D boxes" in labels.info["description"]
+    assert [v.boxed for v in labels.vehicles] == [False] * len(labels.vehicles)
     box = NEAR.box(scene.prior)
     seen = labels.vehicles[[v.track for v in labels.vehicles].index(7)]
     off = ((seen.keypoints - NEAR.keypoints(scene.prior)) ** 2).sum(axis=1) ** 0.5

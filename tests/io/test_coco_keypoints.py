@@ -43,6 +43,7 @@ def make_labels(folder, count=3, seed=0):
                 size=np.array([4.0, 1.7, 1.5]),
                 azimuth=float(rng.uniform(-3, 3)),
                 agreement=0.75,
+                boxed=False,
                 vertices=rng.uniform([-5, 0, 8], [5, 2, 30], (5, 3)),
             )
         )
@@ -63,7 +64,7 @@ def test_what_is_written_reads_back(labels, tmp_path):
     assert found.faces.tolist() == labels.faces.tolist()
     assert len({id(vehicle.image) for vehicle in found.vehicles}) == 2
     for one, read in zip(labels.vehicles, found.vehicles, strict=True):
-        assert (read.track, read.kind, read.agreement) == (one.track, one.kind, one.agreement)
+        assert (read.track, read.kind, read.agreement, read.boxed) == (one.track, one.kind, one.agreement, False)
         assert (read.image.path, read.image.size) == (one.image.path.resolve(), one.image.size)
         assert (read.image.drive, read.image.frame) == (one.image.drive, one.image.frame)
         np.testing.assert_array_equal(read.image.matrix, one.image.matrix)

@@ -39,6 +39,7 @@ SEEN = 0.5
 
 _CATEGORY = _LICENSE = 1
 _CORNERS = 8
+_LABELLED, _RECONSTRUCTED = "labelled", "reconstructed"  # where a cuboid is from
 _FLAGS = 0, 1, 2
 
 Array = NDArray[np.float64]
@@ -86,6 +87,7 @@ class VehicleLabel:
         agreement: Share of the network's confidence that agrees with the keypoints.
         silhouette: Polygons (N, 2) in pixels, where the vehicle is seen; none where no part of it is.
         vertices: (V, 3) surface, camera frame; None where it is not kept.
+        boxed: Whether its 3D box was labelled; else it was reconstructed.
     """
 
     image: LabelledImage
@@ -103,6 +105,7 @@ class VehicleLabel:
     agreement: float
     silhouette: tuple[Array, ...] = ()
     vertices: Array | None = None
+    boxed: bool = True
 
     __repr__ = brief_repr
 
@@ -230,6 +233,7 @@ def _annotation(vehicle: VehicleLabel, number: int, image: int, *, meshes: bool)
             "location": _short(vehicle.location),
             "rotation_y": _short(vehicle.rotation_y),
             "size": _short(vehicle.size),
+            "source": _LABELLED if vehicle.boxed else _RECONSTRUCTED,
         },
         "azimuth": _short(vehicle.azimuth),
         "agreement": _short(vehicle.agreement),
@@ -372,6 +376,7 @@ def _read_annotation(fields: Fields, images: Mapping[int, LabelledImage], size: 
         agreement=float(fields.numbers("agreement", ())),
         silhouette=_polygons(fields),
         vertices=vertices,
+        boxed=cuboid.data.get("source", _LABELLED) == _LABELLED,
     )
 
 

@@ -18,7 +18,14 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.renamed import renamed
 from fgrecon.io.catalogue import load_category
 from fgrecon.perception.keypoints.crops import MARGIN, Crop, crop_of, extract
-from fgrecon.perception.keypoints.decode import ConfidenceCalibration, Decoded, decode, peak, softmax
+from fgrecon.perception.keypoints.decode import (
+    ConfidenceCalibration,
+    Decoded,
+    decode,
+    left_probability,
+    peak,
+    softmax,
+)
 from fgrecon.perception.keypoints.layout import PATCH, KNetLayout, KNetSettings, RefineLayout, RefineSettings
 from fgrecon.perception.keypoints.patches import cut_patches, fuse, patch_offsets, run_networks, window_of
 from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, open_session, threads_of_torch
@@ -74,6 +81,11 @@ class CascadeDetection(Detection):
     mass: Array = field()
     crop: Crop = field()
     likelihood: Array | None = None
+
+    @property
+    def left_probability(self) -> float:
+        """How probably the camera is to the vehicle's left, and not its right."""
+        return left_probability(self.azimuth)
 
 
 class KeypointCascade:
