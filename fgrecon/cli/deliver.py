@@ -35,6 +35,11 @@ class Viewer:
         bool, typer.Option("--spawn", help="Show the recording in a new rerun viewer.", rich_help_panel=_PANEL)
     ] = False
 
+    @property
+    def wanted(self) -> bool:
+        """Whether any of the options is given."""
+        return self.connect is not None or self.spawn
+
 
 @dataclass(frozen=True)
 class Delivery(Viewer):
@@ -52,7 +57,7 @@ class Delivery(Viewer):
     @property
     def wanted(self) -> bool:
         """Whether any of the options is given."""
-        return self.save is not None or self.connect is not None or self.spawn
+        return self.save is not None or super().wanted
 
     def check(self) -> None:
         """Refuse before the work what could not be delivered after it; see `check_delivery`."""

@@ -20,19 +20,26 @@ from fgrecon.video.rows import motion_of
 from fgrecon.viz import save_picture, scene_picture
 from fgrecon.viz.overlay import Shown, annotated
 from fgrecon.viz.overview import state_in_words
+from fgrecon.viz.video_blueprint import SIZES
 from fgrecon.viz.video_recording import ShownFrame
 
 __all__ = ["Showing", "film", "recorded", "still"]
 
 _RATE = 10.0  # told to players; the frames have times of their own
 _TRAIL = 100  # frames that a vehicle's path is drawn
+_SIGMAS = 1.96  # of 95 %
 
 
 class Showing:
     """Turns tracked frames, in order, into what is drawn of them."""
 
-    def __init__(self) -> None:
-        """Nothing was shown yet."""
+    def __init__(self, *, beside_table: bool = False) -> None:
+        """Nothing was shown yet.
+
+        Args:
+            beside_table: Whether a table tells distances and what became of each vehicle.
+        """
+        self._beside_table = beside_table
         self._trails: dict[int, list[NDArray[np.float64]]] = {}  # where each vehicle was, in the world
         self._seen: set[int] = set()
 
@@ -44,14 +51,28 @@ class Showing:
             if estimate is None:
                 shown.append(Shown(identity, box))
                 continue
-            in_world, trail = estimate.world_T_object, None
-            if in_world is not None and frame.world_T_camera is not None:
-                places = self._trails.setdefault(identity, [])
-                places.append(in_world[:3, 3])
-                del places[:-_TRAIL]
-                trail = transform(np.linalg.inv(frame.world_T_camera).astype(np.float64), np.array(places))
-            shown.append(Shown(identity, box, estimate.reconstruction, _words(estimate), trail))
+            trail = None if frame.world_T_camera is None else self._trail(estimate, frame.world_T_camera)
+            shown.append(Shown(identity, box, estimate.reconstruction, self._words(estimate), trail))
         return tuple(shown)
+
+    def _trail(self, estimate: VehicleEstimate, world_T_camera: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """(T, 3) where a vehicle was as far as that is known, in the camera's frame."""
+        places = self._trails.setdefault(estimate.id, [])
+        if estimate.world_T_object is not None and estimate.reconstruction.status.determined:
+            places.append(estimate.world_T_object[:3, 3])
+            del places[:-_TRAIL]
+        return transform(np.linalg.inv(world_T_camera).astype(np.float64), np.array(places)) if places else None
+
+    def _words(self, estimate: VehicleEstimate) -> str:
+        """Distance and speed, or that there is neither."""
+        result, words = estimate.reconstruction, []
+        if not result.status.determined:
+            return "" if self._beside_table else result.status.value
+        if not self._beside_table:
+            words.append(f"{np.linalg.norm(result.location):.0f} m")
+        if estimate.speed is not None and estimate.world_T_object is not None:  # one seen from the camera tells little
+            words.append(f"{3.6 * estimate.speed:.0f} km/h")
+        return ", ".join(words)
 
     def frame(self, frame: TrackedFrame, image: NDArray[np.uint8] | None) -> ShownFrame:
         """A frame as it is recorded."""
@@ -67,6 +88,7 @@ class Showing:
             problem=frame.problem,
             values={identity: _values(estimate) for identity, estimate in frame.estimates.items()},
             states=states,
+            window=frame.window,
         )
 
 
@@ -121,7 +143,7 @@ def still(
     """
     if number is None and frames:
         number = max(frames, key=lambda frame: (len(frame.estimates), len(frame.boxes))).number
-    showing = Showing()
+    showing = Showing(beside_table=True)
     for frame in frames:
         vehicles = showing.vehicles(frame)
         if frame.number == number and vehicles:
@@ -142,18 +164,24 @@ def recorded(source: FrameSource, frames: Sequence[TrackedFrame]) -> Iterator[Sh
 
 
 def _values(estimate: VehicleEstimate) -> dict[str, tuple[float, ...]]:
-    """What is plotted: the yaw with its band of 95 %, and numbers."""
+    """What is plotted of a vehicle: numbers, yaw and size with their bands of 95 %; nothing where it has no pose."""
     result = estimate.reconstruction
-    yaw, covariance = float(np.degrees(result.rotation_y)), result.pose_covariance
-    band = 0.0 if covariance is None else float(np.degrees(1.96 * np.sqrt(covariance[1, 1])))  # about the own y axis
+    if not result.status.determined:
+        return {}
+    turned, sizes = result.pose_covariance, result.size_covariance
+    spreads = np.full(3, np.nan) if sizes is None else np.sqrt(np.diag(sizes))
     known = {name: (value,) for name, value in motion_of(estimate).items() if value is not None}
-    length = float(result.box_size[0])
     return {
-        "yaw": (yaw, yaw - band, yaw + band),
+        "yaw": _band(np.degrees(result.rotation_y), np.nan if turned is None else np.degrees(np.sqrt(turned[1, 1]))),
+        **{name: _band(*pair) for name, *pair in zip(SIZES, result.box_size, spreads, strict=True)},
         "distance": (float(np.linalg.norm(result.location)),),
-        "length": (length,),
         **known,
     }
+
+
+def _band(value: float, sigma: float) -> tuple[float, ...]:
+    """A value with its band of 95 %, which is NaN where that is not known."""
+    return (float(value), float(value - _SIGMAS * sigma), float(value + _SIGMAS * sigma))
 
 
 def _state(estimate: VehicleEstimate | None) -> str:
@@ -161,10 +189,3 @@ def _state(estimate: VehicleEstimate | None) -> str:
     if estimate is None:
         return "refused"
     return state_in_words(estimate.reconstruction.status.value, estimate.reconstruction.camera_T_object)
-
-
-def _words(estimate: VehicleEstimate) -> str:
-    place = f"{np.linalg.norm(estimate.reconstruction.location):.0f} m"
-    if estimate.speed is None or estimate.world_T_object is None:  # a speed seen from the camera tells nobody much
-        return place
-    return f"{place} {3.6 * estimate.speed:.0f} km/h"

@@ -50,7 +50,14 @@ def perform(job: Job, viewer: Viewer, screen: Screen) -> VideoRun:
     ids: dict[str, Any] = {} if given is None else {"settings": given.association, "first": given.largest_id + 1}
     association = GatedAssociation(**ids, given_up=forget)
     ground = settings.ground
-    follower = Follower(tracker, association, job.camera, ground=ground, poses=job.poses, moving=job.moving)
+    window_graph = tracker.window_graph if isinstance(tracker, Tracker) and viewer.wanted else None
+    follower = Follower(
+        *(tracker, association, job.camera),
+        ground=ground,
+        poses=job.poses,
+        moving=job.moving,
+        window_graph=window_graph,
+    )
     motion = MotionLook(job.camera, ground) if job.moving and ground is not None else None
     with screen.bar() as advance, _on_interrupt() as stopped, _live(job, viewer) as show:
 
@@ -170,7 +177,7 @@ def table(run: VideoRun) -> Table:
 def in_words(run: VideoRun) -> str:
     """What the run was."""
     gaps = f", {len(run.gaps)} of them gaps" if run.gaps else ""
-    before = f"; {run.before} were looked at before" if run.before else ""
+    before = f"; {run.before} {'was' if run.before == 1 else 'were'} looked at before" if run.before else ""
     how = "smoothed" if run.smoothed else "each estimate as of its frame"
     went = "" if run.way is None else f"; the camera went {run.way:.1f} m"
     parts = (counted(len(run.frames), "frame") + gaps, counted(len(run.tracks), "car"))

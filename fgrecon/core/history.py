@@ -51,7 +51,7 @@ class GraphFactor:
 
     Attributes:
         term: Its energy term, such as `reprojection`.
-        label: The keypoint or face that it is about; empty where the term has one factor.
+        label: The keypoint, face or motion that it is about; empty where the term has one factor.
         variables: Names of the variables that it ties together, such as `X(v=0,t=0)` and `L(v=0)` (`factors.key_name`).
     """
 

@@ -23,7 +23,7 @@ from fgrecon.core.checks import as_finite, as_rigid
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.observation import KeypointsLike, Observation
 from fgrecon.core.options import Options, checked_options
-from fgrecon.core.reconstruction import Reconstruction, rotation_y
+from fgrecon.core.reconstruction import GraphFactor, Reconstruction, rotation_y
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as named_size_prior
@@ -34,6 +34,7 @@ from fgrecon.solve.box_check import box_excess, boxes_off
 from fgrecon.solve.facing import face_together
 from fgrecon.solve.frame_vehicles import FrameVehicles, PastFrame, VehicleTrack
 from fgrecon.solve.graph.adjust import Adjusted
+from fgrecon.solve.graph.structure import graph_factors
 from fgrecon.solve.pipeline import ground_plane, known_camera, observe
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import count, results
@@ -269,6 +270,26 @@ class Tracker:
         """
         with self._one_call:
             return boxes_off([*self._forgotten, *map(_box_excess, self._tracks.values())])
+
+    def window_graph(self, vehicle: int) -> tuple[GraphFactor, ...]:
+        """The factors that a vehicle's last frame was solved with, those of the other frames of its window included.
+
+        Args:
+            vehicle: Its id, by which the variables are named as well: `X(v=7,t=3)` is the pose of vehicle 7 in its
+                frame 3, counted from 0.
+
+        Returns:
+            The factors, for drawing; none of a vehicle that is not there, or whose solve failed.
+        """
+        with self._one_call:
+            track = self._tracks.get(vehicle)
+            if track is None or track.followed.solved.failed:
+                return ()
+            adjusted = track.followed.solved.adjusted
+            return tuple(
+                replace(factor, variables=tuple(name.replace("v=0", f"v={vehicle}", 1) for name in factor.variables))
+                for factor in graph_factors(adjusted.graph, adjusted.optimum.state.weights)
+            )
 
     def forget(self, vehicle: int) -> None:
         """Let go of a vehicle, and of its past; one that is not there is none to let go of."""

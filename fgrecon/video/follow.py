@@ -8,7 +8,7 @@ record of a frame ---- ids (given, or by association) ---- tracker ---- estimate
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -19,6 +19,7 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.geometry import transform
 from fgrecon.core.observation import Observation
+from fgrecon.core.reconstruction import GraphFactor
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.io.poses import CameraPoses
 from fgrecon.video.association import Association, Candidate, stands_at
@@ -80,6 +81,7 @@ class TrackedFrame:
         observations: Keypoints by id.
         estimates: By id; a vehicle that could not be solved has none.
         refused: Why not, by id.
+        window: Factors of a window that was solved when the frame came, for drawing; empty where nobody asked for it.
     """
 
     number: int
@@ -93,6 +95,7 @@ class TrackedFrame:
     observations: Mapping[int, Observation] = field(default_factory=dict)
     estimates: Mapping[int, VehicleEstimate] = field(default_factory=dict)
     refused: Mapping[int, str] = field(default_factory=dict)
+    window: tuple[GraphFactor, ...] = ()
 
 
 class Follower:
@@ -107,6 +110,7 @@ class Follower:
         ground: Ground | None = None,
         poses: CameraPoses | None = None,
         moving: bool = False,
+        window_graph: Callable[[int], tuple[GraphFactor, ...]] | None = None,
     ) -> None:
         """Take what does the work.
 
@@ -118,7 +122,10 @@ class Follower:
             poses: The camera's poses, or None.
             moving: Whether the motions in the records tell them instead. Where they are missing the camera goes on as
                 before for a second; from then on it has no place, until the next one.
+            window_graph: Gives the factors of a vehicle's window, as `fgrecon.Tracker.window_graph` does. Each frame
+                has those of one: of the longest windows that of the nearest vehicle. None: no frame has them.
         """
+        self._window_graph = window_graph
         self.tracker, self.association, self.camera, self.ground = tracker, association, camera, ground
         self._world = _World(poses, moving=moving)
         self._time = -np.inf
@@ -162,7 +169,15 @@ class Follower:
             observations=observations,
             estimates=dict(estimates),
             refused={identity: str(error) for identity, error in self.tracker.refused.items()},
+            window=self._window(estimates),
         )
+
+    def _window(self, estimates: Mapping[int, VehicleEstimate]) -> tuple[GraphFactor, ...]:
+        if self._window_graph is None or not estimates:
+            return ()
+        longest = max(estimate.frames for estimate in estimates.values())
+        places = {i: e.reconstruction.location for i, e in estimates.items() if e.frames == longest}
+        return self._window_graph(min(places, key=lambda i: float(np.linalg.norm(places[i]))))
 
     def _candidate(self, one: Sighting) -> Candidate:
         directions = None if one.observation is None else one.observation.azimuth

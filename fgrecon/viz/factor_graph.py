@@ -1,7 +1,11 @@
-"""The factor graph of a recording: variables in the middle, keypoints' factors above, all others below."""
+"""The factor graph of a recording: variables in the middle, keypoints' factors above, all others below.
+
+Of several frames it is a table: a row for each, what they share on its right, and what ties them between the rows.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -16,9 +20,9 @@ from fgrecon.viz.columns import Outbox, column, fixed_columns
 from fgrecon.viz.playback import Playback
 from fgrecon.viz.style import Colour
 
-__all__ = ["Layout", "lay_out", "log_graph", "log_layout"]
+__all__ = ["Layout", "graph_archetypes", "lay_out", "log_graph", "log_layout"]
 
-_MEANINGS = {"X": "pose", "L": "shape", "O": "offsets", "P": "plane", "M": "medial plane"}
+_MEANINGS = {"X": "pose", "V": "velocity", "L": "shape", "O": "offsets", "P": "plane", "M": "medial plane"}
 _COLUMN, _ROW, _GAP = 130.0, 30.0, 75.0
 _WIDTH = 4  # nodes in a row
 _LARGE, _SMALL = 14.0, 6.0
@@ -76,15 +80,7 @@ def log_layout(stream: Outbox, layout: Layout, *, colours: bool = False) -> None
     """Log nodes and edges without a time; the colours too, where no step changes them."""
     import rerun as rr
 
-    small = len(layout.nodes) - layout.variables
-    nodes: dict[str, Any] = {
-        "node_ids": layout.nodes,
-        "positions": layout.positions,
-        "labels": layout.labels,
-        "radii": np.repeat([_LARGE, _SMALL], [layout.variables, small]),
-    }
-    if colours:
-        nodes["colors"] = np.array(layout.colours, dtype=np.uint8)
+    nodes = _nodes(layout) if colours else {k: v for k, v in _nodes(layout).items() if k != "colors"}
     columns = [
         *fixed_columns(rr.GraphNodes, show_labels=True),
         *(column(rr.GraphNodes, name, values) for name, values in nodes.items()),
@@ -92,6 +88,24 @@ def log_layout(stream: Outbox, layout: Layout, *, colours: bool = False) -> None
         column(rr.GraphEdges, "edges", layout.edges),
     ]
     stream.send_columns(entities.GRAPH, [], columns)
+
+
+def graph_archetypes(layout: Layout) -> tuple[Any, Any]:
+    """The `rerun.GraphNodes` and `rerun.GraphEdges` of a graph that is another one at another time."""
+    import rerun as rr
+
+    return rr.GraphNodes(**_nodes(layout), show_labels=True), rr.GraphEdges(layout.edges, graph_type="undirected")
+
+
+def _nodes(layout: Layout) -> dict[str, Any]:
+    small = len(layout.nodes) - layout.variables
+    return {
+        "node_ids": layout.nodes,
+        "positions": layout.positions,
+        "labels": layout.labels,
+        "radii": np.repeat([_LARGE, _SMALL], [layout.variables, small]),
+        "colors": np.array(layout.colours, dtype=np.uint8),
+    }
 
 
 @lru_cache(maxsize=16)
@@ -126,25 +140,41 @@ def _stack(names: Sequence[str], graph: Sequence[GraphFactor]) -> list[Place]:
 
 
 def _table(names: Sequence[str], graph: Sequence[GraphFactor]) -> list[Place]:
-    """One row per pose with the factors that it is in to its right; all else in columns on the left."""
-    rows = {name: row for row, name in enumerate(name for name in names if name.startswith("X"))}
-    middle = (len(rows) - 1) / 2
-    shared = [name for name in names if name not in rows]
-    places = [
-        (0.0, rows[name] * _ROW) if name in rows else (-2 * _COLUMN, (middle + 2 * shared.index(name)) * _ROW)
+    """One row per frame: its velocity, its pose, and the factors that this is in; what frames share is on the right.
+
+    Factors that tie two frames are between their rows: those of poses beside these, those of velocities below these.
+    """
+    rows = {name[1:]: row for row, name in enumerate(name for name in names if name.startswith("X"))}
+    deep = 2 if any(name.startswith("V") for name in names) else 1  # lines of factors in a row
+    height = deep * _ROW
+    taken: Counter[Place] = Counter()
+    factors: list[Place | None] = []  # None for those of no frame
+    for factor in graph:
+        frames = sorted({rows[name[1:]] for name in factor.variables if name[1:] in rows})
+        if not frames:
+            factors.append(None)
+            continue
+        y, posed = (frames[0] + frames[-1]) / 2 * height, any(name.startswith("X") for name in factor.variables)
+        if len(frames) > 1:
+            x, step, lines = (-1, -1, 1) if posed else (-2, -1, 1)
+        else:
+            x, step, lines = (1, 1, deep) if posed else (-3, -1, deep)
+        column, line = divmod(taken[x, y], lines)
+        taken[x, y] += 1
+        factors.append(((x + step * column) * _COLUMN, y + (line - (lines - 1) / 2) * _ROW))
+    middle = (len(rows) - 1) / 2 * height
+    right = max((place[0] for place in factors if place is not None), default=0.0) + 1.5 * _COLUMN
+    shared = iter(_column(sum(name[1:] not in rows for name in names), right, middle, 2 * _ROW))
+    alone = iter(_column(factors.count(None), right + 1.5 * _COLUMN, middle, 1.5 * _ROW))
+    variables = [
+        ((-2 * _COLUMN if name.startswith("V") else 0.0), rows[name[1:]] * height) if name[1:] in rows else next(shared)
         for name in names
     ]
-    columns = dict.fromkeys(rows, 0)
-    alone = [factor for factor in graph if not rows.keys() & set(factor.variables)]
-    for factor in graph:
-        pose = next((name for name in factor.variables if name in rows), None)
-        if pose is None:
-            row = middle + 1.5 * (alone.index(factor) - (len(alone) - 1) / 2)
-            places.append((-3.5 * _COLUMN, row * _ROW))
-        else:
-            columns[pose] += 1
-            places.append((columns[pose] * _COLUMN, rows[pose] * _ROW))
-    return places
+    return [*variables, *(next(alone) if place is None else place for place in factors)]
+
+
+def _column(count: int, x: float, middle: float, step: float) -> list[Place]:
+    return [(x, middle + (i - (count - 1) / 2) * step) for i in range(count)]
 
 
 def _rows(count: int, start: float, step: float) -> list[Place]:
@@ -166,6 +196,6 @@ def _describe(variable: str) -> str:
 
 def _label(factor: GraphFactor) -> str:
     name = factor.label.replace("_", " ")
-    if factor.term == "reprojection":
+    if factor.term == "reprojection" or (factor.term == "extra" and name):
         return name
     return f"{factor.term}: {name}" if name else factor.term

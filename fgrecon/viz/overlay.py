@@ -1,4 +1,4 @@
-"""Frames of a video with what was found in them: wireframes, boxes, names, and a view from above in the corner.
+"""Frames of a video with what was found in them: wireframes, boxes, names, and a view from above beside them.
 
 Drawn with OpenCV into the pixels, in a few milliseconds a frame.
 """
@@ -23,9 +23,10 @@ from fgrecon.viz.truth import Truth
 __all__ = ["Shown", "annotated"]
 
 _REACH, _BESIDE, _BEHIND = 50.0, 28.0, 3.0  # metres that the view from above shows ahead, to each side, and behind
-_SHARE = 0.55  # of the image's height that it takes at most
+_SHARE = 0.5  # of the image's width that it is wide at most
 _RING = 10.0  # metres between its lines
 _LONG = 30  # frames of a trail
+_NOSE = 1.5  # metres that a line goes beyond a vehicle's front
 _CASED = 60.0  # pixels of a box's width from which its wireframe has a casing
 
 
@@ -55,21 +56,26 @@ class Shown:
 
     @property
     def pose(self) -> NDArray[np.float64] | None:
-        """(4, 4) `camera_T_object`, or None where it has no pose."""
-        found = self.result is not None and np.isfinite(self.result.camera_T_object).all()
-        return self.result.camera_T_object if self.result is not None and found else None
+        """(4, 4) `camera_T_object`, or None where it has no pose, or none that the keypoints determine."""
+        if self.result is None or not self.result.status.determined:
+            return None
+        pose = self.result.camera_T_object
+        return pose if np.isfinite(pose).all() else None
 
 
 def annotated(
     image: NDArray[np.uint8], vehicles: Sequence[Shown], camera: Camera, *, caption: str = ""
 ) -> NDArray[np.uint8]:
-    """A copy of an image (H, W, 3) with vehicles drawn into it, far ones first.
+    """A copy of an image (H, W, 3) with vehicles drawn into it, far ones first, and the view from above on its right.
 
     Args:
         image: RGB bytes.
         vehicles: What it shows.
         camera: The camera that took it.
         caption: Text in the upper left corner.
+
+    Returns:
+        (H, W + P, 3), with the P columns of the view from above the same for all images of a size.
 
     Raises:
         InvalidInputError: It is no image.
@@ -78,15 +84,13 @@ def annotated(
     width = max(1, round(canvas.shape[0] / 400))
     for vehicle in sorted(vehicles, key=_depth, reverse=True):
         _draw_vehicle(canvas, vehicle, camera, width)
-    if any(vehicle.result is not None for vehicle in vehicles):
-        _draw_above(canvas, vehicles)
     if caption:
         _write(canvas, caption, (6, 6), style.PAPER, style.INK)
-    return canvas
+    return np.concatenate([canvas, _from_above(canvas.shape[0], canvas.shape[1], vehicles)], axis=1)
 
 
 def _depth(vehicle: Shown) -> float:
-    return np.inf if vehicle.result is None else float(vehicle.result.location[2])
+    return np.inf if vehicle.pose is None else float(vehicle.pose[2, 3])
 
 
 def _draw_vehicle(canvas: NDArray[np.uint8], vehicle: Shown, camera: Camera, width: int) -> None:
@@ -95,9 +99,9 @@ def _draw_vehicle(canvas: NDArray[np.uint8], vehicle: Shown, camera: Camera, wid
     _lines(canvas, np.array([[(x1, y1), (x2, y1), (x2, y2), (x1, y2), (x1, y1)]]), colour, 1)
     if vehicle.result is not None and vehicle.pose is not None:
         result = vehicle.result
-        corners = image_points(camera, result.camera_T_object, outline_corners(result.box_size))
+        corners = image_points(camera, vehicle.pose, outline_corners(result.box_size))
         _lines(canvas, corners[BOX_EDGES[:4]], colour, width)
-        wireframe = image_points(camera, result.camera_T_object, result.wireframe)
+        wireframe = image_points(camera, vehicle.pose, result.wireframe)
         if x2 - x1 > _CASED:
             _lines(canvas, wireframe[result.edges], style.PAPER, width + 2)
         _lines(canvas, wireframe[result.edges], colour, width)
@@ -105,15 +109,13 @@ def _draw_vehicle(canvas: NDArray[np.uint8], vehicle: Shown, camera: Camera, wid
     _write(canvas, text, (max(round(x1), 0), max(round(y1) - 14, 0)), colour, style.PAPER)
 
 
-def _draw_above(canvas: NDArray[np.uint8], vehicles: Sequence[Shown]) -> None:
-    """The view from above, in the lower right corner, darkened."""
+def _from_above(height: int, width: int, vehicles: Sequence[Shown]) -> NDArray[np.uint8]:
+    """The view from above as a panel, as high as the image."""
     import cv2
 
-    height = int(_SHARE * canvas.shape[0])
-    scale = height / (_REACH + _BEHIND)  # pixels a metre
-    wide = min(int(2 * _BESIDE * scale), canvas.shape[1])
-    panel = canvas[-height:, -wide:]
-    panel[:] = panel // 4
+    scale = min(height / (_REACH + _BEHIND), _SHARE * width / (2 * _BESIDE))  # pixels a metre
+    wide = max(round(2 * _BESIDE * scale), 1)
+    panel = np.full((height, wide, 3), style.INK, dtype=np.uint8)
 
     def at(points: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.stack([wide / 2 + points[:, 0] * scale, height - (points[:, -1] + _BEHIND) * scale], axis=1)
@@ -123,16 +125,17 @@ def _draw_above(canvas: NDArray[np.uint8], vehicles: Sequence[Shown]) -> None:
         middle = at(np.array([[0.0, 0.0]]))[0]
         cv2.circle(panel, (int(middle[0]), int(middle[1])), int(ring * scale), grey, 1, cv2.LINE_AA)
     for vehicle in vehicles:
-        if vehicle.result is None or vehicle.pose is None:
-            continue
         colour = style.categorical(vehicle.identity)
-        corners = outline_corners(vehicle.result.box_size)[:4]
-        ahead = np.array([[0.5 * vehicle.result.box_size[0], 0, 0], [0.5 * vehicle.result.box_size[0] + 1.5, 0, 0]])
-        outline = at(transform(vehicle.result.camera_T_object, corners))
-        _lines(panel, outline[[0, 1, 2, 3, 0]][None], colour, 2)
-        _lines(panel, at(transform(vehicle.result.camera_T_object, ahead))[None], colour, 2)
         if vehicle.trail is not None and len(vehicle.trail) > 1:
             _lines(panel, at(vehicle.trail[-_LONG:])[None], colour, 1)
+        if vehicle.result is None or vehicle.pose is None:
+            continue
+        half = 0.5 * vehicle.result.box_size[0]
+        outline = at(transform(vehicle.pose, outline_corners(vehicle.result.box_size)[:4]))
+        _lines(panel, outline[[0, 1, 2, 3, 0]][None], colour, 2)
+        nose = np.array([[half, 0.0, 0.0], [half + _NOSE, 0.0, 0.0]])
+        _lines(panel, at(transform(vehicle.pose, nose))[None], colour, 2)
+    return panel
 
 
 def _lines(canvas: NDArray[np.uint8], lines: NDArray[np.float64], colour: style.Colour, width: int) -> None:

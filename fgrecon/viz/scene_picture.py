@@ -56,7 +56,7 @@ def scene_picture(
 
     Args:
         image: (H, W, 3) RGB photograph; without one there is a plain canvas.
-        vehicles: What it shows. One without a result, or whose solving failed, has its 2D box.
+        vehicles: What it shows. One without a pose that the keypoints determine has its 2D box.
         camera: The camera that saw them.
         ground: The ground plane: its grid and horizon are drawn, and the view from above is along its normal.
         before: Draw the first estimates of the histories too, in a photograph of their own and from above.

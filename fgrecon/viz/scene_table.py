@@ -23,6 +23,7 @@ __all__ = ["Row", "ScenePage", "draw_key", "draw_table", "scene_page"]
 _SIGMAS = 1.96  # of the same confidence in one dimension
 _MINUS = str.maketrans("-", "−")
 _WORDS = 30  # characters of a model's name
+_WIDE = 100.0  # metres from which on there is no room for a decimal
 _FEW = 6
 """Of so many vehicles there is room for a second line."""
 
@@ -87,19 +88,24 @@ def scene_page(vehicles: Sequence[Shown], starts: Mapping[int, NDArray[np.float6
 
 
 def _values(vehicle: Shown) -> tuple[str, ...]:
-    """Distance and yaw."""
+    """Distance and yaw; where the pose is not known, what became of it."""
     result = vehicle.result
     if result is None or vehicle.pose is None:
         return ("refused" if result is None else result.status.value, "")
-    distance, yaw, covariance = float(np.linalg.norm(result.location)), np.degrees(result.rotation_y), None
-    told = f"{distance:.1f}", f"{yaw:.0f}"
+    distance, yaw = float(np.linalg.norm(result.location)), float(np.degrees(result.rotation_y))
+    digits = 1 if distance < _WIDE else 0
     covariance = result.pose_covariance
-    if covariance is not None and np.isfinite(covariance).all():
-        towards = result.location / max(distance, 1e-9)
-        along = float(np.sqrt(towards @ position_covariance(vehicle.pose, covariance) @ towards))
-        turn = float(np.degrees(np.sqrt(covariance[1, 1])))  # about the own y axis
-        told = f"{told[0]} ± {_SIGMAS * along:.1f}", f"{told[1]} ± {_SIGMAS * turn:.0f}"
-    return (told[0], told[1].translate(_MINUS))
+    if covariance is None or not np.isfinite(covariance).all():
+        return (f"{distance:.{digits}f}", f"{yaw:.0f}".translate(_MINUS))
+    towards = result.location / max(distance, 1e-9)
+    along = float(np.sqrt(towards @ position_covariance(vehicle.pose, covariance) @ towards))
+    turn = float(np.degrees(np.sqrt(covariance[1, 1])))  # about the own y axis
+    return (_within(distance, _SIGMAS * along, distance, digits), _within(yaw, _SIGMAS * turn, 180.0, 0))
+
+
+def _within(value: float, spread: float, most: float, digits: int) -> str:
+    """A value with how well it is known; a word where that is no better than the most that it can be off."""
+    return f"{value:.{digits}f} ± {spread:.{digits}f}".translate(_MINUS) if spread < most else "unknown"
 
 
 def _length(vehicle: Shown) -> str:
@@ -184,7 +190,7 @@ def draw_key(
     ink, faded = style.INK, style.FADED
     entries = [(DASHES[status], ink, status.value) for status in Status if _has(solved, status)]
     if len(solved) < len(results):
-        entries.append((DASHES[Status.FAILED], ink, "not solved: 2D box"))
+        entries.append((DASHES[Status.FAILED], ink, "no pose: 2D box"))
     if before:
         entries.append(((0, (1.0, 1.2)), faded, "start"))
     if any(vehicle.truth is not None for vehicle in vehicles):

@@ -86,6 +86,7 @@ ENERGY_COLOURS: dict[str, Colour] = {
     "cheirality": (180, 40, 60),
     "offsets": (140, 86, 75),
     "direction": (127, 127, 127),
+    "extra": (23, 190, 207),
 }
 """Colour of each named energy term; a term without one takes its turn in `energy_colour`."""
 

@@ -1,12 +1,25 @@
 """Recordings of a video for rerun: images with what was found in them, the cars in space, and their motion as plots.
 
-Timelines are `frame` and `time`. Frames are logged one by one, so that a run can be watched while it goes on.
+Timelines are `frame` and `time`; there is no `step`, since of a frame only the end of its solve is known. Frames are
+logged one by one, so that a run can be watched while it goes on.
+
+| entity | what | when |
+|---|---|---|
+| `image` | the photograph; below it `boxes` with ids and words, and `wireframes` | each frame |
+| `world` | where the camera was first, or the world that its poses are in | once |
+| `world/camera`, `world/here` | the pinhole camera; its frame alone, with `rings` every 10 m | each frame |
+| `world/cars`, `world/headings`, `world/paths` | boxes and wireframes; arrows with ids; past places | each frame |
+| `plots/<value>/<id>` | a number; of yaw, length, width and height with its band of 95 % | each frame |
+| `graph` | factors of the window of one vehicle | each frame |
+| `states/<id>`, `log` | status and visible side; why a frame could not be read | where they change |
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -14,18 +27,23 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.geometry import transform
+from fgrecon.core.reconstruction import GraphFactor
 from fgrecon.core.text import whole_text
-from fgrecon.viz import style
+from fgrecon.viz import entities, style
+from fgrecon.viz.factor_graph import graph_archetypes, lay_out
 from fgrecon.viz.geometry import BOX_EDGES, outline_corners
 from fgrecon.viz.overlay import Shown
-from fgrecon.viz.overview import STATES, named_boxes, state_view
+from fgrecon.viz.overview import STATES, named_boxes
 from fgrecon.viz.sinks import APPLICATION, Recording, connected
+from fgrecon.viz.video_blueprint import HERE, IMAGE, LOG, PLOTS, RINGS, WORLD, video_blueprint
 
-__all__ = ["LiveRecording", "ShownFrame", "log_shown_frame", "video_recording_of"]
+__all__ = ["LiveRecording", "ShownFrame", "video_recording_of"]
 
 _JPEG = 85  # quality
-_IMAGE, _WORLD, _PLOTS, _LOG = "image", "world", "plots", "log"
-_CAMERA = f"{_WORLD}/camera"
+_CAMERA = f"{WORLD}/camera"
+_NOSE = 1.6  # metres that an arrow goes beyond a vehicle's front
+_RING, _RINGS = 10.0, 5  # metres between circles, and how many there are
+_BAND = 0.75  # width of the lines of a band; the value between them has 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +59,7 @@ class ShownFrame:
         problem: Why it could not be read, or None.
         values: What is plotted of each vehicle, by its id: name and numbers, such as a value and its band.
         states: What becomes of each vehicle, by its id: a word or two; None for one that is no longer seen.
+        window: Factors of the window of one of them; empty leaves the graph as it was.
     """
 
     number: int
@@ -51,6 +70,7 @@ class ShownFrame:
     problem: str | None = None
     values: Mapping[int, Mapping[str, tuple[float, ...]]] = field(default_factory=dict)
     states: Mapping[int, str | None] = field(default_factory=dict)
+    window: tuple[GraphFactor, ...] = ()
 
 
 class LiveRecording:
@@ -67,12 +87,13 @@ class LiveRecording:
         Raises:
             InvalidInputError: Nobody listens there.
         """
-        self._stream = connected(f"{APPLICATION}: {name}", address, _layout())
-        self._camera = camera
+        self._stream = connected(f"{APPLICATION}: {name}", address, video_blueprint())
+        self._log = _FrameLog(self._stream, camera)
 
     def add(self, frame: ShownFrame) -> None:
         """Send one more frame."""
-        log_shown_frame(self._stream, frame, self._camera)
+        self._log.add(frame)
+        self._log.send_plots()
 
     def end(self) -> None:
         """Send what is left, and leave the viewer."""
@@ -90,83 +111,127 @@ def video_recording_of(frames: Callable[[], Iterable[ShownFrame]], camera: Camer
 
     def make() -> Callable[[Any], None]:
         def send(stream: Any) -> None:
+            log = _FrameLog(stream, camera)
             for frame in frames():
-                log_shown_frame(stream, frame, camera)
+                log.add(frame)
+            log.send_plots()
 
         return send
 
-    return Recording(make, _layout, in_memory=False)
+    return Recording(make, video_blueprint, in_memory=False)
 
 
-def log_shown_frame(stream: Any, frame: ShownFrame, camera: Camera) -> None:
-    """Log one frame into a `rerun.RecordingStream`; what was seen before and is not now is cleared."""
-    import rerun as rr
+class _FrameLog:
+    """Logs frame after frame into a `rerun.RecordingStream`; what does not change is logged once.
 
-    stream.set_time("frame", sequence=frame.number)
-    stream.set_time("time", duration=frame.time)
-    if frame.problem is not None:
-        stream.log(_LOG, rr.TextLog(whole_text(frame.problem), level=rr.TextLogLevel.WARN))
-    if frame.image is not None:
-        stream.log(_IMAGE, rr.EncodedImage(contents=_jpeg(frame.image), media_type="image/jpeg"))
-    seen = [vehicle for vehicle in frame.vehicles if vehicle.result is not None]
-    stream.log(f"{_IMAGE}/boxes", named_boxes(frame.vehicles))
-    world_T_camera = np.eye(4) if frame.world_T_camera is None else frame.world_T_camera
-    stream.log(_CAMERA, rr.Transform3D(translation=world_T_camera[:3, 3], mat3x3=world_T_camera[:3, :3]))
-    size = camera.image_size
-    pinhole = rr.Pinhole(
-        image_from_camera=camera.matrix,
-        resolution=size,
-        camera_xyz=rr.ViewCoordinates.RDF,
-        image_plane_distance=2.0,
-    )
-    stream.log(_CAMERA, pinhole)
-    flat, solid, flat_colours, solid_colours, trails, trail_colours = [], [], [], [], [], []
-    for vehicle in seen:
-        result, colour = vehicle.result, style.categorical(vehicle.identity)
-        assert result is not None
-        flat += list(result.wireframe_uv[result.edges])
-        flat_colours += [colour] * len(result.edges)
-        world_T_object = world_T_camera @ result.camera_T_object
-        lines = [*outline_corners(result.box_size)[BOX_EDGES], *result.wireframe[result.edges]]
-        solid += [transform(world_T_object, line) for line in lines]
-        solid_colours += [colour] * len(lines)
-        if vehicle.trail is not None and len(vehicle.trail) > 1:
-            trails.append(transform(world_T_camera, vehicle.trail))
-            trail_colours.append(colour)
-    stream.log(f"{_IMAGE}/wireframes", rr.LineStrips2D(flat, colors=flat_colours))
-    stream.log(f"{_WORLD}/cars", rr.LineStrips3D(solid, colors=solid_colours))
-    stream.log(f"{_WORLD}/paths", rr.LineStrips3D(trails, colors=trail_colours))
-    for identity, values in frame.values.items():
-        for name, numbers in values.items():
-            stream.log(f"{_PLOTS}/{name}/{identity}", rr.Scalars(numbers))
-    for identity, state in frame.states.items():
-        stream.log(f"{STATES}/{identity}", rr.StateChange(state=[state]))
+    Plots are kept until they are sent: to send them costs more than the numbers themselves.
+    """
 
+    def __init__(self, stream: Any, camera: Camera) -> None:
+        import rerun as rr
 
-def _layout() -> Any:
-    """Image and space above, plots and words below."""
-    import rerun.blueprint as rrb
-
-    return rrb.Blueprint(
-        rrb.Vertical(
-            rrb.Horizontal(
-                rrb.Spatial2DView(origin=_IMAGE, name="Image"),
-                rrb.Spatial3DView(origin=_WORLD, name="Space"),
+        self._stream = stream
+        self._plotted: set[str] = set()
+        self._plots: defaultdict[tuple[str, int], list[tuple[int, float, Sequence[float]]]] = defaultdict(list)
+        axes = rr.ViewCoordinates.RDF
+        stream.log(WORLD, axes, static=True)
+        stream.log(
+            _CAMERA,
+            rr.Pinhole(
+                image_from_camera=camera.matrix,
+                resolution=camera.image_size,
+                camera_xyz=axes,
+                image_plane_distance=2.0,
             ),
-            rrb.Horizontal(
-                *(
-                    rrb.TimeSeriesView(origin=f"{_PLOTS}/{name}", name=name.replace("_", " "))
-                    for name in ("yaw", "length", "distance", "speed", "facing_probability")
-                ),
-                rrb.Vertical(
-                    state_view(),
-                    rrb.TextLogView(origin=_LOG, name="Gaps"),
-                ),
-            ),
-            row_shares=[3, 1],
-        ),
-        collapse_panels=True,
-    )
+            static=True,
+        )
+        turns = np.linspace(0.0, 2 * np.pi, 49)
+        circle = np.stack([np.cos(turns), np.zeros_like(turns), np.sin(turns)], axis=1)
+        circles = [_RING * (number + 1) * circle for number in range(_RINGS)]
+        stream.log(RINGS, rr.LineStrips3D(circles, colors=style.GROUND, radii=-0.5), static=True)
+
+    def add(self, frame: ShownFrame) -> None:
+        """Log one frame; what was seen before and is not now is cleared."""
+        import rerun as rr
+
+        log = self._stream.log
+        self._stream.set_time("frame", sequence=frame.number)
+        self._stream.set_time("time", duration=frame.time)
+        if frame.problem is not None:
+            log(LOG, rr.TextLog(whole_text(frame.problem), level=rr.TextLogLevel.WARN))
+        if frame.image is not None:
+            log(IMAGE, rr.EncodedImage(contents=_jpeg(frame.image), media_type="image/jpeg"))
+        log(f"{IMAGE}/boxes", named_boxes(frame.vehicles))
+        world_T_camera = np.eye(4) if frame.world_T_camera is None else frame.world_T_camera
+        for entity in (_CAMERA, HERE):
+            log(entity, rr.Transform3D(translation=world_T_camera[:3, 3], mat3x3=world_T_camera[:3, :3]))
+        self._log_vehicles([vehicle for vehicle in frame.vehicles if vehicle.pose is not None], world_T_camera)
+        for identity, values in frame.values.items():
+            for name, numbers in values.items():
+                self._plots[name, identity].append((frame.number, frame.time, numbers))
+        for identity, state in frame.states.items():
+            log(f"{STATES}/{identity}", rr.StateChange(state=[state]))
+        if frame.window:
+            for archetype in graph_archetypes(lay_out(frame.window)):
+                log(entities.GRAPH, archetype)
+
+    def _log_vehicles(self, vehicles: Sequence[Shown], world_T_camera: NDArray[np.float64]) -> None:
+        """Boxes, wireframes, headings and paths of the vehicles that have a pose."""
+        import rerun as rr
+
+        flat, solid, noses, trails = [], [], [], []  # of each vehicle
+        for vehicle in vehicles:
+            result = vehicle.result
+            assert result is not None
+            world_T_object = world_T_camera @ result.camera_T_object
+            lines = [*outline_corners(result.box_size)[BOX_EDGES], *result.wireframe[result.edges]]
+            flat.append(list(result.wireframe_uv[result.edges]))
+            solid.append([transform(world_T_object, line) for line in lines])
+            noses.append(transform(world_T_object, np.array([(0, 0, 0), (result.box_size[0] / 2 + _NOSE, 0, 0)])))
+            trail = vehicle.trail
+            trails.append([] if trail is None or len(trail) < 2 else [transform(world_T_camera, trail)])
+        colours = np.array([style.categorical(vehicle.identity) for vehicle in vehicles], np.uint8).reshape(-1, 3)
+
+        def look(strips: list[list[NDArray[np.float64]]]) -> dict[str, Any]:
+            return {
+                "radii": -1.0,
+                "strips": list(chain.from_iterable(strips)),
+                "colors": np.repeat(colours, [len(s) for s in strips], axis=0),
+            }
+
+        ends = np.array(noses).reshape(-1, 2, 3)
+        arrows = rr.Arrows3D(
+            origins=ends[:, 0],
+            vectors=ends[:, 1] - ends[:, 0],
+            colors=style.readable(colours),
+            radii=-1.5,
+            labels=[vehicle.name or str(vehicle.identity) for vehicle in vehicles],
+            show_labels=True,
+        )
+        self._stream.log(f"{IMAGE}/wireframes", rr.LineStrips2D(**look(flat)))
+        self._stream.log(f"{WORLD}/cars", rr.LineStrips3D(**look(solid)))
+        self._stream.log(f"{WORLD}/headings", arrows)
+        self._stream.log(f"{WORLD}/paths", rr.LineStrips3D(**look(trails)))
+
+    def send_plots(self) -> None:
+        """Send the values of the vehicles that were not sent yet, in their colours, with their bands."""
+        import rerun as rr
+
+        for (name, identity), rows in self._plots.items():
+            entity = f"{PLOTS}/{name}/{identity}"
+            frames, times, values = zip(*rows, strict=True)
+            lengths = [len(numbers) for numbers in values]
+            if entity not in self._plotted:
+                self._plotted.add(entity)
+                names = [str(identity), f"{identity}, 95 % from", f"{identity}, 95 % to"][: lengths[0]]
+                widths = [2.0, _BAND, _BAND][: lengths[0]]
+                colour = style.readable(style.categorical(identity))
+                lines = rr.SeriesLines(colors=[colour] * lengths[0], names=names, widths=widths)
+                self._stream.log(entity, lines, static=True)
+            timelines = [rr.TimeColumn("frame", sequence=frames), rr.TimeColumn("time", duration=times)]
+            columns = rr.Scalars.columns(scalars=list(chain.from_iterable(values))).partition(lengths)
+            self._stream.send_columns(entity, timelines, columns)
+        self._plots.clear()
 
 
 def _jpeg(image: NDArray[np.uint8]) -> bytes:

@@ -236,6 +236,8 @@ def test_interrupted_it_leaves_what_there_is(drive, whole, tmp_path):
 
 
 def test_a_video_in_and_a_video_out(drive, tmp_path):
+    from rerun.chunk import RrdReader
+
     images, file = drive
     film = tmp_path / "in.mp4"
     with write_video(film, rate=10) as add:
@@ -254,8 +256,14 @@ def test_a_video_in_and_a_video_out(drive, tmp_path):
     read, written = (list(open_frames(path).read()) for path in (film, drawn))
     assert len(read) == len(written) == 7
     assert [frame.time for frame in written] == pytest.approx([frame.time for frame in read], abs=1e-3)
-    assert all(frame.image.shape == (374, 1242, 3) for frame in written)
-    assert (tmp_path / "r.rrd").stat().st_size > 10_000
+    assert all(frame.image.shape == (374, 1242 + 394, 3) for frame in written)  # with the view from above
+    chunks = [
+        (str(chunk.entity_path), chunk.to_record_batch().nbytes) for chunk in RrdReader(tmp_path / "r.rrd").stream()
+    ]
+    wanted = {f"/plots/{name}/10" for name in ("yaw", "length", "width", "height", "speed")} | {"/graph"}
+    assert wanted <= {name for name, _ in chunks}
+    images = sum(size for name, size in chunks if name == "/image")
+    assert (tmp_path / "r.rrd").stat().st_size - images < 7 * 100_000
 
 
 def test_a_frame_is_drawn_as_a_scene(drive, whole, tmp_path):

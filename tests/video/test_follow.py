@@ -44,6 +44,20 @@ def test_given_ids_stay_and_others_are_new():
     assert frames[0].world_T_camera is None
 
 
+def test_a_frame_has_the_window_that_is_asked_for():
+    """That of the nearest vehicle among those of the longest windows."""
+    first, second = simulated(2, seeds=(25, 7))
+    asked = []
+    follow = follower(ground=Ground.level(1.65), window_graph=lambda identity: (asked.append(identity), (identity,))[1])
+    told = follow(record(0, Sighting(first[0].box, 1.0, 3, first[0]), Sighting(second[0].box, 1.0, 4, second[0])))
+    distance = {i: np.linalg.norm(e.reconstruction.location) for i, e in told.estimates.items()}
+    nearest = min(distance, key=distance.get)
+    assert asked == [nearest]
+    assert told.window == (nearest,)
+    assert follow(record(1)).window == ()
+    assert follower()(record(0, Sighting(first[0].box, 1.0, 3, first[0]))).window == ()
+
+
 def test_a_vehicle_without_keypoints_has_a_box_alone():
     (first,) = simulated(1, seeds=(25,))
     frame = follower()(record(0, Sighting(first[0].box, 1.0, None, None)))

@@ -1,4 +1,4 @@
-"""Frames of a video with what was found in them, and recordings of these."""
+"""Frames of a video with what was found in them."""
 
 from dataclasses import replace
 
@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.reconstruction import Status
 from fgrecon.viz import style
 from fgrecon.viz.overlay import Shown, annotated
-from fgrecon.viz.sinks import LOOPBACK, free_port, viewer_command
-from fgrecon.viz.video_recording import LiveRecording, ShownFrame, video_recording_of
-from tests.viz.viewers import listening, wait_for
 
 
 def near(image, colour, tolerance=40):
@@ -27,16 +25,35 @@ def test_a_car_is_drawn_where_it_is(example):
     before = blank.copy()
     drawn = annotated(blank, [shown(example)], example.camera, caption="frame 3")
     assert (blank == before).all()
-    assert drawn.shape == blank.shape
+    assert drawn.shape == (375, 1242 + 396, 3)
     coloured = near(drawn, style.categorical(3))
     x1, y1, x2, y2 = example.observation.box.astype(int)
     assert coloured[max(y1, 0) : y2, x1:x2].sum() > 200
     outside = coloured.copy()
     outside[max(y1 - 40, 0) : y2 + 40, max(x1 - 40, 0) : x2 + 40] = False
-    rows, columns = np.nonzero(outside)
-    assert len(rows) > 10  # in the view from above, lower right
-    assert rows.min() > 375 * 0.4
-    assert columns.min() > 900
+    _, columns = np.nonzero(outside)
+    assert len(columns) > 10  # in the view from above, which hides nothing of the image
+    assert columns.min() >= 1242
+
+
+@pytest.mark.parametrize(("height", "width"), [(375, 1242), (1080, 1920), (1280, 720)])
+def test_the_view_from_above_is_as_high_as_the_frame_and_no_more_than_half_as_wide(height, width, example):
+    blank = np.full((height, width, 3), 128, np.uint8)
+    panels = [annotated(blank, vehicles, example.camera)[:, width:] for vehicles in ([], [shown(example)])]
+    assert panels[0].shape == panels[1].shape
+    assert 0.2 * width < panels[0].shape[1] <= 0.5 * width
+    assert panels[0].mean() < 60
+
+
+def test_a_pose_that_is_not_determined_is_a_box_with_words(example):
+    """Neither a wireframe, which may cover the image, nor a place in the view from above."""
+    blank = np.full((375, 1242, 3), 128, np.uint8)
+    box = np.array([600.0, 100.0, 700.0, 180.0])
+    lost = replace(example.reconstruction, status=Status.DEGENERATE)
+    drawn = annotated(blank, [Shown(3, box, lost, "degenerate")], example.camera)
+    rows, columns = np.nonzero(near(drawn, style.categorical(3)))
+    assert (rows.min(), rows.max(), columns.min(), columns.max()) == pytest.approx((86, 180, 600, 700), abs=3)
+    assert near(drawn, style.categorical(3))[110:170, 610:690].sum() == 0
 
 
 def test_the_view_from_above_is_to_scale(example):
@@ -49,11 +66,11 @@ def test_the_view_from_above_is_to_scale(example):
         result = replace(example.reconstruction, camera_T_object=pose)
         drawn = annotated(blank, [Shown(3, np.array([0.0, 0, 5, 5]), result)], example.camera)
         rows, columns = np.nonzero(near(drawn, style.categorical(3)))
-        inset = (rows > 375 * 0.45) & (columns > 1242 - 210)
+        inset = columns >= 1242
         middles.append((columns[inset].mean(), rows[inset].mean()))
     (x0, y0), (x1, y1), (x2, _) = middles
     scale = (y0 - y1) / 20.0
-    assert scale > 1.5
+    assert scale == pytest.approx(375 / 53, rel=0.05)
     assert x1 == pytest.approx(x0, abs=2.0)
     assert (x2 - x0) / 10.0 == pytest.approx(scale, rel=0.15)
 
@@ -62,60 +79,6 @@ def test_a_box_without_a_result_is_a_box(example):
     blank = np.full((375, 1242, 3), 128, np.uint8)
     drawn = annotated(blank, [Shown(3, np.array([100.0, 100, 200, 180]))], example.camera)
     assert near(drawn, style.categorical(3))[100, 110:190].all()
-    assert (drawn[300:] == 128).all()
+    assert (drawn[300:, :1242] == 128).all()
     with pytest.raises(InvalidInputError, match="image"):
         annotated(blank[..., 0], [], example.camera)
-
-
-def test_a_recording_has_images_cars_and_plots(example, tmp_path):
-    from rerun.chunk import RrdReader
-
-    blank = np.full((375, 1242, 3), 128, np.uint8)
-    trail = np.array([[0.0, 1.65, 10.0], [0.5, 1.65, 11.0]])
-    frames = [
-        ShownFrame(
-            number=4,
-            time=0.4,
-            image=blank,
-            vehicles=(shown(example, trail=trail),),
-            world_T_camera=np.eye(4),
-            values={3: {"speed": (7.0,), "yaw": (90.0, 88.0, 92.0)}},
-            states={3: "converged, rear"},
-        ),
-        ShownFrame(5, 0.5, None, problem="torn", states={3: None}),
-    ]
-    path = video_recording_of(lambda: frames, example.camera).write(tmp_path / "video.rrd")
-    entities = {str(chunk.entity_path) for chunk in RrdReader(path).stream()}
-    wanted = {"/image", "/image/boxes", "/image/wireframes", "/world/cars", "/world/paths", "/world/camera"}
-    assert {*wanted, "/plots/speed/3", "/plots/yaw/3", "/states/3", "/log"} <= entities
-
-
-@pytest.mark.filterwarnings("ignore:RRD file has no footer")  # the viewer is not at the end of it
-def test_a_viewer_is_sent_each_frame_as_it_comes(example, tmp_path, start):
-    from rerun.chunk import RrdReader
-
-    port, received = free_port(), tmp_path / "received.rrd"
-    start(viewer_command("--port", str(port), "--save", str(received)))
-    wait_for(lambda: listening(port))
-
-    def frames(entity):
-        """The frames in which the viewer has something at a place."""
-        try:
-            chunks = [chunk for chunk in RrdReader(received).stream() if chunk.entity_path == entity]
-        except (OSError, ValueError, RuntimeError):  # not there yet, or amid a message
-            return []
-        return sorted({number for chunk in chunks for number in chunk.to_record_batch()["frame"].to_pylist()})
-
-    live = LiveRecording("drive", f"{LOOPBACK}:{port}", example.camera)
-    for number in range(3):
-        live.add(ShownFrame(number, 0.1 * number, None, (shown(example),)))
-        wait_for(lambda number=number: frames("/image/boxes") == [*range(number + 1)])
-    live.add(ShownFrame(7, 0.7, None, problem="torn"))
-    live.end()
-    for entity, wanted in {"/log": [7], "/image/boxes": [0, 1, 2, 7], "/world/cars": [0, 1, 2, 7]}.items():
-        wait_for(lambda entity=entity, wanted=wanted: frames(entity) == wanted)
-
-
-def test_nobody_listens(example):
-    with pytest.raises(InvalidInputError, match="connect"):
-        LiveRecording("drive", "127.0.0.1:1", example.camera)

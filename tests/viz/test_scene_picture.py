@@ -134,6 +134,36 @@ def test_the_table_tells_what_is_known(example, seen):
     assert all("30 km/h" in row.detail for row in spoken.rows)
 
 
+def test_what_is_not_known_is_a_word(example, seen):
+    """A spread that is more than the value can be off says nothing; far away there is no room for decimals."""
+    first = shown_of(example, seen)[0]
+    pose = first.result.camera_T_object.copy()
+
+    def cells(turn, along, scale=1.0):
+        covariance = np.diag([0.0, np.radians(turn) ** 2, 0.0, *[along**2] * 3])
+        there = pose.copy()
+        there[:3, 3] *= scale
+        result = replace(first.result, camera_T_object=there, pose_covariance=covariance)
+        return scene_page([replace(first, result=result)], {}).rows[0].cells
+
+    distance = float(np.linalg.norm(pose[:3, 3]))
+    assert cells(1.0, distance) == ("unknown", cells(1.0, 0.1)[1])
+    assert cells(95.0, 0.1) == (cells(1.0, 0.1)[0], "unknown")
+    assert cells(1.0, 20.0, 150.0 / distance)[0] == "150 ± 39"
+
+
+def test_a_pose_that_is_not_determined_is_its_2d_box(seen, vehicles):
+    """Though it has one, which may be anywhere: its lines are neither in the photograph nor seen from above."""
+    nowhere = vehicles[0].result.camera_T_object.copy()
+    nowhere[:3, 3] = (0.0, 1.0, 2.0)
+    lost = replace(vehicles[0].result, status=Status.DEGENERATE, camera_T_object=nowhere)
+    figure = draw(seen, [replace(vehicles[0], result=lost), *vehicles[1:]])
+    without = draw(seen, [replace(vehicles[0], result=None), *vehicles[1:]])
+    assert texts(figure.axes[1]) == ["1", "2"]
+    np.testing.assert_array_equal(*(as_rgb(drawn, 100)[:90] for drawn in (figure, without)))  # the photograph
+    assert {"degenerate", "no pose: 2D box"} <= set(texts(figure.axes[2]))
+
+
 def test_with_the_truth_it_tells_the_gain(example, seen):
     vehicles = shown_of(example, seen, truth=True)
     starts = {v.identity: v.result.history[0].camera_T_object for v in vehicles}
@@ -164,7 +194,7 @@ def test_what_was_not_solved_has_its_box(example, seen, vehicles):
     figure = draw(seen, lost)
     assert set(texts(figure.axes[0])) == {"0", "1", "far"}
     assert texts(figure.axes[1]) == ["0"]
-    assert {"failed", "refused", "not solved: 2D box"} <= set(texts(figure.axes[2]))
+    assert {"failed", "refused", "no pose: 2D box"} <= set(texts(figure.axes[2]))
     nothing = draw(seen, lost[1:])
     assert as_rgb(nothing, 60).std() > 10
 
@@ -193,7 +223,7 @@ def test_trails_and_portraits(example, seen, vehicles):
     """A frame of a video, in an image that is higher than wide."""
     trail = np.linspace((0.0, 1.65, 20.0), (2.0, 1.65, 12.0), 8)
     portrait = Camera(seen.camera.matrix, image_size=(600, 900))
-    figure = scene_picture(None, [replace(vehicles[0], trail=trail, words="12 m 30 km/h")], portrait)
+    figure = scene_picture(None, [replace(vehicles[0], trail=trail, words="30 km/h")], portrait)
     paths = [line.get_xydata() for line in figure.axes[1].lines if len(line.get_xdata()) == 8]
     assert np.allclose(paths[0], trail[:, [0, 2]])
     assert figure.get_size_inches()[1] < 14 / 2.54

@@ -10,10 +10,13 @@ import numpy as np
 from factors import decode_key, key_name
 from factors.noise import SMALLEST_WEIGHT
 from fgrecon.core.reconstruction import GraphFactor
-from fgrecon.solve.graph.graph import Graph
+from fgrecon.solve.graph.graph import EXTRA, Graph
 from fgrecon.solve.graph.observation import ObservationPart, Weights
 
 __all__ = ["graph_factors"]
+
+_OVER_TIME = {"V": "velocity", "VV": "velocity change", "XVX": "motion"}
+"""What extra factors on these variables are about."""
 
 
 def graph_factors(graph: Graph, weights: Sequence[Weights]) -> tuple[GraphFactor, ...]:
@@ -51,8 +54,11 @@ def _keypoints(part: ObservationPart, weights: Weights, *, each: bool) -> Iterat
 
 def _record(term: str, factor: gtsam.NonlinearFactor, faces: tuple[str, ...]) -> GraphFactor:
     keys = list(factor.keys())
-    planes = [decode_key(key).low for key in keys if decode_key(key).letter == "P"]
+    decoded = [decode_key(key) for key in keys]
+    planes = [key.low for key in decoded if key.letter == "P"]
     label = faces[planes[0]] + (" level" if len(keys) == 1 else "") if planes else ""
     if term == "ground":
         label = "height" if factor.dim() == 1 else "upright"
+    if term == EXTRA:
+        label = _OVER_TIME.get("".join(key.letter for key in decoded), "")
     return GraphFactor(term, label, tuple(key_name(key) for key in keys))

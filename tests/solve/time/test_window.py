@@ -1,5 +1,7 @@
 """Frames of a window: which are kept, and what is not known of the camera's motion between them."""
 
+from collections import Counter
+
 import gtsam
 import numpy as np
 import pytest
@@ -96,3 +98,24 @@ def test_a_window_is_the_last_two_frames_and_some_of_seconds(window):
             assert t - numbers[0] >= min(t, 10)
             gaps = np.diff(numbers[:-1])
             assert gaps.max() <= max(0.75 * (t - numbers[0]), 2)
+
+
+def test_the_graph_of_a_window_has_its_frames_and_what_ties_them():
+    rng, tracker = np.random.default_rng(2), fgrecon.Tracker(size_prior="kitti", window=3)
+    assert tracker.window_graph(3) == ()
+    for t in range(5):
+        pose = upright(1.4, [3.0, 1.65, 30.0 - 0.8 * t])
+        tracker.update(0.1 * t, {3: seen(pose, rng)}, camera=CAMERA, world_T_camera=np.eye(4), ground=1.65)
+    graph = tracker.window_graph(3)
+    poses, velocities = ({v for f in graph for v in f.variables if v[0] == letter} for letter in "XV")
+    assert len(poses) == len(velocities) == 3
+    assert {"X(v=3,t=3)", "X(v=3,t=4)"} < poses
+    told = Counter(factor.label for factor in graph if factor.term == "extra")
+    assert (told["motion"], told["velocity change"]) == (2, 2)
+    assert told["velocity"] >= 3
+    assert set(told) == {"motion", "velocity change", "velocity"}
+    seen_in = [factor.variables for factor in graph if factor.term == "reprojection"]
+    assert sorted(variables[0] for variables in seen_in) == sorted(poses)
+    assert all("L(v=3)" in variables for variables in seen_in)
+    tracker.forget(3)
+    assert tracker.window_graph(3) == ()

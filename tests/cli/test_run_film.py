@@ -1,0 +1,62 @@
+"""What `fgrecon run` writes beside vehicles, plots of them, and says of itself. No solver is asked."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fgrecon.cli.run_film import Showing
+from fgrecon.cli.run_report import in_words
+from fgrecon.core.reconstruction import Status
+from fgrecon.core.vehicle_estimate import VehicleEstimate
+from fgrecon.video import VideoRun
+from fgrecon.video.follow import TrackedFrame
+from tests.viz.made_up import make_example
+
+EXAMPLE = make_example()
+SIZES = np.diag([0.04, 0.0025, 0.01])
+
+
+def frame(number, **changes):
+    """Vehicle 5, a metre further to the right in each frame."""
+    pose = EXAMPLE.reconstruction.camera_T_object.copy()
+    pose[0, 3] += number
+    result = replace(EXAMPLE.reconstruction, camera_T_object=pose, size_covariance=SIZES, **changes)
+    estimate = VehicleEstimate(5, 0.1 * number, result, np.array([10.0, 0.0, 0.0]), 0.0, 0.99, pose)
+    boxes = {5: EXAMPLE.observation.box}
+    return TrackedFrame(number, 0.1 * number, f"{number}", None, np.eye(4), boxes, estimates={5: estimate})
+
+
+def test_words_have_commas_and_tell_nothing_that_the_table_does():
+    told = [Showing(beside_table=beside).vehicles(frame(0))[0].words for beside in (False, True)]
+    assert told == [f"{np.linalg.norm(EXAMPLE.reconstruction.location):.0f} m, 36 km/h", "36 km/h"]
+    lost = frame(0, status=Status.DEGENERATE)
+    assert [Showing(beside_table=beside).vehicles(lost)[0].words for beside in (False, True)] == ["degenerate", ""]
+
+
+def test_places_that_are_not_known_are_no_part_of_a_path():
+    showing = Showing()
+    trails = [
+        showing.vehicles(frame(n, status=Status.DEGENERATE if n == 1 else Status.WEAK))[0].trail for n in range(3)
+    ]
+    assert [len(trail) for trail in trails] == [1, 1, 2]
+    np.testing.assert_allclose(trails[2][1] - trails[2][0], [2.0, 0.0, 0.0])
+
+
+def test_sizes_and_yaw_are_plotted_with_their_bands():
+    values = Showing().frame(frame(0), None).values[5]
+    for name, value, sigma in zip(
+        ("length", "width", "height"), EXAMPLE.reconstruction.box_size, (0.2, 0.05, 0.1), strict=True
+    ):
+        assert values[name] == pytest.approx((value, value - 1.96 * sigma, value + 1.96 * sigma))
+    assert values["yaw"][1] <= values["yaw"][0] <= values["yaw"][2]
+    assert values["speed"] == (10.0,)
+    unknown = Showing().frame(frame(0, pose_covariance=None), None).values[5]["yaw"]
+    assert unknown[0] == values["yaw"][0]
+    assert np.isnan(unknown[1:]).all()
+    assert Showing().frame(frame(0, status=Status.DEGENERATE), None).values == {5: {}}
+
+
+def test_what_was_looked_at_before_is_in_good_english():
+    assert in_words(VideoRun(None, before=1)).endswith("; 1 was looked at before.")
+    assert in_words(VideoRun(None, before=2)).endswith("; 2 were looked at before.")
