@@ -52,8 +52,8 @@ class FittedDetector:
         inside: Share of the errors of position and yaw within their regions, by level (`SIGMAS`): fitted without the
             drive. NaN with a single drive.
         facing_error: Expected calibration error of the facing, likewise.
-        doubts: Sentences that say what could not be fitted, lies at an end of what was tried, or does not hold on the
-            drives that were left out; in the calibration's provenance as well.
+        doubts: Sentences that say what could not be fitted, lies at an end of what was tried, or does not hold, or is
+            not known to hold, on drives that were left out; in the calibration's provenance as well.
         turned: Number of vehicles turned round; where they are too few the facing's numbers are the default ones.
     """
 
@@ -158,8 +158,10 @@ def _facing_doubts(facing: tuple[float, float], turned: int) -> list[str]:
 
 
 def _not_holding(inside: Mapping[str, Mapping[float, float]]) -> list[str]:
-    short = [level - share for some in inside.values() for level, share in some.items()]
-    if not any(one > _SHORT for one in short):  # of NaN nothing is said
+    short = np.array([level - share for some in inside.values() for level, share in some.items()])
+    if np.isnan(short).all():
+        return ["How well common_factor holds elsewhere is not known: no drive can be left out of the fit."]
+    if not (short > _SHORT).any():
         return []
     return [f"common_factor does not hold on drives left out of the fit: {_shares(inside)} there."]
 

@@ -80,6 +80,9 @@ def test_an_end_of_what_was_tried_and_what_does_not_hold_are_said():
     assert told["inside"]["yaw"] == {"0.68": wide.inside["yaw"][0.68], "0.95": wide.inside["yaw"][0.95]}
     (narrow,) = fit_detector({factor: boxes(factor * 100.0) for factor in FACTORS}, {}).doubts
     assert narrow.startswith("common_factor 1 is the smallest")
+    single = {factor: [box for box in boxes(factor) if box.drive == "a"] for factor in FACTORS}
+    (unknown,) = fit_detector(single, {}).doubts
+    assert unknown.endswith("not known: no drive can be left out of the fit.")
     turned = {factor: boxes(factor) for factor in FACTORS}
     for box in turned[FACTORS[0]]:  # the surer the directions, the more are wrong
         found = box.outcomes[SYSTEM]
