@@ -48,8 +48,9 @@ class Reconstructor:
 
     - a vehicle: the fields of an instance of a keypoint file as columns (`keypoints`, `confidence`, `box`, `K`, ...),
       or its JSON text in the column `instance`;
-    - an image: `image`, a file or the bytes of one, where wanted with `boxes` (x1, y1, x2, y2 of each vehicle) and
-      `camera`, the JSON text of `{"K": ...}`; with `frame` it is a video. Without boxes the detector looks for cars.
+    - an image: `image`, a file or the bytes of one, where wanted with `boxes` (x1, y1, x2, y2 of each vehicle's
+      outline, unless `options.box` says otherwise) and `camera`, the JSON text of `{"K": ...}`; with `frame` it is a
+      video. Without boxes the detector looks for cars.
 
     `row_id`, `source` and `frame` are taken over. Every row gives at least one row of results (`result_schema`),
     whatever is wrong with it: a vehicle gives one, an image one for each vehicle, or one of status `empty`.

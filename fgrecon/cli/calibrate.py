@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -12,7 +12,14 @@ from fgrecon.cli.labelled_drives import DriveOptions, DrivesArgument
 from fgrecon.cli.options import LabelledScene
 from fgrecon.cli.terminal import Terminal
 
+if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
+    from fgrecon.cli.labelled_drives import ScoredDrives
+    from fgrecon.core.errors import InvalidInputError
+
 __all__ = ["calibrate_command"]
+
+_EDGES = "Where the boxes' edges lie"
+_NUMBERS = "How far the network's errors go together, and its facings,"
 
 
 def calibrate_command(
@@ -30,51 +37,83 @@ def calibrate_command(
 
     With --detect it is fitted to vehicles in detected boxes, and so is where the edges of these lie beside the
     outlines, by the cars that are visible as a whole.
+
+    What the drives are too few for is left at its default, and the rest is written. A value at an end of what was
+    tried, or that does not hold on drives left out, is warned of; the file has it under provenance (inside, doubts).
     """
     from dataclasses import asdict, replace
 
     from fgrecon.core.coverage import SIGMAS
-    from fgrecon.evaluation.box_fit import fit_boxes, seen_boxes
+    from fgrecon.core.detector_calibration import DetectorCalibration
+    from fgrecon.core.errors import InvalidInputError
+    from fgrecon.evaluation.box_fit import check_whole_cars, fit_boxes, seen_boxes
     from fgrecon.evaluation.calibration import calibrate_boxes
-    from fgrecon.evaluation.detector_fit import FACTORS, as_said, fit_detector
+    from fgrecon.evaluation.detector_fit import FACTORS, as_said, check_labels, check_solved, fit_detector
     from fgrecon.evaluation.video_images import SYSTEM
     from fgrecon.io.detector_calibration import save_calibration
+    from fgrecon.io.kitti_drives import read_images
 
-    check_output(out)
-    screen = terminal.screen()
-    scored = {}
-    for factor in FACTORS:
+    def score(factor: float) -> ScoredDrives:
         done = how.score(folders, labelled, screen, rivals=(), track=False, keypoints=as_said(factor))
-        scored[factor] = done.boxes
         for one in calibrate_boxes(done.boxes, SYSTEM).regions:
             shares = ", ".join(f"{100 * one.inside[level]['claimed']:.0f} in {100 * level:.0f} %" for level in SIGMAS)
             screen.detail(f"Factor {factor:g}: {one.quantity} {shares}.")
+        return done
+
+    def leave_out(what: str, error: InvalidInputError) -> None:
+        doubts.append(f"{what} could not be fitted: {error.value}. {error.fix}")
+        screen.warn(doubts[-1])
+
+    check_output(out)
+    screen = terminal.screen()
+    doubts: list[str] = []
+    drives = [read_images(folder.absolute()) for folder in folders]
+    check_labels(drives)
+    fits_boxes, source = how.detect, None
+    if fits_boxes:
+        try:
+            check_whole_cars(drives)
+        except InvalidInputError as error:
+            leave_out(_EDGES, error)
+            fits_boxes = False
+    done = score(FACTORS[0])
     told = {
-        "drives": [drive.name for drive in done.drives],
+        "drives": [drive.name for drive in drives],
         "networks": [{"file": one["file"], "drives": one["drives"]} for one in done.networks()],
         "ground": done.told.origin,
         "size_prior": labelled.size_prior,
         "boxes": how.boxes,
     }
-    found = fit_detector(scored, told)
-    calibration = found.calibration
-    if how.detect:
-        seen = list(seen_boxes(done.drives, done.frames, done.told.scene.prior))
-        source = fit_boxes(seen)
-        calibration = replace(calibration, boxes=source, provenance={**calibration.provenance, "outlines": len(seen)})
+    if fits_boxes:
+        seen = list(seen_boxes(drives, done.frames, done.told.scene.prior))
+        try:
+            source = fit_boxes(seen)
+            told["outlines"] = len(seen)
+        except InvalidInputError as error:
+            leave_out(_EDGES, error)
+    calibration, found = DetectorCalibration(provenance=told), None
+    try:
+        check_solved(done.boxes)
+        found = fit_detector({FACTORS[0]: done.boxes} | {f: score(f).boxes for f in FACTORS[1:]}, told)
+        calibration = found.calibration
+    except InvalidInputError as error:
+        if source is None:
+            raise
+        leave_out(_NUMBERS, error)
     screen.print(done.in_words())
     table = headed_table("fitted", "value")
-    for name, value in calibration.numbers.items():
+    for name, value in {} if found is None else calibration.numbers.items():
         table.add_row(name, f"{value:.3f}")
-    for name, value in {} if calibration.boxes is None else asdict(calibration.boxes).items():
+    for name, value in {} if source is None else asdict(source).items():
         table.add_row(f"boxes.{name}", f"{value:.3f}")
     screen.print(table)
-    if len(done.drives) > 1:
+    if found is not None and len(drives) > 1:
         held = headed_table("on drives left out of the fit", *(f"inside {100 * level:.0f} %" for level in SIGMAS))
         for quantity, inside in found.inside.items():
             held.add_row(quantity, *(f"{100 * inside[level]:.0f}" for level in SIGMAS))
         screen.print(held, f"The facing's expected calibration error there is {found.facing_error:.3f}.")
-    if found.facing_is_default:
-        few = "Too few vehicles are turned round" if found.turned else "No vehicle is turned round"
-        screen.print(f"{few}: the facing's numbers are the default ones.")
-    screen.wrote(save_calibration(calibration, out))
+    for doubt in () if found is None else found.doubts:
+        screen.warn(doubt)
+    doubts += () if found is None else found.doubts
+    provenance = {**calibration.provenance, "doubts": doubts}
+    screen.wrote(save_calibration(replace(calibration, boxes=source, provenance=provenance), out))

@@ -89,7 +89,7 @@ class KittiBoxes:
     ] = 0.7
     box_model: Annotated[
         BoxModel | None,
-        typer.Option(help="What the 2D boxes enclose.", show_default="cuboid; what lines of FILE say"),
+        typer.Option(help="What the 2D boxes enclose.", show_default="cuboid; of FILE what its lines say"),
     ] = None
 
     @property

@@ -32,7 +32,9 @@ def batch_command(
     camera: CameraOptions,
     scene: SceneOptions,
     terminal: Terminal,
-    box_model: Annotated[BoxModel, typer.Option(help=BOX_MODEL_HELP)] = BoxModel.SURFACE,
+    box_model: Annotated[
+        BoxModel, typer.Option(help=BOX_MODEL_HELP, show_default="surface; detected where the detector finds them")
+    ] = BoxModel.SURFACE,
     names: NamesOption = None,
     weights: WeightsOption = None,
     jobs: Annotated[int, typer.Option(min=1, help="Processes; with --ray actors at most.")] = 1,

@@ -339,11 +339,15 @@ class VehicleBoxes:
 
     box: Annotated[
         list[str] | None,
-        typer.Option("--box", metavar="X1,Y1,X2,Y2", help="2D box of a car, pixels; repeat for more."),
+        typer.Option("--box", metavar="X1,Y1,X2,Y2", help="2D box of a car's outline, pixels; repeat for more."),
     ] = None
     boxes: Annotated[
         Path | None,
-        typer.Option(metavar="FILE|FOLDER", help="Boxes: KITTI, COCO, YOLO, nuScenes; a folder: a file per image."),
+        typer.Option(
+            metavar="FILE|FOLDER",
+            help="Boxes of outlines (COCO, YOLO), of projected 3D boxes (KITTI, nuScenes, lines of detections without "
+            "a word) or as lines say; a folder: a file per image.",
+        ),
     ] = None
     detect: Annotated[bool, typer.Option("--detect", help="Find the cars in the image with the shipped detector.")] = (
         False

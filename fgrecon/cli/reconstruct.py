@@ -47,7 +47,10 @@ class Solving:
 
     box_model: Annotated[
         BoxModel | None,
-        typer.Option(help=BOX_MODEL_HELP, show_default="surface; cuboid for KITTI's boxes; detected for --detect"),
+        typer.Option(
+            help=BOX_MODEL_HELP,
+            show_default="surface for keypoint files and --box, as --boxes says, detected for --detect",
+        ),
     ] = None
     joint: Annotated[bool, typer.Option("--joint/--no-joint", help="Let pose and shape move together.")] = True
     free_offsets: Annotated[

@@ -41,7 +41,10 @@ def run_command(
     forget_ids: Annotated[bool, typer.Option("--forget-ids", help="Give those vehicles ids anew.")] = False,
     box_model: Annotated[
         BoxModel | None,
-        typer.Option(help="What 2D boxes enclose; off: they are no evidence.", show_default="as their source has it"),
+        typer.Option(
+            help="What 2D boxes enclose; off: they are no evidence.",
+            show_default="detected; of --tracks: surface in keypoints, cuboid in KITTI's lines",
+        ),
     ] = None,
     weights: WeightsOption = None,
     online: Annotated[

@@ -78,6 +78,7 @@ class DetectorCalibration:
         return {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name not in told}
 
     def applied(self, options: Options) -> Options:
-        """The options with these settings in the place of their own."""
+        """The options with these settings in the place of their own; the default common factor counts as not fitted."""
         told = options if self.boxes is None else self.boxes.applied(options)
-        return replace(told, keypoints=replace(told.keypoints, **self.numbers, fitted=True))
+        fitted = self.common_factor != _DEFAULT.common_factor
+        return replace(told, keypoints=replace(told.keypoints, **self.numbers, fitted=fitted))

@@ -28,7 +28,8 @@ class Observation:
     Attributes:
         keypoints: (K, 2) pixels (u, v); NaN rows are keypoints without any measurement.
         confidence: (K,) in [0, 1]: how probable it is that the point is visible and right; 0 where not measured.
-        box: (4,) 2D box x1, y1, x2, y2 of the vehicle in pixels, or None.
+        box: (4,) 2D box x1, y1, x2, y2 of the vehicle in pixels, or None; of its outline, unless `Options.box` says
+            otherwise.
         covariance: (K, 2, 2) covariance of each keypoint in square pixels, or None.
         confidence_midpoint: Confidence at which a point is as likely right as wrong: 0.5 where confidences are
             probabilities. Likelihood peaks of keypoint networks are underconfident; for them 0.1 to 0.3 do alike.

@@ -112,7 +112,7 @@ class Reconstruction:
         graph_gain: Nats that they took off its energy; NaN where the strategy defines none.
         facing_probability: How probably the vehicle faces where the pose says, within a quarter turn, by the detector's
             directions, calibrated on real cars; without them by the energies of the poses. NaN where neither tells.
-        reasons: Clauses that say what makes the result weak, whatever its status.
+        reasons: Clauses that say what makes the result weak, or its focal length ambiguous, whatever its status.
         size_covariance: (3, 3) covariance of `box_size`, or None where it is not determined.
         regions: What the covariances rest on.
         box_excess: By how much the 2D box is larger than the vehicle looks, as a fraction, negative where it is

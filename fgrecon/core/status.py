@@ -14,7 +14,7 @@ class Status(StrEnum):
     WEAK = "weak"
     """It converged, but little carries it, or it is at odds with what was told: see `reasons`."""
     AMBIGUOUS = "ambiguous"
-    """Another pose explains the keypoints nearly as well: see `alternatives`."""
+    """Another pose explains the keypoints nearly as well (see `alternatives`), or another focal length the image."""
     DEGENERATE = "degenerate"
     """The keypoints leave a direction undetermined, or nearly so: see `message` and the covariances."""
     FAILED = "failed"

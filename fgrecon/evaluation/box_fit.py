@@ -13,10 +13,11 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import box_around, yaw_rotation
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.evaluation.video_frames import ScoredFrame
+from fgrecon.evaluation.video_images import wanted
 from fgrecon.io.kitti_drives import Drive, DriveFrame
 from fgrecon.solve.vehicle.model import VehicleModel, prepare
 
-__all__ = ["SeenBox", "fit_boxes", "seen_boxes"]
+__all__ = ["SeenBox", "check_whole_cars", "fit_boxes", "seen_boxes"]
 
 Array = NDArray[np.float64]
 
@@ -37,6 +38,29 @@ class SeenBox:
     outline: Array
 
 
+def check_whole_cars(drives: Sequence[Drive]) -> None:
+    """Refuse drives that cannot do before anything is detected.
+
+    Raises:
+        InvalidInputError: Too few of their labelled cars are visible as a whole.
+    """
+    count = 0
+    for frame in (frame for drive in drives for frame in drive.frames):
+        seen = frame.objects.take(wanted(frame))
+        count += sum(map(_is_whole, seen.kind, seen.occlusion.tolist(), seen.truncation.tolist()))
+    _check_count(count, "labelled cars that are visible as a whole")
+
+
+def _is_whole(kind: str, occlusion: float, truncation: float) -> bool:
+    return kind == "Car" and occlusion == 0 and truncation <= 0.0
+
+
+def _check_count(count: int, what: str) -> None:
+    if count < _FEWEST:
+        fix = f"Give drives with at least {_FEWEST} cars that are visible as a whole and detected."
+        raise InvalidInputError("drives", f"{count} {what}", fix)
+
+
 def seen_boxes(drives: Sequence[Drive], frames: Iterable[ScoredFrame], prior: ShapePrior) -> Iterator[SeenBox]:
     """The detected boxes of labelled cars that nothing hides and that are in the image as a whole.
 
@@ -49,7 +73,7 @@ def seen_boxes(drives: Sequence[Drive], frames: Iterable[ScoredFrame], prior: Sh
     labelled = {(drive.name, frame.number): frame for drive in drives for frame in drive.frames}
     for frame in frames:
         for box, seen in zip(frame.boxes, frame.sightings, strict=False):  # the first are those of the labelled boxes
-            if box.kind == "Car" and box.occlusion == 0 and box.truncation <= 0.0:
+            if _is_whole(box.kind, box.occlusion, box.truncation):
                 label = labelled[frame.drive, frame.number]
                 yield SeenBox(np.asarray(seen.box, dtype=np.float64), _outline(label, box.index, plain))
 
@@ -68,9 +92,7 @@ def fit_boxes(seen: Sequence[SeenBox]) -> BoxSource:
     Raises:
         InvalidInputError: There are too few boxes.
     """
-    if len(seen) < _FEWEST:
-        fix = f"Give drives with at least {_FEWEST} cars that are visible as a whole and detected."
-        raise InvalidInputError("drives", f"{len(seen)} such cars", fix)
+    _check_count(len(seen), "detected cars that are visible as a whole")
     detected, outline = (np.array([getattr(one, name) for one in seen]) for name in ("detected", "outline"))
     extent = detected[:, 2:] - detected[:, :2]
     off = (detected - outline) / np.tile(extent, 2)

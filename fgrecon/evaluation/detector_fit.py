@@ -6,6 +6,7 @@ tell how well what was fitted holds elsewhere.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -20,9 +21,10 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import KeypointOptions
 from fgrecon.core.reliability import reliability
 from fgrecon.evaluation.calibration import calibrate_boxes
-from fgrecon.evaluation.video_images import SYSTEM, TURNED_ROUND, VideoBox
+from fgrecon.evaluation.video_images import SYSTEM, TURNED_ROUND, VideoBox, wanted
+from fgrecon.io.kitti_drives import Drive
 
-__all__ = ["FACTORS", "FittedDetector", "as_said", "fit_detector", "holding"]
+__all__ = ["FACTORS", "FittedDetector", "as_said", "check_labels", "check_solved", "fit_detector", "holding"]
 
 FACTORS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """The common factors that vehicles are reconstructed with; what is fitted lies between them."""
@@ -30,6 +32,8 @@ FACTORS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 _FEWEST = 30  # vehicles that regions are judged by
 _FEWEST_TURNED = 5  # turned round, without which nothing tells what a direction counts
 _QUANTITIES = "position", "yaw"
+_FACING_BOUNDS = {"facing_bias": (-10.0, 10.0), "facing_slope": (0.0, 10.0)}
+_SHORT = 0.1  # regions hold so much less than they claim at most; those of the shipped networks are short by 0.09
 
 Array = NDArray[np.float64]
 
@@ -48,19 +52,40 @@ class FittedDetector:
         inside: Share of the errors of position and yaw within their regions, by level (`SIGMAS`): fitted without the
             drive. NaN with a single drive.
         facing_error: Expected calibration error of the facing, likewise.
+        doubts: Sentences that say what could not be fitted, lies at an end of what was tried, or does not hold, or is
+            not known to hold, on drives that were left out; in the calibration's provenance as well.
         turned: Number of vehicles turned round; where they are too few the facing's numbers are the default ones.
     """
 
     calibration: DetectorCalibration
     inside: Mapping[str, Mapping[float, float]]
     facing_error: float
+    doubts: tuple[str, ...]
     turned: int
 
-    @property
-    def facing_is_default(self) -> bool:
-        """Whether too few vehicles were turned round to fit the facing's numbers."""
-        found, default = self.calibration, DetectorCalibration()
-        return (found.facing_bias, found.facing_slope) == (default.facing_bias, default.facing_slope)
+
+def check_labels(drives: Sequence[Drive]) -> None:
+    """Refuse drives that cannot do before anything is looked at.
+
+    Raises:
+        InvalidInputError: They have too few labelled vehicles.
+    """
+    _check_count(sum(len(wanted(frame)) for drive in drives for frame in drive.frames), "labelled vehicles")
+
+
+def check_solved(boxes: Sequence[VideoBox]) -> None:
+    """Refuse what cannot do as soon as it was reconstructed with one factor.
+
+    Raises:
+        InvalidInputError: Too few vehicles were reconstructed.
+    """
+    _check_count(sum(bool(box.outcomes[SYSTEM].squared) for box in boxes), "vehicles")
+
+
+def _check_count(count: int, what: str) -> None:
+    if count < _FEWEST:
+        fix = f"Give drives with at least {_FEWEST} labelled vehicles that can be reconstructed."
+        raise InvalidInputError("drives", f"{count} {what}", fix)
 
 
 def fit_detector(scored: Mapping[float, Sequence[VideoBox]], provenance: Mapping[str, Any]) -> FittedDetector:
@@ -76,9 +101,7 @@ def fit_detector(scored: Mapping[float, Sequence[VideoBox]], provenance: Mapping
     boxes = scored[FACTORS[0]]
     drives = sorted({box.drive for box in boxes})
     solved = [box for box in boxes if box.outcomes[SYSTEM].squared]
-    if len(solved) < _FEWEST:
-        fix = f"Give drives with at least {_FEWEST} labelled vehicles that can be reconstructed."
-        raise InvalidInputError("drives", f"{len(solved)} vehicles", fix)
+    check_solved(boxes)
     curves_of_all = _curves(scored)
     if not curves_of_all:
         fix = "Give drives whose vehicles are seldom turned round: those are not judged."
@@ -105,9 +128,49 @@ def fit_detector(scored: Mapping[float, Sequence[VideoBox]], provenance: Mapping
                 if held:
                     inside[name][level] = float(np.average([share for _, share in held], weights=[n for n, _ in held]))
     error = reliability(said, right).error if said else float("nan")
-    told = {**provenance, "vehicles": len(solved), "turned_round": turned}
-    calibration = DetectorCalibration(factor, *facing, told)
-    return FittedDetector(calibration, inside, error, turned)
+    doubts = (*_end_of_factors(factor, curves_of_all), *_facing_doubts(facing, turned), *_not_holding(inside))
+    shares = {name: {f"{p:g}": share for p, share in some.items() if share >= 0.0} for name, some in inside.items()}
+    told = {**provenance, "vehicles": len(solved), "turned_round": turned, "inside": shares, "doubts": list(doubts)}
+    return FittedDetector(DetectorCalibration(factor, *facing, told), inside, error, doubts, turned)
+
+
+def _end_of_factors(factor: float, curves: Mapping[tuple[str, float], Array]) -> list[str]:
+    """That the factor is the first or last one that was tried, and how well regions hold with it."""
+    ends = {FACTORS[0]: "smallest", FACTORS[-1]: "largest"}
+    found = []
+    for end, word in ends.items():
+        if math.isclose(factor, end):
+            there = _shares({name: {p: _at(curves[name, p], end) for p in SIGMAS} for name in _QUANTITIES})
+            found.append(f"common_factor {end:g} is the {word} that was tried; with it {there} of the same drives.")
+    return found
+
+
+def _facing_doubts(facing: tuple[float, float], turned: int) -> list[str]:
+    default = DetectorCalibration()
+    if facing == (default.facing_bias, default.facing_slope):
+        few = "too few vehicles are" if turned else "no vehicle is"
+        return [f"The facing's numbers are the default ones: {few} turned round."]
+    return [
+        f"{name} {value:.3g} is at an end of what was tried ({low:g} to {high:g})."
+        for (name, (low, high)), value in zip(_FACING_BOUNDS.items(), facing, strict=True)
+        if math.isclose(value, low, abs_tol=1e-6) or math.isclose(value, high)
+    ]
+
+
+def _not_holding(inside: Mapping[str, Mapping[float, float]]) -> list[str]:
+    short = np.array([level - share for some in inside.values() for level, share in some.items()])
+    if np.isnan(short).all():
+        return ["How well common_factor holds elsewhere is not known: no drive can be left out of the fit."]
+    if not (short > _SHORT).any():
+        return []
+    return [f"common_factor does not hold on drives left out of the fit: {_shares(inside)} there."]
+
+
+def _shares(inside: Mapping[str, Mapping[float, float]]) -> str:
+    """Percent of the errors within their regions, in words."""
+    levels = " and ".join(f"{100 * level:.0f}" for level in SIGMAS)
+    held = (f"{' and '.join(f'{100 * some[p]:.0f}' for p in SIGMAS)} % of the {name}s" for name, some in inside.items())
+    return f"regions of {levels} % hold {', '.join(held)}"
 
 
 def _is_turned(box: VideoBox) -> bool:
@@ -170,5 +233,5 @@ def _facing(boxes: Sequence[VideoBox]) -> tuple[float, float]:
     def surprise(numbers: Array) -> float:
         return float(np.mean(np.logaddexp(0.0, -sign * (numbers[0] + numbers[1] * odds))))
 
-    found = minimize(surprise, start, method="L-BFGS-B", bounds=[(-10.0, 10.0), (0.0, 10.0)])
+    found = minimize(surprise, start, method="L-BFGS-B", bounds=[*_FACING_BOUNDS.values()])
     return float(found.x[0]), float(found.x[1])

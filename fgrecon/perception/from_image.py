@@ -155,7 +155,8 @@ def reconstruct_image(
         image: (H, W, 3) RGB, or grey; 8 or 16 bits; or the path of an image file.
         camera: The camera that took it, or its matrix (3, 3), or (fx, fy, cx, cy). None takes the focal length from the
             file's EXIF data, or lets the vehicles tell it: distances are then rough.
-        boxes: (N, 4) x1, y1, x2, y2 in pixels; None lets the vehicle detector find them.
+        boxes: (N, 4) x1, y1, x2, y2 in pixels, of the outlines, unless `options.box` says otherwise (`cuboid` for
+            KITTI's labels); None lets the vehicle detector find them.
         vehicle_detector: Finds the boxes where none are given; None for that of the package.
         keypoint_detector: Finds the keypoints; None for the networks of the package. All boxes go to it in one call.
         prior: Shape prior, or its name, or the path of its file; of the category of the keypoint detector.

@@ -66,7 +66,7 @@ def reconstruct(
             (u, v, confidence) by the keypoint's name. Or an `Observation`, which holds the next three as well.
         intrinsics: Camera matrix (3, 3), or (fx, fy, cx, cy), or a `Camera`.
         confidence: (K,) in [0, 1]; None where the detector gives none.
-        box: (4,) 2D box x1, y1, x2, y2 in pixels, or None.
+        box: (4,) 2D box x1, y1, x2, y2 in pixels, or None; of the outline, unless `options.box` says otherwise.
         covariance: (K, 2, 2) covariance of each keypoint in square pixels, or None.
         distortion: OpenCV distortion coefficients, or None.
         prior: Shape prior, or its name, or the path of its file.

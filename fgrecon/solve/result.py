@@ -223,15 +223,15 @@ def _regions(problem: Problem) -> Regions:
     return Regions.FITTED if problem.options.keypoints.fitted else Regions.SHIPPED
 
 
-def weakened(result: Reconstruction, reasons: Sequence[str]) -> Reconstruction:
-    """The result with further reasons to be weak, which it is where it had converged."""
+def weakened(result: Reconstruction, reasons: Sequence[str], status: Status = Status.WEAK) -> Reconstruction:
+    """The result with further reasons to be weak, or ambiguous, which it is where it had converged."""
     if not reasons:
         return result
     told = (*result.reasons, *reasons)
     if not result.status.settled:
         return replace(result, reasons=told)
-    text = "; ".join(told)
-    return replace(result, status=Status.WEAK, message=f"{text[0].upper()}{text[1:]}.", reasons=told)
+    text = "; ".join(told if status is Status.WEAK else reasons)
+    return replace(result, status=status, message=f"{text[0].upper()}{text[1:]}.", reasons=told)
 
 
 def _facing(part: ObservationPart, camera_T_object: NDArray[np.float64]) -> float:

@@ -50,6 +50,7 @@ from fgrecon.solve.result import count, history_of, results, weakened
 from fgrecon.solve.standing import Standing, seen_ground
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.vehicle.model import VehicleModel, prepare
+from fgrecon.solve.weakness import unknown_focal
 
 __all__ = ["reconstruct_scene", "reconstruct_scenes"]
 
@@ -182,6 +183,8 @@ def _reconstruct(
     alone = told.alone
     each = dict(told.results)
     each |= {number: _result(one.to_the_end()) for number, one in alone.vehicles.items() if number not in each}
+    status, doubts = unknown_focal(told.camera.focal_sigma, told.focal_lengths, options.ambiguity_margin)
+    each = {number: weakened(one, doubts, status) for number, one in each.items()}
     milliseconds = {"alone": (found - started) * 1e3, "together": (perf_counter() - found) * 1e3}
     scenes, first = [], 0
     for image, some in enumerate(images):

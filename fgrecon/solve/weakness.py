@@ -1,9 +1,13 @@
 """Why a result that converged is weak: little carries it, or it lies at the edge of what was said beforehand.
 
-Chosen on five drives of KITTI's video and tested on two others (`docs/result.md`).
+Chosen on five drives of KITTI's video and tested on two others (`docs/result.md`). What is said of a focal length that
+was found holds for all vehicles that tell it.
 """
 
 from __future__ import annotations
+
+import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +16,9 @@ from fgrecon.core.box3d import box_corners
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.geometry import transform
 from fgrecon.core.observation import Observation
+from fgrecon.core.status import Status
 
-__all__ = ["off_ground", "weaknesses"]
+__all__ = ["off_ground", "unknown_focal", "weaknesses"]
 
 Array = NDArray[np.float64]
 
@@ -22,6 +27,11 @@ _PROBABLE = 0.25  # of the measured keypoints; where no confidences are given it
 _OFF_GROUND = 2.0  # standard deviations
 _OUTSIDE = 0.5  # of the vehicle's 2D box
 _EDGE = 3.0  # standard deviations of a shape coefficient
+_FOCAL_ROUGH = 0.1
+"""Standard deviation of a focal length's logarithm: beyond, distances are off by more than the 20 % that count as wrong
+more often than those of other results that converged (`docs/result.md`)."""
+_FOCAL_OPEN = 0.3
+"""Beyond, half of the distances are wrong."""
 
 
 def weaknesses(
@@ -68,6 +78,27 @@ def off_ground(below: float, sigma: float) -> list[str]:
         return []
     side = "below" if below > 0.0 else "above"
     return [f"it lies {abs(below):.2f} m {side} the ground, {abs(below) / sigma:.1f} standard deviations"]
+
+
+def unknown_focal(
+    sigma: float, lengths: Sequence[tuple[float, float]], margin: float
+) -> tuple[Status, tuple[str, ...]]:
+    """What becomes of vehicles that converged with a focal length that was found, and clauses that say why.
+
+    Args:
+        sigma: Standard deviation of its logarithm that is left; 0 where it was known.
+        lengths: Focal lengths that explain the image, pixels, the best first, and how many nats worse each is.
+        margin: Nats within which another one leaves open which it is (`Options.ambiguity_margin`).
+    """
+    found = []
+    best = lengths[0][0] if lengths else math.nan
+    others = [o for o in lengths[1:] if o[1] <= margin and abs(math.log(o[0] / best)) > _FOCAL_ROUGH]
+    if others:
+        (other, excess), *_ = others
+        found.append(f"focal lengths of {best:.0f} and {other:.0f} px explain the image, {excess:.1f} nats apart")
+    if sigma > _FOCAL_ROUGH:
+        found.append(f"the focal length is known to {100 * sigma:.0f} % only, and distances no better")
+    return Status.AMBIGUOUS if others or sigma > _FOCAL_OPEN else Status.WEAK, tuple(found)
 
 
 def _outside(camera: Camera, camera_T_object: Array, box_size: Array) -> float:

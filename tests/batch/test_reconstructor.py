@@ -198,6 +198,8 @@ def test_without_a_camera_the_cars_tell_the_focal_length(street):
     for row, vehicle in zip(rows, found, strict=True):
         assert row["camera_matrix"] == vehicle.camera.matrix.ravel().tolist()
         assert 0.0 < row["focal_sigma"] == vehicle.camera.focal_sigma < 0.5
+        assert row["status"] != "converged"
+        assert "the focal length is known to" in row["reasons"][-1]
         assert row["camera_T_object"] == vehicle.result.camera_T_object.ravel().tolist()
 
 

@@ -1,14 +1,19 @@
 """`fgrecon calibrate` from the outside, and what it writes in a solve."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from fgrecon.cli import main
+from fgrecon.cli.labelled_drives import DriveOptions
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.catalogue import load_prior
 from fgrecon.io.detector_calibration import load_calibration
+from tests.annotation.streets import Car, write_drive
+from tests.evaluation.test_detector_fit import boxes
 
 pytest.importorskip("torch")
 
@@ -52,3 +57,89 @@ def test_what_cannot_be_used_is_refused_before_the_work(tmp_path):
     refused = run("reconstruct", tmp_path / "cars.json", "--calibration", bad)
     assert isinstance(refused.exception, InvalidInputError)
     assert str(bad) in refused.exception.field
+
+
+PRIOR = load_prior("car14")
+
+
+def street(folder, *, occlusion=0, count=40):
+    """A drive with a labelled car in each frame."""
+    return write_drive(folder, PRIOR, [{1: Car((0.0, 1.6, 12.0), 0.4, occlusion=occlusion)}] * count)
+
+
+@pytest.fixture
+def passes(monkeypatch):
+    """What the passes find, a factor each: so many vehicles, and boxes of so many of the labelled cars."""
+    made = SimpleNamespace(vehicles=400, detected=40, factors=[])
+
+    def score(how, folders, labelled, screen, *, keypoints, **more):
+        factor = keypoints.common_factor
+        made.factors.append(factor)
+        corners = Car((0.0, 1.6, 12.0), 0.4).box(PRIOR)
+        label = SimpleNamespace(kind="Car", occlusion=0, truncation=0.0, index=0)
+        frames = [
+            SimpleNamespace(drive="a", number=number, boxes=[label], sightings=[SimpleNamespace(box=corners)])
+            for number in range(made.detected)
+        ]
+        told = SimpleNamespace(origin="no ground plane", scene=SimpleNamespace(prior=PRIOR))
+        return SimpleNamespace(
+            boxes=boxes(factor, made.vehicles),
+            frames=frames,
+            told=told,
+            networks=list,
+            in_words=lambda: "1 drive.",
+        )
+
+    monkeypatch.setattr(DriveOptions, "score", score)
+    return made
+
+
+def test_what_cannot_be_fitted_does_not_take_the_rest_along(tmp_path, passes):
+    drive, hidden = street(tmp_path / "a"), street(tmp_path / "b", occlusion=1)
+    out = tmp_path / "detector.json"
+
+    def calibrated(folder):
+        passes.factors.clear()
+        done = run("calibrate", folder, "--detect", "--out", out)
+        assert done.exit_code == 0, done.output
+        found = load_calibration(out)
+        assert all(doubt in " ".join(done.stderr.split()) for doubt in found.provenance["doubts"])
+        return found, found.provenance["doubts"]
+
+    whole, doubts = calibrated(drive)
+    assert (whole.boxes is not None, len(passes.factors), doubts) == (True, 6, [])
+    assert whole.provenance["outlines"] == 40
+    found, (doubt,) = calibrated(hidden)
+    assert (found.common_factor, found.boxes) == (whole.common_factor, None)
+    assert "edges lie could not be fitted: 0 labelled cars that are visible as a whole. Give drives with" in doubt
+    passes.detected = 7
+    found, (doubt,) = calibrated(drive)
+    assert (found.common_factor, found.boxes) == (whole.common_factor, None)
+    assert "7 detected cars that are visible as a whole" in doubt
+    passes.detected, passes.vehicles = 40, 20
+    found, (doubt,) = calibrated(drive)
+    assert (found.numbers, found.boxes) == (type(found)().numbers, whole.boxes)
+    assert "facings, could not be fitted: " in doubt
+    assert len(passes.factors) == 1
+    assert "common_factor" not in run("calibrate", drive, "--detect", "--out", out).stdout
+    out.unlink()
+    for more in ((), ("--detect",)):  # nothing can be fitted
+        passes.detected = 7
+        refused = run("calibrate", drive, *more, "--out", out)
+        assert isinstance(refused.exception, InvalidInputError)
+        assert not out.exists()
+
+
+def test_too_few_labels_are_refused_before_anything_is_looked_at(tmp_path, passes):
+    refused = run("calibrate", street(tmp_path / "a", count=29), "--detect", "--out", tmp_path / "detector.json")
+    assert isinstance(refused.exception, InvalidInputError)
+    assert refused.exception.value == "29 labelled vehicles"
+    assert passes.factors == []
+
+
+def test_values_at_the_end_of_what_was_tried_are_warned_of(tmp_path, passes, monkeypatch):
+    monkeypatch.setattr("tests.evaluation.test_detector_fit.FACTOR", 500.0)
+    done = run("calibrate", street(tmp_path / "a"), "--out", tmp_path / "detector.json")
+    assert done.exit_code == 0, done.output
+    assert "Warning: common_factor 32 is the largest that was tried" in " ".join(done.stderr.split())
+    assert len(json.loads((tmp_path / "detector.json").read_text())["provenance"]["doubts"]) == 2

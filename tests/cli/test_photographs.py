@@ -117,6 +117,9 @@ def test_one_camera_took_them(street, tmp_path):
     cameras = [one["camera"] for file in found for one in file["instances"]]
     assert all(camera == cameras[0] for camera in cameras)
     assert "as were 3 of other images" in found[0]["scenes"][0]["message"]
+    results = [one["result"] for file in found for one in file["instances"]]
+    assert {one["status"] for one in results} <= {"weak", "ambiguous"}
+    assert all("the focal length is known to" in one["reasons"][-1] for one in results)
     assert (tmp_path / "out" / "b.png").stat().st_size > 10_000
     for more in (
         ("--calib", street / "sample" / "calib.txt", "--out", tmp_path / "x"),

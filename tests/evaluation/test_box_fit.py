@@ -30,7 +30,7 @@ def test_what_made_them_is_found():
     found = fit_boxes(list(made()))
     np.testing.assert_allclose([found.left, found.upper, found.right, found.lower], EDGES, atol=0.006)
     assert found.spread == pytest.approx(0.02, rel=0.1)
-    with pytest.raises(InvalidInputError, match="20 such cars"):
+    with pytest.raises(InvalidInputError, match="20 detected cars that are visible as a whole"):
         fit_boxes(list(made(20)))
 
 

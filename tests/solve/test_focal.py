@@ -9,6 +9,7 @@ import fgrecon
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
+from fgrecon.core.reconstruction import Status
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.focal import candidates, starts
 from fgrecon.solve.scene import reconstruct_scene, reconstruct_scenes
@@ -66,13 +67,19 @@ def test_rotations_are_nearly_those_with_the_known_camera():
 
 def test_the_95_percent_region_holds():
     """Far cars in the street: little is told, and that is said."""
-    away = []
+    away, squared = [], []
     for seed in range(20):
-        scene = reconstruct_scene(street(50 * seed + 3, count=2)[1], unknown(seed), size_prior="kitti")
+        poses, seen = street(50 * seed + 3, count=2)
+        scene = reconstruct_scene(seen, unknown(seed), size_prior="kitti")
         away.append(abs(error(scene)) / scene.camera.focal_sigma)
         assert 0.05 < scene.camera.focal_sigma <= 0.5
+        for number, car in zip(scene.numbers, scene.vehicles, strict=True):
+            off = car.camera_T_object[:3, :3].T @ (car.location - poses[number][:3, 3])
+            squared.append(off @ np.linalg.solve(car.pose_covariance[3:, 3:], off))
     assert np.mean(np.array(away) < 1.96) >= 0.9
     assert np.mean(np.array(away) < 1.0) <= 0.95
+    assert len(squared) == 40
+    assert np.mean(np.array(squared) < 7.81) >= 0.9  # of the positions, within the region of 95 %
 
 
 def test_a_ground_at_a_known_height_tells_more():
@@ -88,6 +95,27 @@ def test_the_uncertainty_is_in_the_poses():
     seen = near(0, 1)[1]
     known, found = (reconstruct_scene(seen, camera, size_prior="kitti").vehicles[0] for camera in (KNOWN, unknown(0)))
     assert np.trace(found.pose_covariance[3:, 3:]) > np.trace(known.pose_covariance[3:, 3:])
+
+
+def test_the_status_says_how_far_the_focal_length_is_known():
+    def solved(seen, camera):
+        scene = reconstruct_scene(seen, camera, size_prior="kitti")
+        return scene.camera.focal_sigma, {car.status for car in scene.vehicles}, scene.vehicles
+
+    far, close = street(4, count=3)[1][-1:], near(0, 3)[1]
+    sigma, status, (car,) = solved(far, unknown())
+    assert sigma > 0.3
+    assert status == {Status.AMBIGUOUS}
+    assert car.message == f"The focal length is known to {100 * sigma:.0f} % only, and distances no better."
+    assert car.reasons[-1].startswith("the focal length")
+    sigma, status, _ = solved(close, unknown())
+    assert 0.1 < sigma < 0.3
+    assert status == {Status.WEAK}
+    for camera in (replace(KNOWN, focal_sigma=0.05), KNOWN):  # by EXIF data, or by a calibration
+        sigma, status, cars = solved(close, camera)
+        assert sigma <= 0.05
+        assert status == {Status.CONVERGED}
+        assert not any(car.reasons for car in cars)
 
 
 def test_a_known_camera_is_left_alone():

@@ -16,7 +16,7 @@ from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.result import weakened
-from fgrecon.solve.weakness import off_ground, weaknesses
+from fgrecon.solve.weakness import off_ground, unknown_focal, weaknesses
 from tests.cars import CAMERA, observe, yaw_pose
 
 POSE = yaw_pose(0.6)
@@ -93,6 +93,8 @@ def test_only_what_converged_becomes_weak():
     weak = weakened(weakened(result, ["little carries it"]), ["it flies"])
     assert (weak.status, weak.message) == (Status.WEAK, "Little carries it; it flies.")
     assert weak.reasons == ("little carries it", "it flies")
+    open_ = weakened(weak, ["which camera"], Status.AMBIGUOUS)
+    assert (open_.status, open_.message, open_.reasons[-1]) == (Status.AMBIGUOUS, "Which camera.", "which camera")
     ambiguous = weakened(replace(result, status=Status.AMBIGUOUS, message="Two."), ["it flies"])
     assert (ambiguous.status, ambiguous.message, ambiguous.reasons) == (Status.AMBIGUOUS, "Two.", ("it flies",))
     assert weakened(result, []) is result
@@ -101,6 +103,19 @@ def test_only_what_converged_becomes_weak():
         assert (again.status, again.reasons) == (Status.WEAK, weak.reasons)
     earlier = {name: value for name, value in result.to_dict().items() if name != "reasons"}
     assert Reconstruction.from_dict(earlier).reasons == ()
+
+
+def test_a_focal_length_that_was_found():
+    assert unknown_focal(0.0, (), 3.0)[1] == ()
+    assert unknown_focal(0.09, ((700.0, 0.0),), 3.0)[1] == ()
+    rough = "the focal length is known to {} % only, and distances no better"
+    assert unknown_focal(0.29, ((700.0, 0.0),), 3.0) == (Status.WEAK, (rough.format(29),))
+    assert unknown_focal(0.31, ((700.0, 0.0),), 3.0) == (Status.AMBIGUOUS, (rough.format(31),))
+    two = "focal lengths of 700 and 900 px explain the image, 2.9 nats apart"
+    assert unknown_focal(0.05, ((700.0, 0.0), (900.0, 2.9)), 3.0) == (Status.AMBIGUOUS, (two,))
+    assert unknown_focal(0.2, ((700.0, 0.0), (900.0, 2.9)), 3.0) == (Status.AMBIGUOUS, (two, rough.format(20)))
+    for other in ((900.0, 3.1), (750.0, 0.1)):  # too improbable, and as good as the same
+        assert unknown_focal(0.05, ((700.0, 0.0), other), 3.0)[1] == ()
 
 
 def few(observation: Observation) -> Observation:
