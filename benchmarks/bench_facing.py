@@ -1,0 +1,163 @@
+"""Facing over time by a network that is often wrong: `python -m benchmarks.bench_facing DATA [--paths 84]`.
+
+Simulated keypoints over the paths that real cars took before KITTI's camera (DATA has `kitti_tracking/label_02`), whose
+motion is not told; the ground and the fleet are. Three of ten frames are missing, and three of ten of the others show
+the car turned round, points and directions: at random, or five of them in a row. Beside `fgrecon.Tracker` stands the
+majority of the frames so far, which is all that can be known of errors that have nothing to do with one another.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.geometry import view_azimuth
+from fgrecon.core.metrics import wrap_angle
+from fgrecon.core.observation import Observation
+from fgrecon.core.reliability import reliability
+from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.core.size_prior import size_prior
+from fgrecon.core.turned import turned_round
+from fgrecon.core.vehicle_estimate import VehicleEstimate
+from fgrecon.io.catalogue import load_prior
+from fgrecon.io.files import write_text
+from fgrecon.io.kitti_drives import IMAGES_PER_SECOND
+from fgrecon.io.kitti_tracking import read_tracking
+from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate, yaw_pose
+from fgrecon.solve.tracker import Tracker
+
+Array = NDArray[np.float64]
+
+_MISSING, _TURNED, _ROW = 0.3, 0.3, 5
+_LONGEST, _SHORTEST = 60, 30  # frames of a path
+_NEAR, _FAR = 5.0, 45.0  # metres
+_WITHIN = 15.0  # degrees
+_HEIGHT = 1.65
+_BINS = 2.0 * np.pi * np.arange(36) / 36
+_REGION = {1: 3.841, 3: 7.815}  # 95 % of chi squared
+
+
+def paths(folder: Path, wanted: int, rng: np.random.Generator) -> list[dict[int, Array]]:
+    """Poses (4, 4) by frame of cars that are seen whole for long enough, upright on the ground of their labels."""
+    found: list[dict[int, Array]] = []
+    for file in sorted(folder.glob("*.txt")):
+        cars: dict[int, dict[int, Array]] = {}
+        for frame, one in read_tracking(file).items():
+            o = one.objects
+            for i, track in enumerate(one.tracks.tolist()):
+                seen = o.truncation[i] == 0 and o.occlusion[i] <= 1 and _NEAR < o.location[i, 2] < _FAR
+                if o.kind[i] == "Car" and seen:
+                    cars.setdefault(track, {})[frame] = yaw_pose(float(o.rotation_y[i]), o.location[i])
+        found += [path for path in cars.values() if len(path) >= _SHORTEST]
+    return [found[i] for i in rng.permutation(len(found))[:wanted]]
+
+
+def shown(vehicle: Vehicle, prior: ShapePrior, pose: Array, *, turned: bool, rng: np.random.Generator) -> Observation:
+    """What a network finds, with directions; turned round where it is so."""
+    seen, _ = simulate(vehicle, KITTI_CAMERA, pose, rng)
+    directions = np.exp((np.cos(_BINS - view_azimuth(pose[:3, :3], pose[:3, 3])) - 1.0) / 0.1) + 0.02
+    seen = replace(seen, azimuth=directions / directions.sum())
+    return turned_round(seen, prior) if turned else seen
+
+
+@dataclass
+class Outcome:
+    """Of frames: errors of yaw in degrees, facing's probability, and squared errors by their covariances."""
+
+    degrees: list[float]
+    facing: list[float]
+    place: list[float]
+    yaw: list[float]
+
+    @classmethod
+    def none(cls) -> Outcome:
+        """Without a frame."""
+        return cls([], [], [], [])
+
+    def take(self, estimate: VehicleEstimate, pose: Array) -> None:
+        """A frame."""
+        result = estimate.reconstruction
+        off = float(wrap_angle(result.rotation_y - np.arctan2(-pose[2, 0], pose[0, 0])))
+        self.degrees.append(abs(np.degrees(off)))
+        self.facing.append(estimate.facing_probability)
+        if abs(off) > np.pi / 2.0 or result.pose_covariance is None:
+            return
+        here, covariance = result.camera_T_object, result.pose_covariance
+        away = here[:3, :3].T @ (pose[:3, 3] - here[:3, 3])
+        self.place.append(float(away @ np.linalg.solve(covariance[3:, 3:], away)))
+        self.yaw.append(float(off**2 / covariance[1, 1]))  # about the vehicle's down axis
+
+    def row(self, name: str, majority: Sequence[float] | None) -> str:
+        """Of the Markdown table."""
+        degrees, facing = np.array(self.degrees), np.array(self.facing)
+        told = reliability(np.maximum(facing, 1.0 - facing), (degrees <= 90.0) == (facing > 0.5)).error
+        held = [100 * np.mean(np.array(some) <= _REGION[n]) for some, n in ((self.place, 3), (self.yaw, 1))]
+        most = "-" if majority is None else f"{100 * np.mean(majority):.1f}"
+        within = 100 * np.mean(degrees <= _WITHIN)
+        return f"| {name} | {len(degrees)} | {within:.1f} | {most} | {told:.3f} | {held[0]:.0f} | {held[1]:.0f} |"
+
+
+def follow(path: dict[int, Array], *, row: bool, rng: np.random.Generator) -> tuple[Outcome, Outcome, list[float]]:
+    """One path: online, in batch, and whether the majority of the frames so far is right (a half where it is a tie)."""
+    fleet = size_prior("kitti")
+    prior = load_prior("car14")
+    vehicle = Vehicle.sample(prior.for_fleet(fleet), rng)
+    numbers = [number for number in sorted(path)[:_LONGEST] if rng.random() > _MISSING]
+    together = np.arange(_ROW) + rng.integers(0, len(numbers) - _ROW + 1) if row else np.zeros(0, dtype=np.int64)
+    others = rng.permutation(np.setdiff1d(np.arange(len(numbers)), together))
+    turned = np.zeros(len(numbers), dtype=bool)
+    turned[[*together, *others[: max(round(_TURNED * len(numbers)) - len(together), 0)]]] = True
+    tracker = Tracker(prior=prior, size_prior=fleet)
+    online, batch = Outcome.none(), Outcome.none()
+    solved = []
+    for number, wrong in zip(numbers, turned.tolist(), strict=True):
+        seen = {0: shown(vehicle, prior, path[number], turned=wrong, rng=rng)}
+        found = tracker.update(number / IMAGES_PER_SECOND, seen, camera=KITTI_CAMERA, ground=_HEIGHT)
+        if 0 in found:
+            online.take(found[0], path[number])
+            solved.append(number)
+    for estimate, number in zip(tracker.smooth()[0], solved, strict=True):
+        batch.take(estimate, path[number])
+    ahead = np.cumsum(np.where(turned, -1, 1))
+    majority: list[float] = (0.5 * (1.0 + np.sign(ahead))).tolist()
+    return online, batch, majority
+
+
+def main() -> int:
+    """Follow every path, and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", type=Path, help="folder of the real data")
+    parser.add_argument("--paths", type=int, default=84, help="how many, drawn from all")
+    parser.add_argument("--json", type=Path, help="file for the errors of every frame")
+    given = parser.parse_args()
+    chosen = paths(given.data / "kitti_tracking" / "label_02", given.paths, np.random.default_rng(0))
+    if not chosen:
+        print("error: DATA has no kitti_tracking/label_02 with long enough paths", file=sys.stderr)
+        return 1
+    heads = ("frames", f"within {_WITHIN:g}° %", "majority right %", "ECE", "place in region %", "yaw in region %")
+    print(f"| turned round | {' | '.join(heads)} |", "|---|---:|---:|---:|---:|---:|---:|", sep="\n")
+    kept: dict[str, object] = {}
+    for name, row in (("at random", False), ("five in a row", True)):
+        online, batch, majority = Outcome.none(), Outcome.none(), list[float]()
+        for seed, path in enumerate(chosen):
+            one, other, most = follow(path, row=row, rng=np.random.default_rng(seed))
+            for whole, part in ((online, one), (batch, other)):
+                for field, values in vars(part).items():
+                    getattr(whole, field).extend(values)
+            majority += most
+        print(online.row(f"{name}, online", majority), batch.row(f"{name}, in batch", None), sep="\n", flush=True)
+        kept[name] = {"online": vars(online), "batch": vars(batch), "majority": majority}
+    if given.json is not None:
+        write_text(given.json, json.dumps(kept) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
