@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from fgrecon.core.camera import ANY_FOCAL_SIGMA, Camera, Ground
 from fgrecon.core.errors import FgreconError, InvalidInputError
-from fgrecon.core.metrics import FAILURE_DEGREES
+from fgrecon.core.metrics import FAILURE_DEGREES, rotation_error
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Status
@@ -48,11 +48,6 @@ _SIGMAS = 1.96  # of a 95 % region of one number
 _SQUARED = 7.815  # of one of three numbers
 _WRONG = 0.2  # of the distance, as in docs/result.md
 _GROSS = 20.0  # degrees
-
-
-def geodesic(first: Array, second: Array) -> float:
-    """Degrees between two rotations (3, 3)."""
-    return float(np.degrees(np.linalg.norm(Rotation.from_matrix(first.T @ second).as_rotvec())))
 
 
 # Photographs
@@ -86,7 +81,8 @@ def photographs(data: Path, count: int) -> dict[str, list[tuple[float, float, bo
             row = (FAILURE_DEGREES, np.inf, False)
             if one.result is not None and one.camera is not None:
                 off, inside = focal_error(one.camera, car.matrix[0, 0])
-                row = geodesic(one.result.camera_T_object[:3, :3], car.rotation), off, inside
+                turned = rotation_error(one.result.camera_T_object[None, :3, :3], car.rotation[None])
+                row = float(turned[0]), off, inside
             found.setdefault(name, []).append(row)
     return found
 

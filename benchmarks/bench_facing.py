@@ -12,24 +12,29 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.geometry import view_azimuth
-from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.observation import Observation
+from fgrecon.core.reconstruction import rotation_y
 from fgrecon.core.reliability import reliability
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import size_prior
 from fgrecon.core.turned import turned_round
 from fgrecon.core.vehicle_estimate import VehicleEstimate
+from fgrecon.evaluation.consistency import consistency
+from fgrecon.evaluation.regions import DIMENSIONS
+from fgrecon.evaluation.video_images import TURNED_ROUND, BoxOutcome, outcome
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.files import write_text
 from fgrecon.io.kitti_drives import IMAGES_PER_SECOND
 from fgrecon.io.kitti_tracking import read_tracking
+from fgrecon.io.track_file import GroundTruth
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate, yaw_pose
 from fgrecon.solve.tracker import Tracker
 
@@ -41,7 +46,6 @@ _NEAR, _FAR = 5.0, 45.0  # metres
 _WITHIN = 15.0  # degrees
 _HEIGHT = 1.65
 _BINS = 2.0 * np.pi * np.arange(36) / 36
-_REGION = {1: 3.841, 3: 7.815}  # 95 % of chi squared
 
 
 def paths(folder: Path, wanted: int, rng: np.random.Generator) -> list[dict[int, Array]]:
@@ -67,67 +71,52 @@ def shown(vehicle: Vehicle, prior: ShapePrior, pose: Array, *, turned: bool, rng
     return turned_round(seen, prior) if turned else seen
 
 
-@dataclass
-class Outcome:
-    """Of frames: errors of yaw in degrees, facing's probability, and squared errors by their covariances."""
-
-    degrees: list[float]
-    facing: list[float]
-    place: list[float]
-    yaw: list[float]
-
-    @classmethod
-    def none(cls) -> Outcome:
-        """Without a frame."""
-        return cls([], [], [], [])
-
-    def take(self, estimate: VehicleEstimate, pose: Array) -> None:
-        """A frame."""
-        result = estimate.reconstruction
-        off = float(wrap_angle(result.rotation_y - np.arctan2(-pose[2, 0], pose[0, 0])))
-        self.degrees.append(abs(np.degrees(off)))
-        self.facing.append(estimate.facing_probability)
-        if abs(off) > np.pi / 2.0 or result.pose_covariance is None:
-            return
-        here, covariance = result.camera_T_object, result.pose_covariance
-        away = here[:3, :3].T @ (pose[:3, 3] - here[:3, 3])
-        self.place.append(float(away @ np.linalg.solve(covariance[3:, 3:], away)))
-        self.yaw.append(float(off**2 / covariance[1, 1]))  # about the vehicle's down axis
-
-    def row(self, name: str, majority: Sequence[float] | None) -> str:
-        """Of the Markdown table."""
-        degrees, facing = np.array(self.degrees), np.array(self.facing)
-        told = reliability(np.maximum(facing, 1.0 - facing), (degrees <= 90.0) == (facing > 0.5)).error
-        held = [100 * np.mean(np.array(some) <= _REGION[n]) for some, n in ((self.place, 3), (self.yaw, 1))]
-        most = "-" if majority is None else f"{100 * np.mean(majority):.1f}"
-        within = 100 * np.mean(degrees <= _WITHIN)
-        return f"| {name} | {len(degrees)} | {within:.1f} | {most} | {told:.3f} | {held[0]:.0f} | {held[1]:.0f} |"
+def scored(estimate: VehicleEstimate, pose: Array, size: Array) -> BoxOutcome:
+    """How far an estimate is off, with the facing's probability over time."""
+    truth = GroundTruth(pose[:3, 3], rotation_y(pose))
+    found = outcome(estimate.reconstruction, truth, size, np.zeros(3))
+    return replace(found, facing=estimate.facing_probability)
 
 
-def follow(path: dict[int, Array], *, row: bool, rng: np.random.Generator) -> tuple[Outcome, Outcome, list[float]]:
+def follow(
+    path: dict[int, Array], *, row: bool, rng: np.random.Generator
+) -> tuple[list[BoxOutcome], list[BoxOutcome], list[float]]:
     """One path: online, in batch, and whether the majority of the frames so far is right (a half where it is a tie)."""
     fleet = size_prior("kitti")
     prior = load_prior("car14")
-    vehicle = Vehicle.sample(prior.for_fleet(fleet), rng)
+    of_fleet = prior.for_fleet(fleet)
+    vehicle = Vehicle.sample(of_fleet, rng)
+    size = of_fleet.box_size(vehicle.coefficients)
     numbers = [number for number in sorted(path)[:_LONGEST] if rng.random() > _MISSING]
     together = np.arange(_ROW) + rng.integers(0, len(numbers) - _ROW + 1) if row else np.zeros(0, dtype=np.int64)
     others = rng.permutation(np.setdiff1d(np.arange(len(numbers)), together))
     turned = np.zeros(len(numbers), dtype=bool)
     turned[[*together, *others[: max(round(_TURNED * len(numbers)) - len(together), 0)]]] = True
     tracker = Tracker(prior=prior, size_prior=fleet)
-    online, batch = Outcome.none(), Outcome.none()
-    solved = []
+    online: dict[int, BoxOutcome] = {}
     for number, wrong in zip(numbers, turned.tolist(), strict=True):
         seen = {0: shown(vehicle, prior, path[number], turned=wrong, rng=rng)}
         found = tracker.update(number / IMAGES_PER_SECOND, seen, camera=KITTI_CAMERA, ground=_HEIGHT)
         if 0 in found:
-            online.take(found[0], path[number])
-            solved.append(number)
-    for estimate, number in zip(tracker.smooth()[0], solved, strict=True):
-        batch.take(estimate, path[number])
+            online[number] = scored(found[0], path[number], size)
+    batch = [scored(one, path[number], size) for one, number in zip(tracker.smooth()[0], online, strict=True)]
     ahead = np.cumsum(np.where(turned, -1, 1))
     majority: list[float] = (0.5 * (1.0 + np.sign(ahead))).tolist()
-    return online, batch, majority
+    return [*online.values()], batch, majority
+
+
+def table_row(name: str, found: Sequence[BoxOutcome], majority: Sequence[float] | None) -> str:
+    """Of the Markdown table."""
+    degrees, facing = np.array([one.degrees for one in found]), np.array([one.facing for one in found], dtype=float)
+    told = reliability(np.maximum(facing, 1.0 - facing), (degrees <= TURNED_ROUND) == (facing > 0.5)).error
+    most = "-" if majority is None else f"{100 * np.mean(majority):.1f}"
+    held = []
+    for quantity in ("position", "yaw"):
+        squared = [one.squared[quantity] for one in found if quantity in one.squared]
+        judged = consistency(squared, DIMENSIONS[quantity], 1)
+        held.append("-" if judged is None else f"{judged.inside:.0f}")
+    within = 100 * np.mean(degrees <= _WITHIN)
+    return f"| {name} | {len(degrees)} | {within:.1f} | {most} | {told:.3f} | {' | '.join(held)} |"
 
 
 def main() -> int:
@@ -145,15 +134,10 @@ def main() -> int:
     print(f"| turned round | {' | '.join(heads)} |", "|---|---:|---:|---:|---:|---:|---:|", sep="\n")
     kept: dict[str, object] = {}
     for name, row in (("at random", False), ("five in a row", True)):
-        online, batch, majority = Outcome.none(), Outcome.none(), list[float]()
-        for seed, path in enumerate(chosen):
-            one, other, most = follow(path, row=row, rng=np.random.default_rng(seed))
-            for whole, part in ((online, one), (batch, other)):
-                for field, values in vars(part).items():
-                    getattr(whole, field).extend(values)
-            majority += most
-        print(online.row(f"{name}, online", majority), batch.row(f"{name}, in batch", None), sep="\n", flush=True)
-        kept[name] = {"online": vars(online), "batch": vars(batch), "majority": majority}
+        followed = [follow(path, row=row, rng=np.random.default_rng(seed)) for seed, path in enumerate(chosen)]
+        online, batch, majority = ([*chain.from_iterable(parts)] for parts in zip(*followed, strict=True))
+        print(table_row(f"{name}, online", online, majority), table_row(f"{name}, in batch", batch, None), sep="\n")
+        kept[name] = {"online": [*map(asdict, online)], "batch": [*map(asdict, batch)], "majority": majority}
     if given.json is not None:
         write_text(given.json, json.dumps(kept) + "\n")
     return 0

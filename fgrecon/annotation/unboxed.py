@@ -83,7 +83,7 @@ def fit_unboxed(
             found[number, track] = Reason.FEW_POINTS
     model = prepare(prior, known.size)
     for track, estimates in tracker.smooth().items():
-        numbers = (number for number in sorted(frames) if track in frames[number][1] and (number, track) not in found)
+        numbers = [number for number in sorted(frames) if track in frames[number][1] and (number, track) not in found]
         for number, estimate in zip(numbers, estimates, strict=True):
             result = estimate.reconstruction
             if not result.status.settled or result.pose_covariance is None or estimate.facing_probability < _SURE:

@@ -102,18 +102,20 @@ def calibrate_command(
         leave_out(_NUMBERS, error)
     screen.print(done.in_words())
     table = headed_table("fitted", "value")
-    for name, value in {} if found is None else calibration.numbers.items():
+    fitted = {} if found is None else calibration.numbers
+    if source is not None:
+        fitted |= {f"boxes.{name}": value for name, value in asdict(source).items()}
+    for name, value in fitted.items():
         table.add_row(name, f"{value:.3f}")
-    for name, value in {} if source is None else asdict(source).items():
-        table.add_row(f"boxes.{name}", f"{value:.3f}")
     screen.print(table)
     if found is not None and len(drives) > 1:
         held = headed_table("on drives left out of the fit", *(f"inside {100 * level:.0f} %" for level in SIGMAS))
         for quantity, inside in found.inside.items():
             held.add_row(quantity, *(f"{100 * inside[level]:.0f}" for level in SIGMAS))
         screen.print(held, f"The facing's expected calibration error there is {found.facing_error:.3f}.")
-    for doubt in () if found is None else found.doubts:
-        screen.warn(doubt)
-    doubts += () if found is None else found.doubts
+    if found is not None:
+        doubts += found.doubts
+        for doubt in found.doubts:
+            screen.warn(doubt)
     provenance = {**calibration.provenance, "doubts": doubts}
     screen.wrote(save_calibration(replace(calibration, boxes=source, provenance=provenance), out))

@@ -161,12 +161,8 @@ class Objects:
 
     def flat(self) -> Objects:
         """The same without 3D boxes: KITTI's marks for what is unknown."""
-        return replace(
-            self,
-            size=np.full_like(self.size, _UNKNOWN),
-            location=np.full_like(self.location, -1000.0),
-            rotation_y=np.full_like(self.rotation_y, -10.0),
-        )
+        bare = Objects.detections(self.kind, self.box, self.score)
+        return replace(bare, truncation=self.truncation, occlusion=self.occlusion, alpha=self.alpha)
 
     def take(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> Objects:
         """The objects at an index or mask."""

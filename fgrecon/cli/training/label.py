@@ -77,7 +77,7 @@ class UnboxedOptions:
         return Unboxed(plane and plane[0], None if self.size_prior is None else size_prior(self.size_prior))
 
 
-def check_tracked(folders: list[Path], known: Unboxed | None) -> None:
+def _check_tracked(folders: list[Path], known: Unboxed | None) -> None:
     """Refuse a tracker's results that fit no drive, or of whose vehicles nothing is known.
 
     Raises:
@@ -145,7 +145,7 @@ def label_command(
     if tracks is None:
         drives = [read_images(folder.absolute()) for folder in folders]
     else:
-        check_tracked(folders, known)
+        _check_tracked(folders, known)
         drives = [read_drive(folder.absolute(), tracks) for folder in folders]
     detector = KeypointCascade(weights)
     with screen.bar() as advance:

@@ -113,11 +113,13 @@ def labels_of(
 ) -> VehicleLabels:
     """All annotations as labels, with the terms of their images."""
     made = [(one.drive.name, annotation) for one in done for annotation in one.made]
-    boxed = {annotation.boxed for _, annotation in made}
-    of = {
-        frozenset({True}): "with labelled 3D boxes",
-        frozenset({False}): "without labelled 3D boxes, reconstructed over time",
-    }.get(frozenset(boxed), "with labelled 3D boxes and, reconstructed over time, without")
+    boxed = [annotation.boxed for _, annotation in made]
+    if all(boxed):
+        of = "with labelled 3D boxes"
+    elif any(boxed):
+        of = "with labelled 3D boxes and, reconstructed over time, without"
+    else:
+        of = "without labelled 3D boxes, reconstructed over time"
     info = {
         "description": f"Keypoints of vehicles {of}, by a factor graph over all images of each.",
         "fgrecon": metadata.version("fgrecon"),
