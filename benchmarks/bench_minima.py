@@ -34,7 +34,7 @@ from fgrecon.simulation.keypoint_noise import HARD, HOURGLASS
 from fgrecon.simulation.vehicles import KITTI_CAMERA, simulate_many
 from fgrecon.solve.graph.adjust import adjust
 from fgrecon.solve.graph.graph import Seen
-from fgrecon.solve.pipeline import observe
+from fgrecon.solve.inputs import observe
 from fgrecon.solve.proposals.adjust import adjust_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.search import search
@@ -95,7 +95,7 @@ def problem(case: Case, number: int) -> Problem:
     options = Options(strategy=case.strategy, keep_history=False)
     ground = None if "ground" not in told else fgrecon.Ground.level(told["ground"])
     model = prepare(prior, size_prior(told["size"]) if "size" in told else None, None)
-    return Problem.of(observe(observation, KITTI_CAMERA, prior, options), KITTI_CAMERA, model, ground, options)
+    return Problem.of(observe(observation, KITTI_CAMERA, prior.category, options), KITTI_CAMERA, model, ground, options)
 
 
 def wide_search(one: Problem, starts: int, rng: np.random.Generator) -> list[Alternative]:

@@ -11,7 +11,6 @@ __all__ = [
     "GRAPH",
     "OBSERVATION",
     "OPTIMISE",
-    "PIPELINE",
     "PROPOSALS",
     "REPROJECTION",
     "RESULT",
@@ -76,7 +75,6 @@ FACING = "fgrecon/solve/graph/facing.py"
 COVARIANCE = "fgrecon/solve/graph/covariance.py"
 SOLVER = "fgrecon/solve/graph/solver.py"
 REPROJECTION = "factors/reprojection.py"
-PIPELINE = "fgrecon/solve/pipeline.py"
 RESULT = "fgrecon/solve/result.py"
 VISIBILITY = "fgrecon/solve/vehicle/visibility.py"
 

@@ -31,7 +31,7 @@ from fgrecon.core.size_prior import SizePrior
 from fgrecon.solve.graph.adjust import Adjusted, adjust
 from fgrecon.solve.graph.covariance import factorise, projected_covariances
 from fgrecon.solve.graph.graph import Seen
-from fgrecon.solve.pipeline import observe
+from fgrecon.solve.inputs import observe
 from fgrecon.solve.proposals.adjust import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.starts import from_box3d
@@ -117,7 +117,7 @@ def fit_known_boxes(
     starts: list[PoseEstimate] = []
     extra: list[gtsam.NonlinearFactor] = []
     for number, view in enumerate(views):
-        observation = observe(view.observation, view.camera, prior, options)
+        observation = observe(view.observation, view.camera, prior.category, options)
         try:
             problem = Problem.of(observation, view.camera, model, None, options)
         except DegenerateProblemError:

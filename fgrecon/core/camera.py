@@ -31,6 +31,7 @@ _SIZE = "Give width and height in whole pixels."
 _NARROWEST, _FARTHEST = 1e-9, 1e6  # metres, radians: what a ground is known to, and how high a camera is at most
 _ANY_TILT = 0.3  # radians (1 sigma)
 _HIGHEST = 100.0  # metres, of a camera as somebody tells it: more are millimetres or centimetres
+_SAME_PIXEL, _LARGEST_IDEAL = 1.0, 1e7  # pixels: where a distortion counts as undone, and what is far from any image
 _LARGEST = 1e9
 """No focal length is longer, in pixels; beyond, squares of numbers soon overflow."""
 
@@ -205,7 +206,9 @@ class Camera:
         Raises:
             InvalidInputError: They are no such numbers.
         """
-        pixels = as_vectors("pixels", pixels, 2)
+        return self._rays(as_vectors("pixels", pixels, 2))
+
+    def _rays(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
         homogeneous = np.ones((*pixels.shape[:-1], 3))
         homogeneous[..., :2] = pixels
         directions: NDArray[np.float64] = homogeneous @ self._inverse.T
@@ -221,7 +224,10 @@ class Camera:
         Raises:
             InvalidInputError: They are no such numbers.
         """
-        pixels = as_vectors("pixels", pixels, 2).copy()
+        return self._undistorted(as_vectors("pixels", pixels, 2))
+
+    def _undistorted(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+        pixels = pixels.copy()
         if self.distortion is None or not len(pixels):
             return pixels
         import cv2  # on use: importing fgrecon must not import OpenCV
@@ -241,15 +247,29 @@ class Camera:
         Raises:
             InvalidInputError: They are no such numbers.
         """
-        pixels = as_vectors("pixels", pixels, 2).copy()
+        return self._distorted(as_vectors("pixels", pixels, 2))
+
+    def _distorted(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+        pixels = pixels.copy()
         if self.distortion is None or not len(pixels):
             return pixels
         import cv2
 
         zero = np.zeros(3)
-        projected: Any = cv2.projectPoints(self.rays(pixels), zero, zero, self.matrix, self.distortion)[0]
+        projected: Any = cv2.projectPoints(self._rays(pixels), zero, zero, self.matrix, self.distortion)[0]
         pixels[:] = projected[:, 0]
         return pixels
+
+    def ideal_pixels(self, pixels: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Pixels (M, 2) freed of distortion, and which of them (M,) the lens images where they came from.
+
+        Far outside of the image a polynomial of the distortion turns back, and no ray arrives there.
+        """
+        ideal = self._undistorted(pixels)
+        returns = np.asarray((np.abs(ideal) < _LARGEST_IDEAL).all(axis=1))  # not NaN
+        off = np.abs(self._distorted(ideal[returns]) - pixels[returns])
+        returns[returns] = off.max(axis=1) < _SAME_PIXEL
+        return ideal, returns
 
 
 def _image_size(given: object) -> tuple[int, int]:

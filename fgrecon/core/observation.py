@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.brief import brief_repr
+from fgrecon.core.camera import Camera
 from fgrecon.core.checks import as_finite, as_shape, own
 from fgrecon.core.errors import InvalidInputError
 
@@ -16,6 +18,9 @@ __all__ = ["KeypointsLike", "Observation", "as_directions"]
 
 _SUM = 1e-3
 """By so much the sum of probabilities may be off."""
+
+_FEWEST = 3
+"""Keypoints that a pose needs."""
 
 _LARGEST = 1e7
 """No image is larger, in pixels; beyond, squares of numbers soon overflow."""
@@ -92,12 +97,12 @@ class Observation:
     @classmethod
     def of(
         cls,
-        keypoints: NDArray[np.float64],
-        confidence: NDArray[np.float64] | None = None,
-        box: NDArray[np.float64] | None = None,
-        covariance: NDArray[np.float64] | None = None,
+        keypoints: ArrayLike,
+        confidence: ArrayLike | None = None,
+        box: ArrayLike | None = None,
+        covariance: ArrayLike | None = None,
         confidence_midpoint: float | None = None,
-        azimuth: NDArray[np.float64] | None = None,
+        azimuth: ArrayLike | None = None,
     ) -> Observation:
         """An observation of which not everything is known.
 
@@ -110,7 +115,8 @@ class Observation:
         midpoint = cls.confidence_midpoint if confidence_midpoint is None else confidence_midpoint
         pixels = as_shape("keypoints", keypoints, (None, 2))
         trust = np.full(len(pixels), midpoint) if confidence is None else confidence
-        return cls(pixels, trust, box, covariance, midpoint, azimuth)
+        given: Any = trust, box, covariance, midpoint, azimuth  # of which the constructor makes arrays
+        return cls(pixels, *given)
 
     @property
     def measured(self) -> NDArray[np.bool_]:
@@ -122,6 +128,29 @@ class Observation:
         """The observation whose keypoints of less confidence count as not measured."""
         low = self.confidence < confidence
         return replace(self, keypoints=np.where(low[:, None], np.nan, self.keypoints)) if low.any() else self
+
+    def undistorted(self, camera: Camera) -> Observation:
+        """The observation freed of lens distortion; a keypoint where no ray of such a lens arrives is not measured.
+
+        Raises:
+            InvalidInputError: The distortion cannot be undone at the box, or not at half of the measured keypoints.
+        """
+        if camera.distortion is None:
+            return self
+        box, boxed = self.box, True
+        if box is not None:
+            corners, returns = camera.ideal_pixels(box.reshape(2, 2))
+            box, boxed = corners.ravel(), bool(returns.all() and (corners[1] - corners[0]).min() >= 1.0)
+        keypoints, returns = camera.ideal_pixels(self.keypoints)
+        lost = self.measured & ~returns
+        keypoints[lost] = np.nan
+        left = keypoints[self.measured & ~lost]
+        gone = bool(lost.any()) and len(left) < max(_FEWEST, int(np.count_nonzero(lost)))
+        spread = float(np.ptp(self.keypoints[self.measured], axis=0).max()) if len(left) > 1 else 0.0
+        if not boxed or gone or (spread >= 1.0 > float(np.ptp(left, axis=0).max())):
+            fix = f"Give coefficients of this camera: they cannot be undone at the {'keypoints' if boxed else 'box'}."
+            raise InvalidInputError("distortion", np.asarray(camera.distortion).tolist(), fix)
+        return replace(self, keypoints=keypoints, box=box)
 
     @property
     def right(self) -> NDArray[np.float64]:

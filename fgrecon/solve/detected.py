@@ -2,7 +2,7 @@
 
     detected origin, detected yaw --- X(v,t) --- keypoints, 2D box --- L(v), O(v) --- dimensions (of the box)
 
-The box's size takes the place of a fleet's. Which way the vehicle faces is decided apart (`fgrecon.solve.alone`).
+The box's size takes the place of a fleet's. Which way the vehicle faces is decided apart (`fgrecon.solve.independent`).
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from factors.detected_box import detected_origin_factor, detected_yaw_factor
 from factors.keys import X
 from factors.noise import diagonal_noise
 from fgrecon.core.box3d import Box3D, BoxErrors
-from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.camera import Camera
 from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.observation import Observation
-from fgrecon.core.options import Options
 from fgrecon.core.size_prior import LONGEST, SHORTEST, SIZES, SizePrior
+from fgrecon.solve.inputs import SolveSetup
 from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
 from fgrecon.solve.vehicle.model import VehicleModel, sized
 
@@ -39,37 +39,33 @@ class KnownBox:
     Attributes:
         box: The box.
         errors: How far it is off.
-        plain: The prior prepared without a size, for that of the box.
+        unsized: The prior prepared without a size, for that of the box.
     """
 
     box: Box3D
     errors: BoxErrors
-    plain: VehicleModel
+    unsized: VehicleModel
 
-    def problem(
-        self, seen: Observation, camera: Camera, model: VehicleModel, plane: Ground | None, options: Options
-    ) -> Problem:
+    def problem(self, seen: Observation, camera: Camera, setup: SolveSetup) -> Problem:
         """The vehicle as a problem to be solved.
 
         Args:
             seen: What is observed.
             camera: The camera.
-            model: Prepared for the fleet, which is for a box without a size.
-            plane: The ground, or None.
-            options: Settings.
+            setup: What holds for all vehicles; its sizes are for a box without one.
 
         Raises:
             DegenerateProblemError: The keypoints determine no pose, or the box has no vehicle's size.
         """
-        covariance = seen.covariance
+        options, covariance = setup.options, seen.covariance
         if covariance is None:
             covariance = np.array(keypoint_covariances(seen, options.keypoints))
         size = self.box.size
         if size is not None and not (size.min() >= SHORTEST and size.max() <= LONGEST):
             raise DegenerateProblemError("box3d.size", size.tolist(), f"Give metres: {SIZES}.")
-        own = model if size is None else sized(self.plain, SizePrior("its box", size, self.errors.size * size))
+        own = setup.model if size is None else sized(self.unsized, SizePrior("its box", size, self.errors.size * size))
         counted = replace(options, keypoints=replace(options.keypoints, common_factor=1.0))  # it is in the solve
-        problem = Problem.of(replace(seen, covariance=_TOGETHER * covariance), camera, own, plane, counted)
+        problem = Problem.of(replace(seen, covariance=_TOGETHER * covariance), camera, own, setup.ground, counted)
         return replace(problem, assumed=seen.covariance is None)
 
     def factors(self, camera: Camera, vehicle: int = 0) -> list[gtsam.NonlinearFactor]:

@@ -33,7 +33,7 @@ from fgrecon.core.turned import half_a_turn, turned_round
 from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
 from fgrecon.solve.proposals.problem import Problem
 
-__all__ = ["face_together", "faced_anew", "faced_pose"]
+__all__ = ["couple_facings", "estimate_pose", "estimate_pose_facing"]
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ _COUNTS, _NEAR = 0.3, 20.0
 _LEAST = 1e-4  # probability that a detector takes the front for the rear, however sure
 
 
-def face_together(
+def couple_facings(
     seen: Sequence[Observation], camera: Camera, prior: ShapePrior, options: Options, *, rows: bool = True
 ) -> list[Observation]:
     """The observations of an image with directions that know of one another and of the traffic.
@@ -74,7 +74,7 @@ def face_together(
     return told
 
 
-def faced_pose(
+def estimate_pose(
     problem: Problem, given: Observation, initial: Box3D | float | None = None
 ) -> tuple[Problem, PoseEstimate]:
     """The pose stage of an observation whose directions know the rest, its keypoints turned round if need be.
@@ -99,7 +99,9 @@ def faced_pose(
     return (turned, again) if _agrees(again, seen.azimuth) else (problem, start)
 
 
-def faced_anew(problem: Problem, heading: float, right: float, place: Array) -> tuple[Problem, PoseEstimate] | None:
+def estimate_pose_facing(
+    problem: Problem, heading: float, right: float, place: Array
+) -> tuple[Problem, PoseEstimate] | None:
     """The pose stage of an observation of which others say that it faces elsewhere; what else it says stays.
 
     Args:
@@ -118,7 +120,7 @@ def faced_anew(problem: Problem, heading: float, right: float, place: Array) -> 
     ahead = half_around(towards, len(seen.azimuth)) * (seen.azimuth + half_a_turn(seen.azimuth))
     other = replace(seen, azimuth=_either_way(ahead / ahead.sum(), right))
     try:
-        return faced_pose(problem.showing(other), seen)
+        return estimate_pose(problem.showing(other), seen)
     except DegenerateProblemError:
         return None
 

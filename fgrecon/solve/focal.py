@@ -20,7 +20,7 @@ from factors.keys import F
 from factors.noise import diagonal_noise
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.solve.alone import Tried
+from fgrecon.solve.independent import Tried
 
 __all__ = ["candidates", "distinct_lengths", "energies_of", "focal_prior", "log_ratio", "starts"]
 

@@ -14,7 +14,7 @@ from fgrecon.core.camera import Ground
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import rotation_y
-from fgrecon.solve.facing import faced_anew
+from fgrecon.solve.facing import estimate_pose_facing
 from fgrecon.solve.ground_evidence import GroundEvidence, ground_evidence
 from fgrecon.solve.proposals.adjust import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
@@ -129,5 +129,5 @@ def _faced(frame: Frame) -> tuple[Problem, PoseEstimate] | None:
     if believed.facing(rotation_y(frame.pose.matrix())) >= 0.5:
         return None
     heading, place = believed.heading, np.asarray(frame.pose.translation())
-    other = faced_anew(frame.problem, heading, believed.facing(heading), place)
+    other = estimate_pose_facing(frame.problem, heading, believed.facing(heading), place)
     return other if other and believed.facing(rotation_y(other[1].camera_T_object)) > 0.5 else None

@@ -26,7 +26,7 @@ from fgrecon.solve.graph.history import iterations
 from fgrecon.solve.graph.observation import ObservationPart, Weights
 from fgrecon.solve.graph.optimise import Optimum
 from fgrecon.solve.graph.structure import graph_factors
-from fgrecon.solve.probable import facing_by_energies, with_probabilities
+from fgrecon.solve.pose_probability import facing_by_energies, with_probabilities
 from fgrecon.solve.proposals.adjust import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
 from fgrecon.solve.vehicle.visibility import clearance, occluder, probability

@@ -26,16 +26,13 @@ from numpy.typing import ArrayLike, NDArray
 from factors.keys import F, S
 from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera, Ground
-from fgrecon.core.checks import as_instance, as_list
+from fgrecon.core.checks import as_list
 from fgrecon.core.observation import KeypointsLike
-from fgrecon.core.options import Options, checked_options
+from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.scene_reconstruction import SceneReconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
-from fgrecon.core.size_prior import size_prior as named_size_prior
-from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.alone import Alone, Tried, each_alone, known_boxes
 from fgrecon.solve.box_check import boxes_off, boxes_warning
 from fgrecon.solve.detected import KnownBox
 from fgrecon.solve.focal import candidates, distinct_lengths, energies_of, focal_prior, log_ratio, starts
@@ -44,12 +41,13 @@ from fgrecon.solve.graph.covariance import covariance_of, undetermined
 from fgrecon.solve.graph.graph import Graph, Seen, State
 from fgrecon.solve.graph.optimise import Optimum, optimise
 from fgrecon.solve.graph.vehicle import fleet_prior, is_any_fleets
+from fgrecon.solve.independent import Alone, Tried, each_alone
+from fgrecon.solve.inputs import SolveSetup, as_box_errors, as_boxes
 from fgrecon.solve.occlusion import with_occlusion
-from fgrecon.solve.pipeline import ground_plane
 from fgrecon.solve.result import count, history_of, results, weakened
 from fgrecon.solve.standing import Standing, seen_ground
 from fgrecon.solve.threads import single_threaded
-from fgrecon.solve.vehicle.model import VehicleModel, prepare
+from fgrecon.solve.vehicle.model import prepare
 from fgrecon.solve.weakness import unknown_focal
 
 __all__ = ["reconstruct_scene", "reconstruct_scenes"]
@@ -100,17 +98,14 @@ def reconstruct_scene(
         InvalidInputError: An argument cannot be used, such as a distorted lens without a focal length; names it, its
             value and the fix.
     """
-    options, shape_prior, fleet = _settings(options, prior, size_prior)
-    known, plane = Camera.of(camera), ground_plane(ground)
-    observations = as_list("observations", observations)
-    if box_errors is not None:
-        as_instance("box_errors", box_errors, BoxErrors)
-    boxed = None
+    setup, known = SolveSetup.of(prior, size_prior, options, ground, joint=True), Camera.of(camera)
+    observations, errors = as_list("observations", observations), as_box_errors(box_errors)
+    boxed: list[KnownBox | None] | None = None
     if boxes is not None:
-        plain = prepare(shape_prior, None, options.shape.basis_vectors)
-        boxed = known_boxes(boxes, box_errors, len(observations), known, plain)
-    model = prepare(shape_prior, fleet, options.shape.basis_vectors)
-    return _reconstruct([observations], known, model, plane, options, boxed)[0]
+        unsized = prepare(setup.prior, None, setup.options.shape.basis_vectors)
+        each = as_boxes(boxes, len(observations), known)
+        boxed = [None if box is None else KnownBox(box, errors, unsized) for box in each]
+    return _reconstruct([observations], known, setup, boxed)[0]
 
 
 @single_threaded
@@ -141,28 +136,17 @@ def reconstruct_scenes(
     Raises:
         InvalidInputError: An argument cannot be used; names it, its value and the fix.
     """
-    options, shape_prior, fleet = _settings(options, prior, size_prior)
-    known, plane = Camera.of(camera), ground_plane(ground)
-    model = prepare(shape_prior, fleet, options.shape.basis_vectors)
+    setup, known = SolveSetup.of(prior, size_prior, options, ground, joint=True), Camera.of(camera)
     images = [as_list(f"images[{number}]", one) for number, one in enumerate(as_list("images", images))]
     if not known.focal_sigma:
-        return [_reconstruct([one], known, model, plane, options, None)[0] for one in images]
-    return _reconstruct(images, known, model, plane, options, None)
-
-
-def _settings(
-    options: Options | None, prior: ShapePrior | str | Path, size_prior: SizePrior | str | None
-) -> tuple[Options, ShapePrior, SizePrior | None]:
-    chosen = checked_options(options, joint=True)
-    return chosen, load_prior(prior), None if size_prior is None else named_size_prior(size_prior)
+        return [_reconstruct([one], known, setup, None)[0] for one in images]
+    return _reconstruct(images, known, setup, None)
 
 
 def _reconstruct(
     images: Sequence[Sequence[KeypointsLike]],
     known: Camera,
-    model: VehicleModel,
-    plane: Ground | None,
-    options: Options,
+    setup: SolveSetup,
     boxed: Sequence[KnownBox | None] | None,
 ) -> list[SceneReconstruction]:
     """The scenes of images whose vehicles, numbered through, are solved together."""
@@ -170,27 +154,24 @@ def _reconstruct(
     observations = [one for some in images for one in some]
     started = perf_counter()
     steady = _STEADY_ALONE if len(observations) > 1 or known.focal_sigma else None
-    tried = [
-        each_alone(observations, one, model, plane, options, boxed, image_of=image_of, steady=steady)
-        for one in candidates(known)
-    ]
+    tried = [each_alone(observations, one, setup, boxed, image_of=image_of, steady=steady) for one in candidates(known)]
     energies = energies_of(tried, known)
     found = perf_counter()
-    told = _solved([tried[i] for i in starts(energies)], image_of, known, plane, options)
+    told = _solved([tried[i] for i in starts(energies)], image_of, known, setup)
     if told is None:
         alone = tried[min(range(len(tried)), key=lambda i: (energies[i], abs(log_ratio(tried[i].camera, known))))]
         told = _Told({}, {}, known, (), (), alone)
     alone = told.alone
     each = dict(told.results)
     each |= {number: _result(one.to_the_end()) for number, one in alone.vehicles.items() if number not in each}
-    status, doubts = unknown_focal(told.camera.focal_sigma, told.focal_lengths, options.ambiguity_margin)
+    status, doubts = unknown_focal(told.camera.focal_sigma, told.focal_lengths, setup.options.ambiguity_margin)
     each = {number: weakened(one, doubts, status) for number, one in each.items()}
     milliseconds = {"alone": (found - started) * 1e3, "together": (perf_counter() - found) * 1e3}
     scenes, first = [], 0
     for image, some in enumerate(images):
         own = range(first, first + len(some))
         numbers = tuple(number for number in own if number in each)
-        ground, covariance = told.grounds.get(image, (plane, None))
+        ground, covariance = told.grounds.get(image, (setup.ground, None))
         off = boxes_off(each[n].box_excess for n in numbers)
         message = told.message(image, sum(number in told.results for number in own), len(images))
         scenes.append(
@@ -248,16 +229,14 @@ def _result(one: Alone) -> Reconstruction:
     return results([Seen(one.problem)], [one.start], adjusted, {}, one.own(), facing=[one.facing(one.pose)])[0]
 
 
-def _solved(
-    begun: Sequence[Tried], image_of: Sequence[int], known: Camera, plane: Ground | None, options: Options
-) -> _Told | None:
+def _solved(begun: Sequence[Tried], image_of: Sequence[int], known: Camera, setup: SolveSetup) -> _Told | None:
     """The best end of the joint solves; None where there is none.
 
     A vehicle that the graph leaves open leaves all others without a covariance, so it is taken out.
     """
     out: set[int] = set()
     while True:
-        ends = (_together(one, image_of, known, plane, options, out=out) for one in begun)
+        ends = (_together(one, image_of, known, setup, out=out) for one in begun)
         joint = [one for one in ends if one is not None]
         if not joint:
             return None
@@ -275,8 +254,7 @@ def _together(
     alone: Tried,
     image_of: Sequence[int],
     known: Camera,
-    plane: Ground | None,
-    options: Options,
+    setup: SolveSetup,
     out: Collection[int] = (),
 ) -> _Joint | None:
     """The joint solve; None where there is nothing to solve together, or it gave up.
@@ -285,10 +263,10 @@ def _together(
         alone: The vehicles solved alone.
         image_of: The image of each vehicle, by its number.
         known: What is known of the camera.
-        plane: About where the ground is, or None.
-        options: Settings.
+        setup: Settings, and about where the ground is.
         out: Vehicles that are left out.
     """
+    options, plane = setup.options, setup.ground
     solved = {number: one for number, one in alone.solved.items() if number not in out}
     standing: dict[int, Standing] = {}
     if "ground" not in options.disabled_terms:

@@ -17,12 +17,10 @@ seldom show the vehicle turned round from one to the next.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from numbers import Real
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from fgrecon.core.camera import Camera, Ground
@@ -30,31 +28,26 @@ from fgrecon.core.checks import as_list
 from fgrecon.core.deferred import Deferred
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
 from fgrecon.core.observation import Observation
-from fgrecon.core.options import Options, checked_options
+from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
-from fgrecon.core.size_prior import size_prior as named_size_prior
 from fgrecon.core.track_reconstruction import JointStep, TrackReconstruction
-from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.facing import face_together, faced_pose
+from fgrecon.solve.facing import couple_facings, estimate_pose
 from fgrecon.solve.graph.adjust import adjust
 from fgrecon.solve.graph.graph import Seen
 from fgrecon.solve.graph.history import joint_steps
 from fgrecon.solve.graph.structure import graph_factors
-from fgrecon.solve.pipeline import ground_plane, known_camera, observe, own_factors
+from fgrecon.solve.inputs import SolveSetup, as_cameras, as_extra_factors, observe
 from fgrecon.solve.proposals.adjust import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import results
 from fgrecon.solve.threads import single_threaded
-from fgrecon.solve.vehicle.model import prepare
 
 if TYPE_CHECKING:
     import gtsam
 
 __all__ = ["JointStep", "TrackReconstruction", "reconstruct_track"]
-
-_NUMBERS = Real, np.ndarray, list, tuple  # what a matrix, or fx, fy, cx, cy, are made of
 
 
 @single_threaded
@@ -79,8 +72,8 @@ def reconstruct_track(
         size_prior: Fleet (`kitti`, `apollo79`), or a size prior; one so tight that it is a single vehicle's tells its
             shape as well (`fgrecon.solve.vehicle.conditioning`). None takes sizes from the shape prior.
         options: Settings; `joint` must be set.
-        extra_factors: Factors of one's own on the poses X(0, t), t the index of the observation, lambda L(0) and, with
-            free offsets, O(0); see `fgrecon.reconstruct`.
+        extra_factors: The caller's own factors on the poses X(0, t), t the index of the observation, lambda L(0) and,
+            with free offsets, O(0); see `fgrecon.reconstruct`.
         in_order: Whether the images were taken one after the other: then the vehicle is seldom turned round from one to
             the next, and an image that takes its front for its rear is outvoted by its neighbours.
 
@@ -91,14 +84,10 @@ def reconstruct_track(
         InvalidInputError: An argument cannot be used; names it, its value and the fix.
         DegenerateProblemError: No image determines a pose.
     """
-    options = checked_options(options, joint=True)
-    shape_prior = load_prior(prior)
-    plane = ground_plane(ground)
-    fleet = None if size_prior is None else named_size_prior(size_prior)
-    model = prepare(shape_prior, fleet, options.shape.basis_vectors)
-    extra_factors = own_factors(extra_factors)
+    setup = SolveSetup.of(prior, size_prior, options, ground, joint=True)
+    factors = as_extra_factors(extra_factors)
     observations = as_list("observations", observations)
-    each = _cameras(cameras, len(observations))
+    each = as_cameras(cameras, len(observations))
 
     started = perf_counter()
     seen: list[Seen] = []
@@ -110,9 +99,10 @@ def reconstruct_track(
             refused[number] = "no keypoints"
             continue
         try:
-            observation = observe(given, camera, shape_prior, options)
-            (told,) = face_together([observation], camera, shape_prior, options)
-            problem, start = faced_pose(Problem.of(told, camera, model, plane, options), observation)
+            observation = observe(given, camera, setup.prior.category, setup.options)
+            (coupled,) = couple_facings([observation], camera, setup.prior, setup.options)
+            problem = Problem.of(coupled, camera, setup.model, setup.ground, setup.options)
+            problem, start = estimate_pose(problem, observation)
             starts.append(start)
         except (DegenerateProblemError, InvalidInputError) as error:
             bad = error if bad is None and isinstance(error, InvalidInputError) else bad
@@ -124,12 +114,12 @@ def reconstruct_track(
     if not seen:
         raise DegenerateProblemError("observations", "no pose in any image", "Give more, or better spread, keypoints.")
     posed = perf_counter()
-    adjusted = adjust(seen, starts, extra_factors, in_order=in_order)
+    adjusted = adjust(seen, starts, factors, in_order=in_order)
     milliseconds = {"pose": (posed - started) * 1e3, "joint": (perf_counter() - posed) * 1e3}
-    frames = results(seen, starts, adjusted, {}, extra_factors)
+    frames = results(seen, starts, adjusted, {}, factors)
     status, message = _status(frames, refused)
     optimum = adjusted.optimum
-    keep = options.keep_history and optimum.failure is None
+    keep = setup.options.keep_history and optimum.failure is None
     return TrackReconstruction(
         status=status,
         message=message,
@@ -155,18 +145,3 @@ def _status(results: list[Reconstruction], refused: Mapping[int, str]) -> tuple[
     if all(result.status is Status.WEAK for result in results):
         return Status.WEAK, f"{count}{left_out}; all are weak: {results[0].message}"
     return Status.CONVERGED, f"{count}{left_out}; the joint optimisation found a minimum."
-
-
-def _cameras(given: Camera | ArrayLike | Sequence[Camera], count: int) -> list[Camera]:
-    """The camera of each image.
-
-    Raises:
-        InvalidInputError: Another number is given, or a focal length is not known.
-    """
-    each = [given] if isinstance(given, Camera) else as_list("cameras", given)
-    if isinstance(given, Camera) or (each and all(isinstance(one, _NUMBERS) for one in each)):
-        return [known_camera("cameras", Camera.of(cast("Camera | ArrayLike", given)))] * count
-    if len(each) != count:
-        raise InvalidInputError("cameras", f"{len(each)} for {count} images", "Give one for each image.")
-    cameras = as_list("cameras", each, Camera)
-    return [known_camera(f"cameras[{number}]", camera) for number, camera in enumerate(cameras)]

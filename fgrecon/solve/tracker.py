@@ -19,23 +19,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.camera import Camera, Ground
-from fgrecon.core.checks import as_finite, as_rigid
+from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.observation import KeypointsLike, Observation
-from fgrecon.core.options import Options, checked_options
+from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import GraphFactor, Reconstruction, rotation_y
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
-from fgrecon.core.size_prior import size_prior as named_size_prior
 from fgrecon.core.turned import turned_alternative
 from fgrecon.core.vehicle_estimate import VehicleEstimate
-from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.box_check import box_excess, boxes_off
-from fgrecon.solve.facing import face_together
+from fgrecon.solve.facing import couple_facings
 from fgrecon.solve.frame_vehicles import FrameVehicles, PastFrame, VehicleTrack
 from fgrecon.solve.graph.adjust import Adjusted
 from fgrecon.solve.graph.structure import graph_factors
-from fgrecon.solve.pipeline import ground_plane, known_camera, observe
+from fgrecon.solve.inputs import SolveSetup, as_camera_pose, as_ground, as_motion_covariance, calibrated, observe
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import count, results
 from fgrecon.solve.road import KnownGround, Road
@@ -45,7 +43,6 @@ from fgrecon.solve.time.neighbours import with_neighbours
 from fgrecon.solve.time.smooth import smooth
 from fgrecon.solve.time.vehicle import Followed
 from fgrecon.solve.time.window import Frame, OwnFactors, WindowSolve, velocity_covariances
-from fgrecon.solve.vehicle.model import prepare
 
 __all__ = ["Tracker"]
 
@@ -54,8 +51,6 @@ Array = NDArray[np.float64]
 _MAPPING = "Give a mapping: an `fgrecon.Observation` by id. Images go to `fgrecon.video.ImageTracker`."
 _MOST_FRAMES = 100  # of a window
 _SHORTEST = 1e-6  # seconds from frame to frame: noise that grows with time must not vanish
-_RIGID = 1e-4  # of a place's rotation: more digits than that are seldom lost
-_ROUNDED = 1e-9  # share of the largest number of a covariance that is none
 
 
 class Tracker:
@@ -98,15 +93,12 @@ class Tracker:
         Raises:
             InvalidInputError: An argument cannot be used; names it, its value and the fix.
         """
-        options = checked_options(options, joint=True)
+        setup = SolveSetup.of(prior, size_prior, options, joint=True)
         if not isinstance(window, int | np.integer) or not 2 <= window <= _MOST_FRAMES:
             raise InvalidInputError("window", window, f"Give 2 to {_MOST_FRAMES} frames, a whole number.")
         if past is not None and (not isinstance(past, int | np.integer) or past < 1):
             raise InvalidInputError("past", past, "Give at least 1 frame, a whole number, or None.")
-        self._options = replace(options, keep_history=False)
-        self._prior = load_prior(prior)
-        fleet = None if size_prior is None else named_size_prior(size_prior)
-        self._model = prepare(self._prior, fleet, options.shape.basis_vectors)
+        self._setup = replace(setup, options=replace(setup.options, keep_history=False))
         self._window, self._past = window, past
         self._shared, self._own, self._road = shared_ground, motion_factors, Road()
         self._tracks: dict[int, VehicleTrack] = {}
@@ -158,9 +150,9 @@ class Tracker:
         time = float(as_finite("time", time, (), "Give seconds."))
         if not issubclass(kind := type(observations), Mapping):
             raise InvalidInputError("observations", kind.__name__, _MAPPING)
-        seen_by, plane = known_camera("camera", Camera.of(camera)), ground_plane(ground)
-        place = None if world_T_camera is None else gtsam.Pose3(as_rigid("world_T_camera", world_T_camera, _RIGID))
-        moved = None if motion_covariance is None else _covariance(motion_covariance)
+        seen_by, plane = calibrated("camera", Camera.of(camera)), as_ground(ground)
+        place = None if world_T_camera is None else gtsam.Pose3(as_camera_pose(world_T_camera))
+        moved = None if motion_covariance is None else as_motion_covariance(motion_covariance)
         with self._one_call:
             return self._update(time, observations, seen_by, place, plane, moved)
 
@@ -178,7 +170,7 @@ class Tracker:
         refused: dict[int, FgreconError] = {}
 
         def problem(observation: Observation, ground: Ground | None) -> Problem:
-            return Problem.of(observation, seen_by, self._model, ground, self._options)
+            return Problem.of(observation, seen_by, self._setup.model, ground, self._setup.options)
 
         seen = self._seen(observations, seen_by, refused)
         vehicles = FrameVehicles(clock, place, self._way, seen, problem, self._track, refused)
@@ -197,7 +189,7 @@ class Tracker:
                 continue
             self._tracks[name] = track
             track.time, track.world_T_camera, track.milestone = clock, place, self._way.here
-            stands_on = known if "ground" not in self._options.disabled_terms else None
+            stands_on = known if "ground" not in self._setup.options.disabled_terms else None
             track.past.append(PastFrame(frame, time, place, stands_on))
             if self._past is not None:
                 del track.past[: -self._past]
@@ -233,7 +225,9 @@ class Tracker:
 
     def _track(self, name: int) -> VehicleTrack:
         """The track of a vehicle; a new one is among those that are kept once it is solved."""
-        return self._tracks.get(name) or VehicleTrack(Followed(self._prior.category.motion, self._window, self._own))
+        return self._tracks.get(name) or VehicleTrack(
+            Followed(self._setup.prior.category.motion, self._window, self._own)
+        )
 
     def _seen(
         self, observations: Mapping[int, KeypointsLike], camera: Camera, refused: dict[int, FgreconError]
@@ -242,10 +236,10 @@ class Tracker:
         found: dict[int, Observation] = {}
         for name, given in observations.items():
             try:
-                found[name] = observe(given, camera, self._prior, self._options)
+                found[name] = observe(given, camera, self._setup.prior.category, self._setup.options)
             except FgreconError as error:
                 refused[name] = error
-        together = face_together([*found.values()], camera, self._prior, self._options, rows=False)
+        together = couple_facings([*found.values()], camera, self._setup.prior, self._setup.options, rows=False)
         return dict(zip(found, together, strict=True))
 
     @single_threaded
@@ -369,12 +363,3 @@ def _with_alternatives(adjusted: Adjusted, pasts: Mapping[int, PastFrame], facin
     for (index, past), facing in zip(pasts.items(), facings, strict=True):
         told[index] = turned_alternative(past.frame.pose.matrix(), shape, facing) or told[index]
     return replace(adjusted, alternatives=tuple(told))
-
-
-def _covariance(given: ArrayLike) -> Array:
-    matrix = as_finite("motion_covariance", given, (6, 6), "Give radians and metres, rotation first.")
-    largest = float(np.abs(matrix).max())
-    if np.abs(matrix - matrix.T).max() > _ROUNDED * largest or np.linalg.eigvalsh(matrix).min() < -_ROUNDED * largest:
-        fix = "Give a symmetric matrix without negative variances."
-        raise InvalidInputError("motion_covariance", matrix.tolist(), fix)
-    return matrix

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.camera import Camera, Ground
-from fgrecon.core.checks import as_finite, as_rigid
+from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import Options
 from fgrecon.core.shape_prior import ShapePrior
@@ -25,15 +25,13 @@ from fgrecon.perception.boxes import for_detected
 from fgrecon.perception.keypoints.detect import as_rgb8, shipped_cascade
 from fgrecon.perception.protocols import KeypointDetector, VehicleDetector, check_category
 from fgrecon.perception.vehicles.detect import NanodetVehicleDetector
-from fgrecon.solve.pipeline import ground_plane, known_camera
+from fgrecon.solve.inputs import as_camera_pose, as_ground, calibrated
 from fgrecon.solve.tracker import Tracker
 from fgrecon.video.association import Association, GatedAssociation
 from fgrecon.video.follow import Follower, TrackedFrame
 from fgrecon.video.look import FrameLook
 
 __all__ = ["ImageTracker"]
-
-_RIGID = 1e-4  # of a place's rotation, as `Tracker` takes it
 
 
 class ImageTracker:
@@ -111,11 +109,11 @@ class ImageTracker:
             fix = f"Give the images of one camera in order: the last one was at {self.frame.time:.10g} s."
             raise InvalidInputError("time", time, fix)
         pixels = read_image(image) if isinstance(image, str | Path) else as_rgb8(image)
-        seen_by = known_camera("camera", Camera.of(camera)).with_size_of(pixels)
-        plane, number = ground_plane(ground), 0 if self.frame is None else self.frame.number + 1
+        seen_by = calibrated("camera", Camera.of(camera)).with_size_of(pixels)
+        plane, number = as_ground(ground), 0 if self.frame is None else self.frame.number + 1
         self._places.clear()
         if world_T_camera is not None:
-            self._places[number] = as_rigid("world_T_camera", world_T_camera, _RIGID)
+            self._places[number] = as_camera_pose(world_T_camera)
         record = self._look(SourceFrame(number, time, f"image {number}", pixels))
         if self._follower is None:
             self._follower = Follower(self.tracker, self._association, seen_by, poses=CameraPoses(self._places))

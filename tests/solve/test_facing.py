@@ -14,7 +14,7 @@ from fgrecon.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior
 from fgrecon.simulation import HOURGLASS
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate
-from fgrecon.solve.facing import face_together, faced_pose
+from fgrecon.solve.facing import couple_facings, estimate_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.vehicle.model import prepare
 
@@ -75,7 +75,7 @@ def test_the_other_side_of_the_road_says_the_opposite():
 
 def test_what_the_directions_say_beside_the_facing_stays():
     seen, _ = car(3.5, 0.9, turned=False)
-    (told,) = face_together([seen], KITTI_CAMERA, PRIOR, RIGHT)
+    (told,) = couple_facings([seen], KITTI_CAMERA, PRIOR, RIGHT)
     assert told.azimuth.sum() == pytest.approx(1.0)
     assert told.azimuth.argmax() == seen.azimuth.argmax()
     top = float(BINS[seen.azimuth.argmax()])
@@ -87,7 +87,7 @@ def test_without_directions_or_anything_measured_nothing_changes():
     seen, _ = car(3.5, 0.6, turned=True)
     silent = replace(seen, azimuth=None)
     nothing = replace(seen, keypoints=np.full((14, 2), np.nan), box=None)
-    found = face_together([silent, nothing], KITTI_CAMERA, PRIOR, RIGHT)
+    found = couple_facings([silent, nothing], KITTI_CAMERA, PRIOR, RIGHT)
     assert found[0] is silent
     assert found[1] is nothing
     off = fgrecon.Options(traffic="right", disabled_terms=["direction"], keep_history=False)
@@ -112,9 +112,9 @@ def test_an_unsure_car_faces_as_its_row_does():
 
 def test_a_car_alone_or_far_from_all_others_stays_as_it_is():
     seen, _ = car(3.5, 0.6, turned=True)
-    assert face_together([seen], KITTI_CAMERA, PRIOR, PLAIN)[0] is seen
+    assert couple_facings([seen], KITTI_CAMERA, PRIOR, PLAIN)[0] is seen
     far, _ = car(3.5, 0.9, turned=False, z=60.0)
-    found = face_together([seen, far], KITTI_CAMERA, PRIOR, PLAIN)
+    found = couple_facings([seen, far], KITTI_CAMERA, PRIOR, PLAIN)
     assert found[0] is seen
     assert found[1] is far
 
@@ -122,7 +122,7 @@ def test_a_car_alone_or_far_from_all_others_stays_as_it_is():
 @pytest.mark.parametrize(("x", "alike"), [(3.5, True), (-3.5, False)])
 def test_a_row_faces_alike_and_the_other_side_of_a_street_does_not(x, alike):
     sure, unsure = car(3.5, 0.99, turned=False)[0], car(x, 0.6, turned=False, z=24.0)[0]
-    _, told = face_together([sure, unsure], KITTI_CAMERA, PRIOR, PLAIN)
+    _, told = couple_facings([sure, unsure], KITTI_CAMERA, PRIOR, PLAIN)
     top = float(BINS[unsure.azimuth.argmax()])
     more = facing_probability(told.azimuth, top) > facing_probability(unsure.azimuth, top)
     assert more == alike
@@ -130,11 +130,11 @@ def test_a_row_faces_alike_and_the_other_side_of_a_street_does_not(x, alike):
 
 def test_the_order_of_the_vehicles_does_not_matter():
     seen = [one for one, _ in in_a_row(0.97, 0.6, 0.9, 0.7, turned=[1])]
-    found = face_together(seen, KITTI_CAMERA, PRIOR, PLAIN)
-    other = face_together(seen[::-1], KITTI_CAMERA, PRIOR, PLAIN)[::-1]
+    found = couple_facings(seen, KITTI_CAMERA, PRIOR, PLAIN)
+    other = couple_facings(seen[::-1], KITTI_CAMERA, PRIOR, PLAIN)[::-1]
     for one, two in zip(found, other, strict=True):
         np.testing.assert_allclose(one.azimuth, two.azimuth, atol=1e-9)
-    assert face_together(seen, KITTI_CAMERA, PRIOR, PLAIN, rows=False)[1] is seen[1]
+    assert couple_facings(seen, KITTI_CAMERA, PRIOR, PLAIN, rows=False)[1] is seen[1]
 
 
 def test_probabilities_are_those_of_all_sides_together():
@@ -178,6 +178,6 @@ def test_keypoints_that_have_no_partners_are_not_turned():
     given = replace(given, keypoints=keypoints)
     told = replace(given, azimuth=half_a_turn(given.azimuth))
     problem = Problem.of(told, KITTI_CAMERA, prepare(PRIOR), None, PLAIN)
-    found, start = faced_pose(problem, given)
+    found, start = estimate_pose(problem, given)
     assert found is problem
     assert np.isfinite(start.camera_T_object).all()

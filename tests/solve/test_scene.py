@@ -13,7 +13,8 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options, ShapeOptions
 from fgrecon.core.reconstruction import Status
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.alone import each_alone
+from fgrecon.solve.independent import each_alone
+from fgrecon.solve.inputs import SolveSetup
 from fgrecon.solve.scene import reconstruct_scene, reconstruct_scenes
 from fgrecon.solve.standing import own_deviations
 from fgrecon.solve.vehicle.model import prepare
@@ -174,7 +175,8 @@ def test_a_fixed_pose_is_refused():
 
 
 def test_vehicles_of_other_images_do_not_say_which_way_one_faces():
-    prior, model = load_prior("car14"), prepare(load_prior("car14"))
+    prior = load_prior("car14")
+    setup = SolveSetup(Options(), prior, prepare(prior))
     bins = 2.0 * np.pi * np.arange(36) / 36
     seen = []
     for yaw, place, sure in ((0.2, [1.0, 1.65, 12.0], 0.55), (0.25, [1.0, 1.65, 20.0], 0.999)):
@@ -185,8 +187,8 @@ def test_vehicles_of_other_images_do_not_say_which_way_one_faces():
         ahead = np.exp((np.cos(bins - towards) - 1.0) / 0.1)
         azimuth = (sure * ahead + (1.0 - sure) * np.roll(ahead, 18)) / ahead.sum()
         seen.append(replace(observe(prior, pose, np.zeros(5), noise=1.0, seed=3), azimuth=azimuth))
-    apart = each_alone(seen, CAMERA, model, None, Options(), image_of=[0, 1])
-    together = each_alone(seen, CAMERA, model, None, Options())
+    apart = each_alone(seen, CAMERA, setup, image_of=[0, 1])
+    together = each_alone(seen, CAMERA, setup)
     for number, one in enumerate(seen):
         np.testing.assert_array_equal(apart.vehicles[number].problem.observation.azimuth, one.azimuth)
     assert not np.allclose(together.vehicles[0].problem.observation.azimuth, seen[0].azimuth)

@@ -12,7 +12,7 @@ from fgrecon.core.reliability import reliability
 from fgrecon.io.catalogue import load_prior
 from fgrecon.simulation.keypoint_noise import HARD
 from fgrecon.simulation.vehicles import KITTI_CAMERA, simulate_many, yaw_pose
-from fgrecon.solve.probable import facing_by_energies, with_probabilities
+from fgrecon.solve.pose_probability import facing_by_energies, with_probabilities
 
 POSE = yaw_pose(0.3, np.array([1.0, 1.65, 12.0]))
 SHAPE = np.zeros(5)

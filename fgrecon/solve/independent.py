@@ -15,28 +15,24 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.box3d import Box3D, BoxErrors
-from fgrecon.core.camera import Camera, Ground
-from fgrecon.core.checks import as_list
-from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.camera import Camera
+from fgrecon.core.errors import FgreconError
 from fgrecon.core.observation import KeypointsLike, Observation
-from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Alternative, rotation_y
 from fgrecon.core.turned import turned_alternative
 from fgrecon.solve.detected import KnownBox
-from fgrecon.solve.facing import face_together, faced_pose
+from fgrecon.solve.facing import couple_facings, estimate_pose
 from fgrecon.solve.graph.adjust import Adjusted, SolvedStage, adjust
 from fgrecon.solve.graph.graph import Graph, Seen, State
 from fgrecon.solve.graph.optimise import optimise
-from fgrecon.solve.pipeline import observe
+from fgrecon.solve.inputs import SolveSetup, observe
 from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.time.heading import Belief, box_says
 from fgrecon.solve.time.vehicle import face, image_says
 from fgrecon.solve.time.window import Frame
-from fgrecon.solve.vehicle.model import VehicleModel
 
-__all__ = ["Alone", "Tried", "each_alone", "known_boxes"]
+__all__ = ["Alone", "Tried", "each_alone"]
 
 Array = NDArray[np.float64]
 
@@ -101,30 +97,10 @@ class Tried:
         return {number: one for number, one in self.vehicles.items() if one.adjusted.optimum.failure is None}
 
 
-def known_boxes(
-    boxes: Sequence[Box3D | None], errors: BoxErrors | None, count: int, camera: Camera, plain: VehicleModel
-) -> list[KnownBox | None]:
-    """What is known of each of so many vehicles; `plain` is the prior prepared without a size.
-
-    Raises:
-        InvalidInputError: Another number of boxes is given, or they are of an unknown camera.
-    """
-    boxes = as_list("boxes", boxes, Box3D, gaps=True)
-    if len(boxes) != count:
-        raise InvalidInputError("boxes", f"{len(boxes)} for {count} vehicles", "Give a box, or None, for each.")
-    if camera.focal_sigma:
-        fix = "Give the focal length that the boxes were found with."
-        raise InvalidInputError("boxes", "given without a known focal length", fix)
-    off = BoxErrors() if errors is None else errors
-    return [None if box is None else KnownBox(box, off, plain) for box in boxes]
-
-
 def each_alone(
     observations: Sequence[KeypointsLike],
     camera: Camera,
-    model: VehicleModel,
-    plane: Ground | None,
-    options: Options,
+    setup: SolveSetup,
     known: Sequence[KnownBox | None] | None = None,
     *,
     image_of: Sequence[int] | None = None,
@@ -135,9 +111,7 @@ def each_alone(
     Args:
         observations: The keypoints of each.
         camera: The camera.
-        model: The prepared prior of the fleet.
-        plane: The ground, or None.
-        options: Settings.
+        setup: What holds for all of them.
         known: What a detector's box says of each, whose size takes the place of the fleet's; or None.
         image_of: The image of each, for vehicles of one image say which way one another face; None for one image.
         steady: Where the solves end, as `optimise` has it.
@@ -147,21 +121,21 @@ def each_alone(
     seen: dict[int, Observation] = {}
     for number, given in enumerate(observations):
         try:
-            seen[number] = observe(given, camera, model.prior, options)
+            seen[number] = observe(given, camera, setup.prior.category, setup.options)
         except FgreconError as error:
             refused[number] = error
     together: dict[int, Observation] = {}
     for image in dict.fromkeys(image_of or [0]):
         own = {number: one for number, one in seen.items() if image_of is None or image_of[number] == image}
-        together |= zip(own, face_together([*own.values()], camera, model.prior, options), strict=True)
+        together |= zip(own, couple_facings([*own.values()], camera, setup.model.prior, setup.options), strict=True)
     for number, observation in seen.items():
         box = None if known is None else known[number]
         try:
             if box is not None:  # which says itself which way it faces
-                alone[number] = _with_box(box.problem(observation, camera, model, plane, options), box)
+                alone[number] = _with_box(box.problem(observation, camera, setup), box)
                 continue
-            told = Problem.of(together[number], camera, model, plane, options)
-            problem, start = faced_pose(told, observation)
+            coupled = Problem.of(together[number], camera, setup.model, setup.ground, setup.options)
+            problem, start = estimate_pose(coupled, observation)
         except FgreconError as error:
             refused[number] = error
             continue

@@ -1,0 +1,266 @@
+"""What callers give, checked and made ready: the one place for every entry of `solve`, and so for the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from numbers import Real
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fgrecon.core.box3d import Box3D, BoxErrors
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.category import Category
+from fgrecon.core.checks import as_finite, as_instance, as_list, as_rigid, as_shape
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.observation import KeypointsLike, Observation
+from fgrecon.core.options import Options, checked_options
+from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.core.size_prior import SizePrior, size_prior
+from fgrecon.io.catalogue import load_prior
+from fgrecon.solve.vehicle.model import VehicleModel, prepare
+
+if TYPE_CHECKING:
+    import gtsam
+
+__all__ = [
+    "SolveSetup",
+    "as_box_errors",
+    "as_boxes",
+    "as_camera_pose",
+    "as_cameras",
+    "as_extra_factors",
+    "as_ground",
+    "as_initial",
+    "as_motion_covariance",
+    "calibrated",
+    "observe",
+]
+
+Array = NDArray[np.float64]
+
+_CAMERA_NUMBERS = Real, np.ndarray, list, tuple  # what a matrix, or fx, fy, cx, cy, are made of
+_ROTATION_TOLERANCE = 1e-4  # of a camera's pose: more digits than that are seldom lost
+_ROUNDING = 1e-9  # share of the largest number of a covariance that is rounding
+
+
+@dataclass(frozen=True)
+class SolveSetup:
+    """What holds for all vehicles of a call.
+
+    Attributes:
+        options: Settings.
+        prior: The shape prior as it is given.
+        model: The prior prepared for the vehicles' sizes.
+        ground: Ground plane, or None.
+    """
+
+    options: Options
+    prior: ShapePrior
+    model: VehicleModel
+    ground: Ground | None = None
+
+    @classmethod
+    def of(
+        cls,
+        prior: ShapePrior | str | Path,
+        sizes: SizePrior | str | None,
+        options: Options | None,
+        ground: Ground | float | None = None,
+        *,
+        joint: bool = False,
+    ) -> SolveSetup:
+        """The setup of a call's arguments; see `fgrecon.reconstruct`.
+
+        Args:
+            prior: Shape prior, or its name, or the path of its file.
+            sizes: Fleet, or a size prior; None takes sizes from the shape prior.
+            options: Settings.
+            ground: Ground plane, or the height in metres of a level camera.
+            joint: Whether pose and shape have to move together.
+
+        Raises:
+            InvalidInputError: One of them cannot be used; names it, its value and the fix.
+        """
+        chosen, loaded = checked_options(options, joint=joint), load_prior(prior)
+        fleet = None if sizes is None else size_prior(sizes)
+        model = prepare(loaded, fleet, chosen.shape.basis_vectors)
+        return cls(chosen, loaded, model, as_ground(ground))
+
+
+def observe(
+    keypoints: KeypointsLike,
+    camera: Camera,
+    category: Category,
+    options: Options,
+    *,
+    confidence: ArrayLike | None = None,
+    box: ArrayLike | None = None,
+    covariance: ArrayLike | None = None,
+) -> Observation:
+    """The observation that is solved from: checked against the category, and freed of lens distortion.
+
+    Raises:
+        InvalidInputError: An array has the wrong shape or values, something is given twice, or the box is outside of
+            the image.
+    """
+    if isinstance(keypoints, Mapping):
+        keypoints, confidence = _by_name(keypoints, category, confidence)
+    shape = category.size, 2
+    fix = f"Give {category.size} pixels (u, v) in the order of category {category.name}; NaN where not detected."
+    if isinstance(keypoints, Observation):
+        for field, value in (("confidence", confidence), ("box", box), ("covariance", covariance)):
+            if value is not None:
+                raise InvalidInputError(field, "given twice", "The observation has it: give it there.")
+        as_shape("keypoints", keypoints.keypoints, shape, fix)
+        observation = keypoints
+        if options.confidence_midpoint is not None:
+            observation = replace(observation, confidence_midpoint=options.confidence_midpoint)
+    else:
+        pixels = as_shape("keypoints", keypoints, shape, fix)
+        observation = Observation.of(pixels, confidence, box, covariance, options.confidence_midpoint)
+    if observation.box is not None and camera.image_size is not None:
+        (left, top, right, bottom), (width, height) = observation.box, camera.image_size
+        if right <= -0.5 or bottom <= -0.5 or left >= width - 0.5 or top >= height - 0.5:
+            fix = f"Give a box in the image of {width} x {height} pixels."
+            raise InvalidInputError("box", observation.box.tolist(), fix)
+    if "direction" in options.disabled_terms:
+        observation = replace(observation, azimuth=None)  # nor are neighbours or frames of a track to hear of it
+    return observation.of_at_least(options.keypoints.least_confidence).undistorted(camera)
+
+
+def _by_name(
+    keypoints: Mapping[str, ArrayLike], category: Category, confidence: ArrayLike | None
+) -> tuple[Array, ArrayLike | None]:
+    """Pixels (K, 2) in the category's order, NaN where none is given, and confidences from the third numbers."""
+    rows = np.full((category.size, 3), np.nan)
+    widths = set()
+    for name, value in keypoints.items():
+        index = category.index(name, "keypoints")
+        row = as_shape(f"keypoints.{name}", value, (None,), "Give (u, v) or (u, v, confidence).")
+        widths.add(len(row))
+        if widths not in ({2}, {3}):
+            fix = "Give (u, v) for every keypoint, or (u, v, confidence) for every one."
+            raise InvalidInputError(f"keypoints.{name}", f"{len(row)} numbers", fix)
+        rows[index, : len(row)] = row
+    if widths != {3}:
+        return rows[:, :2], confidence
+    if confidence is not None:
+        raise InvalidInputError("confidence", "given twice", "Give it here or as the third number of every keypoint.")
+    return rows[:, :2], np.where(np.isnan(rows[:, 0]), 0.0, rows[:, 2])
+
+
+def calibrated(field: str, camera: Camera) -> Camera:
+    """The camera, for what takes its focal length as exact.
+
+    Raises:
+        InvalidInputError: The focal length is not known.
+    """
+    if camera.focal_sigma:
+        fix = "`fgrecon.reconstruct_scene([observation], camera)` finds the focal length; or give one that is known."
+        raise InvalidInputError(field, f"focal length known to {100 * camera.focal_sigma:.0f} %", fix)
+    return camera
+
+
+def as_cameras(given: Camera | ArrayLike | Sequence[Camera], count: int) -> list[Camera]:
+    """The calibrated camera of each of so many images.
+
+    Raises:
+        InvalidInputError: Another number is given, or a focal length is not known.
+    """
+    each = [given] if isinstance(given, Camera) else as_list("cameras", given)
+    if isinstance(given, Camera) or (each and all(isinstance(one, _CAMERA_NUMBERS) for one in each)):
+        return [calibrated("cameras", Camera.of(cast("Camera | ArrayLike", given)))] * count
+    if len(each) != count:
+        raise InvalidInputError("cameras", f"{len(each)} for {count} images", "Give one for each image.")
+    cameras = as_list("cameras", each, Camera)
+    return [calibrated(f"cameras[{number}]", camera) for number, camera in enumerate(cameras)]
+
+
+def as_ground(ground: Ground | float | None) -> Ground | None:
+    """The plane, or that of a level camera at a height in metres.
+
+    Raises:
+        InvalidInputError: It is neither a plane nor a positive number, or the camera is higher than 100 metres.
+    """
+    if ground is None:
+        return None
+    if isinstance(ground, Ground):
+        return ground.told()
+    return _level(float(as_finite("ground", ground, (), "Give a `Ground`, or the camera's height in metres.")))
+
+
+@lru_cache(maxsize=16)  # thousands of vehicles stand on one ground
+def _level(height: float) -> Ground:
+    return Ground.level(height)
+
+
+def as_initial(initial: Box3D | float | None) -> Box3D | float | None:
+    """Where the pose search is to start as well: a box, or a guess of `rotation_y` in radians.
+
+    Raises:
+        InvalidInputError: It is neither.
+    """
+    if initial is None or isinstance(initial, Box3D):
+        return initial
+    return float(as_finite("initial", initial, (), "Give a `Box3D`, or a guess of rotation_y in radians."))
+
+
+def as_extra_factors(given: Sequence[gtsam.NonlinearFactor]) -> Sequence[gtsam.NonlinearFactor]:
+    """The caller's own factors.
+
+    Raises:
+        InvalidInputError: They are no sequence of factors.
+    """
+    if isinstance(given, tuple) and not given:
+        return given
+    import gtsam
+
+    return as_list("extra_factors", given, gtsam.NonlinearFactor)
+
+
+def as_boxes(boxes: Sequence[Box3D | None], count: int, camera: Camera) -> list[Box3D | None]:
+    """Another detector's 3D box of each of so many vehicles.
+
+    Raises:
+        InvalidInputError: Another number of boxes is given, or they are of a camera of unknown focal length.
+    """
+    boxes = as_list("boxes", boxes, Box3D, gaps=True)
+    if len(boxes) != count:
+        raise InvalidInputError("boxes", f"{len(boxes)} for {count} vehicles", "Give a box, or None, for each.")
+    if camera.focal_sigma:
+        fix = "Give the focal length that the boxes were found with."
+        raise InvalidInputError("boxes", "given without a known focal length", fix)
+    return boxes
+
+
+def as_box_errors(errors: BoxErrors | None) -> BoxErrors:
+    """How far a detector's 3D boxes are off; those of a monocular one for None."""
+    return BoxErrors() if errors is None else cast("BoxErrors", as_instance("box_errors", errors, BoxErrors))
+
+
+def as_camera_pose(world_T_camera: ArrayLike) -> Array:
+    """(4, 4) pose of a camera in a world that stands still.
+
+    Raises:
+        InvalidInputError: It is no rigid motion.
+    """
+    return as_rigid("world_T_camera", world_T_camera, _ROTATION_TOLERANCE)
+
+
+def as_motion_covariance(given: ArrayLike) -> Array:
+    """(6, 6) covariance of a camera's motion: rotation in radians, then translation in metres.
+
+    Raises:
+        InvalidInputError: It is no covariance.
+    """
+    matrix = as_finite("motion_covariance", given, (6, 6), "Give radians and metres, rotation first.")
+    least = -_ROUNDING * float(np.abs(matrix).max())
+    if np.abs(matrix - matrix.T).max() > -least or np.linalg.eigvalsh(matrix).min() < least:
+        fix = "Give a symmetric matrix without negative variances."
+        raise InvalidInputError("motion_covariance", matrix.tolist(), fix)
+    return matrix
