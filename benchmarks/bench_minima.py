@@ -32,10 +32,10 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.io.files import write_text
 from fgrecon.simulation.keypoint_noise import HARD, HOURGLASS
 from fgrecon.simulation.vehicles import KITTI_CAMERA, simulate_many
-from fgrecon.solve.graph.adjust import adjust
-from fgrecon.solve.graph.graph import Seen
+from fgrecon.solve.graph.graph import GraphObservation
+from fgrecon.solve.graph.multi_start import minimise_from_proposals
 from fgrecon.solve.inputs import observe
-from fgrecon.solve.proposals.adjust import adjust_pose
+from fgrecon.solve.proposals.pose_search import search_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.search import search
 from fgrecon.solve.proposals.starts import at_azimuths, view_box
@@ -127,9 +127,9 @@ def missed(one: Problem, starts: int, rng: np.random.Generator) -> dict[str, Any
     Raises:
         FgreconError: The problem determines no pose.
     """
-    estimate = adjust_pose(one)
-    found = adjust([Seen(one)], [estimate])
-    (result,) = results([Seen(one)], [estimate], found, {})
+    estimate = search_pose(one)
+    found = minimise_from_proposals([GraphObservation(one)], [estimate])
+    (result,) = results([GraphObservation(one)], [estimate], found, {})
     told = {"status": result.status.value}
     if found.optimum.failure is not None:
         return told
@@ -145,7 +145,7 @@ def missed(one: Problem, starts: int, rng: np.random.Generator) -> dict[str, Any
             alternatives=(),
             everywhere=False,
         )
-        ends.append(adjust([Seen(one)], [start]))
+        ends.append(minimise_from_proposals([GraphObservation(one)], [start]))
     solved = [end for end in ends if end.optimum.failure is None]
     if not solved:
         return told

@@ -49,10 +49,10 @@ DISCARDED = (
         ADJUST,
         (
             (
-                "    return Adjusted(replace(optimum, iterations=",
+                "    return MultiStartResult(replace(optimum, iterations=",
                 (
                     "    state = State(start.poses, start.shapes, optimum.state.weights)\n"
-                    "    return Adjusted(replace(optimum, state=state, iterations="
+                    "    return MultiStartResult(replace(optimum, state=state, iterations="
                 ),
             ),
         ),
@@ -373,7 +373,10 @@ WRONG_ANSWERS = (
         "every image of a track has a shape of its own",
         "fgrecon/solve/track.py",
         (
-            ("seen.append(Seen(problem, image=number))", "seen.append(Seen(problem, vehicle=number, image=number))"),
+            (
+                "seen.append(GraphObservation(problem, image=number))",
+                "seen.append(GraphObservation(problem, vehicle=number, image=number))",
+            ),
             ("history=Deferred(lambda: joint_steps(adjusted.stages)) if keep else (),", "history=(),"),
         ),
         (TEST_TRACK,),

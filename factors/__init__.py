@@ -53,7 +53,7 @@ if TYPE_CHECKING:  # imported when used
     from factors.mixture import Form, mixture
     from factors.motion import drive_factor, motion_factor
     from factors.noise import Noise, as_noise, diagonal_noise, full_noise, keypoint_noise, keypoint_whiteners
-    from factors.observation import BoxRows, GroundRows, ObservationRows, observation_factor
+    from factors.observation_factor import BoxRows, GroundRows, ObservationRows, observation_factor
     from factors.planarity import (
         ground_parallel_factor,
         penalty_ground_parallel_factor,

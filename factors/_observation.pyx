@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 # cython: freethreading_compatible=True
-"""What an image says of a vehicle, compiled: the rows of `factors.observation`, and what the mixture makes of a state.
+"""What an image says of a vehicle, compiled: the rows of `factors.observation_factor`, and what the mixture makes of a state.
 
 The equations are those of `factors.projection`, `factors.box`, `factors.ground` and `factors.mixture`; what costs in
 their numpy versions is a call for every few numbers, not the arithmetic. Arrays are checked where they come in, inside
@@ -83,7 +83,7 @@ cdef class Observation:
         raise TypeError("a compiled Observation cannot be copied or pickled")
 
     def __init__(self, camera, mean, basis, pixels, whitener, box, ground):
-        """Bind the arrays; see `factors.observation.ObservationRows` for what they are.
+        """Bind the arrays; see `factors.observation_factor.ObservationRows` for what they are.
 
         Args:
             camera: (3, 3). mean: (K, 3). basis: (N, 3K). pixels: (K, 2). whitener: (K, 3) lower triangular.

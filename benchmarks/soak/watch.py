@@ -19,7 +19,7 @@ import gtsam
 
 from fgrecon.solve.graph import newton, optimise
 from fgrecon.solve.graph.graph import Graph
-from fgrecon.solve.graph.observation import Weights
+from fgrecon.solve.graph.observation_part import Weights
 
 __all__ = ["Watch", "watched"]
 

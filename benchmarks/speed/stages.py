@@ -16,12 +16,12 @@ from fgrecon.core.options import BoxModel, Options
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.evaluation.methods import METHODS, SceneKnowledge
-from fgrecon.solve.graph.adjust import Adjusted, adjust, start_state
 from fgrecon.solve.graph.covariance import factorise, read_covariances
-from fgrecon.solve.graph.graph import Graph, Seen
+from fgrecon.solve.graph.graph import Graph, GraphObservation
+from fgrecon.solve.graph.multi_start import MultiStartResult, minimise_from_proposals, start_state
 from fgrecon.solve.graph.solver import minimise
 from fgrecon.solve.pipeline import reconstruct
-from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
+from fgrecon.solve.proposals.pose_search import PoseEstimate, search_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.vehicle.model import prepare
 from tests.solve.graph.energy import Energy, Whitened, minimise_by_ceres
@@ -39,25 +39,25 @@ class Car:
     guess: float | None
     problem: Problem
     pose: PoseEstimate
-    adjusted: Adjusted
+    adjusted: MultiStartResult
 
     @classmethod
     def of(cls, case: Case, prior: ShapePrior, guess: float | None = None) -> Car:
         """Solve it once, which also warms every cache."""
         problem = _problem(case, prior)
-        pose = adjust_pose(problem, guess)
-        return cls(case, prior, guess, problem, pose, adjust([Seen(problem)], [pose]))
+        pose = search_pose(problem, guess)
+        return cls(case, prior, guess, problem, pose, minimise_from_proposals([GraphObservation(problem)], [pose]))
 
     def propose(self) -> object:
         """The proposals."""
-        return adjust_pose(_problem(self.case, self.prior), self.guess)
+        return search_pose(_problem(self.case, self.prior), self.guess)
 
     def refine(self, *, joint: bool = True, keep_history: bool = False, alternatives: bool = True) -> object:
         """The graph's stage, from every proposal that matters or from the best alone."""
         shape = replace(self.problem.options.shape, joint=joint)
         options = replace(self.problem.options, shape=shape, keep_history=keep_history)
         start = self.pose if alternatives else replace(self.pose, alternatives=())
-        return adjust([Seen(replace(self.problem, options=options))], [start])
+        return minimise_from_proposals([GraphObservation(replace(self.problem, options=options))], [start])
 
     def covariance(self) -> object:
         """Covariances at the result."""
@@ -80,7 +80,7 @@ class Car:
 
     def one_solve(self) -> object:
         """One joint minimisation with the final weights, from the best proposal."""
-        seen = [Seen(self.problem)]
+        seen = [GraphObservation(self.problem)]
         start = start_state(seen, [self.pose])
         graph = Graph(seen, start, pose_free=True)
         return minimise(graph.build(self.adjusted.optimum.state.weights), graph.values(start))

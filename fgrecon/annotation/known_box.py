@@ -28,11 +28,11 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options, ShapeOptions
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
-from fgrecon.solve.graph.adjust import Adjusted, adjust
 from fgrecon.solve.graph.covariance import factorise, projected_covariances
-from fgrecon.solve.graph.graph import Seen
+from fgrecon.solve.graph.graph import GraphObservation
+from fgrecon.solve.graph.multi_start import MultiStartResult, minimise_from_proposals
 from fgrecon.solve.inputs import observe
-from fgrecon.solve.proposals.adjust import PoseEstimate
+from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.starts import from_box3d
 from fgrecon.solve.result import results
@@ -113,7 +113,7 @@ def fit_known_boxes(
     size = np.median(sizes, axis=0)
     model = prepare(prior, SizePrior("of the box", size, how.size_share * size))
     options = Options(box="off", shape=ShapeOptions(common_error=how.common_error), keep_history=False)
-    seen: list[Seen] = []
+    seen: list[GraphObservation] = []
     starts: list[PoseEstimate] = []
     extra: list[gtsam.NonlinearFactor] = []
     for number, view in enumerate(views):
@@ -123,19 +123,19 @@ def fit_known_boxes(
         except DegenerateProblemError:
             continue
         start = _start(problem, view.box)
-        seen.append(Seen(problem, image=number))
+        seen.append(GraphObservation(problem, image=number))
         starts.append(start)
         extra.append(_labelled(start.camera_T_object, X(0, number), how))
     found: list[Fit | Reason] = [Reason.FEW_POINTS] * len(views)
     if seen:
-        adjusted = adjust(seen, starts, extra)
+        adjusted = minimise_from_proposals(seen, starts, extra)
         solved = results(seen, starts, adjusted, {}, extra)
         for one, result, covariance in zip(seen, solved, _covariances(adjusted), strict=True):
             found[one.image] = Reason.NO_MINIMUM if covariance is None else Fit.of(result, covariance, model.prior)
     return found
 
 
-def _covariances(adjusted: Adjusted) -> list[Array | None]:
+def _covariances(adjusted: MultiStartResult) -> list[Array | None]:
     """(K, 2, 2) of the projected keypoints in each image; None where the graph has no minimum that determines them."""
     graph, optimum = adjusted.graph, adjusted.optimum
     values = graph.values(optimum.state)

@@ -24,9 +24,9 @@ from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.catalogue import load_category
 from fgrecon.simulation.keypoint_noise import HOURGLASS, NoiseModel
 from fgrecon.simulation.vehicles import KITTI_CAMERA, SimulatedTruth, Vehicle, kitti_like_pose, simulate
-from fgrecon.solve.graph.adjust import adjust
-from fgrecon.solve.graph.graph import Seen
-from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
+from fgrecon.solve.graph.graph import GraphObservation
+from fgrecon.solve.graph.multi_start import minimise_from_proposals
+from fgrecon.solve.proposals.pose_search import PoseEstimate, search_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.vehicle.model import VehicleModel, prepare
 from fgrecon.training.priors.apollo79 import DUPLICATE, Apollo79
@@ -176,11 +176,11 @@ def _states(
     problem = Problem.of(observation, KITTI_CAMERA, model, ground, options)
 
     def solved(setting: Problem, start: PoseEstimate) -> tuple[Array, Array]:
-        state = adjust([Seen(setting)], [start]).optimum.state
+        state = minimise_from_proposals([GraphObservation(setting)], [start]).optimum.state
         return state.poses[0].matrix(), prior.keypoints(*state.shapes[0])
 
     try:
-        start = adjust_pose(problem)
+        start = search_pose(problem)
     except FgreconError:
         start = _known_pose(problem, np.eye(4))
     moving = replace(problem, options=replace(options, shape=replace(options.shape, joint=True)))

@@ -16,7 +16,7 @@ from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.evaluation.methods import SceneKnowledge
 from fgrecon.solve.pipeline import reconstruct
-from fgrecon.solve.proposals.adjust import adjust_pose
+from fgrecon.solve.proposals.pose_search import search_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.starts import at_azimuths
 from fgrecon.solve.vehicle.model import VehicleModel
@@ -123,7 +123,7 @@ def stages_of(result: Reconstruction, fixed: Reconstruction, category: Category)
 
 def algorithm1_state(observation: Observation, camera: Camera, model: VehicleModel, options: Options) -> StageEstimate:
     """ASPnP + IRLS with the mean shape: the paper's pose adjustment alone (`options` name one of its strategies)."""
-    pose = adjust_pose(Problem.of(observation, camera, model, None, options))
+    pose = search_pose(Problem.of(observation, camera, model, None, options))
     return StageEstimate(pose.camera_T_object, model.prior.mean, model.dimension_mean)
 
 

@@ -7,14 +7,24 @@ from typing import TYPE_CHECKING
 from factors.lazy import lazy_names
 
 if TYPE_CHECKING:  # imported when used
-    from fgrecon.solve.graph.adjust import adjust
-    from fgrecon.solve.graph.graph import Graph, Seen, State
+    from fgrecon.solve.graph.graph import Graph, GraphObservation, State
+    from fgrecon.solve.graph.multi_start import minimise_from_proposals
     from fgrecon.solve.graph.optimise import optimise
     from fgrecon.solve.graph.solver import minimise
-    from fgrecon.solve.proposals.adjust import adjust_pose
+    from fgrecon.solve.proposals.pose_search import search_pose
     from fgrecon.solve.proposals.problem import Problem
     from fgrecon.solve.vehicle.model import prepare
 
-__all__ = ["Graph", "Problem", "Seen", "State", "adjust", "adjust_pose", "minimise", "optimise", "prepare"]
+__all__ = [
+    "Graph",
+    "GraphObservation",
+    "Problem",
+    "State",
+    "minimise",
+    "minimise_from_proposals",
+    "optimise",
+    "prepare",
+    "search_pose",
+]
 
 __getattr__, __dir__ = lazy_names(__name__)

@@ -30,7 +30,7 @@ from fgrecon.core.rows import leanings, ties
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.traffic import traffic_directions
 from fgrecon.core.turned import half_a_turn, turned_round
-from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
+from fgrecon.solve.proposals.pose_search import PoseEstimate, search_pose
 from fgrecon.solve.proposals.problem import Problem
 
 __all__ = ["couple_facings", "estimate_pose", "estimate_pose_facing"]
@@ -82,18 +82,18 @@ def estimate_pose(
     Args:
         problem: Of the observation.
         given: It as its detector gave it.
-        initial: As `adjust_pose` takes it.
+        initial: As `search_pose` takes it.
 
     Raises:
         DegenerateProblemError: No pose is found.
     """
-    seen, start = problem.observation, adjust_pose(problem, initial)
+    seen, start = problem.observation, search_pose(problem, initial)
     if seen.azimuth is None or seen.azimuth is given.azimuth or _agrees(start, seen.azimuth):
         return problem, start
     other = replace(turned_round(seen, problem.model.prior), azimuth=seen.azimuth)
     try:
         turned = problem.showing(other)
-        again = adjust_pose(turned)
+        again = search_pose(turned)
     except DegenerateProblemError:  # too few keypoints have a partner on the other side
         return problem, start
     return (turned, again) if _agrees(again, seen.azimuth) else (problem, start)

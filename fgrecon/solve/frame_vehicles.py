@@ -16,7 +16,7 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.solve.facing import estimate_pose_facing
 from fgrecon.solve.ground_evidence import GroundEvidence, ground_evidence
-from fgrecon.solve.proposals.adjust import PoseEstimate
+from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.road import KnownGround
 from fgrecon.solve.time.camera_way import CameraWay, Milestone

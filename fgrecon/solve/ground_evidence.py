@@ -11,9 +11,9 @@ import numpy as np
 from factors.keys import G
 from factors.marginals import Marginal, marginal, marginal_factor
 from fgrecon.core.camera import Ground
-from fgrecon.solve.graph.graph import Graph, Seen, State
+from fgrecon.solve.graph.graph import Graph, GraphObservation, State
 from fgrecon.solve.graph.optimise import optimise
-from fgrecon.solve.graph.vehicle import Held
+from fgrecon.solve.graph.vehicle_part import ShapeValues
 from fgrecon.solve.standing import Standing
 from fgrecon.solve.time.window import Frame
 
@@ -36,7 +36,7 @@ class GroundEvidence:
 
 
 def ground_evidence(
-    seen: Sequence[Frame], shapes: Sequence[Held], told: Ground, known: Marginal
+    seen: Sequence[Frame], shapes: Sequence[ShapeValues], told: Ground, known: Marginal
 ) -> GroundEvidence | None:
     """What the vehicles of an image say of the ground, their poses and shapes eliminated.
 
@@ -55,7 +55,10 @@ def ground_evidence(
     state = State([one.pose for one in seen], dict(enumerate(shapes)), [one.weights for one in seen], known.values)
     extra = [*standing.contacts.values(), marginal_factor(known)]
     graph = Graph(
-        [Seen(one.problem.on(None), vehicle=i) for i, one in enumerate(seen)], state, pose_free=True, extra=extra
+        [GraphObservation(one.problem.on(None), vehicle=i) for i, one in enumerate(seen)],
+        state,
+        pose_free=True,
+        extra=extra,
     )
     optimum = optimise(graph, state, _STEPS)
     if optimum.failure is not None:

@@ -22,11 +22,11 @@ from fgrecon.core.reconstruction import Alternative, rotation_y
 from fgrecon.core.turned import turned_alternative
 from fgrecon.solve.detected import KnownBox
 from fgrecon.solve.facing import couple_facings, estimate_pose
-from fgrecon.solve.graph.adjust import Adjusted, SolvedStage, adjust
-from fgrecon.solve.graph.graph import Graph, Seen, State
+from fgrecon.solve.graph.graph import Graph, GraphObservation, State
+from fgrecon.solve.graph.multi_start import MultiStartResult, SolvedStage, minimise_from_proposals
 from fgrecon.solve.graph.optimise import optimise
 from fgrecon.solve.inputs import SolveSetup, observe
-from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
+from fgrecon.solve.proposals.pose_search import PoseEstimate, search_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.time.heading import Belief, box_says
 from fgrecon.solve.time.vehicle import face, image_says
@@ -51,7 +51,7 @@ class Alone:
 
     problem: Problem
     start: PoseEstimate
-    adjusted: Adjusted
+    adjusted: MultiStartResult
     known: KnownBox | None = None
     belief: Belief | None = None
 
@@ -65,7 +65,7 @@ class Alone:
         """The vehicle as it is solved where nothing follows; with a box it is already."""
         if self.known is not None:
             return self
-        return replace(self, adjusted=adjust([Seen(self.problem)], [self.start]))
+        return replace(self, adjusted=minimise_from_proposals([GraphObservation(self.problem)], [self.start]))
 
     def own(self, vehicle: int = 0) -> list[gtsam.NonlinearFactor]:
         """The factors of its box."""
@@ -139,7 +139,9 @@ def each_alone(
         except FgreconError as error:
             refused[number] = error
             continue
-        alone[number] = Alone(problem, start, adjust([Seen(problem)], [start], steady=steady))
+        alone[number] = Alone(
+            problem, start, minimise_from_proposals([GraphObservation(problem)], [start], steady=steady)
+        )
     return Tried(camera, alone, refused)
 
 
@@ -150,8 +152,8 @@ def _with_box(problem: Problem, known: KnownBox) -> Alone:
         DegenerateProblemError: No pose is found.
     """
     own = known.factors(problem.camera)
-    start = adjust_pose(problem, known.box)
-    adjusted = adjust([Seen(problem)], [start], own)
+    start = search_pose(problem, known.box)
+    adjusted = minimise_from_proposals([GraphObservation(problem)], [start], own)
     state = adjusted.optimum.state
     poses = (Alternative(state.poses[0].matrix(), state.shapes[0][0], 0.0), *adjusted.alternatives[0])
     box, errors = known.box, known.errors
@@ -160,7 +162,7 @@ def _with_box(problem: Problem, known: KnownBox) -> Alone:
     frame = Frame(0, 0.0, problem, start, poses, evidence, None, state.poses[0], state.weights[0], belief=belief)
     if adjusted.optimum.failure is None and face([frame], state.shapes[0]):
         turned = State([frame.pose], state.shapes, [frame.weights])
-        graph = Graph([Seen(frame.problem)], turned, pose_free=True, extra=own)
+        graph = Graph([GraphObservation(frame.problem)], turned, pose_free=True, extra=own)
         optimum = optimise(graph, turned)
         if optimum.failure is None:
             stages = (*adjusted.stages, SolvedStage("joint", graph, optimum.steps))

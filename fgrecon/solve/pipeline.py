@@ -17,8 +17,8 @@ from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.solve.facing import couple_facings, estimate_pose
-from fgrecon.solve.graph.adjust import adjust
-from fgrecon.solve.graph.graph import Seen
+from fgrecon.solve.graph.graph import GraphObservation
+from fgrecon.solve.graph.multi_start import minimise_from_proposals
 from fgrecon.solve.inputs import SolveSetup, as_extra_factors, as_initial, calibrated, observe
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import results
@@ -86,7 +86,7 @@ def reconstruct(
     problem = Problem.of(coupled, camera, setup.model, setup.ground, setup.options)
     problem, pose = estimate_pose(problem, observation, start)
     posed = perf_counter()
-    seen = [Seen(problem)]
-    adjusted = adjust(seen, [pose], factors)
+    seen = [GraphObservation(problem)]
+    adjusted = minimise_from_proposals(seen, [pose], factors)
     milliseconds = {"pose": (posed - started) * 1e3, "shape": (perf_counter() - posed) * 1e3}
     return results(seen, [pose], adjusted, milliseconds, factors)[0]

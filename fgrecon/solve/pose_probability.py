@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.reconstruction import Alternative
 from fgrecon.core.turned import turned_alternative
-from fgrecon.solve.graph.facing import is_turned
+from fgrecon.solve.graph.mode_selection import is_flipped
 
 __all__ = ["facing_by_energies", "with_probabilities"]
 
@@ -29,7 +29,7 @@ _WORTH = 0.01  # a facing that is less probable need not have a pose
 
 def facing_by_energies(camera_T_object: NDArray[np.float64], alternatives: Sequence[Alternative]) -> float:
     """How probably a pose (4, 4) faces the right way where energies alone tell; NaN where there are none."""
-    turned = [other.excess for other in alternatives if is_turned(other.camera_T_object, camera_T_object)]
+    turned = [other.excess for other in alternatives if is_flipped(other.camera_T_object, camera_T_object)]
     if any(math.isnan(other.excess) for other in alternatives):
         return float("nan")
     return 1.0 / (1.0 + math.exp(-_BIAS - _SLOPE * min([_MOST, *turned])))
@@ -55,7 +55,7 @@ def with_probabilities(
     if math.isnan(facing) or any(math.isnan(other.excess) for other in alternatives):
         return tuple(alternatives)
     others = list(alternatives)
-    turned = [is_turned(other.camera_T_object, camera_T_object) for other in others]
+    turned = [is_flipped(other.camera_T_object, camera_T_object) for other in others]
     if not any(turned) and 1.0 - facing >= _WORTH:
         others += turned_alternative(camera_T_object, coefficients, facing)
         turned += [True] * (len(others) - len(turned))

@@ -19,15 +19,15 @@ from fgrecon.core.size_prior import LONGEST, SHORTEST
 from fgrecon.core.status import Regions
 from fgrecon.core.text import counted
 from fgrecon.solve.box_check import box_excess
-from fgrecon.solve.graph.adjust import Adjusted
 from fgrecon.solve.graph.covariance import Covariances, Spread, factorise, read_covariances
-from fgrecon.solve.graph.graph import Graph, Seen
+from fgrecon.solve.graph.graph import Graph, GraphObservation
 from fgrecon.solve.graph.history import iterations
-from fgrecon.solve.graph.observation import ObservationPart, Weights
+from fgrecon.solve.graph.multi_start import MultiStartResult
+from fgrecon.solve.graph.observation_part import ObservationPart, Weights
 from fgrecon.solve.graph.optimise import Optimum
 from fgrecon.solve.graph.structure import graph_factors
 from fgrecon.solve.pose_probability import facing_by_energies, with_probabilities
-from fgrecon.solve.proposals.adjust import PoseEstimate
+from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
 from fgrecon.solve.vehicle.visibility import clearance, occluder, probability
 from fgrecon.solve.weakness import weaknesses
@@ -82,9 +82,9 @@ def _asked(graph: Graph, some: Collection[int]) -> set[int]:
 
 
 def results(
-    seen: Sequence[Seen],
+    seen: Sequence[GraphObservation],
     starts: Sequence[PoseEstimate],
-    adjusted: Adjusted,
+    adjusted: MultiStartResult,
     milliseconds: dict[str, float],
     extra: Sequence[gtsam.NonlinearFactor] = (),
     only: Collection[int] | None = None,
@@ -137,7 +137,7 @@ def _common(part: ObservationPart, weights: Weights) -> Weights:
     return replace(weights, keypoints=weights.keypoints / by_keypoints, box=weights.box / by_box)
 
 
-def history_of(start: PoseEstimate, adjusted: Adjusted, index: int, *, alone: bool) -> Sequence[Iteration]:
+def history_of(start: PoseEstimate, adjusted: MultiStartResult, index: int, *, alone: bool) -> Sequence[Iteration]:
     """Every step of an observation, made when it is looked at."""
     return Deferred(lambda: (*start.history, *iterations(adjusted.stages, index, alone=alone)))
 

@@ -36,11 +36,11 @@ from fgrecon.core.size_prior import SizePrior
 from fgrecon.solve.box_check import boxes_off, boxes_warning
 from fgrecon.solve.detected import KnownBox
 from fgrecon.solve.focal import candidates, distinct_lengths, energies_of, focal_prior, log_ratio, starts
-from fgrecon.solve.graph.adjust import Adjusted, SolvedStage
 from fgrecon.solve.graph.covariance import covariance_of, undetermined
-from fgrecon.solve.graph.graph import Graph, Seen, State
+from fgrecon.solve.graph.graph import Graph, GraphObservation, State
+from fgrecon.solve.graph.multi_start import MultiStartResult, SolvedStage
 from fgrecon.solve.graph.optimise import Optimum, optimise
-from fgrecon.solve.graph.vehicle import fleet_prior, is_any_fleets
+from fgrecon.solve.graph.vehicle_part import fleet_prior, is_any_fleets
 from fgrecon.solve.independent import Alone, Tried, each_alone
 from fgrecon.solve.inputs import SolveSetup, as_box_errors, as_boxes
 from fgrecon.solve.occlusion import with_occlusion
@@ -196,7 +196,7 @@ class _Joint:
     """Vehicles that were solved together, from where they were alone."""
 
     alone: Tried
-    seen: list[Seen]
+    seen: list[GraphObservation]
     graph: Graph
     optimum: Optimum
     extra: list[gtsam.NonlinearFactor]
@@ -226,7 +226,9 @@ class _Told:
 
 def _result(one: Alone) -> Reconstruction:
     adjusted = replace(one.adjusted, alternatives=(one.alternatives(one.pose),))
-    return results([Seen(one.problem)], [one.start], adjusted, {}, one.own(), facing=[one.facing(one.pose)])[0]
+    return results(
+        [GraphObservation(one.problem)], [one.start], adjusted, {}, one.own(), facing=[one.facing(one.pose)]
+    )[0]
 
 
 def _solved(begun: Sequence[Tried], image_of: Sequence[int], known: Camera, setup: SolveSetup) -> _Told | None:
@@ -277,7 +279,7 @@ def _together(
                 standing[image] = Standing.of(image, poses, about, is_told=plane is not None)
     if not solved or not (standing or known.focal_sigma):
         return None
-    seen: list[Seen] = []
+    seen: list[GraphObservation] = []
     priors: list[gtsam.NonlinearFactor] = []
     others = gtsam.Values()
     for one_ground in standing.values():
@@ -293,7 +295,7 @@ def _together(
     for number, one in solved.items():
         priors += one.own(number)
         problem = one.problem.on(None) if image_of[number] in standing else one.problem
-        seen.append(Seen(problem, vehicle=number))
+        seen.append(GraphObservation(problem, vehicle=number))
     states = [one.adjusted.optimum.state for one in solved.values()]
     state = State(
         poses=[state.poses[0] for state in states],
@@ -314,7 +316,7 @@ def _told(best: _Joint, joint: Sequence[_Joint], known: Camera) -> _Told:
     optimum, values = best.optimum, best.optimum.values
     solved = {one.vehicle: best.alone.vehicles[one.vehicle] for one in best.seen}
     poses = [pose.matrix() for pose in optimum.state.poses]
-    adjusted = Adjusted(
+    adjusted = MultiStartResult(
         optimum,
         (SolvedStage("scene", best.graph, optimum.steps),),
         tuple(one.alternatives(pose) for one, pose in zip(solved.values(), poses, strict=True)),

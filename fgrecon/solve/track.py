@@ -34,12 +34,12 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.track_reconstruction import JointStep, TrackReconstruction
 from fgrecon.solve.facing import couple_facings, estimate_pose
-from fgrecon.solve.graph.adjust import adjust
-from fgrecon.solve.graph.graph import Seen
+from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.history import joint_steps
+from fgrecon.solve.graph.multi_start import minimise_from_proposals
 from fgrecon.solve.graph.structure import graph_factors
 from fgrecon.solve.inputs import SolveSetup, as_cameras, as_extra_factors, observe
-from fgrecon.solve.proposals.adjust import PoseEstimate
+from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import results
 from fgrecon.solve.threads import single_threaded
@@ -90,7 +90,7 @@ def reconstruct_track(
     each = as_cameras(cameras, len(observations))
 
     started = perf_counter()
-    seen: list[Seen] = []
+    seen: list[GraphObservation] = []
     starts: list[PoseEstimate] = []
     refused: dict[int, str] = {}
     bad: InvalidInputError | None = None
@@ -108,13 +108,13 @@ def reconstruct_track(
             bad = error if bad is None and isinstance(error, InvalidInputError) else bad
             refused[number] = str(error)
             continue
-        seen.append(Seen(problem, image=number))
+        seen.append(GraphObservation(problem, image=number))
     if not seen and bad is not None:
         raise bad
     if not seen:
         raise DegenerateProblemError("observations", "no pose in any image", "Give more, or better spread, keypoints.")
     posed = perf_counter()
-    adjusted = adjust(seen, starts, factors, in_order=in_order)
+    adjusted = minimise_from_proposals(seen, starts, factors, in_order=in_order)
     milliseconds = {"pose": (posed - started) * 1e3, "joint": (perf_counter() - posed) * 1e3}
     frames = results(seen, starts, adjusted, {}, factors)
     status, message = _status(frames, refused)

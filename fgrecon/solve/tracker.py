@@ -31,7 +31,7 @@ from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.solve.box_check import box_excess, boxes_off
 from fgrecon.solve.facing import couple_facings
 from fgrecon.solve.frame_vehicles import FrameVehicles, PastFrame, VehicleTrack
-from fgrecon.solve.graph.adjust import Adjusted
+from fgrecon.solve.graph.multi_start import MultiStartResult
 from fgrecon.solve.graph.structure import graph_factors
 from fgrecon.solve.inputs import SolveSetup, as_camera_pose, as_ground, as_motion_covariance, calibrated, observe
 from fgrecon.solve.proposals.problem import Problem
@@ -357,7 +357,9 @@ def _estimate(
     )
 
 
-def _with_alternatives(adjusted: Adjusted, pasts: Mapping[int, PastFrame], facings: Sequence[float]) -> Adjusted:
+def _with_alternatives(
+    adjusted: MultiStartResult, pasts: Mapping[int, PastFrame], facings: Sequence[float]
+) -> MultiStartResult:
     """With the vehicle turned round as an alternative of frames, as improbable as it is by the track."""
     told, shape = list(adjusted.alternatives), adjusted.optimum.state.shapes[0][0]
     for (index, past), facing in zip(pasts.items(), facings, strict=True):

@@ -288,7 +288,7 @@ def test_a_wrong_guess_is_trusted(seen):
 
 def test_a_3d_box_is_a_start(prior, monkeypatch):
     """Points that are too unsure for ASPnP and one azimuth far off: only the box leads to the first search's car."""
-    monkeypatch.setattr("fgrecon.solve.graph.adjust.lower_poses", lambda *_: [])
+    monkeypatch.setattr("fgrecon.solve.graph.multi_start.lower_poses", lambda *_: [])
     truth = yaw_pose(np.radians(170))
     unsure = replace(observe(prior, truth, noise=2.0), confidence=np.full(14, 0.1))
     box = Box3D(np.array(truth[:3, 3]), np.radians(165))

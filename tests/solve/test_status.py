@@ -12,7 +12,7 @@ from fgrecon.core.options import KeypointOptions, Options
 from fgrecon.core.reconstruction import Alternative, Reconstruction, Status
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph.covariance import Covariances
-from fgrecon.solve.graph.graph import Seen
+from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.result import results
 from tests.cars import CAMERA, observe, yaw_pose
@@ -43,7 +43,7 @@ def status_of(solved, monkeypatch):
         part = adjusted.graph.observations[0]
         monkeypatch.setattr("fgrecon.solve.result.read_covariances", lambda *_: covariance)
         monkeypatch.setattr(part, "problem", problem)
-        (result,) = results([Seen(problem)], [solved.start], adjusted, {})
+        (result,) = results([GraphObservation(problem)], [solved.start], adjusted, {})
         assert [other.excess for other in result.alternatives] == [other.excess for other in alternatives]
         return result.status, result.message
 

@@ -13,7 +13,7 @@ from factors.keys import decode_key
 from factors.mixture import Form
 from fgrecon.core.errors import FactorCallbackError
 from fgrecon.solve.graph.graph import Graph
-from fgrecon.solve.graph.observation import ObservationPart, Weights
+from fgrecon.solve.graph.observation_part import ObservationPart, Weights
 
 __all__ = [
     "Covariances",

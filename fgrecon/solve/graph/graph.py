@@ -20,11 +20,11 @@ from factors.keys import F, S, key_name
 from factors.mixture import Form
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import Options
-from fgrecon.solve.graph.observation import ObservationPart, Weights
-from fgrecon.solve.graph.vehicle import Held, Terms, VehiclePart, is_any_fleets, vehicle_part
+from fgrecon.solve.graph.observation_part import ObservationPart, Weights
+from fgrecon.solve.graph.vehicle_part import ShapeValues, Terms, VehiclePart, is_any_fleets, vehicle_part
 from fgrecon.solve.proposals.problem import Problem
 
-__all__ = ["EXTRA", "Graph", "Seen", "State", "Terms", "common_share"]
+__all__ = ["EXTRA", "Graph", "GraphObservation", "State", "Terms", "common_share"]
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ EXTRA = "extra"
 
 
 @dataclass(frozen=True)
-class Seen:
+class GraphObservation:
     """One vehicle in one image, and its place in the graph.
 
     Attributes:
@@ -59,7 +59,7 @@ class State:
     """
 
     poses: list[gtsam.Pose3]
-    shapes: dict[int, Held]
+    shapes: dict[int, ShapeValues]
     weights: list[Weights]
     others: gtsam.Values = field(default_factory=gtsam.Values)
 
@@ -81,7 +81,7 @@ class Graph:
 
     def __init__(
         self,
-        seen: Sequence[Seen],
+        seen: Sequence[GraphObservation],
         state: State,
         *,
         pose_free: bool,
@@ -165,7 +165,7 @@ class Graph:
         part = self.observations[index]
         number = part.vehicle.number
         state = State([part.pose(values)], {number: part.vehicle.read(values)}, [weights[index]])
-        one = Seen(part.problem, number, part.image)
+        one = GraphObservation(part.problem, number, part.image)
         more = self._more[number]
         return Graph([one], state, pose_free=True, hold_shape=True, extra=self.extra, earlier=more), state
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from fgrecon.core.reconstruction import Iteration
 from fgrecon.core.track_reconstruction import JointStep
-from fgrecon.solve.graph.adjust import SolvedStage
 from fgrecon.solve.graph.graph import Graph
+from fgrecon.solve.graph.multi_start import SolvedStage
 from fgrecon.solve.graph.optimise import Step
 
 __all__ = ["iterations", "joint_steps"]

@@ -29,7 +29,7 @@ from factors.mixture import Form
 from fgrecon.core.errors import DegenerateProblemError, FactorCallbackError
 from fgrecon.solve.graph.anderson import Anderson
 from fgrecon.solve.graph.graph import Graph, State
-from fgrecon.solve.graph.observation import Weights
+from fgrecon.solve.graph.observation_part import Weights
 from fgrecon.solve.graph.solver import DAMPING, NEGLIGIBLE, minimise
 
 __all__ = ["STEADY", "STEADY_TOGETHER", "Descent", "Step"]

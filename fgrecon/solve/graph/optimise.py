@@ -28,7 +28,7 @@ from factors.mixture import Form
 from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.solve.graph.graph import Graph, State
 from fgrecon.solve.graph.newton import Descent, Step
-from fgrecon.solve.graph.observation import Weights
+from fgrecon.solve.graph.observation_part import Weights
 from fgrecon.solve.graph.solver import minimise
 
 __all__ = ["EARLY_TOLERANCE", "FINAL_TOLERANCE", "SETTLED", "STILL", "Optimum", "Step", "optimise"]

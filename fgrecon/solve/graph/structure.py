@@ -11,7 +11,7 @@ from factors import decode_key, key_name
 from factors.noise import SMALLEST_WEIGHT
 from fgrecon.core.reconstruction import GraphFactor
 from fgrecon.solve.graph.graph import EXTRA, Graph
-from fgrecon.solve.graph.observation import ObservationPart, Weights
+from fgrecon.solve.graph.observation_part import ObservationPart, Weights
 
 __all__ = ["graph_factors"]
 

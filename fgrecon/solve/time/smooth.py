@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from fgrecon.core.motion import MotionModel
-from fgrecon.solve.graph.vehicle import Held
+from fgrecon.solve.graph.vehicle_part import ShapeValues
 from fgrecon.solve.time.heading import Belief, backward, combined
 from fgrecon.solve.time.vehicle import face
 from fgrecon.solve.time.window import Frame, OwnFactors, WindowSolve, solve_alone, solve_window
@@ -23,7 +23,9 @@ Smoothed = tuple[WindowSolve, Sequence[Frame], range]
 """A stretch: what was solved, its frames, and those of them that it gives, by index."""
 
 
-def smooth(past: Sequence[Frame], shape: Held, model: MotionModel, own: OwnFactors | None = None) -> Iterator[Smoothed]:
+def smooth(
+    past: Sequence[Frame], shape: ShapeValues, model: MotionModel, own: OwnFactors | None = None
+) -> Iterator[Smoothed]:
     """Solve all frames of a vehicle.
 
     Args:

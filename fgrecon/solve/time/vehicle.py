@@ -27,12 +27,12 @@ from fgrecon.core.motion import MotionModel
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Alternative, rotation_y
 from fgrecon.core.turned import HALF_TURN, turned_round
-from fgrecon.solve.graph.graph import Graph, Seen, State
-from fgrecon.solve.graph.observation import Weights
+from fgrecon.solve.graph.graph import Graph, GraphObservation, State
+from fgrecon.solve.graph.observation_part import Weights
 from fgrecon.solve.graph.optimise import Optimum, optimise
-from fgrecon.solve.graph.vehicle import Held
-from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
+from fgrecon.solve.graph.vehicle_part import ShapeValues
 from fgrecon.solve.proposals.direction import direction_penalty
+from fgrecon.solve.proposals.pose_search import PoseEstimate, search_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.time.heading import (
     Belief,
@@ -75,7 +75,7 @@ class Followed:
     """
 
     solved: WindowSolve
-    shape: Held
+    shape: ShapeValues
 
     def __init__(self, motion: MotionModel, window: int, own: OwnFactors | None = None) -> None:
         """Begin without a frame.
@@ -158,7 +158,7 @@ class Followed:
 
     def _seen(self, problem: Problem, time: float, step: FrameStep | None, way: Array | None) -> Frame:
         """A frame by itself, and what it says of the heading: of later ones than the first the search says enough."""
-        start = adjust_pose(problem, None if step is None else self._foreseen(step))
+        start = search_pose(problem, None if step is None else self._foreseen(step))
         here = Alternative(start.camera_T_object, start.coefficients, 0.0)
         weights = Weights(start.weights, start.visibility, np.ones(4), float(start.camera_T_object[2, 3]))
         pose = gtsam.Pose3(start.camera_T_object)
@@ -249,7 +249,7 @@ class Followed:
         self.shape = shape
 
 
-def _shape(solved: WindowSolve) -> Held:
+def _shape(solved: WindowSolve) -> ShapeValues:
     return solved.adjusted.optimum.state.shapes[0]
 
 
@@ -287,7 +287,7 @@ def image_says(observation: Observation, poses: Sequence[Alternative]) -> Array:
     return evidence + directions_say(azimuth, poses[0].camera_T_object[:3, 3])
 
 
-def face(frames: Sequence[Frame], shape: Held) -> list[Frame]:
+def face(frames: Sequence[Frame], shape: ShapeValues) -> list[Frame]:
     """Bring every frame to the side where it is by what all of them and the last one's neighbours say; the changed."""
     *_, last = frames
     steps = [(f.step.seconds, f.step.turn) for f in frames[1:] if f.step is not None]
@@ -301,7 +301,7 @@ def face(frames: Sequence[Frame], shape: Held) -> list[Frame]:
     return changed
 
 
-def _move(frame: Frame, heading: float, shape: Held) -> None:
+def _move(frame: Frame, heading: float, shape: ShapeValues) -> None:
     """Start a frame anew, where it faces a heading."""
     near = [
         p for p in frame.poses if not p.excess > _DOUBTFUL and not another_side(rotation_y(p.camera_T_object), heading)
@@ -321,7 +321,7 @@ def _move(frame: Frame, heading: float, shape: Held) -> None:
 
 
 def _explaining(
-    first: Problem, second: Problem | None, pose: gtsam.Pose3, weights: Weights, shape: Held
+    first: Problem, second: Problem | None, pose: gtsam.Pose3, weights: Weights, shape: ShapeValues
 ) -> tuple[Problem, Optimum]:
     """The first of two problems, or the second where a pose explains that better by `_ALIKE`; with the refined pose."""
     end = _refined(first, pose, weights, shape)
@@ -339,10 +339,10 @@ def _turned(given: Problem) -> Problem | None:
         return None
 
 
-def _refined(problem: Problem, pose: gtsam.Pose3, weights: Weights, shape: Held) -> Optimum:
+def _refined(problem: Problem, pose: gtsam.Pose3, weights: Weights, shape: ShapeValues) -> Optimum:
     """The pose by its image alone, the shape held."""
     state = State([pose], {0: shape}, [weights])
-    return optimise(Graph([Seen(problem)], state, pose_free=True, hold_shape=True), state)
+    return optimise(Graph([GraphObservation(problem)], state, pose_free=True, hold_shape=True), state)
 
 
 @dataclass(frozen=True)

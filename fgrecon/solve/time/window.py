@@ -30,13 +30,13 @@ from numpy.typing import NDArray
 from factors.keys import V, X, decode_key
 from fgrecon.core.motion import MotionModel
 from fgrecon.core.reconstruction import Alternative, rotation_y
-from fgrecon.solve.graph.adjust import Adjusted, SolvedStage, adjust
 from fgrecon.solve.graph.covariance import Spread
-from fgrecon.solve.graph.graph import Graph, Seen, State, common_share
-from fgrecon.solve.graph.observation import Weights
+from fgrecon.solve.graph.graph import Graph, GraphObservation, State, common_share
+from fgrecon.solve.graph.multi_start import MultiStartResult, SolvedStage, minimise_from_proposals
+from fgrecon.solve.graph.observation_part import Weights
 from fgrecon.solve.graph.optimise import optimise
-from fgrecon.solve.graph.vehicle import Held
-from fgrecon.solve.proposals.adjust import PoseEstimate
+from fgrecon.solve.graph.vehicle_part import ShapeValues
+from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.time.heading import HEADINGS, Belief, another_side, carried
 from fgrecon.solve.time.motion import link, velocity_terms
@@ -197,9 +197,9 @@ class WindowSolve:
         stands: Whether the vehicle stands in all of them, or drives; None where that is in doubt, or cannot be said.
     """
 
-    seen: tuple[Seen, ...]
+    seen: tuple[GraphObservation, ...]
     starts: tuple[PoseEstimate, ...]
-    adjusted: Adjusted
+    adjusted: MultiStartResult
     extra: tuple[gtsam.NonlinearFactor, ...]
     tied: float = 1.0
     over_world: tuple[bool | None, ...] = ()
@@ -241,13 +241,13 @@ def _frames_of(factor: gtsam.NonlinearFactor) -> set[int]:
 
 def solve_alone(problem: Problem, start: PoseEstimate, number: int) -> WindowSolve:
     """Solve one frame as the single image that it is."""
-    seen = Seen(problem, image=number)
-    return WindowSolve((seen,), (start,), adjust([seen], [start]), ())
+    seen = GraphObservation(problem, image=number)
+    return WindowSolve((seen,), (start,), minimise_from_proposals([seen], [start]), ())
 
 
 def solve_window(
     frames: Sequence[Frame],
-    shape: Held,
+    shape: ShapeValues,
     model: MotionModel,
     *,
     most: int | None = None,
@@ -292,7 +292,7 @@ def _energy(solved: WindowSolve) -> float:
 
 def _solved(
     frames: Sequence[Frame],
-    shape: Held,
+    shape: ShapeValues,
     model: MotionModel,
     most: int | None,
     own: OwnFactors | None,
@@ -300,7 +300,7 @@ def _solved(
 ) -> WindowSolve:
     """The frames together, of a vehicle that stands in all of them, or drives, or None where it may do either."""
     share = common_share(len(frames), frames[0].problem.options)
-    seen = tuple(Seen(f.problem, image=f.number) for f in frames)
+    seen = tuple(GraphObservation(f.problem, image=f.number) for f in frames)
     tied = 1.0 if all(frame.known for frame in frames[1:]) else share
     extra = motion_factors(frames, model, share, tied, stands)
     if own is not None:
@@ -319,7 +319,7 @@ def _solved(
     optimum = optimise(graph, state, most)
     if optimum.failure is None and most is not None:
         optimum = replace(optimum, unfinished=None)
-    adjusted = Adjusted(optimum, (SolvedStage("track", graph, optimum.steps),), ((),) * len(frames))
+    adjusted = MultiStartResult(optimum, (SolvedStage("track", graph, optimum.steps),), ((),) * len(frames))
     starts = tuple(frame.start for frame in frames)
     return WindowSolve(seen, starts, adjusted, tuple(extra), tied, tuple(_told_over_world(frames)), stands)
 

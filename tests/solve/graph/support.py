@@ -12,11 +12,11 @@ from fgrecon.core.camera import Ground
 from fgrecon.core.observation import Observation
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.graph.adjust import Adjusted, adjust
-from fgrecon.solve.graph.graph import Graph, Seen, State
+from fgrecon.solve.graph.graph import Graph, GraphObservation, State
 from fgrecon.solve.graph.history import iterations
-from fgrecon.solve.graph.observation import Weights
-from fgrecon.solve.proposals.adjust import PoseEstimate, adjust_pose
+from fgrecon.solve.graph.multi_start import MultiStartResult, minimise_from_proposals
+from fgrecon.solve.graph.observation_part import Weights
+from fgrecon.solve.proposals.pose_search import PoseEstimate, search_pose
 from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
 from fgrecon.solve.proposals.terms import Hypotheses
 from tests.cars import observe, pose_problem, project, yaw_pose
@@ -48,7 +48,7 @@ def problem_of(seed=0, *, ground=True, size=True, covariance=False, prior=None, 
     plane = GROUND if ground else None
     fleet = SIZE_PRIORS["kitti"] if size else None
     problem, _ = pose_problem(prior, observation, ground=plane, size=fleet, options=options)
-    return problem, adjust_pose(problem)
+    return problem, search_pose(problem)
 
 
 def half_a_car():
@@ -60,7 +60,7 @@ def half_a_car():
     problem, _ = pose_problem(
         load_prior("car14"), replace(seen, keypoints=pixels, confidence=np.full(14, 0.9)), options=options
     )
-    return problem, adjust_pose(problem)
+    return problem, search_pose(problem)
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Solved:
 
     problem: Problem
     start: PoseEstimate
-    adjusted: Adjusted
+    adjusted: MultiStartResult
 
     @property
     def optimum(self):
@@ -115,7 +115,7 @@ class Solved:
 
 def solve(problem, start, extra=()):
     """One observation of one vehicle from its proposals to the minimum."""
-    return Solved(problem, start, adjust([Seen(problem)], [start], extra))
+    return Solved(problem, start, minimise_from_proposals([GraphObservation(problem)], [start], extra))
 
 
 def solved(seed=0, **settings):
@@ -131,7 +131,7 @@ def constant(problem, table):
 
 def graph_at(problem, state, *, pose_free=True, extra=()):
     """The graph of one observation at a state."""
-    return Graph([Seen(problem)], state, pose_free=pose_free, extra=extra)
+    return Graph([GraphObservation(problem)], state, pose_free=pose_free, extra=extra)
 
 
 def state_of(pose, coefficients, weights, offsets=None):

@@ -16,9 +16,9 @@ from factors import X
 from fgrecon.core.geometry import turn_between
 from fgrecon.core.reconstruction import Alternative
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.graph.adjust import adjust
-from fgrecon.solve.graph.graph import Seen
-from fgrecon.solve.proposals.adjust import DISTINCT, adjust_pose
+from fgrecon.solve.graph.graph import GraphObservation
+from fgrecon.solve.graph.multi_start import minimise_from_proposals
+from fgrecon.solve.proposals.pose_search import DISTINCT, search_pose
 from tests.cars import observe, pose_problem, yaw_pose
 from tests.settings import options as make_options
 from tests.solve.graph.support import constant, half_a_car, problem_of, solve
@@ -89,8 +89,8 @@ def several(count=3):
         pose = yaw_pose(-2.3 + 0.5 * t, (-3.0 + 2.0 * t, 1.65, 14.0 - t))
         observation = observe(prior, pose, CAR, noise=2.0, seed=t)
         problem, _ = pose_problem(prior, observation, options=make_options(free_offsets=False))
-        seen.append(Seen(problem, image=t))
-        starts.append(adjust_pose(problem))
+        seen.append(GraphObservation(problem, image=t))
+        starts.append(search_pose(problem))
     return seen, starts
 
 
@@ -98,14 +98,14 @@ def several(count=3):
 def test_images_that_start_in_the_wrong_basin_change_over(wrong):
     """The shape is everybody's: an image with the front for the back prefers its other proposal under it."""
     seen, starts = several()
-    right = adjust(seen, starts)
+    right = minimise_from_proposals(seen, starts)
     turned = list(starts)
     for i in wrong:
         pose = starts[i].camera_T_object.copy()
         pose[:3, :3] = pose[:3, :3] @ np.diag([-1.0, 1.0, -1.0])
         first = Alternative(starts[i].camera_T_object, starts[i].coefficients, 1.0)
         turned[i] = replace(starts[i], camera_T_object=pose, alternatives=(first,))
-    found = adjust(seen, turned)
+    found = minimise_from_proposals(seen, turned)
     for mine, expected in zip(found.optimum.state.poses, right.optimum.state.poses, strict=True):
         np.testing.assert_allclose(mine.matrix(), expected.matrix(), atol=3e-3)
     np.testing.assert_allclose(found.optimum.state.shapes[0][0], right.optimum.state.shapes[0][0], atol=3e-3)
@@ -158,9 +158,9 @@ def test_a_factor_between_two_vehicles_moves_both():
 
 def both(parts, extra=()):
     """Two problems as two vehicles in two images of one graph."""
-    seen = [Seen(problem, vehicle=i, image=i) for i, (problem, _) in enumerate(parts)]
+    seen = [GraphObservation(problem, vehicle=i, image=i) for i, (problem, _) in enumerate(parts)]
     starts = [replace(start, alternatives=()) for _, start in parts]
-    found = adjust(seen, starts, extra)
+    found = minimise_from_proposals(seen, starts, extra)
     assert found.optimum.failure is None
     assert found.optimum.unfinished is None
     return found.optimum, found.optimum.values

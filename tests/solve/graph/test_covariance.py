@@ -9,9 +9,9 @@ import pytest
 from factors.keys import L, S
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph.covariance import Spread, factorise, joint_covariance, projected_covariances, read_covariances
-from fgrecon.solve.graph.graph import Graph, Seen, State
-from fgrecon.solve.graph.observation import Weights
-from fgrecon.solve.graph.vehicle import fleet_prior
+from fgrecon.solve.graph.graph import Graph, GraphObservation, State
+from fgrecon.solve.graph.observation_part import Weights
+from fgrecon.solve.graph.vehicle_part import fleet_prior
 from fgrecon.solve.pipeline import reconstruct
 from tests.solve.graph.support import energy_of, graph_at, problem_of, solved, state_of, unsymmetric, vector
 
@@ -120,7 +120,7 @@ def test_vehicles_of_a_fleet_that_nobody_told_are_unsure_together():
     others = gtsam.Values()
     others.insert(S(), np.zeros(3))
     state = State([end.poses[0] for end in ends], {i: end.shapes[0] for i, end in enumerate(ends)}, weights, others)
-    seen, model = [Seen(car.problem, vehicle=i) for i, car in enumerate(cars)], cars[0].problem.model
+    seen, model = [GraphObservation(car.problem, vehicle=i) for i, car in enumerate(cars)], cars[0].problem.model
     graph = Graph(seen, state, pose_free=True, extra=[fleet_prior(model)])
     joint = joint_covariance(factorise(graph.for_covariances(weights), graph.values(state)), [L(0), L(1)])
 

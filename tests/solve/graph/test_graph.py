@@ -10,7 +10,7 @@ from factors import L, M, O, P, X
 from factors.mixture import Form
 from fgrecon.core.options import Options
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.graph.graph import Graph, Seen, State
+from fgrecon.solve.graph.graph import Graph, GraphObservation, State
 from fgrecon.solve.graph.solver import minimise
 from fgrecon.solve.proposals.problem import keypoint_covariances
 from tests.solve.graph.energy import minimise_by_ceres, minimise_by_scipy
@@ -248,7 +248,7 @@ def test_values_are_read_back():
     pose, offsets = gtsam.Pose3(estimate.camera_T_object), np.random.default_rng(0).normal(size=(14, 3)) * 0.02
     state = state_of(pose, estimate.coefficients, weights_of(problem, estimate), offsets)
     state.shapes = {3: state.shapes[0]}
-    graph = Graph([Seen(problem, 3, 7)], state, pose_free=True)
+    graph = Graph([GraphObservation(problem, 3, 7)], state, pose_free=True)
     values = graph.values(state)
     back = graph.read(values, state.weights)
     assert back.poses[0].equals(pose, 0.0)
@@ -262,7 +262,7 @@ def test_a_held_shape_is_a_constant():
     problem, estimate = problem_of(5, free_offsets=True)
     offsets = np.random.default_rng(0).normal(size=(14, 3)) * 0.02
     state = state_of(estimate.camera_T_object, estimate.coefficients, weights_of(problem, estimate), offsets)
-    held = Graph([Seen(problem)], state, pose_free=True, hold_shape=True)
+    held = Graph([GraphObservation(problem)], state, pose_free=True, hold_shape=True)
     whole = graph_at(problem, state)
     assert set(held.values(state).keys()) == {X()}
     assert set(terms_of(held, state.weights[0])) == {"reprojection", "cheirality", "box", "ground"}
@@ -276,7 +276,7 @@ def test_a_held_shape_is_a_constant():
 def test_an_image_that_is_solved_alone_counts_as_in_its_graph():
     case = Case(joint=True, **SCENES["symmetric"])
     pose, shape = case.state.poses[0], case.state.shapes[0]
-    seen = [Seen(case.problem), Seen(case.problem, image=1)]
+    seen = [GraphObservation(case.problem), GraphObservation(case.problem, image=1)]
     state = State([pose, pose], {0: shape}, [case.weights, case.weights])
     graph = Graph(seen, state, pose_free=True, earlier=3)
     alone, _ = graph.alone(1, graph.values(state), state.weights)

@@ -9,20 +9,20 @@ from fgrecon.core.camera import Ground
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph import newton
-from fgrecon.solve.graph.adjust import start_state
 from fgrecon.solve.graph.anderson import Anderson
-from fgrecon.solve.graph.graph import Graph, Seen
+from fgrecon.solve.graph.graph import Graph, GraphObservation
+from fgrecon.solve.graph.multi_start import start_state
 from fgrecon.solve.graph.newton import Descent
 from fgrecon.solve.graph.optimise import _Loop, optimise
-from fgrecon.solve.proposals.adjust import adjust_pose
+from fgrecon.solve.proposals.pose_search import search_pose
 from tests.cars import observe, pose_problem, yaw_pose
 from tests.settings import options as make_options
 from tests.solve.graph.support import half_a_car, problem_of
 
 
 def descent_of(problem, start):
-    state = start_state([Seen(problem)], [start])
-    graph = Graph([Seen(problem)], state, pose_free=True)
+    state = start_state([GraphObservation(problem)], [start])
+    graph = Graph([GraphObservation(problem)], state, pose_free=True)
     assert graph.is_robust
     return Descent(graph, state)
 
@@ -53,9 +53,10 @@ def test_the_end_is_where_re_weighting_stays(seed, settings):
 
 def test_an_end_before_the_minimum_is_near_it_and_takes_fewer_steps():
     problem, proposal = problem_of(1)
-    start = start_state([Seen(problem)], [proposal])
+    start = start_state([GraphObservation(problem)], [proposal])
     near, end = (
-        optimise(Graph([Seen(problem)], start, pose_free=True), start, steady=steady) for steady in (1e-2, None)
+        optimise(Graph([GraphObservation(problem)], start, pose_free=True), start, steady=steady)
+        for steady in (1e-2, None)
     )
     assert near.iterations < end.iterations
     assert 0.0 <= near.energy - end.energy < 0.05
@@ -110,7 +111,7 @@ def test_a_car_on_a_crease_of_its_outline_comes_to_rest(monkeypatch, seed):
     told = {"size": SIZE_PRIORS["kitti"], "ground": Ground.level(1.65)}
     options = make_options(free_offsets=False, box_model="cuboid")
     problem, _ = pose_problem(load_prior("car14"), faint, options=options, **told)
-    descent = descent_of(problem, adjust_pose(problem))
+    descent = descent_of(problem, search_pose(problem))
     descent.run()
     assert descent.converged
     assert descent.iterations < newton._FOLLOWED + 10
@@ -141,7 +142,7 @@ def test_steps_that_never_end_are_left_to_levenberg_marquardt_which_says_whether
 def test_one_image_that_swings_is_held_and_the_others_follow_their_poses(monkeypatch):
     """Of three images one shows another half of the car at every look; without holding it none ever ends."""
     found = [problem_of(seed) for seed in (1, 2, 3)]
-    seen = [Seen(problem, image=i) for i, (problem, _) in enumerate(found)]
+    seen = [GraphObservation(problem, image=i) for i, (problem, _) in enumerate(found)]
     state = start_state(seen, [start for _, start in found])
     descent = Descent(Graph(seen, state, pose_free=True), state)
     swinging = descent.graph.observations[1]
@@ -169,7 +170,7 @@ def test_one_image_that_swings_is_held_and_the_others_follow_their_poses(monkeyp
 def test_a_pose_settles_apart_at_the_minimum_of_its_own_image():
     """As an optimisation of that image alone ends; the other image, the shape and what was before stay as they are."""
     found = [problem_of(seed) for seed in (1, 2)]
-    seen = [Seen(problem, image=i) for i, (problem, _) in enumerate(found)]
+    seen = [GraphObservation(problem, image=i) for i, (problem, _) in enumerate(found)]
     state = start_state(seen, [start for _, start in found])
     descent = Descent(Graph(seen, state, pose_free=True), state)
     before = descent.values

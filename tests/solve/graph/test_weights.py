@@ -9,10 +9,10 @@ import pytest
 from factors import stacked_reprojection_factor
 from factors.noise import SMALLEST_WEIGHT
 from fgrecon.core.observation import Observation
-from fgrecon.solve.graph.graph import Seen
+from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.optimise import SETTLED
 from fgrecon.solve.graph.solver import minimise
-from fgrecon.solve.proposals.adjust import adjust_pose
+from fgrecon.solve.proposals.pose_search import search_pose
 from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
 from fgrecon.solve.proposals.terms import Hypotheses
 from fgrecon.solve.result import results
@@ -38,7 +38,7 @@ def test_the_result_tells_the_noise_models_of_its_graph(strategy, covariance):
     """Its sigmas are read back from the stacked factor, row by row; with covariances from the blocks' determinants."""
     problem, start = problem_of(2, strategy=strategy, covariance=covariance)
     found = solve(problem, start)
-    (result,) = results([Seen(problem)], [start], found.adjusted, {})
+    (result,) = results([GraphObservation(problem)], [start], found.adjusted, {})
     (factor,) = terms_of(found.graph(), found.weights)["reprojection"]
     used = problem.observation.measured & (result.weights >= SMALLEST_WEIGHT)
     assert factor.dim() == 2 * used.sum() > 0
@@ -114,7 +114,7 @@ def test_a_wrong_edge_of_the_box_loses_its_weight(edge):
         problem.ground,
         problem.options,
     )
-    right, wrong = solve(problem, start), solve(spoilt, adjust_pose(spoilt))
+    right, wrong = solve(problem, start), solve(spoilt, search_pose(spoilt))
     others = np.arange(4) != edge
     assert wrong.weights.box[edge] < 0.01
     assert wrong.weights.box[others].min() > 0.5

@@ -35,7 +35,7 @@ def test_a_belief_turns_with_the_camera():
 
 
 def test_directions_say_where_the_camera_is():
-    """Seen from ahead, straight before the camera: the vehicle faces it, rotation_y pi / 2."""
+    """GraphObservation from ahead, straight before the camera: the vehicle faces it, rotation_y pi / 2."""
     ahead = np.zeros(36)
     ahead[0] = 1.0
     said = directions_say(ahead, np.array([0.0, 1.65, 20.0]))

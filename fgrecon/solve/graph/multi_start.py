@@ -1,10 +1,10 @@
 """From proposals to the minimum: every basin that matters is refined in the graph, and the full energy decides.
 
 One car in one image: each proposal that came close is refined with a shape of its own, and the lowest energy wins.
-Where that rests on few keypoints, it is searched once more from there (`fgrecon.solve.proposals.wider`).
+Where that rests on few keypoints, it is searched once more from there (`fgrecon.solve.proposals.restarts`).
 Where a vehicle is seen in several images, its shape is everybody's: the best proposals are solved together; then every
 image's other proposals are refined with that shape held, a discrete graph over the images decides between them
-(`fgrecon.solve.graph.facing`), and where an image changes over everything is solved once more.
+(`fgrecon.solve.graph.mode_selection`), and where an image changes over everything is solved once more.
 
 Pose and shape move together from the proposals on. With `joint=False` the pose stays the proposal's, and the strategies
 of the paper solve at the fixed pose first (section III-C).
@@ -24,15 +24,15 @@ from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Alternative
 from fgrecon.core.robust import StrategyName
 from fgrecon.core.turned import HALF_TURN
-from fgrecon.solve.graph.facing import decide, is_turned
-from fgrecon.solve.graph.graph import Graph, Seen, State
-from fgrecon.solve.graph.observation import Weights
+from fgrecon.solve.graph.graph import Graph, GraphObservation, State
+from fgrecon.solve.graph.mode_selection import is_flipped, select_modes
+from fgrecon.solve.graph.observation_part import Weights
 from fgrecon.solve.graph.optimise import Optimum, Step, optimise
-from fgrecon.solve.proposals.adjust import DISTINCT, PoseEstimate, distinct
+from fgrecon.solve.proposals.pose_search import DISTINCT, PoseEstimate, distinct
 from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.proposals.wider import lower_poses
+from fgrecon.solve.proposals.restarts import lower_poses
 
-__all__ = ["Adjusted", "SolvedStage", "adjust", "start_state"]
+__all__ = ["MultiStartResult", "SolvedStage", "minimise_from_proposals", "start_state"]
 
 _MATTERS = 12.0
 """Nats: a proposal that is worse by more is not refined. Refinement changes differences by 3 nats at most, mostly by
@@ -56,7 +56,7 @@ class SolvedStage:
 
 
 @dataclass(frozen=True)
-class Adjusted:
+class MultiStartResult:
     """Where the graph's optimisation ended.
 
     Attributes:
@@ -86,14 +86,14 @@ class Adjusted:
         return sum(self.graph.energies(values, weights).values())
 
 
-def adjust(
-    seen: Sequence[Seen],
+def minimise_from_proposals(
+    seen: Sequence[GraphObservation],
     starts: Sequence[PoseEstimate],
     extra: Sequence[gtsam.NonlinearFactor] = (),
     *,
     in_order: bool = False,
     steady: float | None = None,
-) -> Adjusted:
+) -> MultiStartResult:
     """Minimise the full energy from the proposals.
 
     Args:
@@ -119,7 +119,7 @@ def adjust(
     return _change_over(seen, best, starts, extra, in_order=in_order)
 
 
-def start_state(seen: Sequence[Seen], starts: Sequence[PoseEstimate]) -> State:
+def start_state(seen: Sequence[GraphObservation], starts: Sequence[PoseEstimate]) -> State:
     """Each observation at its best proposal, each vehicle with the mean of its proposals' shapes."""
     shapes = {}
     for number in dict.fromkeys(one.vehicle for one in seen):
@@ -140,8 +140,8 @@ def _stage_names(options: Options) -> tuple[str, ...]:
 
 
 def _run(
-    seen: Sequence[Seen], start: State, extra: Sequence[gtsam.NonlinearFactor], steady: float | None = None
-) -> Adjusted:
+    seen: Sequence[GraphObservation], start: State, extra: Sequence[gtsam.NonlinearFactor], steady: float | None = None
+) -> MultiStartResult:
     """All stages from one state."""
     stages: list[SolvedStage] = []
     iterations, gain, state = 0, 0.0, start
@@ -152,7 +152,7 @@ def _run(
         iterations, gain, state = iterations + optimum.iterations, gain + optimum.gain, optimum.state
         if optimum.failure is not None:
             break
-    return Adjusted(replace(optimum, iterations=iterations, gain=gain), tuple(stages), ((),) * len(seen))
+    return MultiStartResult(replace(optimum, iterations=iterations, gain=gain), tuple(stages), ((),) * len(seen))
 
 
 def _matter(start: PoseEstimate) -> list[Alternative]:
@@ -161,15 +161,15 @@ def _matter(start: PoseEstimate) -> list[Alternative]:
 
 
 def _decide(
-    seen: Sequence[Seen],
-    first: Adjusted,
+    seen: Sequence[GraphObservation],
+    first: MultiStartResult,
     start: PoseEstimate,
     extra: Sequence[gtsam.NonlinearFactor],
     steady: float | None,
-) -> Adjusted:
+) -> MultiStartResult:
     """One car in one image: refine the other proposals, and take the one of least energy."""
 
-    def refine(other: Alternative) -> Adjusted:
+    def refine(other: Alternative) -> MultiStartResult:
         moved = replace(start, camera_T_object=other.camera_T_object, coefficients=other.coefficients)
         return _run(seen, start_state(seen, [moved]), extra, steady)
 
@@ -196,10 +196,10 @@ def _decide(
 
 
 def _searched_on(
-    one: Seen, best: Adjusted, refine: Callable[[Alternative], Adjusted]
-) -> tuple[Adjusted, list[Adjusted]]:
+    one: GraphObservation, best: MultiStartResult, refine: Callable[[Alternative], MultiStartResult]
+) -> tuple[MultiStartResult, list[MultiStartResult]]:
     """A result that rests on few keypoints, or a better one that is found from there; and all that was refined."""
-    tried: list[Adjusted] = []
+    tried: list[MultiStartResult] = []
     for again in range(_AGAIN):
         if not _rests_on_few(one.problem, best.optimum):
             break
@@ -226,13 +226,13 @@ def _rests_on_few(problem: Problem, optimum: Optimum) -> bool:
 
 
 def _change_over(
-    seen: Sequence[Seen],
-    best: Adjusted,
+    seen: Sequence[GraphObservation],
+    best: MultiStartResult,
     starts: Sequence[PoseEstimate],
     extra: Sequence[gtsam.NonlinearFactor],
     *,
     in_order: bool,
-) -> Adjusted:
+) -> MultiStartResult:
     """Several images: those whose other proposals are more probable under the common shape change over to them."""
     alternatives: list[tuple[Alternative, ...]] = [() for _ in seen]
     for _ in range(_ROUNDS):
@@ -243,7 +243,7 @@ def _change_over(
         chosen = [0] * len(seen)
         for number in state.shapes:
             own = [i for i, one in enumerate(seen) if one.vehicle == number]
-            choice, behind = decide([basins[i] for i in own], in_order=in_order)
+            choice, behind = select_modes([basins[i] for i in own], in_order=in_order)
             for i, index, nats in zip(own, choice, behind, strict=True):
                 chosen[i] = index
                 told = [replace(basin, excess=float(n)) for basin, n in zip(basins[i], nats, strict=True)]
@@ -260,7 +260,7 @@ def _change_over(
 
 
 def _basins(
-    seen: Sequence[Seen],
+    seen: Sequence[GraphObservation],
     state: State,
     starts: Sequence[PoseEstimate],
     extra: Sequence[gtsam.NonlinearFactor],
@@ -273,21 +273,21 @@ def _basins(
     """
     poses = [pose.matrix() for pose in state.poses]
     pairs = zip(seen, seen[1:], poses, poses[1:], strict=False)
-    doubt = in_order and any(a.vehicle == b.vehicle and is_turned(p, q) for a, b, p, q in pairs)
+    doubt = in_order and any(a.vehicle == b.vehicle and is_flipped(p, q) for a, b, p, q in pairs)
     found = []
     for i, (one, start) in enumerate(zip(seen, starts, strict=True)):
         here = State([state.poses[i]], {one.vehicle: state.shapes[one.vehicle]}, [state.weights[i]])
         others = [other.camera_T_object for other in _matter(start)]
         if others or turn_between(poses[i], start.camera_T_object) > DISTINCT:
             others.append(start.camera_T_object)
-        if doubt and not any(is_turned(poses[i], other) for other in others):
+        if doubt and not any(is_flipped(poses[i], other) for other in others):
             others.append(poses[i] @ HALF_TURN)
         found.append(_held(one, here, others, extra))
     return found
 
 
 def _held(
-    one: Seen, here: State, others: Sequence[NDArray[np.float64]], extra: Sequence[gtsam.NonlinearFactor]
+    one: GraphObservation, here: State, others: Sequence[NDArray[np.float64]], extra: Sequence[gtsam.NonlinearFactor]
 ) -> list[Alternative]:
     """The present pose of an image and others, refined with the shape held: energies in nats."""
     coefficients = here.shapes[one.vehicle][0]

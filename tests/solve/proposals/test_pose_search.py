@@ -11,8 +11,8 @@ from fgrecon.core.options import Options
 from fgrecon.core.robust import StrategyName
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.proposals.adjust import adjust_pose
 from fgrecon.solve.proposals.aspnp import aspnp
+from fgrecon.solve.proposals.pose_search import search_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.terms import Hypotheses
 from fgrecon.solve.vehicle.model import prepare
@@ -29,7 +29,7 @@ def prior():
 
 def adjust(prior, observation, *, ground=None, initial=None, size=None, **options):
     problem = Problem.of(observation, CAMERA, prepare(prior, size), ground, make_options(**options))
-    return adjust_pose(problem, initial)
+    return search_pose(problem, initial)
 
 
 @pytest.mark.parametrize("strategy", StrategyName)

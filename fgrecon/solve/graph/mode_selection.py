@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from fgrecon.core.geometry import turn_between
 from fgrecon.core.reconstruction import Alternative
 
-__all__ = ["decide", "is_turned"]
+__all__ = ["is_flipped", "select_modes"]
 
 Array = NDArray[np.float64]
 
@@ -30,12 +30,12 @@ _TURN_SIGMA = np.deg2rad(10.0)  # from one image to the next
 _TURNED = 30.0  # nats that a turn costs at most
 
 
-def is_turned(first: Array, second: Array) -> bool:
+def is_flipped(first: Array, second: Array) -> bool:
     """Whether two poses (4, 4) are turned by more than a quarter against each other."""
     return float(np.vdot(first[:3, :3], second[:3, :3])) < 1.0  # the trace is 1 + 2 cos
 
 
-def decide(basins: Sequence[Sequence[Alternative]], *, in_order: bool) -> tuple[list[int], list[Array]]:
+def select_modes(basins: Sequence[Sequence[Alternative]], *, in_order: bool) -> tuple[list[int], list[Array]]:
     """Choose a basin for each image.
 
     Args:

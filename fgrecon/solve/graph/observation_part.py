@@ -25,10 +25,10 @@ from factors.box import projected_extents
 from factors.ground import ground_rows
 from factors.mixture import Form
 from factors.noise import SMALLEST_WEIGHT
-from factors.observation import BoxRows, GroundRows, ObservationRows, observation_factor
+from factors.observation_factor import BoxRows, GroundRows, ObservationRows, observation_factor
 from fgrecon.core.camera import Camera
 from fgrecon.core.robust import StrategyName
-from fgrecon.solve.graph.vehicle import VehiclePart
+from fgrecon.solve.graph.vehicle_part import VehiclePart
 from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
 from fgrecon.solve.proposals.terms import Hypotheses
 

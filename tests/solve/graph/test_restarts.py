@@ -12,13 +12,13 @@ from benchmarks.bench_minima import Case, problem
 from factors import L
 from fgrecon.core.geometry import turn_between
 from fgrecon.core.options import ShapeOptions
-from fgrecon.solve.graph import adjust as module
-from fgrecon.solve.graph.adjust import adjust
-from fgrecon.solve.graph.graph import Seen
-from fgrecon.solve.proposals.adjust import adjust_pose
+from fgrecon.solve.graph import multi_start as module
+from fgrecon.solve.graph.graph import GraphObservation
+from fgrecon.solve.graph.multi_start import minimise_from_proposals
+from fgrecon.solve.proposals.pose_search import search_pose
 from fgrecon.solve.proposals.problem import Problem
+from fgrecon.solve.proposals.restarts import lower_poses
 from fgrecon.solve.proposals.terms import Hypotheses
-from fgrecon.solve.proposals.wider import lower_poses
 from tests.solve.graph.support import problem_of
 
 
@@ -35,13 +35,13 @@ MISSED = {  # and by how much the minimum is lower that the first search leads t
 
 
 def solved(one, start=None):
-    return adjust([Seen(one)], [adjust_pose(one) if start is None else start])
+    return minimise_from_proposals([GraphObservation(one)], [search_pose(one) if start is None else start])
 
 
 @pytest.mark.parametrize("kind", MISSED)
 def test_lower_minima_are_found_where_few_keypoints_carry_the_result(kind):
     one, lower = MISSED[kind]
-    start = adjust_pose(one)
+    start = search_pose(one)
     before, found = solved(one, replace(start, everywhere=False)), solved(one, start)
     assert before.settled_energy - found.settled_energy > lower
     assert found.optimum.unfinished is None
@@ -68,15 +68,15 @@ def test_it_is_not_searched_on_where_that_is_not_meant(monkeypatch, why):
     if why == "no belief":
         unsure = replace(one.observation, confidence=np.full(14, 0.02))
         one = Problem.of(unsure, one.camera, one.model, one.ground, one.options)
-    start = adjust_pose(one, 0.3 if why == "guess" else None)
+    start = search_pose(one, 0.3 if why == "guess" else None)
     extra = [gtsam.PriorFactorVector(L(0), np.zeros(5), gtsam.noiseModel.Unit.Create(5))] if why == "factors" else []
-    adjust([Seen(one)], [start], extra)
+    minimise_from_proposals([GraphObservation(one)], [start], extra)
     assert bool(called) == (why == "nothing")
 
 
 def test_poses_that_are_told_are_lower_distinct_and_others_each_time():
     one, _ = MISSED["turned"]
-    start = adjust_pose(one)
+    start = search_pose(one)
     state = solved(one, replace(start, everywhere=False)).optimum.state
     pose, coefficients = state.poses[0].matrix(), state.shapes[0][0]
 

@@ -60,7 +60,7 @@ class VehiclePart:
         options: Options,
         number: int = 0,
         *,
-        held: Held | None = None,
+        held: ShapeValues | None = None,
         of_fleet: bool = False,
     ) -> None:
         """Prepare the part.
@@ -130,7 +130,7 @@ class VehiclePart:
             free = self.options.shape.plane_penalty is not None
             values.insert(key, plane.planeCoefficients() if free else plane)
 
-    def read(self, values: gtsam.Values) -> Held:
+    def read(self, values: gtsam.Values) -> ShapeValues:
         """Coefficients (N,) and offsets (K, 3) at the values."""
         if self._held is not None:
             return self._held
@@ -305,7 +305,7 @@ class VehiclePart:
         return [factors.symmetry_factor(self.shape, pairs, M(self.number), sigma, on_plane=middle)]
 
 
-Held = tuple[Array, Array]
+ShapeValues = tuple[Array, Array]
 """Lambda (N,) and offsets (K, 3)."""
 
 

@@ -25,7 +25,7 @@ from fgrecon.solve.proposals.search import search
 from fgrecon.solve.proposals.starts import at_azimuths, from_box3d, from_pose, view_box
 from fgrecon.solve.proposals.terms import Hypotheses
 
-__all__ = ["DISTINCT", "PoseEstimate", "adjust_pose", "distinct"]
+__all__ = ["DISTINCT", "PoseEstimate", "distinct", "search_pose"]
 
 Array = NDArray[np.float64]
 
@@ -62,7 +62,7 @@ class PoseEstimate:
     everywhere: bool = False
 
 
-def adjust_pose(problem: Problem, initial: Box3D | float | Array | None = None) -> PoseEstimate:
+def search_pose(problem: Problem, initial: Box3D | float | Array | None = None) -> PoseEstimate:
     """Estimate the pose.
 
     Args:

@@ -18,7 +18,7 @@ from factors import (
 )
 from factors.mixture import Form
 from factors.native import native
-from factors.observation import BoxRows, GroundRows, ObservationRows, observation_factor
+from factors.observation_factor import BoxRows, GroundRows, ObservationRows, observation_factor
 from tests.factors.support import CAMERA, assert_jacobian, car_like, graph_of, project, random_pose
 
 KERNEL = native("factors._observation")
