@@ -18,7 +18,7 @@ import numpy as np
 import fgrecon
 from fgrecon.perception import KeypointCascade, NanodetVehicleDetector
 from fgrecon.simulation import sample_drive
-from fgrecon.video import Follower, FrameLook, GatedAssociation, open_frames, run_video, write_video
+from fgrecon.video import Follower, FrameDetector, GatedAssociation, open_frames, run_video, write_video
 
 
 def main() -> None:
@@ -31,9 +31,10 @@ def main() -> None:
             for frame in drive:
                 add(frame.image, None)
 
-        look = FrameLook(prior.category, vehicle_detector=NanodetVehicleDetector(), keypoint_detector=KeypointCascade())
+        networks = {"vehicle_detector": NanodetVehicleDetector(), "keypoint_detector": KeypointCascade()}
+        detector = FrameDetector(prior.category, **networks)
         follower = Follower(fgrecon.Tracker(prior=prior), GatedAssociation(), camera, ground=ground)
-        run = run_video(open_frames(video), look, follower, Path(name) / "tracked", settings={"video": video.name})
+        run = run_video(open_frames(video), detector, follower, Path(name) / "tracked", settings={"video": video.name})
 
     print(f"{len(run.frames)} frames, cars: {run.tracks}")
     for frame, truth in zip(run.frames, truths, strict=True):

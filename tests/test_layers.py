@@ -3,7 +3,6 @@
 import ast
 import sys
 from graphlib import TopologicalSorter
-from pathlib import Path
 
 import pytest
 
@@ -172,9 +171,3 @@ def test_what_computes_knows_nothing_of_drawing_and_the_command_line(room):
     for module, path in FILES.items():
         if _room(module) == room:
             assert not {name.partition(".")[0] for name in _imports(path)} & set(DRAWING), path
-
-
-def test_no_file_is_longer_than_400_lines():
-    for folder in ("factors", "fgrecon", "tests", "examples", "benchmarks"):
-        for path in Path(REPOSITORY / folder).rglob("*.py"):
-            assert len(path.read_text(encoding="utf-8").splitlines()) <= 400, path

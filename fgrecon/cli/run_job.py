@@ -36,8 +36,8 @@ from fgrecon.io.poses import CameraPoses, read_poses
 from fgrecon.io.video import check_video
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.vehicles.detect import NanodetVehicleDetector
-from fgrecon.video import FrameLook, read_given
-from fgrecon.video.focal import found_camera
+from fgrecon.video import FrameDetector, read_given
+from fgrecon.video.focal import estimate_camera
 from fgrecon.video.given import Given
 
 __all__ = ["Job", "Request", "prepare"]
@@ -106,7 +106,7 @@ class Job:
         }
 
     @property
-    def look(self) -> FrameLook:
+    def look(self) -> FrameDetector:
         """What looks at the frames."""
         return _look(self.request, self.settings, self.given)
 
@@ -228,7 +228,7 @@ def _found(
 ) -> Camera:
     """The camera that the vehicles of some frames tell, or one with a usual field of view."""
     arguments = {"prior": settings.prior, "size_prior": settings.size_prior, "options": settings.options}
-    found = found_camera(source, _look(ask, settings, given), unknown, ground=settings.ground, **arguments)
+    found = estimate_camera(source, _look(ask, settings, given), unknown, ground=settings.ground, **arguments)
     if found is None:
         screen.warn(
             f"No camera is given, and no car tells: a horizontal field of view of {DEFAULT_FIELD_OF_VIEW:g} degrees is "
@@ -241,9 +241,9 @@ def _found(
     return found.camera
 
 
-def _look(ask: Request, settings: Settings, given: Given | None) -> FrameLook:
+def _look(ask: Request, settings: Settings, given: Given | None) -> FrameDetector:
     """What looks at the frames."""
-    return FrameLook(
+    return FrameDetector(
         settings.prior.category,
         vehicle_detector=NanodetVehicleDetector() if given is None else None,
         keypoint_detector=None if given is not None and given.complete else KeypointCascade(ask.weights),

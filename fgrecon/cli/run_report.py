@@ -25,7 +25,7 @@ from fgrecon.io.files import write_text
 from fgrecon.io.frames import SourceFrame
 from fgrecon.solve.box_check import boxes_warning
 from fgrecon.solve.tracker import Tracker
-from fgrecon.video import Follower, GatedAssociation, MotionLook, SingleImages, VideoRun, run_video
+from fgrecon.video import Follower, GatedAssociation, MotionEstimator, SingleImageTracker, VideoRun, run_video
 from fgrecon.video.follow import TrackedFrame
 from fgrecon.video.rows import frame_lines, rows_of, tracking_text
 from fgrecon.viz import Recording
@@ -45,7 +45,7 @@ def perform(job: Job, viewer: Viewer, screen: Screen) -> VideoRun:
         "size_prior": settings.size_prior,
         "options": settings.options,
     }
-    tracker = SingleImages(**arguments) if ask.alone else Tracker(**arguments, shared_ground=ask.together)
+    tracker = SingleImageTracker(**arguments) if ask.alone else Tracker(**arguments, shared_ground=ask.together)
     forget = tracker.forget if ask.online and isinstance(tracker, Tracker) else None  # nothing smooths their past
     ids: dict[str, Any] = {} if given is None else {"settings": given.association, "first": given.largest_id + 1}
     association = GatedAssociation(**ids, given_up=forget)
@@ -58,13 +58,14 @@ def perform(job: Job, viewer: Viewer, screen: Screen) -> VideoRun:
         moving=job.moving,
         window_graph=window_graph,
     )
-    motion = MotionLook(job.camera, ground) if job.moving and ground is not None else None
+    motion = MotionEstimator(job.camera, ground) if job.moving and ground is not None else None
     with screen.bar() as advance, _on_interrupt() as stopped, _live(job, viewer) as show:
 
-        def report(run: VideoRun, frame: SourceFrame | None) -> None:
+        def go_on(run: VideoRun, frame: SourceFrame | None) -> bool:
             show(run.frames[-1], frame)
             gaps = f", {len(run.gaps)} gaps" if run.gaps else ""
             advance("Frames", len(run.frames), run.total, f"{counted(len(run.frames[-1].boxes), 'car')} now{gaps}")
+            return not stopped
 
         run = run_video(
             job.source,
@@ -74,8 +75,7 @@ def perform(job: Job, viewer: Viewer, screen: Screen) -> VideoRun:
             settings=job.records_depend_on,
             motion=motion,
             online=ask.online or ask.alone,
-            stop=lambda: bool(stopped),
-            report=report,
+            go_on=go_on,
         )
     if isinstance(tracker, Tracker) and (off := tracker.boxes_off()) is not None:
         screen.warn(boxes_warning(off))

@@ -38,7 +38,7 @@ from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.tracker import Tracker
 from fgrecon.video.association import GatedAssociation
 from fgrecon.video.follow import Follower
-from fgrecon.video.motion_look import MotionLook
+from fgrecon.video.motion_estimator import MotionEstimator
 from fgrecon.video.records import FrameRecord, Sighting
 
 __all__ = [
@@ -107,7 +107,7 @@ def _records(seen: Sequence[ScoredFrame], drive: Drive, setup: Setup, *, moving:
     look = None
     if moving:
         assert setup.ground is not None
-        look = MotionLook(drive.calibration.camera, setup.ground)
+        look = MotionEstimator(drive.calibration.camera, setup.ground)
     for frame in drive.frames:
         shown = sightings.get(frame.number, ())
         record = FrameRecord(frame.number, frame.number / IMAGES_PER_SECOND, frame.image.name, None, tuple(shown))

@@ -1,10 +1,10 @@
 """From the frames of a video to tracked vehicles.
 
 `ImageTracker` takes one image after the other and returns estimates. `run_video` does what `fgrecon run` does: a
-`FrameLook` finds vehicles and keypoints in each frame and stores them, a `MotionLook` estimates how the camera itself
-has moved, a `Follower` gives ids (`GatedAssociation`, or any `Association`) and lets a tracker estimate
-(`fgrecon.Tracker`, or any `VehicleTracker`). `camera_motion` estimates the motion between two images; `read_given`
-reads vehicles that others have found; `found_camera` finds a focal length that nobody knows.
+`FrameDetector` finds vehicles and keypoints in each frame, a `MotionEstimator` estimates how the camera has moved, a
+`Follower` gives ids (`GatedAssociation`, or any `Association`) and has a tracker estimate (`fgrecon.Tracker`, or any
+`VehicleTracker`). `camera_motion` estimates the motion between two images, `read_given` reads vehicles that others have
+found, `estimate_camera` a focal length that nobody knows.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.io.frames import SourceFrame, open_frames
     from fgrecon.io.poses import CameraPoses, read_poses
     from fgrecon.io.video import write_video
-    from fgrecon.video.alone import SingleImages
     from fgrecon.video.association import Association, AssociationSettings, Candidate, GatedAssociation
     from fgrecon.video.egomotion import CameraMotion, camera_motion
-    from fgrecon.video.focal import FoundCamera, found_camera
+    from fgrecon.video.focal import EstimatedCamera, estimate_camera
     from fgrecon.video.follow import Follower, TrackedFrame, VehicleTracker
+    from fgrecon.video.frame_detector import FrameDetector
     from fgrecon.video.given import Given, read_given
     from fgrecon.video.image_tracker import ImageTracker
-    from fgrecon.video.look import FrameLook
-    from fgrecon.video.motion_look import MotionLook
+    from fgrecon.video.motion_estimator import MotionEstimator
     from fgrecon.video.records import FrameRecord, Sighting
     from fgrecon.video.rows import frame_lines, rows_of, tracking_text
     from fgrecon.video.run import VideoRun, run_video
+    from fgrecon.video.single_image_tracker import SingleImageTracker
 
 __all__ = [
     "Association",
@@ -36,22 +36,22 @@ __all__ = [
     "CameraMotion",
     "CameraPoses",
     "Candidate",
+    "EstimatedCamera",
     "Follower",
-    "FoundCamera",
-    "FrameLook",
+    "FrameDetector",
     "FrameRecord",
     "GatedAssociation",
     "Given",
     "ImageTracker",
-    "MotionLook",
+    "MotionEstimator",
     "Sighting",
-    "SingleImages",
+    "SingleImageTracker",
     "SourceFrame",
     "TrackedFrame",
     "VehicleTracker",
     "VideoRun",
     "camera_motion",
-    "found_camera",
+    "estimate_camera",
     "frame_lines",
     "open_frames",
     "read_given",

@@ -1,14 +1,14 @@
-"""Which detected vehicle is which of those seen before: gates, and scipy's assignment.
+"""Which detected vehicle is which of those observed before: gates, and scipy's assignment.
 
     boxes of tracks, predicted ----+
                                    +---- gates, costs ---- assignment ---- ids; births; re-births; deaths
     boxes of detections -----------+
 
-A track predicts its box by how the box has moved and grown, or by the pose and velocity that it was told (`tell`), and
-where it stands on the ground by how that has moved. A detection is a track's where the boxes overlap and the places
-agree; the sum of 1 - overlap, of the places' deviation and of how little the directions that a network sees them from
-have in common is least over all pairs. Sure detections choose first, then doubtful ones. A track that is not seen is
-sought for a while, and has its id back when it is found again.
+A track predicts its box by how the box has moved and grown, or by a given pose and velocity (`set_motion`), and where
+it stands on the ground by how that has moved. A detection is a track's where the boxes overlap and the places agree;
+the sum of 1 - overlap, of the places' deviation and of how little the directions that a network sees them from have in
+common is least over all pairs. Sure detections choose first, then doubtful ones. A track that is not observed is sought
+for a while, and has its id back when it is observed again.
 """
 
 from __future__ import annotations
@@ -25,15 +25,58 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import box_around, transform
 
-__all__ = ["Association", "AssociationSettings", "Candidate", "GatedAssociation", "overlaps", "stands_at"]
+__all__ = ["Association", "AssociationSettings", "Candidate", "GatedAssociation", "ground_contact", "overlaps"]
 
 Array = NDArray[np.float64]
 
-_BOX_PIXELS = 3.0  # standard deviation of a box's lower edge
-_PITCH = 0.004  # radians by which the camera pitches against the road from frame to frame
-_AT_BORDER = 2.0  # pixels from the image's border, where a box is cut off
-_NEW = 0.3  # share of a frame in what is remembered of a vehicle's directions
-_NEVER = 1e6  # cost of what the gates refuse
+
+@dataclass(frozen=True)
+class AssociationSettings:
+    """When a detection is a track's. Set by hand and seen to do on KITTI's labelled boxes; none is tuned.
+
+    Attributes:
+        min_overlap: Least intersection over union of the boxes.
+        max_deviation_sigmas: Largest deviation of the places.
+        min_birth_score: With which a track begins; weaker detections only continue one. Minus infinity where scores are
+            of an unknown scale.
+        alive_seconds: For which a track may be unobserved and still be first to choose.
+        memory_seconds: After which it is given up.
+        place_weight: Cost of a deviation of the places at its gate, relative to boxes that do not overlap.
+        direction_weight: Cost of directions that have nothing in common, likewise.
+        box_edge_sigma_px: Of a box's lower edge.
+        pitch_sigma_rad: By which the camera pitches against the road from frame to frame.
+        place_sigma_m: Of where a vehicle stands, beside what these two make of it.
+        place_sigma_growth_m_per_s: Of where it should stand, for each second unobserved, beside a metre.
+        border_px: From the image's lower border, where a box is cut off.
+        box_gain: Share of a frame's rate in that of a box.
+        place_gain: Share of a frame's deviation that is taken over into a place.
+        place_rate_gain: The same into its velocity.
+        direction_gain: Share of a frame's directions in those that are remembered.
+        max_box_seconds: For which a box goes on at its rate, which soon says nothing more.
+    """
+
+    min_overlap: float = 0.25
+    max_deviation_sigmas: float = 3.0
+    min_birth_score: float = 0.5
+    alive_seconds: float = 0.35
+    memory_seconds: float = 2.0
+    place_weight: float = 0.5
+    direction_weight: float = 1.0
+    box_edge_sigma_px: float = 3.0
+    pitch_sigma_rad: float = 0.004
+    place_sigma_m: float = 0.3
+    place_sigma_growth_m_per_s: float = 4.0
+    border_px: float = 2.0
+    box_gain: float = 0.5
+    place_gain: float = 0.5
+    place_rate_gain: float = 0.15
+    direction_gain: float = 0.3
+    max_box_seconds: float = 0.5
+
+
+SETTINGS = AssociationSettings()
+
+_REFUSED = 1e6  # cost of what the gates refuse
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +85,8 @@ class Candidate:
 
     Attributes:
         box: (4,) x1, y1, x2, y2 in pixels.
-        score: Of the detection, on the scale of `AssociationSettings.birth`.
-        place: (3,) where it stands in the camera's frame, by its box (`stands_at`), metres; or None.
+        score: Of the detection, on the scale of `AssociationSettings.min_birth_score`.
+        place: (3,) where it stands in the camera's frame, by its box (`ground_contact`), metres; or None.
         spread: Standard deviation of that along the line of sight, metres.
         directions: (A,) probability of each direction that it is seen from (`Observation.azimuth`), or None.
     """
@@ -69,44 +112,20 @@ class Association(Protocol):
             previous_T_current: (4, 4) motion of the camera since the frame before, or None.
         """
 
-    def tell(self, identity: int, points: Array, velocity: Array, camera: Camera, /) -> None:
+    def set_motion(self, identity: int, points: Array, velocity: Array, camera: Camera, /) -> None:
         """Take the estimate of a vehicle in the frame that was given last.
 
         Args:
             identity: The vehicle.
             points: (M, 3) points of it in the camera's frame, metres.
-            velocity: (3,) seen from the camera, in its frame, metres per second.
+            velocity: (3,) relative to the camera, in its frame, metres per second.
             camera: The camera.
         """
 
 
-@dataclass(frozen=True)
-class AssociationSettings:
-    """When a detection is a track's.
-
-    Attributes:
-        overlap: Least intersection over union of the boxes.
-        deviation: Largest deviation of the places, standard deviations.
-        birth: Least score with which a track begins; weaker detections only continue one. Minus infinity where scores
-            are of an unknown scale.
-        alive: Seconds that a track may go unseen and still be first to choose.
-        memory: Seconds after which it is given up.
-        place_weight: Cost of a deviation of the places at its gate, relative to boxes that do not overlap.
-        direction_weight: Cost of directions that have nothing in common, likewise.
-    """
-
-    overlap: float = 0.25
-    deviation: float = 3.0
-    birth: float = 0.5
-    alive: float = 0.35
-    memory: float = 2.0
-    place_weight: float = 0.5
-    direction_weight: float = 1.0
-
-
 @dataclass(frozen=True, eq=False)
 class _Track:
-    """What is remembered of a vehicle, at the time it was seen last; rates are per second."""
+    """What is remembered of a vehicle, at the time it was observed last; rates are per second."""
 
     time: float
     box: Array  # centre, log of width and height
@@ -114,8 +133,7 @@ class _Track:
     place: Array | None
     place_rate: Array
     spread: float
-    shift: Array = field(default_factory=lambda: np.zeros(4))  # of the box by the told motion
-    told: bool = False
+    given_rate: Array | None = None  # of the box, by a given motion in space
     directions: Array | None = None  # mean of the last ones, as in `Candidate`
 
 
@@ -131,7 +149,7 @@ class GatedAssociation:
         rebirths: How often a track that was not alive any more had its id back.
     """
 
-    settings: AssociationSettings = field(default_factory=AssociationSettings)
+    settings: AssociationSettings = SETTINGS
     first: int = 0
     given_up: Callable[[int], None] | None = None
     deaths: int = field(default=0, init=False)
@@ -149,17 +167,17 @@ class GatedAssociation:
         """The id of each candidate; see `Association`."""
         if previous_T_current is not None:
             moved: Array = np.linalg.inv(previous_T_current).astype(np.float64)
-            self._tracks = {i: _seen_from(moved, track) for i, track in self._tracks.items()}
-        dead = [i for i, track in self._tracks.items() if time - track.time > self.settings.memory]
+            self._tracks = {i: _in_frame(moved, track) for i, track in self._tracks.items()}
+        dead = [i for i, track in self._tracks.items() if time - track.time > self.settings.memory_seconds]
         self.deaths += len(dead)
         for identity in dead:
             del self._tracks[identity]
             if self.given_up is not None:
                 self.given_up(identity)
         found: list[int | None] = [None] * len(candidates)
-        alive = [i for i, track in self._tracks.items() if time - track.time <= self.settings.alive]
+        alive = [i for i, track in self._tracks.items() if time - track.time <= self.settings.alive_seconds]
         lost = [i for i in self._tracks if i not in alive]
-        sure = [place for place, candidate in enumerate(candidates) if candidate.score >= self.settings.birth]
+        sure = [place for place, candidate in enumerate(candidates) if candidate.score >= self.settings.min_birth_score]
         everything = list(range(len(candidates)))
         for group, places in ((alive, sure), (alive, everything), (lost, sure)):
             left = [identity for identity in group if identity not in found]
@@ -168,13 +186,13 @@ class GatedAssociation:
                 found[free[column]] = left[row]
                 self.rebirths += group is lost
         for place, candidate in enumerate(candidates):
-            if found[place] is None and candidate.score >= self.settings.birth:
+            if found[place] is None and candidate.score >= self.settings.min_birth_score:
                 found[place] = next(self._ids)
             if (known := found[place]) is not None:
-                self._tracks[known] = _updated(self._tracks.get(known), time, candidate)
+                self._tracks[known] = self._updated(self._tracks.get(known), time, candidate)
         return found
 
-    def tell(self, identity: int, points: Array, velocity: Array, camera: Camera, /) -> None:
+    def set_motion(self, identity: int, points: Array, velocity: Array, camera: Camera, /) -> None:
         """Take the estimate of a vehicle: from now on its box is predicted by its motion in space."""
         track = self._tracks.get(identity)
         if track is None:
@@ -184,24 +202,58 @@ class GatedAssociation:
         if not (points[:, 2].min() > 1.0 and later[:, 2].min() > 1.0):  # too near for a box of projections
             return
         now, then = (_as_state(box_around(camera.project(p))) for p in (points, later))
-        self._tracks[identity] = replace(track, shift=(then - now) / ahead, told=True)
+        self._tracks[identity] = replace(track, given_rate=(then - now) / ahead)
 
     def _costs(self, time: float, identities: Sequence[int], candidates: Sequence[Candidate]) -> Array:
-        """(tracks, candidates) cost of every pair; `_NEVER` where a gate refuses it."""
-        costs = np.full((len(identities), len(candidates)), _NEVER)
+        """(tracks, candidates) cost of every pair; `_REFUSED` where a gate refuses it."""
+        costs = np.full((len(identities), len(candidates)), _REFUSED)
         if not costs.size:
             return costs
-        tracks = [self._tracks[identity] for identity in identities]
-        predicted = np.array([_as_box(_box_at(track, time)) for track in tracks])
+        how, tracks = self.settings, [self._tracks[identity] for identity in identities]
+        predicted = np.array([_as_box(self._box_at(track, time)) for track in tracks])
         overlap = overlaps(predicted, np.array([c.box for c in candidates]))
         for row, track in enumerate(tracks):
             for column, candidate in enumerate(candidates):
-                off = _deviation(track, candidate, time)
-                if overlap[row, column] >= self.settings.overlap and off <= self.settings.deviation:
-                    share = (off / self.settings.deviation) ** 2
-                    turned = self.settings.direction_weight * _turned(track, candidate)
-                    costs[row, column] = 1.0 - overlap[row, column] + self.settings.place_weight * share + turned
+                off = self._deviation(track, candidate, time)
+                if overlap[row, column] >= how.min_overlap and off <= how.max_deviation_sigmas:
+                    share = (off / how.max_deviation_sigmas) ** 2
+                    mismatch = how.direction_weight * _direction_mismatch(track, candidate)
+                    costs[row, column] = 1.0 - overlap[row, column] + how.place_weight * share + mismatch
         return costs
+
+    def _box_at(self, track: _Track, time: float) -> Array:
+        """The box's state, predicted: by its own rate, or by the given motion as well."""
+        rate = track.box_rate if track.given_rate is None else 0.5 * (track.given_rate + track.box_rate)
+        return track.box + rate * min(time - track.time, self.settings.max_box_seconds)
+
+    def _deviation(self, track: _Track, candidate: Candidate, time: float) -> float:
+        """How far a candidate stands from where the track should, standard deviations; 0 where one does not know."""
+        if track.place is None or candidate.place is None:
+            return 0.0
+        passed = time - track.time
+        off = float(np.linalg.norm(candidate.place - track.place - passed * track.place_rate))
+        grown = 1.0 + self.settings.place_sigma_growth_m_per_s * passed
+        return off / float(np.hypot(np.hypot(track.spread, candidate.spread), grown))
+
+    def _updated(self, track: _Track | None, time: float, candidate: Candidate) -> _Track:
+        """The track with what is observed of it now."""
+        box, how = _as_state(candidate.box), self.settings
+        if track is None:
+            still = np.zeros(4), candidate.place, np.zeros(3)
+            return _Track(time, box, *still, candidate.spread, directions=candidate.directions)
+        passed = max(time - track.time, 1e-3)
+        rate = (box - track.box) / passed
+        box_rate = (1.0 - how.box_gain) * track.box_rate + how.box_gain * rate if track.box_rate.any() else rate
+        place, place_rate = candidate.place, track.place_rate
+        if track.place is not None:
+            guess = track.place + passed * place_rate
+            off = np.zeros(3) if place is None else place - guess
+            place, place_rate = guess + how.place_gain * off, place_rate + how.place_rate_gain * off / passed
+        directions = track.directions if candidate.directions is None else candidate.directions
+        if (both := _directions(track, candidate)) is not None:
+            before, now = both
+            directions = before + how.direction_gain * (now - before)
+        return _Track(time, box, box_rate, place, place_rate, candidate.spread, directions=directions)
 
 
 def overlaps(first: Array, second: Array) -> Array:
@@ -214,28 +266,31 @@ def overlaps(first: Array, second: Array) -> Array:
     return np.asarray(common / np.maximum(union, 1e-9))
 
 
-def stands_at(box: Array, camera: Camera, ground: Ground) -> tuple[Array, float] | None:
+def ground_contact(
+    box: Array, camera: Camera, ground: Ground, settings: AssociationSettings = SETTINGS
+) -> tuple[Array, float] | None:
     """Where the line of sight through the middle of a box's lower edge meets the ground, and how sure that is.
 
     Args:
         box: (4,) x1, y1, x2, y2 in pixels.
         camera: The camera.
         ground: The ground in its frame.
+        settings: How sure boxes and ground are.
 
     Returns:
         (3,) the place in the camera's frame and its standard deviation along the line of sight from frame to frame,
         metres; None where the box is cut off by the image's lower border, or the line meets no ground.
     """
-    if camera.image_size is not None and box[3] > camera.image_size[1] - 1 - _AT_BORDER:
+    if camera.image_size is not None and box[3] > camera.image_size[1] - 1 - settings.border_px:
         return None
-    foot = np.array([[(box[0] + box[2]) / 2, box[3]], [(box[0] + box[2]) / 2, box[3] + _BOX_PIXELS]])
+    foot = np.array([[(box[0] + box[2]) / 2, box[3]], [(box[0] + box[2]) / 2, box[3] + settings.box_edge_sigma_px]])
     rays = camera.rays(camera.undistort(foot))
     falls = rays @ ground.normal
     if falls[0] <= 1e-3:
         return None
     place, nearer = (ground.distance / fall * ray for ray, fall in zip(rays, falls, strict=True))
-    pitched = float(_PITCH * place[2] / falls[0])
-    return place, float(np.hypot(np.linalg.norm(place - nearer), pitched)) + 0.3
+    pitched = float(settings.pitch_sigma_rad * place[2] / falls[0])
+    return place, float(np.hypot(np.linalg.norm(place - nearer), pitched)) + settings.place_sigma_m
 
 
 def _assigned(costs: Array) -> list[tuple[int, int]]:
@@ -245,33 +300,10 @@ def _assigned(costs: Array) -> list[tuple[int, int]]:
     if not costs.size:
         return []
     rows, columns = linear_sum_assignment(costs)
-    return [(int(r), int(c)) for r, c in zip(rows, columns, strict=True) if costs[r, c] < _NEVER]
+    return [(int(r), int(c)) for r, c in zip(rows, columns, strict=True) if costs[r, c] < _REFUSED]
 
 
-def _updated(track: _Track | None, time: float, candidate: Candidate) -> _Track:
-    """The track with what it was seen as now."""
-    box = _as_state(candidate.box)
-    if track is None:
-        still = np.zeros(4), candidate.place, np.zeros(3)
-        return _Track(time, box, *still, candidate.spread, directions=candidate.directions)
-    passed = max(time - track.time, 1e-3)
-    rate = (box - track.box) / passed
-    box_rate = 0.5 * track.box_rate + 0.5 * rate if track.box_rate.any() else rate
-    place, place_rate = candidate.place, track.place_rate
-    if place is not None and track.place is not None:
-        guess = track.place + passed * place_rate
-        off = place - guess
-        place, place_rate = guess + 0.5 * off, place_rate + 0.15 * off / passed
-    elif place is None and track.place is not None:
-        place = track.place + passed * place_rate
-    directions = track.directions if candidate.directions is None else candidate.directions
-    if (both := _directions(track, candidate)) is not None:
-        before, now = both
-        directions = before + _NEW * (now - before)
-    return _Track(time, box, box_rate, place, place_rate, candidate.spread, directions=directions)
-
-
-def _seen_from(current_T_previous: Array, track: _Track) -> _Track:
+def _in_frame(current_T_previous: Array, track: _Track) -> _Track:
     """The track's place after the camera has moved."""
     if track.place is None:
         return track
@@ -280,23 +312,7 @@ def _seen_from(current_T_previous: Array, track: _Track) -> _Track:
     return replace(track, place=place, place_rate=turn @ track.place_rate)
 
 
-def _box_at(track: _Track, time: float) -> Array:
-    """The box's state, predicted: by its own rate, which soon says nothing more, or by the told motion."""
-    passed = time - track.time
-    rate = 0.5 * (track.shift + track.box_rate) if track.told else track.box_rate
-    return track.box + rate * min(passed, 0.5)
-
-
-def _deviation(track: _Track, candidate: Candidate, time: float) -> float:
-    """How far a candidate stands from where the track should, standard deviations; 0 where one does not know."""
-    if track.place is None or candidate.place is None:
-        return 0.0
-    passed = time - track.time
-    off = float(np.linalg.norm(candidate.place - track.place - passed * track.place_rate))
-    return off / float(np.hypot(np.hypot(track.spread, candidate.spread), 1.0 + 4.0 * passed))
-
-
-def _turned(track: _Track, candidate: Candidate) -> float:
+def _direction_mismatch(track: _Track, candidate: Candidate) -> float:
     """How little the directions of a candidate and of the track have in common, 0 to 1; 0 where one has none."""
     both = _directions(track, candidate)
     return 0.0 if both is None else 1.0 - min(float(np.sqrt(both[0] * both[1]).sum()), 1.0)  # Bhattacharyya

@@ -22,29 +22,41 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.geometry import exponential
 
-__all__ = ["SCALE_SIGMA", "CameraMotion", "camera_motion", "motion_of_points", "tracked_points"]
+__all__ = ["CameraMotion", "EgomotionSettings", "camera_motion", "motion_of_points", "tracked_points"]
 
 Array = NDArray[np.float64]
 
-_PIXEL = 0.5  # standard deviation of a tracked point
-_INLIER = 3.0  # standard deviations from which on a point counts for less
-_ROAD_FAR, _ROAD_WIDE = 25.0, 4.0  # metres: where points are taken for the road's if they move like it
-_UNEVEN = 0.03  # standard deviation of the road's inverse depth, relative
-_BOUNCE = 0.015  # of the camera's height, relative
-_ANYWHERE = (0.05, 0.2)  # mean and standard deviation of other points' inverse depth, 1 / metres
-_STILL = 1e12  # inverse variance of a standing camera's place, 1 / square metres
-_GAIN = 0.05  # by so much a point, nats, must a motion explain the points better than standing still does
-_CREEP = 0.02  # metres that a camera may have moved which seems to stand
-SCALE_SIGMA = 0.04
-"""Standard deviation of the length of motions, relative: the road is no plane, and what stands on it hides among its
-points. It errs alike in all motions of a camera, and so is in none of their covariances."""
-_UNEQUAL = 0.02  # what is left of it that differs from one motion to the next
-_LEAST_POINTS, _LEAST_ROAD = 20, 8
-_ITERATIONS = 25
-_ALIKE = 3.0  # errors of tracked points are alike: the covariance is that much larger
-_FEATURES, _ROAD_FEATURES = 300, 300
-_BACK = 0.7  # pixels by which a point may miss itself when tracked back
-_MARGIN = 6  # pixels around vehicles' boxes
+
+@dataclass(frozen=True)
+class EgomotionSettings:
+    """What is assumed of points and road, and how the motion is sought.
+
+    Set by hand and seen to do on KITTI's parked cars (drive 0095); none is tuned.
+    """
+
+    point_sigma_px: float = 0.5  # of a tracked point
+    inlier_sigmas: float = 3.0  # from which on a point or a place on the road counts for less
+    correlation_inflation: float = 3.0  # of standard deviations: errors of tracked points are alike
+    road_depth_m: float = 25.0  # points up to here, and so far aside, are the road's if they move like it
+    road_half_width_m: float = 4.0
+    road_relief_sigma: float = 0.03  # of the road's inverse depth, relative: it is no plane
+    height_sigma: float = 0.015  # of the camera's height, relative: it bounces
+    other_inverse_depth_per_m: float = 0.05  # mean of points off the road
+    other_inverse_depth_sigma_per_m: float = 0.2
+    far_inverse_depth_per_m: float = 0.02  # where such points are sought at first
+    standing_information_per_m2: float = 1e12  # inverse variance of a standing camera's place
+    min_gain_nats_per_point: float = 0.05  # by which a motion must explain the points better than standing still does
+    standing_sigma_m: float = 0.02  # that a camera may have moved which seems to stand
+    length_sigma: float = 0.02  # relative: what is unknown of a length and differs from one motion to the next
+    min_points: int = 20
+    min_road_points: int = 8
+    max_iterations: int = 25
+    max_features: int = 300  # off the road, and as many on it
+    max_backtrack_px: float = 0.7  # by which a point may miss itself when tracked back
+    box_margin_px: int = 6  # around vehicles' boxes
+
+
+SETTINGS = EgomotionSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +65,9 @@ class CameraMotion:
 
     Attributes:
         previous_T_current: (4, 4) pose of the camera in its frame of the image before, metres.
-        covariance: (6, 6) of its rotation and translation, in this order, in the current camera's frame; but for
-            what all motions of the camera have wrong alike (`SCALE_SIGMA`).
+        covariance: (6, 6) of its rotation and translation, in this order, in the current camera's frame. It
+            leaves out what all motions of a camera have wrong alike: about 4 % of their length, since the road is no
+            plane and what stands on it hides among its points.
         points: How many points agree with it.
     """
 
@@ -116,8 +129,8 @@ def tracked_points(
 
     mask = np.full(before.shape, 255, dtype=np.uint8)
     for x1, y1, x2, y2 in boxes_before:
-        low_x, low_y = (max(int(low) - _MARGIN, 0) for low in (x1, y1))
-        mask[low_y : max(int(y2) + _MARGIN, 0), low_x : max(int(x2) + _MARGIN, 0)] = 0
+        low_x, low_y = (max(int(low) - SETTINGS.box_margin_px, 0) for low in (x1, y1))
+        mask[low_y : max(int(y2) + SETTINGS.box_margin_px, 0), low_x : max(int(x2) + SETTINGS.box_margin_px, 0)] = 0
     rows, columns = (np.arange(0, size, 8) for size in before.shape)
     grid = np.stack(np.meshgrid(columns, rows), axis=-1).astype(np.float64)
     road = _is_road(camera.rays(camera.undistort(grid.reshape(-1, 2))), ground).reshape(grid.shape[:2])
@@ -125,8 +138,8 @@ def tracked_points(
     found = [
         cv2.goodFeaturesToTrack(before, most, quality, distance, mask=np.where(part, mask, 0).astype(np.uint8))
         for part, most, quality, distance in (
-            (~on_road, _FEATURES, 0.01, 12.0),
-            (on_road, _ROAD_FEATURES, 0.005, 8.0),
+            (~on_road, SETTINGS.max_features, 0.01, 12.0),
+            (on_road, SETTINGS.max_features, 0.005, 8.0),
         )
     ]
     points = [p for p in found if p is not None]
@@ -140,11 +153,14 @@ def tracked_points(
     second, good, _ = cv2.calcOpticalFlowPyrLK(before, after, first, start, **settings)
     back, good_back, _ = cv2.calcOpticalFlowPyrLK(after, before, second, first.copy(), **settings)
     kept = (good[:, 0] > 0) & (good_back[:, 0] > 0)
-    kept &= np.abs(back - first).max(axis=(1, 2)) < _BACK
+    kept &= np.abs(back - first).max(axis=(1, 2)) < SETTINGS.max_backtrack_px
     there = second[:, 0]
     kept &= (there >= 0).all(axis=1) & (there < np.array(before.shape[::-1]) - 1).all(axis=1)
     for x1, y1, x2, y2 in boxes_after:
-        kept &= ~((there > (x1 - _MARGIN, y1 - _MARGIN)) & (there < (x2 + _MARGIN, y2 + _MARGIN))).all(axis=1)
+        kept &= ~(
+            (there > (x1 - SETTINGS.box_margin_px, y1 - SETTINGS.box_margin_px))
+            & (there < (x2 + SETTINGS.box_margin_px, y2 + SETTINGS.box_margin_px))
+        ).all(axis=1)
     return first[kept, 0].astype(np.float64), there[kept].astype(np.float64)
 
 
@@ -164,16 +180,16 @@ def motion_of_points(
         The motion; None where there are too few points, or too few of the road.
     """
     problem = _Problem.of(before, after, camera, ground)
-    if len(before) < _LEAST_POINTS or problem.road.sum() < _LEAST_ROAD:
+    if len(before) < SETTINGS.min_points or problem.road.sum() < SETTINGS.min_road_points:
         return None
     starts = [np.eye(4), _essential(before, after, camera, problem)]
     starts += [] if guess is None else [np.linalg.inv(guess).astype(np.float64)]
     solved = [problem.solve(start) for start in starts if start is not None]
     best = min((end for end in solved if end is not None), key=lambda end: end.cost, default=None)
     still = problem.solve(np.eye(4), still=True)
-    if still is not None and (best is None or still.cost < best.cost + _GAIN * len(before)):
+    if still is not None and (best is None or still.cost < best.cost + SETTINGS.min_gain_nats_per_point * len(before)):
         best = still
-    if best is None or best.points < _LEAST_POINTS or best.road_points < _LEAST_ROAD:
+    if best is None or best.points < SETTINGS.min_points or best.road_points < SETTINGS.min_road_points:
         return None
     previous_T_current: Array = np.linalg.inv(best.current_T_previous).astype(np.float64)
     return CameraMotion(previous_T_current, best.covariance, best.points)
@@ -218,17 +234,17 @@ class _Problem:
     def of(cls, before: Array, after: Array, camera: Camera, ground: Ground) -> _Problem:
         rays = camera.rays(before)
         road = _is_road(rays, ground)
-        depth = np.where(road, rays @ ground.normal / ground.distance, _ANYWHERE[0])
+        depth = np.where(road, rays @ ground.normal / ground.distance, SETTINGS.other_inverse_depth_per_m)
         slopes = np.stack([rays[:, 0] / ground.distance, rays[:, 2] / ground.distance, -depth], axis=1) * road[:, None]
         return cls(
             before=rays,
             after=camera.rays(after)[:, :2],
             road=road,
             depth=depth,
-            spread=np.where(road, _UNEVEN * depth, _ANYWHERE[1]),
+            spread=np.where(road, SETTINGS.road_relief_sigma * depth, SETTINGS.other_inverse_depth_sigma_per_m),
             slopes=slopes,
-            prior=np.array([ground.slope_sigma, ground.slope_sigma, _BOUNCE]) ** -2.0,
-            sigma=_PIXEL / float(camera.matrix[0, 0]),
+            prior=np.array([ground.slope_sigma, ground.slope_sigma, SETTINGS.height_sigma]) ** -2.0,
+            sigma=SETTINGS.point_sigma_px / float(camera.matrix[0, 0]),
         )
 
     def solve(self, current_T_previous: Array, *, still: bool = False) -> _End | None:
@@ -236,41 +252,23 @@ class _Problem:
         turn, shift = current_T_previous[:3, :3].copy(), current_T_previous[:3, 3].copy()
         plane, depth = np.zeros(3), self.depth.copy()
         trust = self.road.astype(np.float64)  # that a point is the road's
-        for iteration in range(_ITERATIONS):
+        for iteration in range(SETTINGS.max_iterations):
             there = self.before @ turn.T + depth[:, None] * shift
             if (there[:, 2] < 0.05).mean() > 0.2:
                 return None
             there[:, 2] = np.maximum(there[:, 2], 0.05)
-            off = (self.after - there[:, :2] / there[:, 2:]) / self.sigma
-            weight = 1.0 / (1.0 + (off**2).sum(axis=1) / _INLIER**2)
-            project = np.zeros((len(there), 2, 3))
-            project[:, 0, 0] = project[:, 1, 1] = 1.0 / there[:, 2]
-            project[:, :, 2] = -there[:, :2] / there[:, 2:] ** 2
-            project /= self.sigma
-            by_pose = np.concatenate([-project @ _cross(there), depth[:, None, None] * project], axis=2)  # (P, 2, 6)
-            by_depth = project @ shift  # (P, 2)
-            wanted = self.depth + self.slopes @ plane
-            spread = np.where(trust > 0, self.spread, _ANYWHERE[1])
-            short = wanted - depth
-            rows = np.zeros((len(there), 3, 9))
-            rows[:, :2, :6], rows[:, 2, 6:] = by_pose, -self.slopes
-            root = np.sqrt(weight)[:, None]
-            tight = np.sqrt(np.where(self.road, np.maximum(trust, (self.spread / _ANYWHERE[1]) ** 2), 1.0))
-            rows[:, :2] *= root[..., None]
-            rows[:, 2] *= (tight / spread)[:, None]
-            own = np.concatenate([by_depth * root, (tight / spread)[:, None]], axis=1)  # (P, 3) by its inverse depth
-            missing = np.concatenate([off * root, (tight * short / spread)[:, None]], axis=1)
-            square = (own**2).sum(axis=1)
+            rows, by_depth, missing, weight = self._linearised(there, shift, depth, plane, trust)
+            square = (by_depth**2).sum(axis=1)
             hessian = np.einsum("pij,pik->jk", rows, rows)
             gradient = np.einsum("pij,pi->j", rows, missing)
-            crossed = np.einsum("pij,pi->pj", rows, own)
-            along = (own * missing).sum(axis=1)
+            crossed = np.einsum("pij,pi->pj", rows, by_depth)
+            along = (by_depth * missing).sum(axis=1)
             hessian -= np.einsum("pj,pk->jk", crossed / square[:, None], crossed)
             gradient -= crossed.T @ (along / square)
             hessian[6:, 6:] += np.diag(self.prior)
             gradient[6:] -= self.prior * plane
             if still:
-                hessian[[3, 4, 5], [3, 4, 5]] += _STILL
+                hessian[[3, 4, 5], [3, 4, 5]] += SETTINGS.standing_information_per_m2
             try:
                 step = np.linalg.solve(hessian + 1e-9 * np.eye(9), gradient)
             except np.linalg.LinAlgError:
@@ -279,50 +277,81 @@ class _Problem:
             plane = plane + step[6:]
             rotation = exponential(step[:3])
             turn, shift = rotation @ turn, rotation @ shift + step[3:6]
-            trust = self._trust(depth, plane)
+            trust = self.road / (1.0 + (self._off_road(depth, plane) / SETTINGS.inlier_sigmas) ** 2) ** 2
             if iteration > 5 and np.abs(step[:6]).max() < 1e-6:
                 break
-        return self._end(turn, shift, depth, plane, weight, trust, hessian)
-
-    def _trust(self, depth: Array, plane: Array) -> Array:
-        """(P,) weights of the road's points as such: less for those whose own parallax says otherwise."""
-        wanted = self.depth + self.slopes @ plane
-        return np.asarray(self.road / (1.0 + ((depth - wanted) / self.spread / _INLIER) ** 2) ** 2)
-
-    def _end(
-        self, turn: Array, shift: Array, depth: Array, plane: Array, weight: Array, trust: Array, hessian: Array
-    ) -> _End | None:
-        if not np.isfinite(hessian).all() or not np.isfinite(shift).all():
-            return None
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = turn, shift
+        return self._end(pose, self._cost(depth, plane, weight, trust), weight, trust, hessian)
+
+    def _linearised(
+        self, there: Array, shift: Array, depth: Array, plane: Array, trust: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Whitened rows of each point: two of its reprojection, one of its inverse depth.
+
+        Returns:
+            (P, 3, 9) derivatives by motion and ground, (P, 3) by the point's inverse depth, (P, 3) what is missing, and
+            (P,) weights of the reprojections.
+        """
+        elsewhere = SETTINGS.other_inverse_depth_sigma_per_m
+        off = (self.after - there[:, :2] / there[:, 2:]) / self.sigma
+        weight = 1.0 / (1.0 + (off**2).sum(axis=1) / SETTINGS.inlier_sigmas**2)
+        project = np.zeros((len(there), 2, 3))
+        project[:, 0, 0] = project[:, 1, 1] = 1.0 / there[:, 2]
+        project[:, :, 2] = -there[:, :2] / there[:, 2:] ** 2
+        project /= self.sigma
+        root = np.sqrt(weight)[:, None]
+        tight = np.sqrt(np.where(self.road, np.maximum(trust, (self.spread / elsewhere) ** 2), 1.0))
+        spread = np.where(trust > 0, self.spread, elsewhere)
+        rows = np.zeros((len(there), 3, 9))
+        rows[:, :2, :3] = project @ np.cross(there[:, None], np.eye(3))
+        rows[:, :2, 3:6] = depth[:, None, None] * project
+        rows[:, 2, 6:] = -self.slopes
+        rows[:, :2] *= root[..., None]
+        rows[:, 2] *= (tight / spread)[:, None]
+        by_depth = np.concatenate([project @ shift * root, (tight / spread)[:, None]], axis=1)
+        short = self.depth + self.slopes @ plane - depth
+        return rows, by_depth, np.concatenate([off * root, (tight * short / spread)[:, None]], axis=1), weight
+
+    def _off_road(self, depth: Array, plane: Array) -> Array:
+        """(P,) by how many standard deviations inverse depths are off the road."""
+        return np.asarray((depth - (self.depth + self.slopes @ plane)) / self.spread)
+
+    def _cost(self, depth: Array, plane: Array, weight: Array, trust: Array) -> float:
+        """How badly a motion explains the points, nats."""
+        cost = -np.log(np.maximum(weight, 1e-9)).sum() - 0.5 * np.log(np.maximum(trust[self.road], 1e-2)).sum()
+        cost += 0.5 * np.minimum(((depth - self.depth) / self.spread) ** 2, 9.0)[~self.road].sum()
+        return float(cost + 0.5 * float(self.prior @ plane**2))
+
+    @staticmethod
+    def _end(pose: Array, cost: float, weight: Array, trust: Array, hessian: Array) -> _End | None:
+        shift = pose[:3, 3]
+        if not np.isfinite(hessian).all() or not np.isfinite(shift).all():
+            return None
         try:
-            covariance: Array = np.linalg.inv(hessian)[:6, :6].astype(np.float64) * _ALIKE**2
-            covariance[3:, 3:] += (
-                _CREEP**2 * np.eye(3) if np.abs(shift).max() < 1e-6 else _UNEQUAL**2 * np.outer(shift, shift)
-            )
+            covariance: Array = np.linalg.inv(hessian)[:6, :6].astype(np.float64) * SETTINGS.correlation_inflation**2
         except np.linalg.LinAlgError:
             return None
-        share = trust[self.road]
-        cost = -np.log(np.maximum(weight, 1e-9)).sum() - 0.5 * np.log(np.maximum(share, 1e-2)).sum()
-        cost += 0.5 * np.minimum(((depth - self.depth) / self.spread) ** 2, 9.0)[~self.road].sum()
-        cost += 0.5 * float(self.prior @ plane**2)
+        stands = np.abs(shift).max() < 1e-6
+        standing, driving = SETTINGS.standing_sigma_m**2 * np.eye(3), SETTINGS.length_sigma**2 * np.outer(shift, shift)
+        covariance[3:, 3:] += standing if stands else driving
         good = weight > 0.5
-        return _End(pose, covariance, float(cost), int(good.sum()), int((good & (trust > 0.25)).sum()))
+        return _End(pose, covariance, cost, int(good.sum()), int((good & (trust > 0.25)).sum()))
 
 
 def _is_road(rays: Array, ground: Ground) -> NDArray[np.bool_]:
     """(P,) whether rays (P, 3) meet the ground near enough, and not far aside."""
     falls = rays @ ground.normal
     distance = ground.distance / np.maximum(falls, 1e-9)
-    road: NDArray[np.bool_] = (distance < _ROAD_FAR) & (np.abs(distance * rays[:, 0]) < _ROAD_WIDE)
-    return road
+    near, aside = SETTINGS.road_depth_m, SETTINGS.road_half_width_m
+    return np.asarray((distance < near) & (np.abs(distance * rays[:, 0]) < aside))
 
 
 def _flowed(pixels: Array, camera: Camera, ground: Ground, previous_T_current: Array) -> Array:
     """(P, 2) where pixels will be after a motion: those below the horizon on the ground, others far away."""
     rays = camera.rays(camera.undistort(pixels))
-    depth = np.where(_is_road(rays, ground), np.maximum(rays @ ground.normal, 0.0) / ground.distance, 0.02)
+    on_ground = np.maximum(rays @ ground.normal, 0.0) / ground.distance
+    depth = np.where(_is_road(rays, ground), on_ground, SETTINGS.far_inverse_depth_per_m)
     current_T_previous = np.linalg.inv(previous_T_current)
     there = rays @ current_T_previous[:3, :3].T + depth[:, None] * current_T_previous[:3, 3]
     usable = there[:, 2] > 0.1
@@ -334,7 +363,7 @@ def _essential(before: Array, after: Array, camera: Camera, problem: _Problem) -
     """(4, 4) current_T_previous by the essential matrix, scaled by the road; None where it is not determined."""
     import cv2
 
-    if len(before) < _LEAST_POINTS or np.median(np.abs(after - before)) < 0.3:
+    if len(before) < SETTINGS.min_points or np.median(np.abs(after - before)) < 0.3:
         return None
     matrix, inside = cv2.findEssentialMat(before, after, camera.matrix, cv2.RANSAC, 0.999, 1.0)
     if matrix is None or matrix.shape != (3, 3):
@@ -349,7 +378,7 @@ def _essential(before: Array, after: Array, camera: Camera, problem: _Problem) -
     unit_depth = -(parallax * off).sum(axis=1) / np.maximum(square, 1e-12)  # rho times the length of the motion
     noise = problem.sigma / np.sqrt(np.maximum(square, 1e-12))
     usable = problem.road & (inside[:, 0] > 0) & (unit_depth > 5.0 * noise)
-    if usable.sum() < _LEAST_ROAD:
+    if usable.sum() < SETTINGS.min_road_points:
         return None
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = turn, shift * _road_length(problem, unit_depth, noise, usable)
@@ -367,27 +396,18 @@ def _road_length(problem: _Problem, unit_depth: Array, noise: Array, usable: NDA
         noise: (P,) standard deviations of these.
         usable: (P,) which may be the road's, and have a parallax.
     """
-    seen, spread = unit_depth[usable], np.hypot(noise[usable], _UNEVEN * unit_depth[usable])
+    seen, spread = unit_depth[usable], np.hypot(noise[usable], SETTINGS.road_relief_sigma * unit_depth[usable])
     # Linear in length, and in length times the ground's slopes, whose priors hold the latter two.
     design = np.column_stack([problem.depth[usable], problem.slopes[usable, :2]])
     ends = []
     for length in np.quantile(seen / design[:, 0], (0.1, 0.25, 0.5, 0.75)):
         plane = np.array([length, 0.0, 0.0])
         for _ in range(10):
-            weight = (1.0 / (1.0 + ((seen - design @ plane) / spread / _INLIER) ** 2) / spread) ** 2
+            weight = (1.0 / (1.0 + ((seen - design @ plane) / spread / SETTINGS.inlier_sigmas) ** 2) / spread) ** 2
             normal = design.T @ (weight[:, None] * design)
             normal[[1, 2], [1, 2]] += problem.prior[:2] / plane[0] ** 2
             plane = np.linalg.solve(normal, design.T @ (weight * seen))
-        agree = float((1.0 / (1.0 + ((seen - design @ plane) / spread / _INLIER) ** 2)).sum())
+        agree = float((1.0 / (1.0 + ((seen - design @ plane) / spread / SETTINGS.inlier_sigmas) ** 2)).sum())
         ends.append((agree, float(plane[0])))
     most = max(agree for agree, _ in ends)
     return min(length for agree, length in ends if agree > 0.8 * most)
-
-
-def _cross(vectors: Array) -> Array:
-    """(P, 3, 3) matrices of the cross products with vectors (P, 3)."""
-    matrices = np.zeros((len(vectors), 3, 3))
-    x, y, z = vectors.T
-    matrices[:, 0, 1], matrices[:, 0, 2], matrices[:, 1, 2] = -z, y, -x
-    matrices[:, 1, 0], matrices[:, 2, 0], matrices[:, 2, 1] = z, -y, x
-    return matrices

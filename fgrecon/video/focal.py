@@ -14,7 +14,7 @@ from fgrecon.io.frames import FrameSource, SourceFrame
 from fgrecon.solve.scene import reconstruct_scenes
 from fgrecon.video.records import FrameRecord
 
-__all__ = ["FoundCamera", "found_camera"]
+__all__ = ["EstimatedCamera", "estimate_camera"]
 
 _APART = 1.0  # seconds between the frames: nearer ones say the same
 _IMAGES = 8  # with vehicles, which are enough
@@ -23,7 +23,7 @@ _VEHICLES = 4  # of a frame, the largest
 
 
 @dataclass(frozen=True)
-class FoundCamera:
+class EstimatedCamera:
     """What vehicles tell of a camera.
 
     Attributes:
@@ -37,9 +37,9 @@ class FoundCamera:
     images: int
 
 
-def found_camera(
+def estimate_camera(
     source: FrameSource, look: Callable[[SourceFrame], FrameRecord], start: Camera, **arguments: Any
-) -> FoundCamera | None:
+) -> EstimatedCamera | None:
     """Find the focal length that a few frames have in common (`fgrecon.reconstruct_scenes`).
 
     Args:
@@ -66,7 +66,7 @@ def found_camera(
     vehicles = sum(len(scene.vehicles) for scene in scenes)
     if not vehicles:
         return None
-    return FoundCamera(scenes[0].camera, vehicles, sum(bool(scene.vehicles) for scene in scenes))
+    return EstimatedCamera(scenes[0].camera, vehicles, sum(bool(scene.vehicles) for scene in scenes))
 
 
 def _extent(seen: Observation) -> float:

@@ -70,7 +70,7 @@ class Given:
     @property
     def association(self) -> AssociationSettings:
         """How those without an id are followed: each begins a track, since scores of boxes are of any scale."""
-        return AssociationSettings(birth=-np.inf)
+        return AssociationSettings(min_birth_score=-np.inf)
 
     @property
     def complete(self) -> bool:

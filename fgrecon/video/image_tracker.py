@@ -1,6 +1,6 @@
 """One image after the other in, estimates of the tracked vehicles out: for whoever has images and no keypoints.
 
-image ---- FrameLook: boxes, keypoints ---- Follower: ids, by association ---- fgrecon.Tracker ---- estimates by id
+image ---- FrameDetector: boxes, keypoints ---- Follower: ids, by association ---- fgrecon.Tracker ---- estimates by id
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from fgrecon.solve.inputs import as_camera_pose, as_ground, calibrated
 from fgrecon.solve.tracker import Tracker
 from fgrecon.video.association import Association, GatedAssociation
 from fgrecon.video.follow import Follower, TrackedFrame
-from fgrecon.video.look import FrameLook
+from fgrecon.video.frame_detector import FrameDetector
 
 __all__ = ["ImageTracker"]
 
@@ -74,7 +74,7 @@ class ImageTracker:
         chosen = for_detected(options) if vehicle_detector is None else options
         self.tracker = Tracker(prior=shape_prior, options=chosen, **arguments)
         self.frame: TrackedFrame | None = None
-        self._look = FrameLook(shape_prior.category, vehicle_detector=boxes, keypoint_detector=networks)
+        self._look = FrameDetector(shape_prior.category, vehicle_detector=boxes, keypoint_detector=networks)
         self._association = GatedAssociation(given_up=self.tracker.forget) if association is None else association
         self._places: dict[int, NDArray[np.float64]] = {}  # of the camera in the image at hand, by its number
         self._follower: Follower | None = None

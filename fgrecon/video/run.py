@@ -24,8 +24,8 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.text import whole_text
 from fgrecon.io.frames import FrameSource, ImageFrames, SourceFrame
 from fgrecon.video.follow import Follower, TrackedFrame
-from fgrecon.video.look import FrameLook
-from fgrecon.video.motion_look import MotionLook
+from fgrecon.video.frame_detector import FrameDetector
+from fgrecon.video.motion_estimator import MotionEstimator
 from fgrecon.video.records import (
     FORMAT,
     FrameRecord,
@@ -89,15 +89,14 @@ class VideoRun:
 
 def run_video(
     source: FrameSource,
-    look: FrameLook,
+    look: FrameDetector,
     follower: Follower,
     out: Path,
     *,
     settings: Mapping[str, Any],
-    motion: MotionLook | None = None,
+    motion: MotionEstimator | None = None,
     online: bool = False,
-    stop: Callable[[], bool] = lambda: False,
-    report: Callable[[VideoRun, SourceFrame | None], None] = lambda run, frame: None,  # noqa: ARG005 - says nothing
+    go_on: Callable[[VideoRun, SourceFrame | None], bool] = lambda run, frame: True,  # noqa: ARG005 - to the end
 ) -> VideoRun:
     """Look at the frames of a source that are not stored yet, and follow the vehicles through all of them.
 
@@ -109,8 +108,8 @@ def run_video(
         settings: What the records depend on, as plain values; a folder is for one such.
         motion: Estimates the camera's motion, a new one; None where it is not wanted.
         online: Whether estimates stay as they were when their frame came, instead of being smoothed.
-        stop: Asked before each frame whether to stop.
-        report: Called after each frame with the run and the frame's pixels; None for what runs before had looked at.
+        go_on: Called after each frame with the run and the frame's pixels, None for what runs before had looked at;
+            returns whether to go on.
 
     Returns:
         The run.
@@ -131,8 +130,7 @@ def run_video(
         try:
             for record, frame in looked.records():
                 run.frames.append(follower(record))
-                report(run, frame)
-                if stop():
+                if not go_on(run, frame):
                     run.stopped = run.total is None or len(run.frames) < run.total
                     break
         finally:
@@ -151,7 +149,12 @@ class _Looked:
     """
 
     def __init__(
-        self, source: FrameSource, out: Path, look: FrameLook, motion: MotionLook | None, settings: Mapping[str, Any]
+        self,
+        source: FrameSource,
+        out: Path,
+        look: FrameDetector,
+        motion: MotionEstimator | None,
+        settings: Mapping[str, Any],
     ) -> None:
         self._source, self._look, self._motion = source, look, motion
         self._records = Parts(out / RECORDS, record_schema())
@@ -191,7 +194,7 @@ class _Looked:
                 self._records.add(to_table(record))
             yield (record if moving is None else self._with_motion(moving, record, frame)), frame
 
-    def _with_motion(self, moving: MotionLook, record: FrameRecord, frame: SourceFrame) -> FrameRecord:
+    def _with_motion(self, moving: MotionEstimator, record: FrameRecord, frame: SourceFrame) -> FrameRecord:
         if (key := str(record.number)) in self._moved:  # whose record was damaged, and is made anew
             record = replace(record, motion=self._moved[key])
             moving.remember(frame, record)

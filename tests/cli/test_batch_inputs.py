@@ -117,10 +117,10 @@ def test_one_is_told_as_one(tmp_path):
 @pytest.mark.parametrize(("cars", "images", "told"), [(1, 1, "1 car of 1 frame"), (5, 2, "5 cars of 2 frames")])
 def test_the_cars_that_tell_the_camera_are_counted(monkeypatch, cars, images, told):
     from fgrecon.cli import run_job
-    from fgrecon.video.focal import FoundCamera
+    from fgrecon.video.focal import EstimatedCamera
 
-    found = FoundCamera(CAMERA, cars, images)
-    monkeypatch.setattr(run_job, "found_camera", lambda *_, **__: found)
+    found = EstimatedCamera(CAMERA, cars, images)
+    monkeypatch.setattr(run_job, "estimate_camera", lambda *_, **__: found)
     monkeypatch.setattr(run_job, "_look", lambda *_: None)
     said = []
     screen = SimpleNamespace(warn=said.append)

@@ -25,11 +25,11 @@ from tests.video.streets import make_drive
 SLOWLY = """
 import sys, time
 import fgrecon.batch.parts as parts
-from fgrecon.video.look import FrameLook
+from fgrecon.video.frame_detector import FrameDetector
 from fgrecon.cli.main import main
 parts._ROWS = 1
-look = FrameLook.__call__
-FrameLook.__call__ = lambda self, frame: (time.sleep(0.15), look(self, frame))[1]
+look = FrameDetector.__call__
+FrameDetector.__call__ = lambda self, frame: (time.sleep(0.15), look(self, frame))[1]
 main()
 """
 
@@ -328,7 +328,7 @@ def test_what_cannot_be_done_is_refused_before_the_work(drive, tmp_path, argumen
 
 
 def test_a_folder_that_cannot_be_made_is_refused_before_a_camera_is_sought(drive, tmp_path, monkeypatch):
-    monkeypatch.setattr("fgrecon.cli.run_job.found_camera", pytest.fail)
+    monkeypatch.setattr("fgrecon.cli.run_job.estimate_camera", pytest.fail)
     (tmp_path / "a.txt").touch()
     for out in (tmp_path / "a.txt", tmp_path / "a.txt" / "deeper"):
         refused = run(drive[0], "--out", out).exception

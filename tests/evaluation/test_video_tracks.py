@@ -119,7 +119,7 @@ def test_velocities_with_the_cameras_motion_are_as_far_off_as_those_relative_to_
     drive, step = to_the_right(folder), np.eye(4)
     step[:3, :3], step[:3, 3] = yaw_rotation(0.03), (0.0, 0.0, 0.7)
     motion = CameraMotion(step, np.diag([1e-8] * 3 + [1e-6] * 3), 100)
-    monkeypatch.setattr(video_tracks, "MotionLook", lambda *_: lambda image, sightings: motion)
+    monkeypatch.setattr(video_tracks, "MotionEstimator", lambda *_: lambda image, sightings: motion)
     frames = score_frames([drive], {"drive": setup}, scene)
     boxes = follow_boxes(frames, [drive], {"drive": setup}, estimate_motion=True)
     for method in (ONLINE_MOVING, BATCH_MOVING):

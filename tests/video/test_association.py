@@ -6,7 +6,7 @@ import pytest
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.kitti_drives import read_drive
-from fgrecon.video.association import AssociationSettings, Candidate, GatedAssociation, overlaps, stands_at
+from fgrecon.video.association import AssociationSettings, Candidate, GatedAssociation, ground_contact, overlaps
 
 CAMERA = Camera(np.array([[720.0, 0, 620], [0, 720.0, 180], [0, 0, 1]]), image_size=(1242, 375))
 GROUND = Ground.level(1.65)
@@ -20,7 +20,7 @@ def box_of(position):
 
 def seen_at(position, score=1.0):
     box = box_of(np.asarray(position))
-    stands = stands_at(box, CAMERA, GROUND)
+    stands = ground_contact(box, CAMERA, GROUND)
     return Candidate(box, score) if stands is None else Candidate(box, score, *stands)
 
 
@@ -62,7 +62,7 @@ def test_weak_detections_continue_tracks_and_begin_none():
 
 def test_after_a_while_a_track_is_dead():
     gone = []
-    association = GatedAssociation(AssociationSettings(memory=1.0), given_up=gone.append)
+    association = GatedAssociation(AssociationSettings(memory_seconds=1.0), given_up=gone.append)
     there = [seen_at([1.0, 1.65, 15.0])]
     assert follow([(0.0, there), (0.9, there), (2.0, there)], association) == [[0], [0], [1]]
     assert (association.deaths, association.rebirths, gone) == (1, 1, [0])
@@ -106,18 +106,18 @@ def test_the_cameras_own_motion_is_taken_off():
     assert ids[0] == [0, 1]
 
 
-def test_a_told_velocity_predicts_the_box():
+def test_a_given_velocity_predicts_the_box():
     """A car drives on for half a second unseen; its box in one frame does not tell how."""
     position, velocity = np.array([-6.0, 1.65, 14.0]), np.array([9.0, 0.0, 0.0])
     later = Candidate(box_of(position + 0.5 * velocity))
     alone = GatedAssociation()
     assert follow([(0.0, [Candidate(box_of(position))]), (0.5, [later])], alone) == [[0], [1]]
-    told = GatedAssociation()
-    told(0.0, [Candidate(box_of(position))])
-    told.tell(0, CAR + position, 2.0 * velocity, CAMERA)
-    assert told(0.5, [later]) == [0]
+    given = GatedAssociation()
+    given(0.0, [Candidate(box_of(position))])
+    given.set_motion(0, CAR + position, 2.0 * velocity, CAMERA)
+    assert given(0.5, [later]) == [0]
     with pytest.raises(InvalidInputError, match="identity"):
-        told.tell(7, CAR + position, velocity, CAMERA)
+        given.set_motion(7, CAR + position, velocity, CAMERA)
 
 
 def test_nothing_to_see_is_nothing():
@@ -128,11 +128,11 @@ def test_nothing_to_see_is_nothing():
 
 
 def test_where_a_box_stands():
-    place, spread = stands_at(np.array([600.0, 150.0, 640.0, 180.0 + 720.0 * 1.65 / 20.0]), CAMERA, GROUND)
+    place, spread = ground_contact(np.array([600.0, 150.0, 640.0, 180.0 + 720.0 * 1.65 / 20.0]), CAMERA, GROUND)
     assert place == pytest.approx([0.0, 1.65, 20.0])
     assert 0.5 < spread < 2.5
-    assert stands_at(np.array([600.0, 100.0, 640.0, 170.0]), CAMERA, GROUND) is None
-    assert stands_at(np.array([600.0, 150.0, 640.0, 374.0]), CAMERA, GROUND) is None
+    assert ground_contact(np.array([600.0, 100.0, 640.0, 170.0]), CAMERA, GROUND) is None
+    assert ground_contact(np.array([600.0, 150.0, 640.0, 374.0]), CAMERA, GROUND) is None
 
 
 @pytest.mark.data
@@ -150,7 +150,7 @@ def test_kittis_boxes_without_their_ids(data, drive, most):
         candidates = []
         for i in kept:
             box = frame.objects.box[i]
-            stands = stands_at(box, camera, GROUND)
+            stands = ground_contact(box, camera, GROUND)
             candidates.append(Candidate(box) if stands is None else Candidate(box, 1.0, *stands))
         ids = association(0.1 * frame.number, candidates)
         assert None not in ids

@@ -7,7 +7,7 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.options import Options
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.frames import SourceFrame
-from fgrecon.video.focal import found_camera
+from fgrecon.video.focal import estimate_camera
 from fgrecon.video.records import FrameRecord, Sighting
 from tests.cars import CAMERA, observe, yaw_pose
 from tests.video.streets import SIZE
@@ -49,7 +49,7 @@ def looking(cars, seen):
 
 def test_the_cars_of_frames_a_second_apart_tell_it():
     cars, seen = passing(12), []
-    found = found_camera(Frames(12, 0.5), looking(cars, seen), UNKNOWN, **ARGUMENTS)
+    found = estimate_camera(Frames(12, 0.5), looking(cars, seen), UNKNOWN, **ARGUMENTS)
     assert seen == [0, 2, 4, 6, 8, 10]
     assert (found.vehicles, found.images) == (18, 6)
     off = np.log(found.camera.matrix[0, 0] / CAMERA.matrix[0, 0])
@@ -59,10 +59,10 @@ def test_the_cars_of_frames_a_second_apart_tell_it():
 
 def test_it_ends_with_what_is_enough():
     cars, seen = passing(12, 1), []
-    found_camera(Frames(12, 1.0), looking(cars, seen), UNKNOWN, **ARGUMENTS)
+    estimate_camera(Frames(12, 1.0), looking(cars, seen), UNKNOWN, **ARGUMENTS)
     assert seen == list(range(8))
 
 
 @pytest.mark.parametrize("count", [0, 3])
 def test_without_a_car_nobody_tells(count):
-    assert found_camera(Frames(count, 1.0), looking([], []), UNKNOWN, **ARGUMENTS) is None
+    assert estimate_camera(Frames(count, 1.0), looking([], []), UNKNOWN, **ARGUMENTS) is None

@@ -10,7 +10,7 @@ from fgrecon.core.camera import Ground
 from fgrecon.io.export import read_video_frames
 from fgrecon.io.poses import CameraPoses
 from fgrecon.simulation import KITTI_CAMERA
-from fgrecon.video import Follower, GatedAssociation, SingleImages
+from fgrecon.video import Follower, GatedAssociation, SingleImageTracker
 from fgrecon.video.egomotion import CameraMotion
 from fgrecon.video.records import FrameRecord, Sighting
 from fgrecon.video.rows import frame_lines, rows_of, tracking_text
@@ -18,7 +18,7 @@ from tests.video.streets import simulated
 
 
 def follower(**arguments):
-    return Follower(SingleImages(prior="car14"), GatedAssociation(first=50), KITTI_CAMERA, **arguments)
+    return Follower(SingleImageTracker(prior="car14"), GatedAssociation(first=50), KITTI_CAMERA, **arguments)
 
 
 def record(number, *sightings, **arguments):
@@ -149,7 +149,7 @@ def test_single_images_tell_their_facing_and_why_they_refuse():
     towards = np.zeros(8)
     towards[0] = 1.0
     few = replace(first[0], keypoints=np.where(np.arange(14)[:, None] < 1, first[0].keypoints, np.nan), box=None)
-    tracker = SingleImages(prior="car14")
+    tracker = SingleImageTracker(prior="car14")
     found = tracker.update(0.0, {1: replace(first[0], azimuth=towards), 2: first[0], 3: few}, camera=KITTI_CAMERA)
     for estimate in found.values():
         assert 0.0 < estimate.facing_probability < 1.0
@@ -162,7 +162,7 @@ def test_single_images_tell_their_facing_and_why_they_refuse():
 def test_a_tracker_is_told_how_sure_a_motion_is():
     told = []
 
-    class Listening(SingleImages):
+    class Listening(SingleImageTracker):
         def update(self, time, observations, *, motion_covariance=None, **arguments):
             told.append(motion_covariance)
             return super().update(time, observations, **arguments)

@@ -10,10 +10,10 @@ from fgrecon.io.kitti_drives import read_drive
 from fgrecon.simulation import KITTI_CAMERA
 from fgrecon.video import (
     Follower,
-    FrameLook,
+    FrameDetector,
     GatedAssociation,
-    MotionLook,
-    SingleImages,
+    MotionEstimator,
+    SingleImageTracker,
     open_frames,
     read_given,
     rows_of,
@@ -25,7 +25,7 @@ CAR14 = load_category("car14")
 GROUND = Ground.level(1.65)
 
 
-class Counting(FrameLook):
+class Counting(FrameDetector):
     """Counts how many frames it looks at."""
 
     looked = 0
@@ -45,17 +45,17 @@ def drive(tmp_path_factory):
 def run(drive, out, *, most=None, moving=False, ground=GROUND, **arguments):
     images, file = drive
     look = Counting(CAR14, given=read_given(file, CAR14).vehicles)
-    follower = Follower(SingleImages(prior="car14"), GatedAssociation(), KITTI_CAMERA, ground=ground, moving=moving)
-    seen = []
+    follower = Follower(
+        SingleImageTracker(prior="car14"), GatedAssociation(), KITTI_CAMERA, ground=ground, moving=moving
+    )
     found = run_video(
         open_frames(images, rate=10),
         look,
         follower,
         out,
         settings={"of": "a test"},
-        motion=MotionLook(KITTI_CAMERA, ground) if moving else None,
-        stop=lambda: most is not None and len(seen) >= most,
-        report=lambda run, _: seen.append(len(run.frames)),
+        motion=MotionEstimator(KITTI_CAMERA, ground) if moving else None,
+        go_on=lambda run, _: most is None or len(run.frames) < most,
         **arguments,
     )
     return found, look
@@ -132,12 +132,13 @@ def test_kittis_frames_from_pixels(data, tmp_path):
     detector, cascade = NanodetVehicleDetector(), shipped_cascade()
 
     def go(out, most):
-        look = FrameLook(CAR14, vehicle_detector=detector, keypoint_detector=cascade)
-        tracker = SingleImages(prior="car14", size_prior="kitti")
+        look = FrameDetector(CAR14, vehicle_detector=detector, keypoint_detector=cascade)
+        tracker = SingleImageTracker(prior="car14", size_prior="kitti")
         follower = Follower(tracker, GatedAssociation(), camera, ground=GROUND, moving=True)
-        source, count = open_frames(folder, rate=10, start=8.0, end=8.6), []
-        stop = {"stop": lambda: len(count) >= most, "report": lambda *_: count.append(1)}
-        return run_video(source, look, follower, out, settings={}, motion=MotionLook(camera, GROUND), **stop)
+        source, motion = open_frames(folder, rate=10, start=8.0, end=8.6), MotionEstimator(camera, GROUND)
+        return run_video(
+            *(source, look, follower, out), settings={}, motion=motion, go_on=lambda run, _: len(run.frames) < most
+        )
 
     whole = go(tmp_path / "whole", 99)
     assert len(whole.frames) == 6

@@ -14,12 +14,12 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.solve.pipeline import reconstruct
 
-__all__ = ["SingleImages"]
+__all__ = ["SingleImageTracker"]
 
 Array = NDArray[np.float64]
 
 
-class SingleImages:
+class SingleImageTracker:
     """A tracker (`fgrecon.video.VehicleTracker`) that reconstructs every image on its own.
 
     Attributes:

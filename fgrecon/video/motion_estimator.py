@@ -13,10 +13,10 @@ from fgrecon.io.frames import SourceFrame
 from fgrecon.video.egomotion import CameraMotion, camera_motion
 from fgrecon.video.records import FrameRecord, Sighting
 
-__all__ = ["MotionLook"]
+__all__ = ["MotionEstimator"]
 
 
-class MotionLook:
+class MotionEstimator:
     """Estimates the camera's motion by points off the vehicles, frame by frame (`camera_motion`).
 
     Attributes:

@@ -1,0 +1,125 @@
+"""Where the camera is, frame by frame: by given poses, or by the motions that the images tell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.io.poses import CameraPoses
+from fgrecon.video.egomotion import CameraMotion
+from fgrecon.video.records import FrameRecord
+
+__all__ = ["CameraPath", "CameraPathSettings"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CameraPathSettings:
+    """What is assumed of a motion that could not be estimated. Set by hand; not tuned.
+
+    Attributes:
+        max_coast_seconds: For which a camera is taken to go on as it did; then it has no pose.
+        coast_sigma: Of the motion of a camera that goes on as it did: radians and metres in a second.
+        lost_sigma: The same where nothing is known of it.
+        least_seconds: The motion over a shorter time is not less unknown.
+    """
+
+    max_coast_seconds: float = 1.0
+    coast_sigma: tuple[float, float] = (0.2, 5.0)
+    lost_sigma: tuple[float, float] = (0.5, 20.0)
+    least_seconds: float = 0.1
+
+
+SETTINGS = CameraPathSettings()
+
+
+class CameraPath:
+    """The camera's poses: given ones, or the motions in the records one after the other.
+
+    Where motions are missing the camera goes on as before for a second; from then on it has no pose, until the next.
+    """
+
+    def __init__(self, poses: CameraPoses | None, *, moving: bool) -> None:
+        """Begin at the world's origin.
+
+        Args:
+            poses: The camera's poses, or None.
+            moving: Whether it moves by the motions in the records; else it stays unknown without poses.
+        """
+        self._poses, self._moving = poses, moving
+        self._pose: Array | None = None
+        self._step: Array | None = None  # the last motion that was estimated, and how long it took
+        self._passed = 0.0
+        self._time: float | None = None
+        self._skipped: CameraMotion | None = None  # the motion up to frames that were left out
+        self._coasted = self._lost = 0.0  # seconds without a motion: with a pose, and without
+
+    def skip(self, record: FrameRecord) -> None:
+        """Leave a frame out; the next motion begins there all the same."""
+        if not self._moving or record.problem is not None or self._pose is None:
+            return
+        if record.motion is None:
+            self._skipped, self._lost = None, self._lost + SETTINGS.least_seconds
+        else:
+            self._skipped = self._since(record.motion)
+
+    def _since(self, motion: CameraMotion) -> CameraMotion:
+        """A motion, with that up to the frames that were left out before it."""
+        return motion if self._skipped is None else self._skipped.then(motion)
+
+    def move(self, record: FrameRecord) -> tuple[Array | None, Array | None, Array | None]:
+        """The camera's pose, and how it came there.
+
+        Returns:
+            (4, 4) world_T_camera; (4, 4) previous_T_current since the last frame that has a pose; and the covariance
+            (6, 6) of that, as `CameraMotion` has it, where it was estimated. None where not known.
+        """
+        before = self._pose
+        if self._poses is not None:
+            here = self._poses.at(record.number, record.time)
+            if here is None:
+                return None, None, None
+            self._pose = here
+            return here, None if before is None else np.asarray(np.linalg.inv(before) @ here), None
+        if not self._moving or record.problem is not None:  # the next motion covers this frame as well
+            return None, None, None
+        passed = 0.0 if self._time is None else record.time - self._time
+        self._time = record.time
+        if before is None:
+            self._pose = np.eye(4)
+            return self._pose, None, None
+        motion = None if record.motion is None else self._since(record.motion)
+        self._skipped = None
+        if motion is not None:
+            step, covariance = (
+                motion.previous_T_current,
+                motion.covariance + _isotropic(SETTINGS.lost_sigma, self._lost),
+            )
+            self._step, self._passed, self._coasted, self._lost = step, passed, 0.0, 0.0
+        elif self._step is not None and self._coasted + passed <= SETTINGS.max_coast_seconds:
+            step = _scaled(self._step, passed / self._passed)
+            covariance = _isotropic(SETTINGS.coast_sigma, max(passed, SETTINGS.least_seconds))
+            self._coasted += passed
+        else:
+            self._step, self._lost = None, self._lost + passed
+            return None, None, None
+        self._pose = before @ step
+        return self._pose, step, covariance
+
+
+def _isotropic(sigmas: tuple[float, float], seconds: float) -> Array:
+    """(6, 6) covariance of a motion by what is unknown of it in a second: radians, metres."""
+    return np.diag(np.repeat(np.square(sigmas), 3)) * seconds**2
+
+
+def _scaled(motion: Array, share: float) -> Array:
+    """A motion that goes on for a share of its time."""
+    from scipy.spatial.transform import Rotation
+
+    scaled = np.eye(4)
+    scaled[:3, :3] = Rotation.from_rotvec(share * Rotation.from_matrix(motion[:3, :3]).as_rotvec()).as_matrix()
+    scaled[:3, 3] = share * motion[:3, 3]
+    return scaled
