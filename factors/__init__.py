@@ -37,23 +37,29 @@ from typing import TYPE_CHECKING
 from factors.lazy import lazy_names
 
 if TYPE_CHECKING:  # imported when used
-    from factors.box import box_factor
-    from factors.cheirality import check_in_front, cheirality_factor
+    from factors.box import BoxRows
     from factors.contact import GroundFrame, contact_factor
     from factors.detected_box import detected_origin_factor, detected_yaw_factor
     from factors.dimensions import dimensions_factor
     from factors.errors import DegenerateProblemError, FactorCallbackError, FgreconError, InvalidInputError
-    from factors.ground import ground_height_factor, upright_factor
+    from factors.ground import GroundRows
     from factors.guard import guarded_factor
     from factors.kernel import Projection, ProjectionKernel
+    from factors.keypoint_rows import KeypointRows, whiteners
     from factors.keys import DecodedKey, F, G, L, M, O, P, S, V, X, decode_key, key_name
     from factors.laplacian import laplacian_factor
     from factors.losses import Loss, RobustLoss
     from factors.marginals import Marginal, marginal, marginal_factor
     from factors.mixture import Form, mixture
     from factors.motion import drive_factor, motion_factor
-    from factors.noise import Noise, as_noise, diagonal_noise, full_noise, keypoint_noise, keypoint_whiteners
-    from factors.observation_factor import BoxRows, GroundRows, ObservationRows, observation_factor
+    from factors.noise import Noise, as_noise, diagonal_noise, full_noise
+    from factors.observation_rows import (
+        ObservationRows,
+        check_in_front,
+        observation_factor,
+        reprojection_factor,
+        term_factor,
+    )
     from factors.planarity import (
         ground_parallel_factor,
         penalty_ground_parallel_factor,
@@ -62,7 +68,6 @@ if TYPE_CHECKING:  # imported when used
     )
     from factors.planes import fit_plane, make_plane
     from factors.rectangularity import rectangularity_factor
-    from factors.reprojection import reprojection_factor, reprojection_factors, stacked_reprojection_factor
     from factors.road import road_factor
     from factors.shape import LinearShape
     from factors.shape_prior import coefficients_prior, offsets_prior
@@ -80,6 +85,7 @@ __all__ = [
     "GroundFrame",
     "GroundRows",
     "InvalidInputError",
+    "KeypointRows",
     "L",
     "LinearShape",
     "Loss",
@@ -96,9 +102,7 @@ __all__ = [
     "V",
     "X",
     "as_noise",
-    "box_factor",
     "check_in_front",
-    "cheirality_factor",
     "coefficients_prior",
     "contact_factor",
     "decode_key",
@@ -109,12 +113,9 @@ __all__ = [
     "drive_factor",
     "fit_plane",
     "full_noise",
-    "ground_height_factor",
     "ground_parallel_factor",
     "guarded_factor",
     "key_name",
-    "keypoint_noise",
-    "keypoint_whiteners",
     "laplacian_factor",
     "make_plane",
     "marginal",
@@ -128,11 +129,10 @@ __all__ = [
     "planarity_factor",
     "rectangularity_factor",
     "reprojection_factor",
-    "reprojection_factors",
     "road_factor",
-    "stacked_reprojection_factor",
     "symmetry_factor",
-    "upright_factor",
+    "term_factor",
+    "whiteners",
 ]
 
 __docformat__ = "google"  # for the API reference

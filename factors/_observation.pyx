@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 # cython: freethreading_compatible=True
-"""What an image says of a vehicle, compiled: the rows of `factors.observation_factor`, and what the mixture makes of a state.
+"""What an image says of a vehicle, compiled: the rows of `factors.observation_rows`, and what the mixture makes of a state.
 
 The equations are those of `factors.projection`, `factors.box`, `factors.ground` and `factors.mixture`; what costs in
 their numpy versions is a call for every few numbers, not the arithmetic. Arrays are checked where they come in, inside
@@ -14,15 +14,18 @@ from factors._terms cimport MAJORISED, WEIGHTED, cross, mixture, project, robust
 
 import numpy as np
 
+from factors.box import FARTHEST_SHARE, NEAREST_KINK
+from factors.mixture import STIFFEST
+from factors.projection import LEAST_DEPTH
+
 cdef double PI = 3.14159265358979323846
-cdef double LEAST = 1e-3  # metres: depth at which nearer points are evaluated (`factors.projection.LEAST_DEPTH`)
-cdef double FARTHEST = 40.0  # softnesses behind the outermost point beyond which one has no share in an extent
+cdef double LEAST = LEAST_DEPTH, FARTHEST = FARTHEST_SHARE, NEAREST = NEAREST_KINK, STIFF = STIFFEST
 
 cdef inline double kink(double behind, double softness) noexcept nogil:
     """Curvature of the parabola that touches a soft maximum here and lies nowhere below it (`factors.box.kink`)."""
     cdef double e
     behind /= softness
-    behind = behind if behind > 1e-3 else 1e-3
+    behind = behind if behind > NEAREST else NEAREST
     e = exp(-behind)
     return (0.5 * (1.0 - e) / (1.0 + e) + behind * e / ((1.0 + e) * (1.0 + e))) / (behind * softness)
 
@@ -83,7 +86,7 @@ cdef class Observation:
         raise TypeError("a compiled Observation cannot be copied or pickled")
 
     def __init__(self, camera, mean, basis, pixels, whitener, box, ground):
-        """Bind the arrays; see `factors.observation_factor.ObservationRows` for what they are.
+        """Bind the arrays; `factors.observation_rows.ObservationRows` says what they are.
 
         Args:
             camera: (3, 3). mean: (K, 3). basis: (N, 3K). pixels: (K, 2). whitener: (K, 3) lower triangular.
@@ -395,7 +398,7 @@ cdef class Observation:
                 depth = self.keypoint(k, R, t, &x[0] if N else NULL, o, LEAST, r, X, camera, body)
                 nearest = depth if depth < nearest else nearest
                 s = r[0] * r[0] + r[1] * r[1]
-                robust(form, right[k], wrong[k], s, &stretch, &weight, &bend)
+                robust(form, STIFF, right[k], wrong[k], s, &stretch, &weight, &bend)
                 residual[2 * k], residual[2 * k + 1] = stretch * r[0], stretch * r[1]
                 if jacobian is None or weight == 0.0:
                     continue
@@ -420,7 +423,8 @@ cdef class Observation:
                     if not self.used[i]:
                         continue
                     s = r[i] * r[i]
-                    robust(form, edges[i] if form == WEIGHTED else 1.0, self.box_wrong, s, &stretch, &weight, &bend)
+                    p = edges[i] if form == WEIGHTED else 1.0
+                    robust(form, STIFF, p, self.box_wrong, s, &stretch, &weight, &bend)
                     residual[row + i] = stretch * r[i]
                     if jacobian is None:
                         continue

@@ -97,7 +97,7 @@ cdef double evaluate(
 def search(
     Observation terms, const double[:, :, ::1] rotation, const double[:, ::1] translation,
     const double[:, ::1] coefficients, double least, const int[::1] keep, double largest_turn, double settled,
-    double alike, double calmer, double bolder
+    double alike, double first_damping, double calmer, double bolder, double ridge
 ):
     """`fgrecon.solve.proposals.search.search`, compiled.
 
@@ -109,8 +109,10 @@ def search(
         largest_turn: Radians a step may turn.
         settled: Nats: the search ends once no step changes any energy by more.
         alike: Cosine of the angle up to which hypotheses are one.
+        first_damping: Share of the diagonal.
         calmer: Factor on the damping after a good step.
         bolder: Factor after a bad one.
+        ridge: Added to the diagonal.
 
     Returns:
         rotation, translation, coefficients, energy (H',), weights (H', K) of the survivors, best first; and the
@@ -127,7 +129,7 @@ def search(
     # Of every iteration the state of every hypothesis: 9 + 3 + N + K numbers, which is what a history shows.
     cdef int size = 12 + N + K
     cdef double[:, :, ::1] states = np.empty((I + 1, H, size))
-    cdef double[::1] energies = np.empty(H), damping = np.full(H, 1e-2)
+    cdef double[::1] energies = np.empty(H), damping = np.full(H, first_damping)
     cdef double[:, ::1] g = np.empty((H, D))
     cdef double[:, ::1] M = np.empty((H, D * D))
     cdef double[::1] trial_g = np.empty(D), trial_M = np.empty(D * D), trial = np.empty(size)
@@ -142,7 +144,7 @@ def search(
         for n in range(N):
             state[12 + n] = coefficients[h, n]
         energies[h] = evaluate(
-                    terms, 
+                    terms,
             state, state + 9, state + 12, least, &g[h, 0], &M[h, 0], state + 12 + N, &work[0]
         )
     for iteration in range(I):
@@ -171,7 +173,7 @@ def search(
                 h = alive[i]
                 state = &states[iteration, h, 0]
                 memcpy(&states[done, h, 0], state, size * sizeof(double))
-                if not solve(&M[h, 0], &g[h, 0], damping[h], D, &L[0], &step[0]):
+                if not solve(&M[h, 0], &g[h, 0], damping[h], ridge, D, &L[0], &step[0]):
                     damping[h] *= bolder
                     moved = True
                     continue
@@ -185,7 +187,7 @@ def search(
                 for n in range(N):
                     trial[12 + n] = state[12 + n] + step[6 + n]
                 energy = evaluate(
-                    terms, 
+                    terms,
                     &trial[0], &trial[9], &trial[0] + 12, least, &trial_g[0], &trial_M[0], &trial[0] + 12 + N,
                     &work[0]
                 )
@@ -221,7 +223,9 @@ cdef int last_cut(const int[::1] keep) noexcept nogil:
     return last
 
 
-cdef bint solve(const double *M, const double *g, double damping, int D, double *L, double *x) noexcept nogil:
+cdef bint solve(
+    const double *M, const double *g, double damping, double ridge, int D, double *L, double *x
+) noexcept nogil:
     """x = -(M + damping diag(M))^-1 g by Cholesky; False where the matrix is not positive definite."""
     cdef int i, j, k
     cdef double s
@@ -229,7 +233,7 @@ cdef bint solve(const double *M, const double *g, double damping, int D, double 
         for j in range(i + 1):
             s = M[i * D + j]
             if i == j:
-                s = s * (1.0 + damping) + 1e-9
+                s = s * (1.0 + damping) + ridge
             for k in range(j):
                 s -= L[i * D + k] * L[j * D + k]
             if i != j:

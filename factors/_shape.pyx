@@ -10,7 +10,9 @@ from libc.string cimport memcpy
 
 import numpy as np
 
-cdef double SHORTEST = 1e-9  # metres; a diagonal of no more has no direction
+from factors.rectangularity import SHORTEST_DIAGONAL
+
+cdef double SHORTEST = SHORTEST_DIAGONAL
 
 
 cdef class Shape:

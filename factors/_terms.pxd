@@ -64,7 +64,7 @@ cdef inline void mixture(double right, double wrong, double s, double *weight, d
 
 
 cdef inline void robust(
-    int form, double right, double wrong, double s, double *stretch, double *weight, double *bend
+    int form, double stiffest, double right, double wrong, double s, double *stretch, double *weight, double *bend
 ) noexcept nogil:
     """Factor on a residual of squared length s, root of its weight, what is taken off along it (`factors.mixture`)."""
     cdef double w, loss, rest
@@ -81,7 +81,7 @@ cdef inline void robust(
         stretch[0] = weight[0]
         return
     rest = 1.0 - (1.0 - w) * s
-    rest = sqrt(rest if rest > 0.1 else 0.1)  # `factors.mixture.STIFFEST`
+    rest = sqrt(rest if rest > stiffest else stiffest)
     bend[0] = 1.0 - rest
     stretch[0] = weight[0] / rest
 

@@ -15,60 +15,65 @@ them of the other.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import gtsam
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from factors.checks import finite_array
-from factors.errors import InvalidInputError
-from factors.guard import Evaluation, guarded_factor
-from factors.kernel import Projection, ProjectionKernel
-from factors.noise import Noise
+from factors.mixture import mixture
 from factors.projection import by_pose, pixel_jacobian
 
-__all__ = ["OUTWARD", "box_factor", "crease_rows", "extents_by_points", "kink", "projected_extents", "soft_extents"]
+if TYPE_CHECKING:  # on use: most of this needs numpy alone
+    import gtsam
+
+    from factors.kernel import Projection, ProjectionKernel
+
+__all__ = ["OUTWARD", "BoxRows", "crease_rows", "extents_by_points", "kink", "projected_extents", "soft_extents"]
+
+Array = NDArray[np.float64]
 
 OUTWARD = np.array([-1.0, -1.0, 1.0, 1.0])
 """Which way each edge x1, y1, x2, y2 looks."""
 
+FARTHEST_SHARE = 40.0
+"""Softnesses behind the outermost point beyond which one has no share in an extent: it is below the sum's rounding."""
 
-def box_factor(
-    kernel: ProjectionKernel,
-    box: ArrayLike,
-    noise: Noise,
-    *,
-    softness: float,
-    edges: Sequence[bool] = (True, True, True, True),
-) -> gtsam.CustomFactor:
-    """The projected extent of the surface equals the box: one row per used edge, pixels.
+NEAREST_KINK = 1e-3
+"""Softnesses: two points that are nearer to one another have the curvature of this distance."""
 
-    Args:
-        kernel: Projects points that cover the surface (up to about 150); its shape is driven by the same lambda key as
-            the keypoints', but is one of its own: a `LinearShape` of the surface's mean and basis.
-        box: (4,) edges x1, y1, x2, y2.
-        noise: Noise model of as many rows as edges are used, or one sigma in pixels.
-        softness: Pixels over which one point hands over to the next; a fraction of the noise's sigma is right.
-        edges: Which of the four are used; False where the image border cuts the vehicle off.
 
-    Raises:
-        InvalidInputError: The box has no size, no edge is used, or the softness is not positive.
+@dataclass(frozen=True)
+class BoxRows:
+    """A 2D box and how well its edges are known.
+
+    Attributes:
+        edges: (4,) x1, y1, x2, y2, pixels.
+        used: (4,) which edges count: not one where the image border cuts the vehicle off.
+        sigma: Standard deviation of an edge, pixels.
+        wrong: Density of a wrong edge relative to a right one's peak, times the odds of being wrong.
+        softness: Pixels over which one outermost point hands over to the next; a fraction of sigma is right.
     """
-    corners = finite_array("box", box, (4,))
-    if not (corners[2:] > corners[:2]).all():
-        raise InvalidInputError("box", corners.tolist(), "Give x1 < x2 and y1 < y2.")
-    if len(edges) != 4 or not any(edges):
-        raise InvalidInputError("edges", list(edges), "Use at least one of the four edges.")
-    if not (np.isfinite(softness) and softness > 0):
-        raise InvalidInputError("softness", softness, "Give a positive number of pixels.")
-    used = np.flatnonzero(np.asarray(edges, dtype=bool))
-    callback = _Box(kernel, corners[used], used, float(softness))
-    return guarded_factor("box", noise, kernel.keys, kernel.dims, len(used), callback)
+
+    edges: Array
+    used: NDArray[np.bool_]
+    sigma: float
+    wrong: float
+    softness: float
+
+    def residual(self, extents: Array) -> Array:
+        """Whitened residuals (..., 4) of extents (..., 4)."""
+        return (extents - self.edges) / self.sigma
+
+    def assess(self, residual: Array) -> tuple[Array, Array, Array]:
+        """Weights (..., 4) and losses (..., 4) of whitened residuals, and the edges' energy (...) in nats."""
+        right = np.where(self.used, 1.0, 0.0)
+        weights, losses = mixture(right, np.full(4, self.wrong), np.square(residual))
+        energy: Array = (losses - right * np.log(1.0 + self.wrong)).sum(axis=-1)
+        return weights, losses, energy
 
 
-def soft_extents(pixels: NDArray[np.float64], softness: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def soft_extents(pixels: Array, softness: float) -> tuple[Array, Array]:
     """Soft extents of projected points, for any number of poses.
 
     Args:
@@ -80,8 +85,8 @@ def soft_extents(pixels: NDArray[np.float64], softness: float) -> tuple[NDArray[
     """
     upright = np.swapaxes(pixels, -1, -2)
     outward = np.concatenate([-upright, upright], axis=-2)  # (..., 4, P): x1, y1, x2, y2
-    # Beyond 40 softnesses a weight is below the rounding of the sum; numbers near the smallest float are slow.
-    weight = np.exp(np.maximum((outward - outward.max(axis=-1, keepdims=True)) / softness, -40.0))
+    # Numbers near the smallest float are slow.
+    weight = np.exp(np.maximum((outward - outward.max(axis=-1, keepdims=True)) / softness, -FARTHEST_SHARE))
     weight /= weight.sum(axis=-1, keepdims=True)
     extent = (weight * outward).sum(axis=-1)
     share = weight * (1.0 + (outward - extent[..., None]) / softness)
@@ -89,12 +94,12 @@ def soft_extents(pixels: NDArray[np.float64], softness: float) -> tuple[NDArray[
 
 
 def extents_by_points(
-    camera_matrix: NDArray[np.float64],
-    camera: NDArray[np.float64],
-    rotation: NDArray[np.float64],
-    points: NDArray[np.float64],
-    share: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    camera_matrix: Array,
+    camera: Array,
+    rotation: Array,
+    points: Array,
+    share: Array,
+) -> tuple[Array, Array, Array]:
     """Derivatives of the extents by pose and points.
 
     Points come last in memory, and sums over them are one product: with g_p the derivative of an edge by the object
@@ -127,14 +132,14 @@ def extents_by_points(
 
 def projected_extents(
     kernel: ProjectionKernel, values: gtsam.Values, softness: float, *, want_jacobian: bool = False
-) -> Evaluation:
+) -> tuple[Array, Array | None]:
     """Soft extents (4,) of a kernel's points, pixels, and where wanted their derivative (4, D) by its variables."""
     at = kernel.evaluate(values)
     extents, share = soft_extents(at.pixels, softness)
     return extents, _by_variables(kernel, at, share) if want_jacobian else None
 
 
-def kink(behind: NDArray[np.float64], softness: float) -> NDArray[np.float64]:
+def kink(behind: Array, softness: float) -> Array:
     """Curvature of the parabola that touches the soft maximum of two pixels and lies nowhere below it.
 
     With d the difference of the pixels the maximum is their mean and (d / 2) tanh(d / (2 softness)), which is even, and
@@ -144,15 +149,13 @@ def kink(behind: NDArray[np.float64], softness: float) -> NDArray[np.float64]:
         behind: (...) how many pixels one is behind the other, not negative.
         softness: As in `soft_extents`.
     """
-    away = np.maximum(behind / softness, 1e-3)
+    away = np.maximum(behind / softness, NEAREST_KINK)
     e = np.exp(-away)
-    curvature: NDArray[np.float64] = (0.5 * (1.0 - e) / (1.0 + e) + away * e / (1.0 + e) ** 2) / (away * softness)
+    curvature: Array = (0.5 * (1.0 - e) / (1.0 + e) + away * e / (1.0 + e) ** 2) / (away * softness)
     return curvature
 
 
-def crease_rows(
-    kernel: ProjectionKernel, values: gtsam.Values, softness: float, beyond: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def crease_rows(kernel: ProjectionKernel, values: gtsam.Values, softness: float, beyond: Array) -> Array:
     """Rows (4, D) that add to J'J what a crease of the outline bends the energy by, at the most.
 
     An edge's energy with slope f by its extent, outwards, bends by f times the extent's second derivative. Of the
@@ -182,7 +185,7 @@ def crease_rows(
     return _by_variables(kernel, at, share)
 
 
-def _by_variables(kernel: ProjectionKernel, at: Projection, share: NDArray[np.float64]) -> NDArray[np.float64]:
+def _by_variables(kernel: ProjectionKernel, at: Projection, share: Array) -> Array:
     """(4, D) derivative by a kernel's variables of sums of pixels with shares (4, P): two of u, two of v."""
     shape = kernel.shape
     turn, shift, by_point = extents_by_points(at.matrix, at.camera, at.rotation, at.points, share)
@@ -193,15 +196,3 @@ def _by_variables(kernel: ProjectionKernel, at: Projection, share: NDArray[np.fl
         away = (at.pixels - at.matrix[:2, 2]).T
         blocks.append((share * np.concatenate([away, away])).sum(axis=1, keepdims=True))
     return np.concatenate(blocks, axis=1) if blocks else np.zeros((4, 0))
-
-
-@dataclass(frozen=True, slots=True)
-class _Box:
-    kernel: ProjectionKernel
-    box: NDArray[np.float64]
-    used: NDArray[np.intp]
-    softness: float
-
-    def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
-        extents, jacobian = projected_extents(self.kernel, values, self.softness, want_jacobian=want_jacobian)
-        return extents[self.used] - self.box, None if jacobian is None else jacobian[self.used]

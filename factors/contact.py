@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from factors.checks import finite_array, unit_vector
+from factors.ground import ground_rows
 from factors.guard import Evaluation, guarded_factor
 from factors.noise import Noise
 
@@ -103,14 +104,12 @@ class _Contact:
         pose, change = values.atPose3(self.pose_key).matrix(), values.atVector(self.ground_key)
         normal, by_ab = self.frame.turned(change)
         rotation, place = pose[:3, :3], pose[:3, 3]
-        residual = np.empty(4)  # as `ground_rows` has it
-        residual[0] = place.dot(normal) - self.frame.distance - change[0]
-        residual[1:] = rotation[:, 1] - normal
+        residual, by_turn = ground_rows(normal, self.frame.distance, rotation, place)
+        residual[0] -= change[0]
         if not want_jacobian:
             return residual, None
         jacobian = np.zeros((4, 9))
-        jacobian[1:, 0] = rotation[:, 2]
-        jacobian[1:, 2] = -rotation[:, 0]
+        jacobian[:, :3] = by_turn
         jacobian[0, 3:6] = normal.dot(rotation)
         jacobian[0, 6] = -1.0
         jacobian[0, 7:] = place.dot(by_ab)

@@ -2,7 +2,7 @@
 
 What costs in a Python factor is numpy's overhead per call, not the arithmetic. `ProjectionKernel` therefore projects
 all keypoints at once, with all their Jacobians, and thin factors read their rows: by default one factor has all that an
-image says of a vehicle (`factors.observation_factor`); with a robust loss of GTSAM's each keypoint has
+image says of a vehicle (`factors.observation_rows`); with a robust loss of GTSAM's each keypoint has
 a factor of its own.
 
 The equations are those of `factors.projection`, which the search for proposals evaluates for many poses at once.

@@ -24,9 +24,10 @@ from factors.guard import Evaluation, guarded_factor
 from factors.noise import Noise
 from factors.shape import LinearShape
 
-__all__ = ["rectangularity_factor"]
+__all__ = ["SHORTEST_DIAGONAL", "rectangularity_factor"]
 
-_SHORTEST = 1e-9
+SHORTEST_DIAGONAL = 1e-9
+"""Metres; a diagonal of no more has no direction, and its derivative is taken as zero."""
 
 # Rows: a - b + c - d, and the diagonals a - c and b - d.
 _DIFFERENCES = np.array([[1.0, -1.0, 1.0, -1.0], [1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
@@ -64,9 +65,8 @@ class _Rectangularity:
     def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
         differences = _DIFFERENCES @ self.shape.points(values)[self.quad]
         first, second = differences[1], differences[2]
-        # A diagonal of no length has no direction; its derivative is then taken as zero.
-        length = max(math.sqrt(first @ first), _SHORTEST)
-        other = max(math.sqrt(second @ second), _SHORTEST)
+        length = max(math.sqrt(first @ first), SHORTEST_DIAGONAL)
+        other = max(math.sqrt(second @ second), SHORTEST_DIAGONAL)
         residual = np.empty(4)
         residual[:3] = differences[0]
         residual[3] = length - other

@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.losses import Loss, RobustLoss
+from factors.mixture import mixture
 from fgrecon.core.choices import StrategyName
 from fgrecon.core.settings import check_settings, choice, count, number, one_of
 
@@ -164,10 +165,9 @@ class RobustStrategy:
         """
         if self.name is StrategyName.MIXTURE:
             right, wrong = self.densities(evidence, visibility)
-            inlier = right * np.exp(-0.5 * squared_distance)
-            total = inlier + wrong
-            mixture_energy: Array = -np.log(total).sum(axis=-1)
-            return inlier / total, mixture_energy
+            posterior, losses = mixture(right, wrong, squared_distance)
+            log_likelihood: Array = (losses - np.log(right + wrong)).sum(axis=-1)
+            return posterior, log_likelihood
         initial = self.initial_weights(evidence, visibility)
         energy: Array = (initial * self.robust_loss.losses_of_squares(squared_distance)).sum(axis=-1)
         if not self.is_paper:

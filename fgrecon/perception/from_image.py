@@ -25,7 +25,7 @@ from fgrecon.perception.boxes import find_boxes, for_detected
 from fgrecon.perception.keypoints.detect import as_rgb8, shipped_cascade
 from fgrecon.perception.protocols import KeypointDetector, VehicleDetector, find_keypoints
 from fgrecon.solve.pipeline import reconstruct
-from fgrecon.solve.proposals.direction import direction_penalty as penalty_of
+from fgrecon.solve.proposals.terms import direction_penalty as penalty_of
 from fgrecon.solve.scene import reconstruct_scene
 
 __all__ = ["FromImage", "direction_penalty", "reconstruct_detection", "reconstruct_detections", "reconstruct_image"]

@@ -36,14 +36,14 @@ def box_excess(problem: Problem, camera_T_object: Array, coefficients: Array, ca
         camera: The camera that took the image.
     """
     box = problem.energy.box
-    if box is None or not box.used.all():
+    if box is None or not box.rows.used.all():
         return float("nan")
     points = transform(camera_T_object, problem.model.box_points(problem.options.box.model).at(coefficients))
     if not points[:, 2].min() > MIN_DEPTH:
         return float("nan")
     seen = points @ camera.matrix.T
     sides: Array = np.ptp(seen[:, :2] / seen[:, 2:], axis=0)
-    return float(np.mean((box.edges[2:] - box.edges[:2]) / sides) - 1.0)
+    return float(np.mean((box.rows.edges[2:] - box.rows.edges[:2]) / sides) - 1.0)
 
 
 def boxes_off(vehicles: Iterable[float]) -> float | None:

@@ -4,8 +4,9 @@ import gtsam
 import numpy as np
 import pytest
 
-from factors import X, ground_height_factor, upright_factor
+from factors import X
 from factors.contact import GroundFrame, contact_factor
+from factors.ground import GroundRows
 from factors.keys import G, decode_key, key_name
 from tests.factors.support import assert_jacobian, graph_of, optimize, random_pose
 
@@ -33,9 +34,9 @@ def test_jacobian(normal):
 def test_at_the_nominal_plane_it_is_the_constant_grounds():
     pose = random_pose(np.random.default_rng(1))
     contact = contact_factor(X(), G(), GroundFrame.of(NORMAL, 1.7), NOISE)
-    apart = [ground_height_factor(X(), NORMAL, 1.7, 0.05), upright_factor(X(), NORMAL, 0.02)]
+    constant = GroundRows(NORMAL, 1.7, 0.02).energy(pose.rotation().matrix(), pose.translation(), 0.05)
     values = values_of(pose, np.zeros(3))
-    assert contact.error(values) == pytest.approx(sum(factor.error(values) for factor in apart), rel=1e-12)
+    assert contact.error(values) == pytest.approx(constant, rel=1e-12)
 
 
 def test_pitch_and_roll_are_the_cameras():

@@ -157,7 +157,7 @@ def test_garbage_neither_kills_nor_fools():
 
 _CHILD = """
 import numpy as np
-from factors.observation_factor import ObservationRows
+from factors.observation_rows import ObservationRows
 from fgrecon.core.errors import FactorCallbackError
 from fgrecon.solve.pipeline import reconstruct
 honest = ObservationRows.__call__

@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.native import native
+from fgrecon.solve.graph.graph_settings import SETTINGS
 
 __all__ = ["Anderson"]
 
 Array = NDArray[np.float64]
 
-_REMEMBERED = 4  # steps that it learns from
-_DAMPED = 1e-10  # of the normal equations' diagonal: of several changes that are nearly one any mixture will do
+NEWTON = SETTINGS.newton
 
 
 class Anderson:
@@ -38,7 +38,7 @@ class Anderson:
         if self._changes is None or self._moves is None:
             return None
         if self._kernel is not None:
-            mixed: Array | None = self._kernel.accelerated(self._changes, self._moves, step, _DAMPED)
+            mixed: Array | None = self._kernel.accelerated(self._changes, self._moves, step, NEWTON.acceleration_ridge)
             return mixed
         return _accelerated(self._changes, self._moves, step)
 
@@ -55,7 +55,7 @@ def _accelerated(changes: Array, moves: Array, step: Array) -> Array | None:
     """The step whose change by the mixture of the remembered ones is least; None where a change is none."""
     squares = changes @ changes.T
     index = np.arange(len(squares))
-    squares[index, index] *= 1.0 + _DAMPED
+    squares[index, index] *= 1.0 + NEWTON.acceleration_ridge
     try:
         np.linalg.cholesky(squares)
         share = np.linalg.solve(squares, changes @ step)
@@ -67,4 +67,4 @@ def _accelerated(changes: Array, moves: Array, step: Array) -> Array | None:
 
 def _remembered(rows: Array | None, row: Array) -> Array:
     """The last few rows (n, D) with one more."""
-    return row[None] if rows is None else np.concatenate([rows[1 - _REMEMBERED :], row[None]])
+    return row[None] if rows is None else np.concatenate([rows[1 - NEWTON.remembered_steps :], row[None]])

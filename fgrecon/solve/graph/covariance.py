@@ -13,6 +13,7 @@ from factors.keys import decode_key
 from factors.mixture import Form
 from fgrecon.core.errors import FactorCallbackError
 from fgrecon.solve.graph.graph import Graph
+from fgrecon.solve.graph.graph_settings import SETTINGS
 from fgrecon.solve.graph.observation_part import ObservationPart, Weights
 
 __all__ = [
@@ -27,8 +28,6 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-
-_NOTHING = 1e-12  # share of a vehicle's largest information below which a direction has none
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,7 @@ class Spread:
             root = np.linalg.cholesky(information / np.outer(scale, scale))
         except np.linalg.LinAlgError:
             return None
-        if not np.diag(root).min(initial=1.0) ** 2 > _NOTHING:
+        if not np.diag(root).min(initial=1.0) ** 2 > SETTINGS.undetermined_share:
             return None
         half = np.linalg.inv(root[cut:, cut:]) / scale[cut:]
         return cls(places, half.T @ half)
@@ -143,7 +142,7 @@ def undetermined(graph: Graph, values: gtsam.Values, weights: Sequence[Weights])
             ordering.push_back(key)
         count = sum(len(dims.at(key)) for key in keys if _vehicle(key) == number)
         information = np.linalg.eigvalsh(own.linearize(values).hessian(ordering)[0][:count, :count])
-        if information[0] <= _NOTHING * information[-1]:
+        if information[0] <= SETTINGS.undetermined_share * information[-1]:
             found.add(number)
     return found
 

@@ -19,15 +19,11 @@ from numpy.typing import NDArray
 
 from fgrecon.core.geometry import turn_between
 from fgrecon.core.reconstruction import Alternative
+from fgrecon.solve.graph.graph_settings import SETTINGS
 
 __all__ = ["is_flipped", "select_modes"]
 
 Array = NDArray[np.float64]
-
-_WHOLLY_WRONG = 5.0
-"""Nats that one image can say for a basin: in 0.7 % of the images all keypoints are of another one."""
-_TURN_SIGMA = np.deg2rad(10.0)  # from one image to the next
-_TURNED = 30.0  # nats that a turn costs at most
 
 
 def is_flipped(first: Array, second: Array) -> bool:
@@ -50,10 +46,10 @@ def select_modes(basins: Sequence[Sequence[Alternative]], *, in_order: bool) -> 
     for own in basins:
         energy = np.array([basin.excess for basin in own])
         told = energy - energy.min()
-        unary.append(-np.minimum(told, _WHOLLY_WRONG) if in_order else -told)
+        unary.append(-np.minimum(told, SETTINGS.image_evidence_nats) if in_order else -told)
     for before, after in pairwise(basins):
         turns = [[turn_between(a.camera_T_object, b.camera_T_object) for b in after] for a in before]
-        cost = np.minimum(np.square(np.array(turns) / _TURN_SIGMA) / 2.0, _TURNED)
+        cost = np.minimum(np.square(np.array(turns) / SETTINGS.turn_sigma_radians) / 2.0, SETTINGS.most_turn_nats)
         between.append(-cost if in_order else np.zeros_like(cost))
     chosen = _most_probable(unary, between)
     return chosen, [m[index] - m for m, index in zip(_marginals(unary, between), chosen, strict=True)]

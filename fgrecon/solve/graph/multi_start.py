@@ -25,25 +25,16 @@ from fgrecon.core.reconstruction import Alternative
 from fgrecon.core.robust import StrategyName
 from fgrecon.core.turned import HALF_TURN
 from fgrecon.solve.graph.graph import Graph, GraphObservation, State
+from fgrecon.solve.graph.graph_settings import SETTINGS
 from fgrecon.solve.graph.mode_selection import is_flipped, select_modes
 from fgrecon.solve.graph.observation_part import Weights
 from fgrecon.solve.graph.optimise import Optimum, Step, optimise
-from fgrecon.solve.proposals.pose_search import DISTINCT, PoseEstimate, distinct
+from fgrecon.solve.proposals.pose_search import PoseEstimate, distinct
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.restarts import lower_poses
+from fgrecon.solve.proposals.search_settings import SETTINGS as POSE_SEARCH
 
 __all__ = ["MultiStartResult", "SolvedStage", "minimise_from_proposals", "start_state"]
-
-_MATTERS = 12.0
-"""Nats: a proposal that is worse by more is not refined. Refinement changes differences by 3 nats at most, mostly by
-less than one."""
-_FEW = 4.0  # keypoints' weight: a pose has six unknowns, which leaves two equations for the shape
-_FEW_OF_SOME = 7.0  # the same where not even `_MOST_MEASURED` of the keypoints were: fewer could contradict the pose
-_MOST_MEASURED = 0.75
-_NOTHING = 0.3  # keypoints that the detector holds right, in all: with less there is nothing to find
-_AGAIN = 3  # searches from there at most, each from a better pose than the one before
-_BETTER = 0.5  # nats: what is lower by less is no other result
-_ROUNDS = 3  # of images that change over to another proposal
 
 
 @dataclass(frozen=True)
@@ -157,7 +148,7 @@ def _run(
 
 def _matter(start: PoseEstimate) -> list[Alternative]:
     """The proposals to refine beside the best; none where the strategy defines no energy."""
-    return [alternative for alternative in start.alternatives if alternative.excess <= _MATTERS]
+    return [alternative for alternative in start.alternatives if alternative.excess <= SETTINGS.proposal_gap_nats]
 
 
 def _decide(
@@ -191,7 +182,7 @@ def _decide(
         for one in solved
         if one is not best
     ]
-    left = [other for other in start.alternatives if not other.excess <= _MATTERS]
+    left = [other for other in start.alternatives if not other.excess <= SETTINGS.proposal_gap_nats]
     return replace(best, alternatives=(_distinct(best.optimum.state.poses[0], [*others, *left]),))
 
 
@@ -200,7 +191,7 @@ def _searched_on(
 ) -> tuple[MultiStartResult, list[MultiStartResult]]:
     """A result that rests on few keypoints, or a better one that is found from there; and all that was refined."""
     tried: list[MultiStartResult] = []
-    for again in range(_AGAIN):
+    for again in range(SETTINGS.most_restarts):
         if not _rests_on_few(one.problem, best.optimum):
             break
         state = best.optimum.state
@@ -208,7 +199,7 @@ def _searched_on(
         refined = [other for other in map(refine, lower) if other.optimum.failure is None]
         tried += refined
         lowest = min(refined, key=lambda other: other.settled_energy, default=best)
-        if not lowest.settled_energy < best.settled_energy - _BETTER:
+        if not lowest.settled_energy < best.settled_energy - SETTINGS.better_by_nats:
             break
         best = lowest
     return best, tried
@@ -219,10 +210,11 @@ def _rests_on_few(problem: Problem, optimum: Optimum) -> bool:
     options = problem.options
     if options.strategy.name is not StrategyName.MIXTURE or not options.shape.joint:
         return False  # weights are no probabilities, or the pose is the proposal's
-    if float(problem.energy.keypoints.evidence.right.sum()) < _NOTHING:
+    if float(problem.energy.keypoints.evidence.right.sum()) < SETTINGS.restart_least_right:
         return False
-    most = float(problem.observation.measured.mean()) > _MOST_MEASURED
-    return float(optimum.state.weights[0].keypoints.sum()) < (_FEW if most else _FEW_OF_SOME)
+    many = float(problem.observation.measured.mean()) > SETTINGS.many_measured_share
+    few = SETTINGS.restart_below_weight if many else SETTINGS.restart_below_weight_of_some
+    return float(optimum.state.weights[0].keypoints.sum()) < few
 
 
 def _change_over(
@@ -235,7 +227,7 @@ def _change_over(
 ) -> MultiStartResult:
     """Several images: those whose other proposals are more probable under the common shape change over to them."""
     alternatives: list[tuple[Alternative, ...]] = [() for _ in seen]
-    for _ in range(_ROUNDS):
+    for _ in range(SETTINGS.mode_rounds):
         if best.optimum.failure is not None:
             return best
         state = best.optimum.state
@@ -278,7 +270,7 @@ def _basins(
     for i, (one, start) in enumerate(zip(seen, starts, strict=True)):
         here = State([state.poses[i]], {one.vehicle: state.shapes[one.vehicle]}, [state.weights[i]])
         others = [other.camera_T_object for other in _matter(start)]
-        if others or turn_between(poses[i], start.camera_T_object) > DISTINCT:
+        if others or turn_between(poses[i], start.camera_T_object) > POSE_SEARCH.distinct_turn_radians:
             others.append(start.camera_T_object)
         if doubt and not any(is_flipped(poses[i], other) for other in others):
             others.append(poses[i] @ HALF_TURN)
@@ -300,7 +292,9 @@ def _held(
         moved = State([gtsam.Pose3(pose)], here.shapes, here.weights)
         optimum = optimise(Graph([one], moved, pose_free=True, hold_shape=True, extra=extra), moved)
         refined = optimum.state.poses[0].matrix()
-        if optimum.failure is None and all(turn_between(refined, a.camera_T_object) > DISTINCT for a in found):
+        if optimum.failure is None and all(
+            turn_between(refined, a.camera_T_object) > POSE_SEARCH.distinct_turn_radians for a in found
+        ):
             found.append(Alternative(refined, coefficients, optimum.energy))
     return found
 

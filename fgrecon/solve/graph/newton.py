@@ -11,9 +11,9 @@ that is mostly wrong bends the other way. From there on the steps are those of a
 (`Form.MAJORISED`), accelerated likewise, and where these fail a damped one of Levenberg-Marquardt's.
 
 Visibility is no force of the solver's and can swing between two views of a car for ever: where the steps have not ended
-after `_FOLLOWED` of them, it is held at the best state and the iteration goes on from there. Of many images one may
-swing and keep all from ending: it is held as soon as it is seen to, and its pose goes alone to where that leads, which
-is a long way if it is across a plateau.
+after `followed_iterations` of them, it is held at the best state and the iteration goes on from there. Of many images
+one may swing and keep all from ending: it is held as soon as it is observed to, and its pose goes alone to where that
+leads, which is a long way if it is across a plateau.
 """
 
 from __future__ import annotations
@@ -29,28 +29,15 @@ from factors.mixture import Form
 from fgrecon.core.errors import DegenerateProblemError, FactorCallbackError
 from fgrecon.solve.graph.anderson import Anderson
 from fgrecon.solve.graph.graph import Graph, State
+from fgrecon.solve.graph.graph_settings import SETTINGS
 from fgrecon.solve.graph.observation_part import Weights
-from fgrecon.solve.graph.solver import DAMPING, NEGLIGIBLE, minimise
+from fgrecon.solve.graph.solver import minimise
 
-__all__ = ["STEADY", "STEADY_TOGETHER", "Descent", "Step"]
+__all__ = ["Descent", "Step"]
 
 Array = NDArray[np.float64]
 
-STEADY = 1e-8
-"""A step is the last if the next will move no variable by more (radians, metres, standard deviations of lambda)."""
-
-STEADY_TOGETHER = 1e-6
-"""The same where several images or vehicles are solved together: a micrometre, at two thirds of the iterations."""
-
-_FOLLOWED = 25  # iterations for which visibility follows the pose
-_WATCHED = 6  # iterations from which on the visibility of an image among others may not change more than two before
-_SWING = 1e-4  # a change of visibility by less is none
-_MOST = 30  # iterations after that
-_SHORTER = 0.3  # of a plain step that goes up
-_LONGEST = 20.0  # times the plain step that an accelerated one may go
-_RISE = 1e-10  # relative rise of the energy that is none: near the end it is too coarse to judge a step by
-_TOLERANCE = 1e-12  # of Levenberg-Marquardt's, relative decrease
-_IN_VAIN = 2  # damped steps in a row that gain a negligible energy are the last: hardly anything says where to
+NEWTON = SETTINGS.newton
 
 
 @dataclass(frozen=True)
@@ -79,7 +66,7 @@ class Descent:
         steps: Every iteration, where the history is kept.
         iterations: How many were made.
         first: Energy at the start, nats.
-        converged: Whether the last step was `STEADY`, or where steps leap over a crease of the energy, gained nothing.
+        converged: Whether the last step was steady, or where steps leap over a crease of the energy, gained nothing.
     """
 
     def __init__(self, graph: Graph, start: State, most: int | None = None, steady: float | None = None) -> None:
@@ -95,14 +82,16 @@ class Descent:
         self._slices: dict[int, slice] = {}  # where a step has each variable
         self._ordering: gtsam.Ordering | None = None  # of elimination, the same for every step
         self._lengths = (np.inf, np.inf)  # of the last two steps
-        self._damping = DAMPING
+        self._damping = SETTINGS.first_damping
         self._form = Form.NEWTON
         self._own: tuple[gtsam.Values | None, float] = (None, 0.0)  # error of factors that no weights change, and where
         self._still = False  # whether the last damped step moved nothing
         self._in_vain = 0  # damped steps, one after the other, that gained a negligible energy
         self._swinging = _Swinging(len(start.weights))
         self._shared = not start.others.empty()
-        self._steady = (STEADY if len(start.weights) == 1 else STEADY_TOGETHER) if steady is None else steady
+        self._steady = (
+            (NEWTON.steady if len(start.weights) == 1 else NEWTON.steady_together) if steady is None else steady
+        )
 
     def run(self) -> None:
         """Go to a minimum.
@@ -114,7 +103,7 @@ class Descent:
         self.first = self._energy() if self.most is None else float("inf")
         states = [(self.values, self.weights)]
         steps = Anderson()
-        for iteration in range(_FOLLOWED):
+        for iteration in range(NEWTON.followed_iterations):
             self.converged = self._iterate(steps)
             before = self.weights
             self.weights = self.graph.reweigh(self.values, before, 1.0, held=self._swinging.held)
@@ -124,7 +113,7 @@ class Descent:
             self._record()
             if self.converged or self.iterations == self.most:
                 return
-            if iteration >= _FOLLOWED // 2:
+            if iteration >= NEWTON.followed_iterations // 2:
                 states.append((self.values, self.weights))  # most end before their energies are asked for
         energies = [self.first, *(self._energy_at(*state) for state in states[1:])]
         if (least := min(energies)) < energies[-1]:
@@ -134,7 +123,7 @@ class Descent:
     def _settle(self) -> None:
         """Go to a minimum with visibility held."""
         steps = Anderson()
-        for _ in range(_MOST):
+        for _ in range(NEWTON.held_iterations):
             self.converged = self._iterate(steps)
             self.weights = self.graph.reweigh(self.values, self.weights, 1.0, hold=True)
             self._record()
@@ -142,7 +131,7 @@ class Descent:
                 return
         # Steps that lead to and fro: down to where they gain nothing.
         built = self.graph.build(self.weights, self._form)
-        solution = minimise(built, self.values, relative_tolerance=_TOLERANCE)
+        solution = minimise(built, self.values, relative_tolerance=NEWTON.final_relative_decrease)
         self.values, self.converged = solution.values, solution.converged
         self.weights = self.graph.reweigh(self.values, self.weights, 1.0, hold=True)
         self._record()
@@ -199,10 +188,13 @@ class Descent:
         step = newton.vector()
         length = float(np.abs(step).max(initial=0.0))
         last = self._is_last(length)
-        unseen = last and self._steady <= STEADY_TOGETHER  # so near the end nobody asks what it does to the energy
-        energy = np.inf if unseen else self._error() * (1.0 + _RISE) + _RISE
+        unseen = (
+            last and self._steady <= NEWTON.steady_together
+        )  # so near the end nobody asks what it does to the energy
+        rise = NEWTON.negligible_rise
+        energy = np.inf if unseen else self._error() * (1.0 + rise) + rise
         further = steps.propose(step)
-        if further is not None and np.abs(further).max() > _LONGEST * length:
+        if further is not None and np.abs(further).max() > NEWTON.longest_step * length:
             further = None
         for proposed in self._tries(step, further):
             moved = self.values.retract(newton if proposed is step else self._by_key(newton, proposed))
@@ -226,10 +218,10 @@ class Descent:
             yield further
         yield step
         if self._form is Form.MAJORISED:
-            yield _SHORTER * step
+            yield NEWTON.shortened_step * step
 
     def _is_last(self, length: float) -> bool:
-        """Whether the step after one of this length will be `STEADY`, as the slower of the last two rates foretells."""
+        """Whether the step after one of this length will be steady, as the slower of the last two rates foretells."""
         earlier, before = self._lengths
         self._lengths = before, length
         rate = max(before / earlier, length / before) if 0.0 < before < earlier < np.inf else 1.0
@@ -252,12 +244,13 @@ class Descent:
         built = self.graph.build(self.weights, self._form)
         solution = minimise(built, self.values, max_iterations=1, damping=self._damping)
         gained = built.error(self.values) - solution.error
-        self._in_vain = self._in_vain + 1 if gained <= NEGLIGIBLE else 0
+        self._in_vain = self._in_vain + 1 if gained <= SETTINGS.negligible_gain_nats else 0
         moved = self.values.localCoordinates(solution.values).vector()
         before, self._still = self._still, float(np.abs(moved).max(initial=0.0)) <= self._steady
         self.values = solution.values
-        self._damping = DAMPING if self._still else max(solution.damping, DAMPING)  # too much of it keeps all still
-        return (before and self._still) or self._in_vain >= _IN_VAIN
+        first = SETTINGS.first_damping  # too much of it keeps all still
+        self._damping = first if self._still else max(solution.damping, first)
+        return (before and self._still) or self._in_vain >= NEWTON.vain_steps
 
 
 class _Swinging:
@@ -274,10 +267,10 @@ class _Swinging:
             return set()
         pairs = zip(before, after, strict=True)
         self._changes.append(np.array([np.abs(b.visibility - a.visibility).max() for a, b in pairs]))
-        if len(self._changes) <= (2 if self.held else _WATCHED):
+        if len(self._changes) <= (2 if self.held else NEWTON.watched_iterations):
             return set()
         now, earlier = self._changes[-1], self._changes[-3]
-        worst = np.maximum(_SWING, 0.5 * now.max())  # the others may change because of those
+        worst = np.maximum(NEWTON.least_swing, 0.5 * now.max())  # the others may change because of those
         swinging = set(np.flatnonzero((now > worst) & (now >= earlier)).tolist())
         if swinging:
             self.held |= swinging

@@ -27,28 +27,16 @@ from numpy.typing import NDArray
 from factors.mixture import Form
 from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.solve.graph.graph import Graph, State
+from fgrecon.solve.graph.graph_settings import SETTINGS
 from fgrecon.solve.graph.newton import Descent, Step
 from fgrecon.solve.graph.observation_part import Weights
 from fgrecon.solve.graph.solver import minimise
 
-__all__ = ["EARLY_TOLERANCE", "FINAL_TOLERANCE", "SETTLED", "STILL", "Optimum", "Step", "optimise"]
+__all__ = ["Optimum", "Step", "optimise"]
 
 Array = NDArray[np.float64]
 
-SETTLED = 1e-4
-"""Weights that change by less have settled."""
-EARLY_TOLERANCE = 1e-4
-"""Relative decrease at which a solve ends whose weights are about to change."""
-FINAL_TOLERANCE = 1e-13
-"""The same for the last solves."""
-STILL = 1e-7
-"""A solve that moves no variable by more (radians, metres, standard deviations of lambda) ends at the minimum."""
-
-_REFRESHED = 4  # times the strategy's updates: how often visibility is made anew at most
-_MOST_UPDATES = 60  # with visibility held
-_MOST_ITERATIONS = 500  # of the solver, over all updates: cars take up to 200, what takes more does not end
-_LONGEST_GUESS = 20.0  # steps that a guess may go ahead
-_DRIFT = 0.1  # nats that settled weights may cost: what moves visibility is no force of the solver's
+REWEIGHTING = SETTINGS.reweighting
 
 
 @dataclass(frozen=True)
@@ -130,7 +118,9 @@ class _Loop:
 
     def run(self) -> None:
         updates = max(self.strategy.updates, 1)
-        wanted = updates if self.strategy.anneals or not self.strategy.descends else _REFRESHED * updates
+        wanted = (
+            updates if self.strategy.anneals or not self.strategy.descends else REWEIGHTING.refreshed_updates * updates
+        )
         best: tuple[float, gtsam.Values, list[Weights]] | None = None
         settled = False
         for update in range(wanted):
@@ -139,34 +129,35 @@ class _Loop:
             self.first = energy if update == 0 else self.first
             if best is None or energy < best[0] or self.strategy.anneals:
                 best = energy, self.values, self.weights
-            settled = update > 0 and change < SETTLED and not self.strategy.anneals
+            settled = update > 0 and change < REWEIGHTING.settled_weight_change and not self.strategy.anneals
             if settled and self.strategy.descends:
                 break  # what is left is for the second part
             last = settled or update == wanted - 1
-            self.solve(FINAL_TOLERANCE if last and not self.strategy.descends else EARLY_TOLERANCE)
+            final = last and not self.strategy.descends
+            self.solve(REWEIGHTING.final_relative_decrease if final else REWEIGHTING.early_relative_decrease)
             if last:
                 break
         if self.strategy.descends and best is not None and not self.values.empty():
             self.reweigh(1.0)
-            if not self.strategy.anneals and best[0] < self.energy() - (_DRIFT if settled else 0.0):
+            if not self.strategy.anneals and best[0] < self.energy() - (REWEIGHTING.drift_nats if settled else 0.0):
                 _, self.values, self.weights = best
             self.settle()
 
     def settle(self) -> None:
         """The second part: visibility held, until nothing moves."""
         before: Array | None = None
-        for _ in range(_MOST_UPDATES):
+        for _ in range(REWEIGHTING.held_updates):
             self.reweigh(1.0, hold=True)
             start = self.values
-            self.solve(FINAL_TOLERANCE)
+            self.solve(REWEIGHTING.final_relative_decrease)
             step = start.localCoordinates(self.values)
             moved: Array = step.vector()
-            if np.abs(moved).max() <= STILL:
+            if np.abs(moved).max() <= REWEIGHTING.still:
                 self.converged = True
                 return
             if before is not None:
                 self.guess(step, float(moved @ before / (before @ before)), self.energy())
-            if self.iterations >= _MOST_ITERATIONS:
+            if self.iterations >= REWEIGHTING.most_iterations:
                 break
             before = moved
         self.converged = False
@@ -176,7 +167,7 @@ class _Loop:
         if not 0.0 < ratio < 1.0:
             return
         ahead = gtsam.VectorValues(step)
-        ahead.scaleInPlace(min(ratio / (1.0 - ratio), _LONGEST_GUESS))
+        ahead.scaleInPlace(min(ratio / (1.0 - ratio), REWEIGHTING.longest_guess))
         here, self.values = self.values, self.values.retract(ahead)
         if not self.energy() < energy:
             self.values = here

@@ -9,13 +9,9 @@ from typing import Any
 import gtsam
 
 from fgrecon.core.errors import DegenerateProblemError, FactorCallbackError
+from fgrecon.solve.graph.graph_settings import SETTINGS
 
-__all__ = ["DAMPING", "NEGLIGIBLE", "Solution", "minimise"]
-
-DAMPING = 1e-5
-"""Levenberg-Marquardt's, at the start."""
-NEGLIGIBLE = 1e-3
-"""Nats that an iteration gains: too few to tell one shape from another."""
+__all__ = ["Solution", "minimise"]
 
 
 @dataclass(frozen=True)
@@ -45,7 +41,7 @@ def minimise(
     *,
     relative_tolerance: float = 1e-9,
     max_iterations: int = 60,
-    damping: float = DAMPING,
+    damping: float = SETTINGS.first_damping,
     record: bool = False,
 ) -> Solution:
     """Minimise the graph's error from a start.
@@ -66,7 +62,7 @@ def minimise(
         return Solution(start, (), float(graph.error(start)), 0, converged=True, damping=damping)
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setRelativeErrorTol(relative_tolerance)
-    parameters.setAbsoluteErrorTol(1e-12)
+    parameters.setAbsoluteErrorTol(SETTINGS.absolute_decrease_nats)
     parameters.setMaxIterations(max_iterations)
     parameters.setlambdaInitial(damping)
     path: list[gtsam.Values] = []  # copies: GTSAM hands out references into the optimizer
@@ -92,6 +88,6 @@ def minimise(
     error = float(optimizer.error())
     if not math.isfinite(error):  # GTSAM returns such a start as it is, without a word
         raise DegenerateProblemError("start", f"energy {error}", "Start with every keypoint in front of the camera.")
-    converged = decrease <= max(relative_tolerance * error, NEGLIGIBLE)
+    converged = decrease <= max(relative_tolerance * error, SETTINGS.negligible_gain_nats)
     iterations, damping = int(optimizer.iterations()), float(optimizer.lambda_())
     return Solution(values, tuple(path), error, iterations, converged, damping)

@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 
 from factors import decode_key, key_name
-from factors.noise import SMALLEST_WEIGHT
+from factors.keypoint_rows import SMALLEST_WEIGHT
 from fgrecon.core.reconstruction import GraphFactor
 from fgrecon.solve.graph.graph import EXTRA, Graph
 from fgrecon.solve.graph.observation_part import ObservationPart, Weights

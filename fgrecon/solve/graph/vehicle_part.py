@@ -31,6 +31,7 @@ from factors.native import native
 from factors.shape_terms import ShapeTerms
 from fgrecon.core.category import Category, Face
 from fgrecon.core.options import Options
+from fgrecon.solve.graph.graph_settings import SETTINGS
 from fgrecon.solve.vehicle.model import VehicleModel
 
 __all__ = ["Terms", "VehiclePart", "fleet_prior", "is_any_fleets", "vehicle_part"]
@@ -38,9 +39,6 @@ __all__ = ["Terms", "VehiclePart", "fleet_prior", "is_any_fleets", "vehicle_part
 Array = NDArray[np.float64]
 Terms = Mapping[str, list[gtsam.NonlinearFactor]]
 """Factors by the name of their energy term."""
-
-_NOTHING = 1e-9  # metres; a residual that never exceeds this is none
-_SMALLEST_OFFSET = 1e-4  # metres; a standard deviation of zero would make the system singular
 
 
 class VehiclePart:
@@ -240,7 +238,7 @@ class VehiclePart:
     def _offsets(self) -> list[gtsam.NonlinearFactor]:
         assert self.shape.offsets_key is not None
         category = self.model.prior.category
-        spread = np.maximum(self.model.prior.offset_sigma, _SMALLEST_OFFSET)
+        spread = np.maximum(self.model.prior.offset_sigma, SETTINGS.smallest_offset_sigma_metres)
         if "symmetry" not in self.options.disabled_terms:  # which makes one offset of the two of a pair
             spread = spread * np.where(category.mirror != np.arange(category.size), np.sqrt(2.0), 1.0)
         return [factors.offsets_prior(self.shape.offsets_key, spread)]
@@ -273,7 +271,7 @@ class VehiclePart:
         for coefficients in np.vstack([np.zeros(self.shape.dims[0]), 3.0 * np.eye(self.shape.dims[0])]):
             values = gtsam.Values()
             values.insert(self.shape.coefficients_key, coefficients)
-            if np.abs(factor.unwhitenedError(values)).max() > _NOTHING:
+            if np.abs(factor.unwhitenedError(values)).max() > SETTINGS.vanishing_residual_metres:
                 return False
         return True
 

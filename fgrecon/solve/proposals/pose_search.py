@@ -22,19 +22,13 @@ from fgrecon.solve.proposals.aspnp import aspnp
 from fgrecon.solve.proposals.irls import algorithm1
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.search import search
+from fgrecon.solve.proposals.search_settings import SETTINGS
 from fgrecon.solve.proposals.starts import at_azimuths, from_box3d, from_pose, view_box
 from fgrecon.solve.proposals.terms import Hypotheses
 
-__all__ = ["DISTINCT", "PoseEstimate", "distinct", "search_pose"]
+__all__ = ["PoseEstimate", "distinct", "search_pose"]
 
 Array = NDArray[np.float64]
-
-_ITERATIONS = 4
-_KEEP = {1: 10, 3: 4}  # hypotheses that go on from these iterations: losers show early
-DISTINCT = np.deg2rad(20.0)
-"""Poses that are turned by less against each other are one."""
-_FEWER = 2  # times fewer azimuths where a pose is foreseen: they are there for what else the keypoints allow
-_GUESS_SPREAD = np.deg2rad([-30.0, 0.0, 30.0])
 
 
 @dataclass(frozen=True)
@@ -103,7 +97,7 @@ def _padded_history(history: Sequence[Iteration], pad: Callable[[Array], Array])
 def _adjusted(problem: Problem, initial: Box3D | float | Array | None) -> PoseEstimate:
     if problem.options.strategy.is_paper:
         return _by_algorithm1(problem)
-    result = search(problem.energy, _starts(problem, initial), _ITERATIONS, _KEEP)
+    result = search(problem.energy, _starts(problem, initial), SETTINGS.iterations, dict(SETTINGS.kept_hypotheses))
     if not np.isfinite(result.energy[0]):
         raise DegenerateProblemError("keypoints", "no pose in front of the camera", "Check intrinsics, box and points.")
     best = result.hypotheses.matrices()
@@ -126,9 +120,10 @@ def _starts(problem: Problem, initial: Box3D | float | Array | None) -> Hypothes
     camera, model, ground = problem.camera, problem.model, problem.ground
     box = view_box(problem.observation)
     if isinstance(initial, int | float):
-        return at_azimuths(box, camera, model, ground, float(initial) + _GUESS_SPREAD, relative=False)
+        azimuths = float(initial) + np.array(SETTINGS.heading_guess_radians)
+        return at_azimuths(box, camera, model, ground, azimuths, relative=False)
     foreseen = initial if isinstance(initial, np.ndarray) else None
-    count = max(problem.options.search.azimuths // (1 if foreseen is None else _FEWER), 1)
+    count = max(problem.options.search.azimuths // (1 if foreseen is None else SETTINGS.foreseen_azimuth_divisor), 1)
     clock = 2.0 * np.pi * np.arange(count) / count
     parts = [at_azimuths(box, camera, model, ground, clock, relative=True)]
     if isinstance(initial, Box3D):
@@ -145,8 +140,8 @@ def _from_aspnp(problem: Problem) -> Hypotheses:
     prior = problem.model.prior
     none = np.zeros((0, 4, 4))
     weights = problem.energy.keypoints.evidence.right
-    used = np.flatnonzero(weights > 0.3)
-    if len(used) < 4:
+    used = np.flatnonzero(weights > SETTINGS.pnp_least_right_probability)
+    if len(used) < SETTINGS.pnp_least_keypoints:
         return from_pose(none, prior.dimension)
     rays = problem.camera.rays(problem.observation.keypoints[used])[:, :2]
     try:
@@ -178,9 +173,9 @@ def _by_algorithm1(problem: Problem) -> PoseEstimate:
 
 
 def distinct(poses: Sequence[Array] | Array) -> list[int]:
-    """Indices of poses (4, 4) that are not within `DISTINCT` of an earlier one."""
+    """Indices of poses (4, 4) that are not within `SETTINGS.distinct_turn_radians` of an earlier one."""
     flat = np.asarray(poses)[:, :3, :3].reshape(-1, 9)
-    alike = ((flat @ flat.T - 1.0) / 2.0 >= np.cos(DISTINCT)).tolist()
+    alike = ((flat @ flat.T - 1.0) / 2.0 >= np.cos(SETTINGS.distinct_turn_radians)).tolist()
     kept: list[int] = []
     for i, row in enumerate(alike):
         if not any(row[j] for j in kept):

@@ -8,25 +8,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from factors.box import BoxRows
+from factors.keypoint_rows import KeypointRows, whiteners
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import BoxModel, BoxOptions, KeypointOptions, Options
 from fgrecon.core.robust import Evidence
-from fgrecon.solve.proposals.direction import DirectionTerm
 from fgrecon.solve.proposals.search import PoseEnergy
-from fgrecon.solve.proposals.terms import BoxTerm, GroundTerm, KeypointTerm, SizeTerm
+from fgrecon.solve.proposals.search_settings import SETTINGS
+from fgrecon.solve.proposals.terms import BoxTerm, DirectionTerm, GroundTerm, KeypointTerm, SizeTerm
 from fgrecon.solve.vehicle.model import VehicleModel
 
 __all__ = ["Problem", "box_term", "keypoint_covariances"]
 
 Array = NDArray[np.float64]
-
-_SURE = 0.99  # no detector is surer than that
-_BORDER = 2.0  # pixels from the image's border within which a box edge says nothing
-_SOFT = 0.5  # softness of a box's extents per sigma: with 0.2 the solver zigzags over creases of the outline
-_FEWEST = 3  # points that a pose needs
-_EDGE_WRONG = 0.1  # probability that a box edge is wrong
 
 
 @dataclass(frozen=True)
@@ -96,12 +92,13 @@ def _check_points(observation: Observation) -> None:
         DegenerateProblemError: Fewer than three points carry weight, or they lie on one line.
     """
     points = observation.keypoints[observation.measured & (observation.confidence > 0)]
+    least = SETTINGS.least_keypoints
     if not observation.measured.any():
-        raise DegenerateProblemError("keypoints", "no measured point", f"Give at least {_FEWEST} keypoints.")
+        raise DegenerateProblemError("keypoints", "no measured point", f"Give at least {least} keypoints.")
     if not len(points):
         raise DegenerateProblemError("confidence", "all zero", "Give at least three points a confidence above zero.")
-    if len(points) < _FEWEST:
-        fix = f"Give at least {_FEWEST} keypoints with a confidence above zero."
+    if len(points) < least:
+        fix = f"Give at least {least} keypoints with a confidence above zero."
         raise DegenerateProblemError("keypoints", f"{len(points)} usable points", fix)
     centred = points - points.sum(axis=0) / len(points)
     (along, both), (_, across) = (centred.T @ centred).tolist()
@@ -120,7 +117,8 @@ def keypoint_covariances(observation: Observation, options: KeypointOptions) -> 
     if observation.covariance is None:
         covariance, added = np.zeros((len(observation.keypoints), 2, 2)), spread**2 + options.sigma_pixels**2
     else:
-        covariance, added = observation.covariance.copy(), 0.1 * spread**2 + options.sigma_pixels**2
+        added = SETTINGS.model_noise_share * spread**2 + options.sigma_pixels**2
+        covariance = observation.covariance.copy()
     covariance[:, 0, 0] += added
     covariance[:, 1, 1] += added
     return covariance
@@ -133,16 +131,11 @@ def _energy(
     if extent < 1.0:
         raise DegenerateProblemError("keypoints", f"extent {extent:.3g} px", "Give keypoints that are not all one.")
     covariance = keypoint_covariances(observation, options.keypoints)
-    if observation.covariance is None:  # isotropic, which needs no linear algebra
-        whitener = np.eye(2) / np.sqrt(covariance[:, :1, :1])
-    else:
-        whitener = np.linalg.inv(np.linalg.cholesky(covariance))
     keypoints = KeypointTerm(
         mean=model.prior.mean,
         basis=model.prior.basis,
         matrix=camera.matrix,
-        pixels=np.where(observation.measured[:, None], observation.keypoints, 0.0),
-        whitener=whitener,
+        rows=KeypointRows(np.where(observation.measured[:, None], observation.keypoints, 0.0), whiteners(covariance)),
         evidence=_evidence(observation, covariance),
         strategy=options.strategy,
     )
@@ -167,22 +160,25 @@ def box_term(observation: Observation, camera: Camera, model: VehicleModel, opti
     points = model.box_points(options.model)
     extent = observation.extent
     sigma = float(np.hypot(options.sigma_relative * extent, options.sigma_pixels))
-    outlier = _EDGE_WRONG / (1.0 - _EDGE_WRONG) * np.sqrt(2.0 * np.pi) * sigma / extent
+    wrong = SETTINGS.edge_wrong_probability
+    outlier = wrong / (1.0 - wrong) * np.sqrt(2.0 * np.pi) * sigma / extent
     used = np.ones(4, dtype=bool)
     if camera.image_size is not None:
         width, height = camera.image_size
-        used[:2] = observation.box[:2] > _BORDER
-        used[2:] = observation.box[2:] < np.array([width, height]) - 1.0 - _BORDER
+        used[:2] = observation.box[:2] > SETTINGS.border_pixels
+        used[2:] = observation.box[2:] < np.array([width, height]) - 1.0 - SETTINGS.border_pixels
     edges = observation.box
     if options.model is BoxModel.DETECTED:
         edges = edges - np.array(options.edges) * np.tile(edges[2:] - edges[:2], 2)
-    return BoxTerm(points.mean, points.basis, camera.matrix, edges, used, sigma, float(outlier), _SOFT * sigma)
+    rows = BoxRows(edges, used, sigma, float(outlier), SETTINGS.box_softness_sigmas * sigma)
+    return BoxTerm(points.mean, points.basis, camera.matrix, rows)
 
 
 def _evidence(observation: Observation, covariance: Array) -> Evidence:
-    right = np.minimum(np.maximum(observation.right, 1.0 - _SURE), _SURE)
+    right = np.minimum(
+        np.maximum(observation.right, 1.0 - SETTINGS.most_right_probability), SETTINGS.most_right_probability
+    )
     box = observation.box
     area = observation.extent**2 if box is None else (box[2] - box[0]) * (box[3] - box[1])
-    # Below 1, so that a wrong point never explains a keypoint better than a right one.
-    outlier = np.minimum(2.0 * np.pi * np.sqrt(np.linalg.det(covariance)) / area, 0.5)
+    outlier = np.minimum(2.0 * np.pi * np.sqrt(np.linalg.det(covariance)) / area, SETTINGS.most_outlier_density)
     return Evidence(np.where(observation.measured, right, 0.0), outlier, observation.measured)

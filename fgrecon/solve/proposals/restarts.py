@@ -21,6 +21,7 @@ from fgrecon.core.geometry import exponential
 from fgrecon.core.reconstruction import Alternative
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.search import PoseEnergy, search
+from fgrecon.solve.proposals.search_settings import SETTINGS
 from fgrecon.solve.proposals.starts import at_azimuths, view_box
 from fgrecon.solve.proposals.terms import Hypotheses
 
@@ -28,20 +29,7 @@ __all__ = ["lower_poses"]
 
 Array = NDArray[np.float64]
 
-_ALL_ROUND, _ABOUT = 48, 24  # starts in the 2D box, and about the pose
-_FIRST, _KEEP = 4, {3: 24}  # their iterations, and how many go on
-_TOLD, _TOLD_KEEP = 6, {3: 6}  # the same for each keypoint that is taken for right
-_EACH = 12  # starts in the box and about the pose for each of them
-_LAST = 8  # iterations of all that are left
-_WRONG, _PERHAPS = 0.5, 0.1  # less weight is wrong; what is less probably right is not taken for it
-_MOST_TOLD = 4  # keypoints, the most probable ones
-_NEVER = 1e-200  # density of a wrong point that leaves no other explanation, and a logarithm
-_MOST = 3  # poses that are told
-_LOWER = 0.3  # nats: the graph, which has more freedom, lowers the energy by as much in the same place
-_TURNED, _MOVED = np.deg2rad(4.0), 0.15  # radians, metres: poses that are nearer in both are one
-_DEPTH, _TILT = 0.5, 0.2  # spread of the starts in the box: of the logarithm of depth, and radians
-_ABOUT_DEPTH, _ABOUT_TILT, _ABOUT_TURN = 0.3, 0.15, 0.5  # of those about the pose
-_OTHERS = 3  # searches before the azimuths come again
+RESTARTS = SETTINGS.restarts
 
 
 def lower_poses(problem: Problem, camera_T_object: Array, coefficients: Array, again: int = 0) -> list[Alternative]:
@@ -65,56 +53,61 @@ def lower_poses(problem: Problem, camera_T_object: Array, coefficients: Array, a
             [_all_round(problem, all_round, again), _about(camera_T_object, coefficients, about, again)]
         )
 
-    left = [search(problem.energy, starts(_ALL_ROUND, _ABOUT), _FIRST, _KEEP).hypotheses]
-    each = starts(_EACH, _EACH)
+    first_kept = {RESTARTS.kept_from_iteration: RESTARTS.first_kept_hypotheses}
+    each_kept = {RESTARTS.kept_from_iteration: RESTARTS.keypoint_kept_hypotheses}
+    first = starts(RESTARTS.all_round_starts, RESTARTS.nearby_starts)
+    left = [search(problem.energy, first, RESTARTS.first_iterations, first_kept).hypotheses]
+    each = starts(RESTARTS.starts_per_keypoint, RESTARTS.starts_per_keypoint)
     right = problem.energy.keypoints.evidence.right
-    wrong = np.flatnonzero((weights[0] < _WRONG) & (right > _PERHAPS))
-    for keypoint in wrong[np.argsort(-right[wrong], kind="stable")][:_MOST_TOLD].tolist():
-        told = _taken_for_right(problem.energy, keypoint)
-        left.append(search(told, each, _TOLD, _TOLD_KEEP).hypotheses)
-    found = search(problem.energy, Hypotheses.joined(left), _LAST, {})
+    wrong = np.flatnonzero((weights[0] < RESTARTS.wrong_below_weight) & (right > RESTARTS.least_right_probability))
+    for keypoint in wrong[np.argsort(-right[wrong], kind="stable")][: RESTARTS.most_assumed_right].tolist():
+        assumed = _assumed_right(problem.energy, keypoint)
+        left.append(search(assumed, each, RESTARTS.keypoint_iterations, each_kept).hypotheses)
+    found = search(problem.energy, Hypotheses.joined(left), RESTARTS.last_iterations, {})
     poses, kept = found.hypotheses.matrices(), [camera_T_object]
     lower: list[Alternative] = []
-    for i in np.flatnonzero(found.energy < energy - _LOWER).tolist():
+    for i in np.flatnonzero(found.energy < energy - RESTARTS.energy_gap_nats).tolist():
         if not _is_one_of(poses[i], kept):
             kept.append(poses[i])
             lower.append(Alternative(poses[i], found.hypotheses.coefficients[i], float(found.energy[i]) - energy))
-            if len(lower) == _MOST:
+            if len(lower) == RESTARTS.most_poses:
                 break
     return lower
 
 
-def _taken_for_right(energy: PoseEnergy, keypoint: int) -> PoseEnergy:
+def _assumed_right(energy: PoseEnergy, keypoint: int) -> PoseEnergy:
     """The energy with a measured keypoint that cannot be wrong."""
     term = energy.keypoints
     right, outlier = term.evidence.right.copy(), term.evidence.outlier.copy()
-    right[keypoint], outlier[keypoint] = 1.0, _NEVER
+    right[keypoint], outlier[keypoint] = 1.0, RESTARTS.never_wrong_density
     return replace(energy, keypoints=replace(term, evidence=replace(term.evidence, right=right, outlier=outlier)))
 
 
 def _is_one_of(pose: Array, known: list[Array]) -> bool:
     poses = np.array(known)
     cosine = ((poses[:, :3, :3] * pose[:3, :3]).sum(axis=(1, 2)) - 1.0) / 2.0
-    near = np.linalg.norm(poses[:, :3, 3] - pose[:3, 3], axis=1) < _MOVED
-    return bool((near & (cosine > np.cos(_TURNED))).any())
+    near = np.linalg.norm(poses[:, :3, 3] - pose[:3, 3], axis=1) < RESTARTS.same_shift_metres
+    return bool((near & (cosine > np.cos(RESTARTS.same_turn_radians))).any())
 
 
 def _all_round(problem: Problem, count: int, again: int) -> Hypotheses:
     """The mean shape at all azimuths, tilted, nearer and farther than where it fills the box."""
-    azimuths = 2.0 * np.pi * (np.arange(count) + again / _OTHERS) / count
+    azimuths = 2.0 * np.pi * (np.arange(count) + again / RESTARTS.azimuth_period) / count
     box = view_box(problem.observation)
     h = at_azimuths(box, problem.camera, problem.model, problem.ground, azimuths, relative=True)
     farther, roll, pitch = _spread(count, 3, again).T
-    tilt = exponential(_TILT * np.stack([roll, np.zeros(count), pitch], axis=1))
-    return Hypotheses(h.rotation @ tilt, h.translation * np.exp(_DEPTH * farther)[:, None], h.coefficients)
+    tilt = exponential(RESTARTS.tilt_spread_radians * np.stack([roll, np.zeros(count), pitch], axis=1))
+    away = np.exp(RESTARTS.log_depth_spread * farther)
+    return Hypotheses(h.rotation @ tilt, h.translation * away[:, None], h.coefficients)
 
 
 def _about(camera_T_object: Array, coefficients: Array, count: int, again: int) -> Hypotheses:
     """The pose turned, tilted, nearer and farther, with shapes of the prior."""
     spread = _spread(count, 4 + len(coefficients), again)
     turn, roll, pitch, farther = spread[:, :4].T
-    rotation = exponential(np.stack([_ABOUT_TILT * roll, _ABOUT_TURN * turn, _ABOUT_TILT * pitch], axis=1))
-    translation = camera_T_object[:3, 3] * np.exp(_ABOUT_DEPTH * farther)[:, None]
+    tilt = RESTARTS.nearby_tilt_spread_radians
+    rotation = exponential(np.stack([tilt * roll, RESTARTS.nearby_turn_spread_radians * turn, tilt * pitch], axis=1))
+    translation = camera_T_object[:3, 3] * np.exp(RESTARTS.nearby_log_depth_spread * farther)[:, None]
     return Hypotheses(camera_T_object[:3, :3] @ rotation, translation, spread[:, 4:])
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -14,15 +14,16 @@ from factors.native import native
 from fgrecon.core.camera import MIN_DEPTH
 from fgrecon.core.geometry import exponential
 from fgrecon.core.robust import StrategyName
-from fgrecon.solve.proposals.direction import DirectionTerm
+from fgrecon.solve.proposals.search_settings import SETTINGS
 from fgrecon.solve.proposals.terms import (
     BoxTerm,
+    CoefficientTerm,
+    DirectionTerm,
     GroundTerm,
     Hypotheses,
     KeypointTerm,
     Quadratic,
     SizeTerm,
-    coefficient_term,
 )
 from fgrecon.solve.vehicle.visibility import VisibilityTable
 
@@ -30,10 +31,7 @@ __all__ = ["PoseEnergy", "SearchResult", "search"]
 
 Array = NDArray[np.float64]
 
-_LARGEST_TURN = 0.5  # radians a step may turn: beyond, the linearisation says nothing
-_SETTLED = 1e-4  # nats: once no step changes any energy by more, the search is over
-_ALIKE = np.deg2rad(8.0)  # hypotheses closer than that are one: half the distance of neighbouring starts
-_CALMER, _BOLDER = 0.3, 5.0  # factors on the damping after a good and after a bad step
+_Summand = BoxTerm | SizeTerm | GroundTerm | DirectionTerm | CoefficientTerm
 
 
 @dataclass(frozen=True)
@@ -73,19 +71,18 @@ class PoseEnergy:
         visible: Array = self.visibility(camera_T_object[None])[0]
         return visible
 
+    @property
+    def others(self) -> Iterator[_Summand]:
+        """The terms beside the keypoints' that there are."""
+        yield from (term for term in (self.box, self.size, self.ground, self.direction) if term is not None)
+        yield CoefficientTerm()
+
     def evaluate(self, h: Hypotheses, progress: float = 1.0) -> tuple[Quadratic, Array]:
         """Energy, gradient and Gauss-Newton matrix at the hypotheses, and the keypoints' weights (H, K)."""
         total = Quadratic(len(h), 6 + h.coefficients.shape[1])
         weights = self.keypoints.add(total, h, self.visibility(h.matrices()), progress)
-        if self.box is not None:
-            self.box.add(total, h)
-        if self.size is not None:
-            self.size.add(total, h)
-        if self.ground is not None:
-            self.ground.add(total, h)
-        if self.direction is not None:
-            self.direction.add(total, h)
-        coefficient_term(total, h)
+        for term in self.others:
+            term.add(total, h)
         return total, weights
 
     def truncated(self, dimension: int) -> PoseEnergy:
@@ -100,23 +97,18 @@ class PoseEnergy:
 
     def energies(self, h: Hypotheses) -> dict[str, Array]:
         """Energy (H,) of each term at the hypotheses, nats."""
-        result: dict[str, Array] = {}
-        for name, term in self._terms().items():
-            total = Quadratic(len(h), 6 + h.coefficients.shape[1])
-            term(total, h)
-            result[name] = total.energy
-        return result
 
-    def _terms(self) -> dict[str, Callable[[Quadratic, Hypotheses], object]]:
-        terms: dict[str, Callable[[Quadratic, Hypotheses], object]] = {
-            "reprojection": lambda total, h: self.keypoints.add(total, h, self.visibility(h.matrices()), 1.0)
-        }
-        optional = ("box", self.box), ("dimensions", self.size), ("ground", self.ground), ("direction", self.direction)
-        for name, term in optional:
-            if term is not None:
-                terms[name] = term.add
-        terms["coefficients"] = coefficient_term
-        return terms
+        def none() -> Quadratic:
+            return Quadratic(len(h), 6 + h.coefficients.shape[1])
+
+        total = none()
+        self.keypoints.add(total, h, self.visibility(h.matrices()), 1.0)
+        result = {self.keypoints.name: total.energy}
+        for term in self.others:
+            total = none()
+            term.add(total, h)
+            result[term.name] = total.energy
+        return result
 
 
 def _compile(energy: PoseEnergy) -> Any:
@@ -131,8 +123,8 @@ def _compile(energy: PoseEnergy) -> Any:
         np.ascontiguousarray(keypoints.matrix, dtype=np.float64),
         np.ascontiguousarray(keypoints.mean),
         np.ascontiguousarray(keypoints.basis).reshape(count, 3 * len(keypoints.mean)),
-        np.ascontiguousarray(keypoints.pixels),
-        keypoints.triangles,
+        np.ascontiguousarray(keypoints.rows.pixels),
+        np.ascontiguousarray(keypoints.rows.whitener),
         None if box is None else box.packed(),
         None if ground is None else ground.packed(),
     )
@@ -182,7 +174,7 @@ def search(energy: PoseEnergy, starts: Hypotheses, iterations: int, keep: Mappin
     if energy.compiled is not None:
         return _compiled_search(energy.compiled, starts, iterations, keep)
     h = starts
-    damping = np.full(len(h), 1e-2)
+    damping = np.full(len(h), SETTINGS.first_damping)
     total, weights = energy.evaluate(h, 0.0)
     survivor = np.arange(len(h))  # row of each hypothesis in the snapshot before
     snapshots = [(h, weights, survivor)]
@@ -197,12 +189,12 @@ def search(energy: PoseEnergy, starts: Hypotheses, iterations: int, keep: Mappin
         with np.errstate(invalid="ignore"):  # too near the camera before and after: inf - inf, no gain
             gain = total.energy - trial_total.energy
         better = gain > 0
-        damping = np.where(better, damping * _CALMER, damping * _BOLDER)
+        damping = np.where(better, damping * SETTINGS.damping_decrease, damping * SETTINGS.damping_increase)
         h = trial.where(better, h)
         total.update(better, trial_total)
         weights = np.where(better[:, None], trial_weights, weights)
         snapshots.append((h, weights, survivor))
-        if iteration > max(keep, default=0) and not (np.abs(gain) > _SETTLED).any():
+        if iteration > max(keep, default=0) and not (np.abs(gain) > SETTINGS.settled_nats).any():
             break
     order = np.argsort(total.energy, kind="stable")
     path, path_weights = _path(snapshots, int(order[0]))
@@ -222,11 +214,13 @@ def _compiled_search(compiled: Any, starts: Hypotheses, iterations: int, keep: M
         np.ascontiguousarray(starts.coefficients),
         MIN_DEPTH,
         kept,
-        _LARGEST_TURN,
-        _SETTLED,
-        np.cos(_ALIKE),
-        _CALMER,
-        _BOLDER,
+        SETTINGS.largest_turn_radians,
+        SETTINGS.settled_nats,
+        np.cos(SETTINGS.alike_radians),
+        SETTINGS.first_damping,
+        SETTINGS.damping_decrease,
+        SETTINGS.damping_increase,
+        SETTINGS.ridge,
     )
     return SearchResult(Hypotheses(*final[:3]), energy, final[3], Hypotheses(*path[:3]), path[3])
 
@@ -234,7 +228,7 @@ def _compiled_search(compiled: Any, starts: Hypotheses, iterations: int, keep: M
 def _best_distinct(h: Hypotheses, energy: Array, count: int) -> NDArray[np.intp]:
     """Rows of the best hypotheses, at most `count`; one that is turned like a better one would end where that does."""
     cosine = (np.tensordot(h.rotation, h.rotation, axes=((1, 2), (1, 2))) - 1.0) / 2.0
-    alike = cosine > np.cos(_ALIKE)
+    alike = cosine > np.cos(SETTINGS.alike_radians)
     kept: list[int] = []
     for row in np.argsort(energy, kind="stable").tolist():
         if not alike[row, kept].any():
@@ -258,10 +252,10 @@ def _damped_step(total: Quadratic, damping: Array) -> Array:
     index = np.arange(total.matrix.shape[1])
     matrix = total.matrix.copy()
     matrix[:, index, index] *= 1.0 + damping[:, None]
-    matrix[:, index, index] += 1e-9
+    matrix[:, index, index] += SETTINGS.ridge
     step = -np.linalg.solve(matrix, total.gradient[..., None])[..., 0]
     turn = np.sqrt(np.square(step[:, :3]).sum(axis=1))
-    scaled: Array = step * np.minimum(1.0, _LARGEST_TURN / np.maximum(turn, 1e-12))[:, None]
+    scaled: Array = step * np.minimum(1.0, SETTINGS.largest_turn_radians / np.maximum(turn, 1e-12))[:, None]
     return scaled
 
 

@@ -1,29 +1,43 @@
 """Energy terms of the pose search, evaluated for many poses at once.
 
 The search compares H hypotheses (pose and shape coefficients) in one vectorised Levenberg-Marquardt; the factor graph
-of `fgrecon.solve.graph` then refines what matters with the same terms and more. Residuals and derivatives are those of
-`factors` (`projection`, `box`, `ground`), for H poses at once. Each term adds to the energy (nats), the
-gradient and the Gauss-Newton matrix of the 6 + N local coordinates: rotation about the object's own axes (right
-perturbation, radians), translation in the camera frame (metres), coefficients.
+of `fgrecon.solve.graph` then refines what matters with the same terms and more. The rows are those of its factors
+(`factors.keypoint_rows`, `factors.box`, `factors.ground`). Each term adds to the energy (nats), the gradient and the
+Gauss-Newton matrix of the 6 + N local coordinates: rotation about the object's own axes (right perturbation, radians),
+translation in the camera frame (metres), coefficients.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from factors.box import extents_by_points, soft_extents
-from factors.ground import ground_rows
+from factors.box import BoxRows, extents_by_points, soft_extents
+from factors.ground import GroundRows
+from factors.keypoint_rows import KeypointRows
 from factors.projection import by_pose, pixel_jacobian, project
 from fgrecon.core.camera import MIN_DEPTH, Ground
+from fgrecon.core.detection import at_direction
+from fgrecon.core.geometry import view_azimuth
 from fgrecon.core.robust import Evidence, RobustStrategy
 from fgrecon.core.size_prior import SizePrior
+from fgrecon.solve.proposals.search_settings import SETTINGS
 
-__all__ = ["BoxTerm", "GroundTerm", "Hypotheses", "KeypointTerm", "Quadratic", "SizeTerm", "coefficient_term"]
+__all__ = [
+    "BoxTerm",
+    "CoefficientTerm",
+    "DirectionTerm",
+    "GroundTerm",
+    "Hypotheses",
+    "KeypointTerm",
+    "Quadratic",
+    "SizeTerm",
+    "direction_penalty",
+]
 
 Array = NDArray[np.float64]
 
@@ -95,13 +109,6 @@ class Quadratic:
         self.matrix[mask] = other.matrix[mask]
 
 
-def _project(matrix: Array, points: Array, h: Hypotheses) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Pixels (H, P, 2) of object points (H, P, 3), camera points, and whether any is too near (H,)."""
-    pixels, camera, depths = project(matrix, h.rotation, h.translation, points, MIN_DEPTH)
-    any_near: NDArray[np.bool_] = np.any(depths < MIN_DEPTH, axis=1)
-    return pixels, camera, any_near
-
-
 @dataclass(frozen=True)
 class KeypointTerm:
     """Robust reprojection error of the keypoints (E_reproj of the paper with IRLS weights).
@@ -110,8 +117,7 @@ class KeypointTerm:
         mean: (K, 3) mean keypoints.
         basis: (N, K, 3) basis.
         matrix: (3, 3) camera matrix.
-        pixels: (K, 2) measured pixels, any finite number where not measured.
-        whitener: (K, 2, 2) inverse Cholesky factors of the keypoints' covariances.
+        rows: Measured pixels and whiteners.
         evidence: Confidences.
         strategy: Robust strategy.
     """
@@ -119,22 +125,16 @@ class KeypointTerm:
     mean: Array
     basis: Array
     matrix: Array
-    pixels: Array
-    whitener: Array
+    rows: KeypointRows
     evidence: Evidence
     strategy: RobustStrategy
-
-    @property
-    def triangles(self) -> Array:
-        """(K, 3) entries a, b, c of the whiteners [[a, 0], [b, c]]."""
-        return np.ascontiguousarray(self.whitener.reshape(-1, 4)[:, [0, 2, 3]])
+    name: ClassVar[str] = "reprojection"
 
     def residuals(self, h: Hypotheses) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
         """Whitened residuals (H, K, 2), object points, camera points, and whether a point is too near."""
         points = self.mean + np.tensordot(h.coefficients, self.basis, axes=1)
-        pixels, camera, near = _project(self.matrix, points, h)
-        residual = (self.whitener @ (pixels - self.pixels)[..., None])[..., 0]
-        return residual, points, camera, near
+        pixels, camera, depths = project(self.matrix, h.rotation, h.translation, points, MIN_DEPTH)
+        return self.rows.residual(pixels), points, camera, np.any(depths < MIN_DEPTH, axis=1)
 
     def add(self, total: Quadratic, h: Hypotheses, visibility: Array, progress: float) -> Array:
         """Add this term; the weights (H, K)."""
@@ -143,7 +143,7 @@ class KeypointTerm:
         weights, energy = self.strategy.evaluate(squared, self.evidence, visibility, progress=progress)
         total.energy += np.where(near, np.inf, energy)
         scale = np.sqrt(weights)
-        by_camera = self.whitener @ pixel_jacobian(self.matrix, camera) * scale[..., None, None]
+        by_camera = self.rows.whiten(pixel_jacobian(self.matrix, camera)) * scale[..., None, None]
         by_turn, by_object = by_pose(points, h.rotation, by_camera)
         jacobian = np.concatenate([by_turn, by_camera, by_object @ self.basis.transpose(1, 2, 0)], axis=-1)
         count, size = len(h), len(self.mean)
@@ -159,71 +159,51 @@ class BoxTerm:
         mean: (P, 3) points whose extents the box encloses.
         basis: (N, P, 3) their basis.
         matrix: (3, 3) camera matrix.
-        edges: (4,) x1, y1, x2, y2.
-        used: (4,) which edges count; an edge on the image border does not.
-        sigma: Standard deviation of an edge, pixels.
-        outlier: Density of a wrong edge relative to a right one's peak, times the odds of being wrong.
-        softness: Pixels over which one outermost point hands over to the next, see `factors.box`.
+        rows: The box.
     """
 
     mean: Array
     basis: Array
     matrix: Array
-    edges: Array
-    used: NDArray[np.bool_]
-    sigma: float
-    outlier: float
-    softness: float
+    rows: BoxRows
+    name: ClassVar[str] = "box"
 
     def packed(self) -> tuple[Any, ...]:
         """Arguments of the compiled kernel."""
+        rows = self.rows
         return (
             np.ascontiguousarray(self.mean),
             np.ascontiguousarray(self.basis).reshape(len(self.basis), 3 * len(self.mean)),
-            np.ascontiguousarray(self.edges, dtype=np.float64),
-            np.ascontiguousarray(self.used).view(np.uint8),
-            self.sigma,
-            self.outlier,
-            self.softness,
+            np.ascontiguousarray(rows.edges, dtype=np.float64),
+            np.ascontiguousarray(rows.used).view(np.uint8),
+            rows.sigma,
+            rows.wrong,
+            rows.softness,
         )
 
     def residuals(self, h: Hypotheses) -> Array:
         """Whitened residuals (H, 4)."""
-        pixels = _project(self.matrix, self._points(h), h)[0]
-        return (soft_extents(pixels, self.softness)[0] - self.edges) / self.sigma
-
-    def weights(self, residual: Array) -> Array:
-        """(H, 4) probability that each edge is right."""
-        inlier = np.exp(-0.5 * np.square(residual))
-        return np.where(self.used, inlier / (inlier + self.outlier), 0.0)
-
-    def energy(self, residual: Array) -> Array:
-        """(H,) negative logarithm of the edges' likelihood, nats."""
-        likelihood = np.exp(-0.5 * np.square(residual)) + self.outlier
-        total: Array = -np.where(self.used, np.log(likelihood), 0.0).sum(axis=1)
-        return total
+        return self.rows.residual(soft_extents(self._project(h)[0], self.rows.softness)[0])
 
     def add(self, total: Quadratic, h: Hypotheses) -> None:
         """Add this term."""
-        points = self._points(h)
-        pixels, camera, near = _project(self.matrix, points, h)
-        extents, share = soft_extents(pixels, self.softness)
-        residual = (extents - self.edges) / self.sigma
-        total.energy += np.where(near, np.inf, self.energy(residual))
-        scale = np.sqrt(self.weights(residual))
-        share = share * (scale / self.sigma)[..., None]
-        total.add(residual * scale, self._jacobian(points, camera, share, h))
-
-    def _jacobian(self, points: Array, camera: Array, share: Array, h: Hypotheses) -> Array:
-        """(H, 4, 6 + N) derivative of the edges, for their derivative `share` (H, 4, P) by each point's pixel."""
+        pixels, camera, depths, points = self._project(h)
+        extents, share = soft_extents(pixels, self.rows.softness)
+        residual = self.rows.residual(extents)
+        weights, _, energy = self.rows.assess(residual)
+        total.energy += np.where(np.any(depths < MIN_DEPTH, axis=1), np.inf, energy)
+        scale = np.sqrt(weights)
+        share = share * (scale / self.rows.sigma)[..., None]
         turn, shift, by_point = extents_by_points(self.matrix, camera, h.rotation, points, share)
         flat_basis = self.basis.transpose(0, 2, 1).reshape(len(self.basis), 3 * len(self.mean))
         by_coefficients = by_point.reshape(len(h), 4, 3 * len(self.mean)) @ flat_basis.T
-        return np.concatenate([turn, shift @ h.rotation.transpose(0, 2, 1), by_coefficients], axis=-1)
+        jacobian = np.concatenate([turn, shift @ h.rotation.transpose(0, 2, 1), by_coefficients], axis=-1)
+        total.add(residual * scale, jacobian)
 
-    def _points(self, h: Hypotheses) -> Array:
+    def _project(self, h: Hypotheses) -> tuple[Array, Array, Array, Array]:
+        """Pixels (H, P, 2), camera points, depths (H, P) and object points."""
         points: Array = self.mean + np.tensordot(h.coefficients, self.basis, axes=1)
-        return points
+        return *project(self.matrix, h.rotation, h.translation, points, MIN_DEPTH), points
 
 
 @dataclass(frozen=True)
@@ -233,6 +213,7 @@ class SizeTerm:
     mean: Array
     jacobian: Array
     prior: SizePrior
+    name: ClassVar[str] = "dimensions"
 
     def packed(self) -> tuple[Array, Array, Array]:
         """Arguments of the compiled kernel."""
@@ -251,6 +232,12 @@ class GroundTerm:
     """The object's origin on the ground plane, its down axis along the plane's normal (`factors.ground`)."""
 
     ground: Ground
+    name: ClassVar[str] = "ground"
+
+    @property
+    def rows(self) -> GroundRows:
+        """What has the residuals."""
+        return GroundRows(self.ground.normal, self.ground.distance, self.ground.tilt_sigma)
 
     def packed(self) -> tuple[Any, ...]:
         """Arguments of the compiled kernel."""
@@ -259,21 +246,64 @@ class GroundTerm:
 
     def add(self, total: Quadratic, h: Hypotheses) -> None:
         """Add this term."""
-        ground = self.ground
-        sigma = ground.height_sigma_at(h.translation[:, 2])
-        residual, by_turn = ground_rows(ground.normal, ground.distance, h.rotation, h.translation)
-        scale = np.stack([1.0 / sigma, *[np.full(len(h), 1.0 / ground.tilt_sigma)] * 3], axis=1)
-        residual *= scale
+        sigma = self.ground.height_sigma_at(h.translation[:, 2])
+        residual, by_turn, by_shift = self.rows.whitened(h.rotation, h.translation, sigma)
         jacobian = np.zeros((len(h), 4, 6))
-        jacobian[..., :3] = by_turn * scale[..., None]
-        jacobian[:, 0, 3:] = ground.normal / sigma[:, None]
+        jacobian[..., :3], jacobian[:, 0, 3:] = by_turn, by_shift
         total.energy += 0.5 * np.square(residual).sum(axis=1) + np.log(sigma)
         total.add(residual, jacobian, slice(0, 6))
 
 
-def coefficient_term(total: Quadratic, h: Hypotheses) -> None:
-    """Add the prior lambda ~ N(0, I)."""
-    index = np.arange(6, 6 + h.coefficients.shape[1])
-    total.energy += 0.5 * np.square(h.coefficients).sum(axis=1)
-    total.gradient[:, 6:] += h.coefficients
-    total.matrix[:, index, index] += 1.0
+@dataclass(frozen=True)
+class DirectionTerm:
+    """From which direction a vehicle is seen: minus the logarithm of its probability, 0 for the most probable one.
+
+    Keypoints of a car seen from ahead and of one seen from behind can look much alike: both poses are minima of the
+    energy, and the wrong one may be a few nats lower. This term decides between them. Within one minimum the keypoints
+    tell the direction far better, so it has no gradient.
+
+    Attributes:
+        azimuth: (A,) probability of each direction, as in `fgrecon.core.observation.Observation`.
+    """
+
+    azimuth: Array
+    name: ClassVar[str] = "direction"
+
+    @property
+    def probability(self) -> Array:
+        """(A,) probability of each direction, relative to the greatest, with what the detector may be wrong by."""
+        doubt = SETTINGS.direction_meaningless_probability
+        probability = (1.0 - doubt) * self.azimuth + doubt / len(self.azimuth)
+        relative: Array = probability / probability.max()
+        return relative
+
+    def energy(self, h: Hypotheses) -> Array:
+        """(H,) energies of the hypotheses, nats."""
+        here = at_direction(self.probability, view_azimuth(h.rotation, h.translation))
+        return np.asarray(-np.log(here), dtype=np.float64)
+
+    def add(self, total: Quadratic, h: Hypotheses) -> None:
+        """Add this term: energies alone."""
+        total.energy += self.energy(h)
+
+
+@dataclass(frozen=True)
+class CoefficientTerm:
+    """The prior lambda ~ N(0, I)."""
+
+    name: ClassVar[str] = "coefficients"
+
+    def add(self, total: Quadratic, h: Hypotheses) -> None:
+        """Add this term."""
+        index = np.arange(6, 6 + h.coefficients.shape[1])
+        total.energy += 0.5 * np.square(h.coefficients).sum(axis=1)
+        total.gradient[:, 6:] += h.coefficients
+        total.matrix[:, index, index] += 1.0
+
+
+def direction_penalty(azimuth: Array | None, camera_T_object: ArrayLike) -> float:
+    """What a pose (4, 4) costs by the directions (A,), nats; 0 where none are given."""
+    if azimuth is None:
+        return 0.0
+    pose = np.asarray(camera_T_object, dtype=np.float64)
+    return float(DirectionTerm(azimuth).energy(Hypotheses(pose[None, :3, :3], pose[None, :3, 3], np.zeros((1, 0))))[0])

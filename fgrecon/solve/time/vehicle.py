@@ -31,9 +31,9 @@ from fgrecon.solve.graph.graph import Graph, GraphObservation, State
 from fgrecon.solve.graph.observation_part import Weights
 from fgrecon.solve.graph.optimise import Optimum, optimise
 from fgrecon.solve.graph.vehicle_part import ShapeValues
-from fgrecon.solve.proposals.direction import direction_penalty
 from fgrecon.solve.proposals.pose_search import PoseEstimate, search_pose
 from fgrecon.solve.proposals.problem import Problem
+from fgrecon.solve.proposals.terms import direction_penalty
 from fgrecon.solve.time.heading import (
     Belief,
     another_side,

@@ -259,11 +259,11 @@ def _photograph_factors(
     result: list[gtsam.NonlinearFactor] = [measured]
     kernel = ProjectionKernel(shape, car.matrix, key)
     if weights.any():
-        seen = factors.stacked_reprojection_factor(kernel, points, weights, 1.0, covariances=covariance, robust=_LOSS)
+        seen = factors.reprojection_factor(kernel, points, weights, covariance, _LOSS)
         result.append(seen)
     if np.isfinite(marks).any():
-        sigma, alike = _MARK_SIGMA * max(car.size), np.ones(len(marks))
-        result.append(factors.stacked_reprojection_factor(kernel, marks, alike, sigma, robust=_MARK_LOSS))
+        alike = np.tile((_MARK_SIGMA * max(car.size)) ** 2 * np.eye(2), (len(marks), 1, 1))
+        result.append(factors.reprojection_factor(kernel, marks, np.ones(len(marks)), alike, _MARK_LOSS))
     return result
 
 

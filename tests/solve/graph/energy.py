@@ -141,8 +141,8 @@ class Energy:
             outlier += (1 - visible[k]) * (1 - right[k]) * (1 - strategy.false_alarm)
             total -= np.log(inlier + outlier * term.evidence.outlier[k])
         if "box" in terms:
-            away = self._edges(self.pose_at(x), self.split(x)[1])[box.used]
-            total -= np.sum(np.log(np.exp(-0.5 * away**2) + box.outlier))
+            away = self._edges(self.pose_at(x), self.split(x)[1])[box.rows.used]
+            total -= np.sum(np.log(np.exp(-0.5 * away**2) + box.rows.wrong))
         return total + sum(0.5 * np.sum(term**2) for name, term in terms.items() if name not in ("reprojection", "box"))
 
     def residual(self, x):
@@ -197,7 +197,7 @@ class Energy:
 
     def _box(self, pose, coefficients):
         box = self.problem.energy.box
-        return np.sqrt(self.box_weights * box.used) * self._edges(pose, coefficients)
+        return np.sqrt(self.box_weights * box.rows.used) * self._edges(pose, coefficients)
 
     def _edges(self, pose, coefficients):
         box, rows = self.problem.energy.box, []
@@ -206,9 +206,9 @@ class Energy:
         for edge in range(4):
             sign = -1.0 if edge < 2 else 1.0
             outward = sign * pixels[:, edge % 2]
-            share = np.exp((outward - outward.max()) / box.softness)
+            share = np.exp((outward - outward.max()) / box.rows.softness)
             extent = sign * (share @ outward) / share.sum()
-            rows.append((extent - box.edges[edge]) / box.sigma)
+            rows.append((extent - box.rows.edges[edge]) / box.rows.sigma)
         return np.array(rows)
 
 

@@ -159,7 +159,7 @@ def weights_of(problem, estimate):
     pose = estimate.camera_T_object
     here = Hypotheses(pose[None, :3, :3], pose[None, :3, 3], estimate.coefficients[None])
     box = problem.energy.box
-    box = np.ones(4) if box is None else box.weights(box.residuals(here))[0]
+    box = np.ones(4) if box is None else box.rows.assess(box.residuals(here))[0][0]
     return Weights(estimate.weights, estimate.visibility, box, float(pose[2, 3]))
 
 
@@ -179,7 +179,11 @@ def weights_at(problem, pose, coefficients, *, previous=None, progress=1.0):
         return weights, np.ones(4), visibility
     plain = Weights(weights, visibility, np.ones(4), float(pose[2, 3]))
     edges = energy_of(problem, plain, pose, joint=False)._box(pose, coefficients)
-    return weights, np.where(box.used, np.exp(-0.5 * edges**2) / (np.exp(-0.5 * edges**2) + box.outlier), 0), visibility
+    return (
+        weights,
+        np.where(box.rows.used, np.exp(-0.5 * edges**2) / (np.exp(-0.5 * edges**2) + box.rows.wrong), 0),
+        visibility,
+    )
 
 
 def energy_of(problem, weights, camera_T_object, *, joint):

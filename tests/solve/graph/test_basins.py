@@ -18,7 +18,8 @@ from fgrecon.core.reconstruction import Alternative
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
-from fgrecon.solve.proposals.pose_search import DISTINCT, search_pose
+from fgrecon.solve.proposals.pose_search import search_pose
+from fgrecon.solve.proposals.search_settings import SETTINGS
 from tests.cars import observe, pose_problem, yaw_pose
 from tests.settings import options as make_options
 from tests.solve.graph.support import constant, half_a_car, problem_of, solve
@@ -42,7 +43,7 @@ def test_the_order_of_the_proposals_does_not_matter(which):
     problem, start = half_a_car() if which == "half" else problem_of(which)
     assert start.alternatives
     one, other = solve(problem, start), solve(problem, swapped(start))
-    assert turn_between(swapped(start).camera_T_object, one.pose.matrix()) > DISTINCT
+    assert turn_between(swapped(start).camera_T_object, one.pose.matrix()) > SETTINGS.distinct_turn_radians
     np.testing.assert_allclose(other.pose.matrix(), one.pose.matrix(), atol=3e-3)
     np.testing.assert_allclose(other.coefficients, one.coefficients, atol=3e-3)
     assert other.optimum.energy == pytest.approx(one.optimum.energy, abs=3e-3)
@@ -63,7 +64,7 @@ def test_alternatives_are_refined_sorted_and_distinct(which):
     assert excesses[0] >= 0.0
     poses = [result.pose.matrix(), *(other.camera_T_object for other in result.alternatives)]
     for i, pose in enumerate(poses):
-        assert all(turn_between(pose, known) > DISTINCT for known in poses[:i])
+        assert all(turn_between(pose, known) > SETTINGS.distinct_turn_radians for known in poses[:i])
     for other in result.alternatives:  # each is the minimum of its own basin, and so much worse
         assert other.excess not in (1.0, 2.0)
         moved = replace(start, camera_T_object=other.camera_T_object, coefficients=other.coefficients, alternatives=())

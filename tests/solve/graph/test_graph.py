@@ -165,27 +165,6 @@ SOME = np.where(np.arange(14) == 4, 0.0, np.linspace(0.1, 1.0, 14))
 
 
 @pytest.mark.parametrize("covariance", [False, True])
-def test_the_weights_are_the_stacked_factors_noise(covariance):
-    """Row by row, or block by block where the keypoints have covariances; no row for a keypoint of weight zero."""
-    problem, estimate = problem_of(1, covariance=covariance)
-    state = proposal(problem, estimate, keypoints=SOME)
-    graph = graph_at(problem, state)
-    (factor,) = terms_of(graph, state.weights[0])["reprojection"]
-    noise, used = factor.noiseModel(), np.delete(np.arange(14), 4)
-    covariances = keypoint_covariances(problem.observation, problem.options.keypoints)
-    expected = np.zeros((26, 26))
-    for row, k in enumerate(used):
-        expected[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] = covariances[k] / SOME[k]
-    assert isinstance(noise, gtsam.noiseModel.Diagonal) is not covariance
-    if not covariance:
-        np.testing.assert_allclose(noise.sigmas(), np.sqrt(np.diag(expected)), rtol=1e-12)
-    np.testing.assert_allclose(noise.covariance(), expected, rtol=1e-10, atol=1e-10)
-    # Rows are pixels: the same as the projection's errors, keypoint by keypoint.
-    away = graph.observations[0].projections(graph.values(state)) - problem.observation.keypoints
-    np.testing.assert_allclose(factor.unwhitenedError(graph.values(state)), away[used].ravel(), rtol=1e-12)
-
-
-@pytest.mark.parametrize("covariance", [False, True])
 def test_every_keypoint_counts_by_its_weight(covariance):
     problem, estimate = problem_of(1, covariance=covariance)
     covariances = keypoint_covariances(problem.observation, problem.options.keypoints)
@@ -214,11 +193,10 @@ def test_m_estimators_stand_in_the_graph(strategy, covariance):
     values, chosen = graph.values(state), problem.options.strategy
     initial = chosen.mu0 * problem.energy.keypoints.evidence.right + (1 - chosen.mu0) * np.linspace(0.2, 1.0, 14)
     covariances = keypoint_covariances(problem.observation, problem.options.keypoints)
-    members = terms_of(graph, state.weights[0])["reprojection"]
-    for factor, weight, matrix in zip(members, initial, covariances, strict=True):
-        away = factor.unwhitenedError(values)
-        distance = np.sqrt(away @ np.linalg.solve(matrix, away))
-        assert factor.error(values) == pytest.approx(weight * chosen.robust_loss.losses(distance))
+    (factor,) = terms_of(graph, state.weights[0])["reprojection"]
+    away = graph.observations[0].projections(values) - problem.observation.keypoints
+    distances = [np.sqrt(d @ np.linalg.solve(matrix, d)) for d, matrix in zip(away, covariances, strict=True)]
+    assert factor.error(values) == pytest.approx(initial @ chosen.robust_loss.losses(distances))
 
 
 def box_of(problem, estimate, **changes):
@@ -231,16 +209,17 @@ def box_of(problem, estimate, **changes):
 
 def test_edges_of_no_weight_say_nothing():
     problem, estimate = problem_of(1)
-    assert len(box_of(problem, estimate, box=np.array([1.0, 0.0, 0.5, 1e-9]))) == 2
+    residual = box_of(problem, estimate, box=np.array([1.0, 0.0, 0.5, 1e-9]))
+    assert (np.abs(residual) > 1e-3).tolist() == [True, False, True, False]
     assert box_of(problem, estimate, box=np.zeros(4)) is None
 
 
 def test_edges_on_the_images_border_say_nothing():
     problem, estimate = problem_of(1)
-    box = replace(problem.energy.box, used=np.array([True, False, True, True]))
-    cut = replace(problem, energy=replace(problem.energy, box=box))
+    box, used = problem.energy.box, np.array([True, False, True, True])
+    cut = replace(problem, energy=replace(problem.energy, box=replace(box, rows=replace(box.rows, used=used))))
     whole, part = (box_of(p, estimate, box=np.ones(4)) for p in (problem, cut))
-    np.testing.assert_array_equal(part, whole[[0, 2, 3]])
+    np.testing.assert_array_equal(part, np.where(used, whole, 0.0))
 
 
 def test_values_are_read_back():

@@ -86,7 +86,7 @@ def test_visibility_that_swings_is_held(monkeypatch):
     descent = descent_of(problem, start)
     descent.run()
     assert descent.converged
-    assert newton._FOLLOWED < descent.iterations < newton._FOLLOWED + 30
+    assert newton.NEWTON.followed_iterations < descent.iterations < newton.NEWTON.followed_iterations + 30
 
 
 def test_a_direction_that_nothing_determines_is_levenberg_marquardts():
@@ -114,7 +114,7 @@ def test_a_car_on_a_crease_of_its_outline_comes_to_rest(monkeypatch, seed):
     descent = descent_of(problem, search_pose(problem))
     descent.run()
     assert descent.converged
-    assert descent.iterations < newton._FOLLOWED + 10
+    assert descent.iterations < newton.NEWTON.followed_iterations + 10
 
 
 def test_a_step_up_is_not_taken(monkeypatch):
@@ -131,7 +131,7 @@ def test_steps_that_never_end_are_left_to_levenberg_marquardt_which_says_whether
     usual = descent_of(problem, start)
     usual.run()
     original = newton.minimise
-    monkeypatch.setattr(newton, "STEADY", -1.0)
+    monkeypatch.setattr(newton, "NEWTON", replace(newton.NEWTON, steady=-1.0))
     monkeypatch.setattr(newton, "minimise", lambda *a, **b: replace(original(*a, **b), converged=rests))
     descent = descent_of(problem, start)
     descent.run()
@@ -159,7 +159,7 @@ def test_one_image_that_swings_is_held_and_the_others_follow_their_poses(monkeyp
     monkeypatch.setattr(swinging, "reweigh", other_half)
     descent.run()
     assert descent.converged
-    assert descent.iterations < newton._FOLLOWED
+    assert descent.iterations < newton.NEWTON.followed_iterations
     assert descent._swinging.held == {1}
     for i in (0, 2):
         (part, weights) = descent.graph.observations[i], descent.weights[i]

@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from factors import L, X
+from fgrecon.solve.graph.graph_settings import SETTINGS
 from fgrecon.solve.graph.optimise import _Loop, optimise
 from tests.solve.graph.energy import Whitened
 from tests.solve.graph.support import (
@@ -161,7 +162,7 @@ def test_a_loop_that_never_comes_to_rest_says_so(monkeypatch, strategy):
     """Even where every single solve ends at its own minimum."""
     problem, start = problem_of(1, strategy=strategy)
     assert end_of(problem, start).unfinished is None
-    monkeypatch.setattr("fgrecon.solve.graph.optimise.STILL", -1.0)
+    monkeypatch.setattr("fgrecon.solve.graph.optimise.REWEIGHTING", replace(SETTINGS.reweighting, still=-1.0))
     optimum = end_of(problem, start)
     assert optimum.failure is None
     assert optimum.unfinished == f"after {optimum.iterations} iterations"

@@ -6,17 +6,20 @@ import gtsam
 import numpy as np
 import pytest
 
-from factors import stacked_reprojection_factor
-from factors.noise import SMALLEST_WEIGHT
+from factors import reprojection_factor
+from factors.keypoint_rows import SMALLEST_WEIGHT
+from factors.mixture import Form
 from fgrecon.core.observation import Observation
 from fgrecon.solve.graph.graph import GraphObservation
-from fgrecon.solve.graph.optimise import SETTLED
+from fgrecon.solve.graph.graph_settings import SETTINGS
 from fgrecon.solve.graph.solver import minimise
 from fgrecon.solve.proposals.pose_search import search_pose
 from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
 from fgrecon.solve.proposals.terms import Hypotheses
 from fgrecon.solve.result import results
 from tests.solve.graph.support import graph_at, problem_of, solve, state_of, terms_of, weights_at
+
+SETTLED = SETTINGS.reweighting.settled_weight_change
 
 
 @pytest.mark.parametrize(("seed", "strategy"), [(2, "mixture"), (2, "tukey"), (4, "cauchy"), (4, "tukey")])
@@ -34,30 +37,27 @@ def test_the_weights_belong_to_the_result(seed, strategy):
 
 @pytest.mark.parametrize("covariance", [False, True])
 @pytest.mark.parametrize("strategy", ["mixture", "gnc", "paper"])
-def test_the_result_tells_the_noise_models_of_its_graph(strategy, covariance):
-    """Its sigmas are read back from the stacked factor, row by row; with covariances from the blocks' determinants."""
+def test_the_result_tells_the_noise_of_its_graph(strategy, covariance):
+    """Its sigmas are those of the rows' whiteners with their weights; with covariances by the determinants."""
     problem, start = problem_of(2, strategy=strategy, covariance=covariance)
     found = solve(problem, start)
     (result,) = results([GraphObservation(problem)], [start], found.adjusted, {})
-    (factor,) = terms_of(found.graph(), found.weights)["reprojection"]
+    part = found.graph().observations[0]
+    part.solved(found.weights, Form.WEIGHTED)
     used = problem.observation.measured & (result.weights >= SMALLEST_WEIGHT)
-    assert factor.dim() == 2 * used.sum() > 0
-    noise = factor.noiseModel().covariance()
-    blocks = [noise[i : i + 2, i : i + 2] for i in range(0, len(noise), 2)]
+    assert used.any()
+    blocks = []
+    for (a, b, c), weight in zip(part.rows.keypoints.whitener[used], part.rows.right[used], strict=True):
+        root = np.array([[a, 0.0], [b, c]])
+        blocks.append(np.linalg.inv(weight * root.T @ root))
     np.testing.assert_allclose(np.linalg.det(blocks) ** 0.25, result.sigmas[used], rtol=1e-9)
-    apart = noise.copy()
-    for i in range(0, len(noise), 2):
-        apart[i : i + 2, i : i + 2] = 0.0
-    np.testing.assert_allclose(apart, 0.0, atol=1e-9)  # keypoints are independent
     assert bool(np.abs([block[0, 1] for block in blocks]).max() > 0.1) is covariance
-    if not covariance:
-        np.testing.assert_allclose(factor.noiseModel().sigmas(), np.repeat(result.sigmas[used], 2), rtol=1e-12)
 
 
 @pytest.mark.parametrize("covariance", [False, True])
 @pytest.mark.parametrize("strategy", ["huber", "cauchy", "geman_mcclure", "tukey"])
 def test_gtsams_m_estimators_end_where_reweighting_by_hand_ends(strategy, covariance):
-    """Robust noise models keypoint by keypoint, or the stacked factor with w = w0 rho'(d) / d made anew until still."""
+    """An m-estimator inside the factor, or the factor with w = w0 rho'(d) / d made anew until still."""
     problem, start = problem_of(1, strategy=strategy, covariance=covariance, box_model="off")
     result = solve(problem, start)
     chosen, held = problem.options.strategy, result.weights
@@ -76,7 +76,7 @@ def test_gtsams_m_estimators_end_where_reweighting_by_hand_ends(strategy, covari
         built = gtsam.NonlinearFactorGraph()
         for factor in (factor for term in others for factor in term):
             built.add(factor)
-        built.add(stacked_reprojection_factor(part.kernel, pixels, weights, 1.0, covariances=covariances))
+        built.add(reprojection_factor(part.kernel, pixels, weights, covariances))
         before, values = values, minimise(built, values, relative_tolerance=1e-15).values
         if np.abs(before.localCoordinates(values).vector()).max() < 1e-10:
             break

@@ -52,7 +52,7 @@ def test_whitened_residuals_are_mahalanobis_distances(prior, seen):
     term = build(prior, Observation(seen.keypoints, seen.confidence, seen.box, own)).keypoints
     covariance = keypoint_covariances(Observation(seen.keypoints, seen.confidence, seen.box, own), OPTIONS.keypoints)
     d = rng.normal(size=(14, 2)) * 5
-    whitened = (term.whitener @ d[..., None])[..., 0]
+    whitened = term.rows.whiten(d[..., None])[..., 0]
     expected = [x @ np.linalg.inv(S) @ x for x, S in zip(d, covariance, strict=True)]
     np.testing.assert_allclose(np.square(whitened).sum(axis=1), expected)
 
@@ -86,7 +86,7 @@ def test_density_of_wrong_points(prior, seen):
 def test_unmeasured_pixels_are_finite(prior, seen):
     pixels = seen.keypoints.copy()
     pixels[5] = np.nan
-    assert np.isfinite(build(prior, Observation(pixels, seen.confidence, seen.box)).keypoints.pixels).all()
+    assert np.isfinite(build(prior, Observation(pixels, seen.confidence, seen.box)).keypoints.rows.pixels).all()
 
 
 def test_terms_that_apply(prior, seen):
@@ -109,8 +109,8 @@ def test_box_models(prior, seen):
     assert len(box_term(seen, CAMERA, model, BoxOptions(BoxModel.CUBOID)).mean) == 8
     term = box_term(seen, CAMERA, model, OPTIONS.box)
     assert len(term.mean) == len(model.outline.mean)
-    assert term.used.all()
-    assert term.sigma == pytest.approx(np.hypot(0.02 * seen.extent, 1.5))
+    assert term.rows.used.all()
+    assert term.rows.sigma == pytest.approx(np.hypot(0.02 * seen.extent, 1.5))
 
 
 def test_an_outline_as_the_detector_draws_it_reaches_further_than_it_is(prior, seen):
@@ -119,10 +119,10 @@ def test_an_outline_as_the_detector_draws_it_reaches_further_than_it_is(prior, s
     drawn = box_term(seen, CAMERA, model, BoxOptions(BoxModel.DETECTED))
     np.testing.assert_array_equal(drawn.mean, exact.mean)
     width, height = seen.box[2:] - seen.box[:2]
-    left, top, right, bottom = drawn.edges - exact.edges
+    left, top, right, bottom = drawn.rows.edges - exact.rows.edges
     assert left == pytest.approx(-right) == pytest.approx(0.034 * width)
     assert (top, bottom) == (pytest.approx(-0.014 * height), pytest.approx(-0.01 * height))
-    np.testing.assert_array_equal(drawn.used, exact.used)
+    np.testing.assert_array_equal(drawn.rows.used, exact.rows.used)
 
 
 @pytest.mark.parametrize(
@@ -137,8 +137,8 @@ def test_an_outline_as_the_detector_draws_it_reaches_further_than_it_is(prior, s
 def test_edges_on_the_images_border_say_nothing(prior, seen, box, used):
     camera = Camera(MATRIX, image_size=(1242, 375))
     observation = Observation(seen.keypoints, seen.confidence, box)
-    assert build(prior, observation, camera=camera).box.used.tolist() == used
-    assert build(prior, observation).box.used.all()  # of an unknown size nothing is known
+    assert build(prior, observation, camera=camera).box.rows.used.tolist() == used
+    assert build(prior, observation).box.rows.used.all()  # of an unknown size nothing is known
 
 
 def test_one_place_is_degenerate(prior):

@@ -10,7 +10,7 @@ from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.proposals.search import search
 from fgrecon.solve.proposals.starts import at_azimuths, from_pose, view_box
-from fgrecon.solve.proposals.terms import Hypotheses, Quadratic, coefficient_term
+from fgrecon.solve.proposals.terms import CoefficientTerm, Hypotheses, Quadratic
 from tests.cars import CAMERA, observe, pose_energy, rotation_angle, yaw_pose
 from tests.settings import options
 
@@ -163,7 +163,7 @@ def test_the_search_minimises_every_term(prior):
     problem.keypoints.add(parts[0], h, problem.visibility(h.matrices()), 1.0)
     for part, term in zip(parts[1:4], (problem.box, problem.size, problem.ground), strict=True):
         term.add(part, h)
-    coefficient_term(parts[4], h)
+    CoefficientTerm().add(parts[4], h)
     total, _ = problem.evaluate(h)
     for name in ("energy", "gradient", "matrix"):
         assert all(np.abs(getattr(part, name)).max() > 1e-3 for part in parts)

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from factors.box import BoxRows
+from factors.keypoint_rows import KeypointRows, whiteners
 from fgrecon.core.camera import MIN_DEPTH, Ground
 from fgrecon.core.geometry import cross, exponential, pixel_jacobian
 from fgrecon.core.robust import Evidence, strategy
@@ -10,12 +12,12 @@ from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.proposals.terms import (
     BoxTerm,
+    CoefficientTerm,
     GroundTerm,
     Hypotheses,
     KeypointTerm,
     Quadratic,
     SizeTerm,
-    coefficient_term,
 )
 from tests.cars import MATRIX, project, yaw_pose
 
@@ -76,10 +78,9 @@ def keypoint_term(prior, name, seed=1):
     h = hypotheses(prior)
     pixels = project(prior.keypoints(h.coefficients[0]), h.matrices()[0]) + rng.normal(size=(14, 2)) * 3
     evidence = Evidence(np.where(measured, rng.uniform(0.1, 0.95, 14), 0.0), rng.uniform(0.01, 0.1, 14), measured)
-    whitener = np.linalg.inv(np.linalg.cholesky(covariance))
+    rows = KeypointRows(np.where(measured[:, None], pixels, 0.0), whiteners(covariance))
     visibility = rng.uniform(0.05, 0.95, (COUNT, 14))
-    pixels = np.where(measured[:, None], pixels, 0.0)
-    term = KeypointTerm(prior.mean, prior.basis, MATRIX, pixels, whitener, evidence, strategy(name))
+    term = KeypointTerm(prior.mean, prior.basis, MATRIX, rows, evidence, strategy(name))
     return term, h, visibility, covariance
 
 
@@ -104,7 +105,7 @@ def test_keypoint_energy_by_a_plain_loop(prior):
         pixels = project(prior.keypoints(h.coefficients[i]), pose)
         energy = 0.0
         for k in np.flatnonzero(term.evidence.measured):
-            d = pixels[k] - term.pixels[k]
+            d = pixels[k] - term.rows.pixels[k]
             d2 = d @ np.linalg.solve(covariance[k], d)
             seen = Evidence(term.evidence.right[k : k + 1], term.evidence.outlier[k : k + 1], np.array([True]))
             energy += term.strategy.evaluate(np.array([d2]), seen, visibility[i, k : k + 1])[1]
@@ -116,7 +117,7 @@ def box_term(prior, used=(True, True, True, True)):
     h = hypotheses(prior)
     pixels = project(vertices[0], h.matrices()[0])
     edges = np.concatenate([pixels.min(axis=0) - 3.0, pixels.max(axis=0) + 4.0])
-    return BoxTerm(*vertices, MATRIX, edges, np.array(used), 4.0, 0.01, 2.0), h
+    return BoxTerm(*vertices, MATRIX, BoxRows(edges, np.array(used), 4.0, 0.01, 2.0)), h
 
 
 @pytest.mark.parametrize("used", [(True, True, True, True), (True, False, True, False)])
@@ -124,7 +125,7 @@ def test_box_term(prior, used):
     term, h = box_term(prior, used)
     total = assembled(term.add, h)
     assert_close(total.gradient, numeric_gradient(term.add, h))
-    scale = np.sqrt(term.weights(term.residuals(h)))
+    scale = np.sqrt(term.rows.assess(term.residuals(h))[0])
     assert (scale[:, ~np.array(used)] == 0).all()
     assert_close(total.matrix, numeric_gauss_newton(lambda at: term.residuals(at) * scale, h))
 
@@ -132,14 +133,14 @@ def test_box_term(prior, used):
 def test_box_residuals_are_near_the_hard_extents(prior):
     """The soft extent lies inside the hard one, by less than the softness."""
     term, h = box_term(prior)
-    residual = term.residuals(h) * term.sigma
+    residual = term.residuals(h) * term.rows.sigma
     for i, pose in enumerate(h.matrices()):
         points = term.mean + np.tensordot(h.coefficients[i], term.basis, axes=1)
         pixels = project(points, pose)
-        inside = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)]) - term.edges - residual[i]
+        inside = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)]) - term.rows.edges - residual[i]
         inside *= [-1, -1, 1, 1]
         assert (inside >= -1e-9).all()
-        assert (inside < term.softness).all()
+        assert (inside < term.rows.softness).all()
 
 
 def test_size_term(prior):
@@ -190,9 +191,9 @@ def test_ground_energy_is_a_density(prior):
 
 def test_coefficient_term(prior):
     h = hypotheses(prior)
-    total = assembled(coefficient_term, h)
+    total = assembled(CoefficientTerm().add, h)
     np.testing.assert_allclose(total.energy, 0.5 * (h.coefficients**2).sum(axis=1))
-    assert_close(total.gradient, numeric_gradient(coefficient_term, h))
+    assert_close(total.gradient, numeric_gradient(CoefficientTerm().add, h))
     np.testing.assert_array_equal(total.matrix[0], np.diag([0] * 6 + [1] * 5))
 
 
@@ -228,9 +229,11 @@ def test_selection_of_hypotheses(prior):
         np.testing.assert_array_equal(mixed.coefficients[i], chosen.coefficients[i])
     taken = h.take(np.array([2, 0]))
     np.testing.assert_array_equal(taken.matrices(), h.matrices()[[2, 0]])
-    total, second = (assembled(coefficient_term, at) for at in (h, other))
+    total, second = (assembled(CoefficientTerm().add, at) for at in (h, other))
     total.update(mask, second)
-    np.testing.assert_array_equal(total.energy, np.where(mask, second.energy, assembled(coefficient_term, h).energy))
+    np.testing.assert_array_equal(
+        total.energy, np.where(mask, second.energy, assembled(CoefficientTerm().add, h).energy)
+    )
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-9, 1e-4, 1.0, np.pi, 6.0])

@@ -1,4 +1,4 @@
-"""Reprojection factors: Jacobians in every combination of variables, and solves that recover the truth."""
+"""Rows of keypoints: Jacobians in every combination of variables, and solves that recover the truth."""
 
 import gtsam
 import numpy as np
@@ -7,15 +7,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from factors.errors import InvalidInputError
+from factors.guard import guarded_factor
 from factors.kernel import ProjectionKernel
+from factors.keypoint_rows import whiteners
 from factors.keys import L, O, X
 from factors.losses import Loss, RobustLoss
-from factors.noise import keypoint_noise
-from factors.reprojection import (
-    reprojection_factor,
-    reprojection_factors,
-    stacked_reprojection_factor,
-)
+from factors.observation_rows import reprojection_factor
 from factors.shape import LinearShape
 from factors.shape_prior import coefficients_prior
 from tests.factors.support import (
@@ -30,6 +27,7 @@ from tests.factors.support import (
 )
 
 seeds = st.integers(0, 2**32 - 1)
+UNIT = np.tile(np.eye(2), (14, 1, 1))
 
 
 def random_values(rng, mean, basis):
@@ -59,14 +57,11 @@ def test_jacobians(seed):
     mean, basis = car_like(rng)
     values = random_values(rng, mean, basis)
     for kernel in variants(rng, mean, basis, values):
-        i = int(rng.integers(14))
-        assert_jacobian(reprojection_factor(kernel, i, rng.uniform(0, 1000, 2), 1.0), values)
-        assert_jacobian(stacked_reprojection_factor(kernel, np.zeros((14, 2)), rng.uniform(0, 1, 14), 1.0), values)
+        assert_jacobian(reprojection_factor(kernel, np.zeros((14, 2)), rng.uniform(0, 1, 14), UNIT), values)
 
 
-@pytest.mark.parametrize("with_covariances", [False, True])
-def test_the_weights_are_in_the_noise_model(with_covariances):
-    """Rows are pixels; their covariance is sigma^2 / w, or block by block Sigma_i / w_i, without what is left out."""
+def test_the_weights_scale_the_energy():
+    """That of a keypoint is w d' Sigma^-1 d / 2, without what is left out."""
     rng = np.random.default_rng(8)
     shape, values = bound_shape(rng, 14, 5, with_offsets=False)
     values.insert(X(), random_pose(rng))
@@ -74,17 +69,13 @@ def test_the_weights_are_in_the_noise_model(with_covariances):
     pixels, weights = rng.uniform(0, 500, (14, 2)), rng.uniform(0.01, 1, 14)
     pixels[2], weights[7] = np.nan, 0.0
     roots = rng.normal(size=(14, 2, 2))
-    covariances = roots @ roots.transpose(0, 2, 1) + 0.1 * np.eye(2) if with_covariances else None
-    factor = stacked_reprojection_factor(kernel, pixels, weights, 3.0, covariances=covariances)
-    used = np.delete(np.arange(14), [2, 7])
-    each = np.tile(9.0 * np.eye(2), (14, 1, 1)) if covariances is None else covariances
-    expected = np.zeros((24, 24))
-    for row, k in enumerate(used):
-        expected[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] = each[k] / weights[k]
-    np.testing.assert_allclose(factor.noiseModel().covariance(), expected, rtol=1e-9, atol=1e-9)
-    residual = factor.unwhitenedError(values)
-    np.testing.assert_allclose(residual, (kernel.evaluate(values).pixels - pixels)[used].ravel(), rtol=1e-12)
-    assert factor.error(values) == pytest.approx(0.5 * residual @ np.linalg.solve(expected, residual), rel=1e-9)
+    covariances = roots @ roots.transpose(0, 2, 1) + 0.1 * np.eye(2)
+    factor = reprojection_factor(kernel, pixels, weights, covariances)
+    expected = 0.0
+    for k in np.delete(np.arange(14), [2, 7]):
+        d = kernel.evaluate(values).pixels[k] - pixels[k]
+        expected += 0.5 * weights[k] * d @ np.linalg.solve(covariances[k], d)
+    assert factor.error(values) == pytest.approx(expected, rel=1e-9)
 
 
 def test_jacobians_of_36_points_and_42_vectors():
@@ -94,36 +85,37 @@ def test_jacobians_of_36_points_and_42_vectors():
         values.insert(X(), random_pose(rng))
         for pose in (X(), values.atPose3(X())):
             kernel = ProjectionKernel(shape, CAMERA, pose)
-            assert_jacobian(stacked_reprojection_factor(kernel, np.zeros((36, 2)), np.ones(36), 1.0), values)
+            assert_jacobian(
+                reprojection_factor(kernel, np.zeros((36, 2)), np.ones(36), np.tile(np.eye(2), (36, 1, 1))), values
+            )
 
 
-@pytest.mark.parametrize("with_covariances", [False, True])
-@pytest.mark.parametrize("loss", [None, *Loss])
-def test_stacked_factor_equals_thin_factors(loss, with_covariances):
-    """Same energy, same linear system, same optimum."""
+@pytest.mark.parametrize("loss", Loss)
+def test_an_m_estimator_is_gtsams_around_each_keypoint(loss):
+    """Same energy, same linear system, as GTSAM's robust noise model around each keypoint has them."""
     rng = np.random.default_rng(5)
-    robust = None if loss is None else RobustLoss.of(loss)
+    robust = RobustLoss.of(loss)
     mean, basis = car_like(rng)
     pose = random_pose(rng)
     kernel = ProjectionKernel(LinearShape(mean, basis, L()), CAMERA, X())
     pixels = project(mean, pose) + rng.normal(size=(14, 2))
     pixels[:3] += 40 * rng.normal(size=(3, 2))
     pixels[6] = np.nan
-    weights = rng.uniform(0.2, 1.0, 14)
-    weights[9] = 0.0
     roots = rng.normal(size=(14, 2, 2))
-    covariances = roots @ roots.transpose(0, 2, 1) + np.eye(2) if with_covariances else None
-    noises = [
-        keypoint_noise(w, 2.0, covariance=S, robust=robust)
-        for w, S in zip(weights, [None] * 14 if covariances is None else covariances, strict=True)
-    ]
-    thin = reprojection_factors(kernel, pixels, noises)
-    stacked = stacked_reprojection_factor(kernel, pixels, weights, 2.0, covariances=covariances, robust=robust)
-    assert len(thin) == 12
-    assert stacked.dim() == 24
+    covariances = roots @ roots.transpose(0, 2, 1) + np.eye(2)
+    stacked = reprojection_factor(kernel, pixels, np.ones(14), covariances, robust)
     values = gtsam.Values()
     values.insert(X(), pose.retract(np.array([0.02, -0.03, 0.02, 0.1, 0.1, 0.3])))
     values.insert(L(), 0.5 * rng.normal(size=5))
+    thin = []
+    for k in np.flatnonzero(~np.isnan(pixels[:, 0])):
+
+        def one(at, want, k=k):
+            here = kernel.evaluate(at, want)
+            return here.pixels[k] - pixels[k], here.jacobian[k] if want else None
+
+        noise = robust.wrap(gtsam.noiseModel.Gaussian.Covariance(covariances[k]))
+        thin.append(guarded_factor("one", noise, kernel.keys, kernel.dims, 2, one))
     graphs = [graph_of(*fs, coefficients_prior(L(), 5)) for fs in (thin, [stacked])]
     assert graphs[0].error(values) == pytest.approx(graphs[1].error(values), rel=1e-12)
     ordering = gtsam.Ordering()
@@ -143,19 +135,17 @@ def test_robust_losses_where_every_residual_is_zero():
     kernel = ProjectionKernel(shape, CAMERA, X())
     pixels = kernel.evaluate(values).pixels
     for loss in Loss:
-        factor = stacked_reprojection_factor(kernel, pixels, np.ones(14), 1.0, robust=RobustLoss.of(loss))
+        factor = reprojection_factor(kernel, pixels, np.ones(14), UNIT, RobustLoss.of(loss))
         assert factor.error(values) == 0
         assert_jacobian(factor, values, step=1e-5, relative=1e-5)
 
 
-def test_missing_keypoints_get_no_factor():
-    shape, values = bound_shape(np.random.default_rng(2))
-    values.insert(X(), random_pose(np.random.default_rng(2)))
-    pixels = np.zeros((14, 2))
-    pixels[3] = np.nan
-    kernel = ProjectionKernel(shape, CAMERA, X())
-    noises = [keypoint_noise(weight, 2.0) for weight in [0.0, *[1.0] * 13]]
-    assert len(reprojection_factors(kernel, pixels, noises)) == 12
+def test_whiteners():
+    covariances = np.array([np.eye(2), [[4.0, 1.0], [1.0, 2.0]], [[1.0, -0.5], [-0.5, 3.0]]])
+    for S in (covariances, np.tile(4 * np.eye(2), (3, 1, 1))):
+        for i, (a, b, c) in enumerate(whiteners(S)):
+            W = np.array([[a, 0], [b, c]])
+            np.testing.assert_allclose(W.T @ W, np.linalg.inv(S[i]), atol=1e-14)
 
 
 def test_recovers_pose_and_shape():
@@ -164,7 +154,7 @@ def test_recovers_pose_and_shape():
     truth, pose = rng.normal(size=5), random_pose(rng)
     pixels = project(mean + np.tensordot(truth, basis, axes=1), pose)
     kernel = ProjectionKernel(LinearShape(mean, basis, L()), CAMERA, X())
-    graph = graph_of(*reprojection_factors(kernel, pixels, [1e-3] * 14), coefficients_prior(L(), 5, 1e3))
+    graph = graph_of(reprojection_factor(kernel, pixels, np.ones(14), 1e-6 * UNIT), coefficients_prior(L(), 5, 1e3))
     values = gtsam.Values()
     values.insert(X(), pose.retract(np.array([0.05, -0.05, 0.1, 0.3, 0.2, 0.5])))
     values.insert(L(), np.zeros(5))
@@ -176,18 +166,16 @@ def test_recovers_pose_and_shape():
 @pytest.mark.parametrize(
     "call",
     [
-        lambda k: reprojection_factor(k, 14, [0, 0], 1.0),
-        lambda k: reprojection_factor(k, -1, [0, 0], 1.0),
-        lambda k: reprojection_factor(k, 0, [0, np.nan], 1.0),
-        lambda k: reprojection_factor(k, 0, [0, 0], gtsam.noiseModel.Unit.Create(3)),
-        lambda k: reprojection_factors(k, np.zeros((13, 2)), [1.0] * 13),
-        lambda k: stacked_reprojection_factor(k, np.zeros((13, 2)), np.ones(14), 1.0),
-        lambda k: stacked_reprojection_factor(k, np.full((14, 2), np.inf), np.ones(14), 1.0),
-        lambda k: stacked_reprojection_factor(k, np.zeros((14, 2)), np.ones(13), 1.0),
-        lambda k: stacked_reprojection_factor(k, np.zeros((14, 2)), -np.ones(14), 1.0),
-        lambda k: stacked_reprojection_factor(k, np.zeros((14, 2)), np.zeros(14), 1.0),
-        lambda k: stacked_reprojection_factor(k, np.full((14, 2), np.nan), np.ones(14), 1.0),
-        lambda k: stacked_reprojection_factor(k, np.zeros((14, 2)), np.ones(14), 0.0),
+        lambda k: reprojection_factor(k, np.zeros((13, 2)), np.ones(14), UNIT),
+        lambda k: reprojection_factor(k, np.full((14, 2), np.inf), np.ones(14), UNIT),
+        lambda k: reprojection_factor(k, np.zeros((14, 2)), np.ones(13), UNIT),
+        lambda k: reprojection_factor(k, np.zeros((14, 2)), -np.ones(14), UNIT),
+        lambda k: reprojection_factor(k, np.zeros((14, 2)), np.zeros(14), UNIT),
+        lambda k: reprojection_factor(k, np.full((14, 2), np.nan), np.ones(14), UNIT),
+        lambda k: reprojection_factor(k, np.zeros((14, 2)), np.ones(14), 0.0 * UNIT),
+        lambda k: reprojection_factor(k, np.zeros((14, 2)), np.ones(14), UNIT - 2.0 * np.eye(2)),
+        lambda k: reprojection_factor(k, np.zeros((14, 2)), np.ones(14), UNIT[:, :1]),
+        lambda k: reprojection_factor(k, np.zeros((14, 2)), np.ones(14), np.tile([[1.0, 2.0], [2.0, 1.0]], (14, 1, 1))),
     ],
 )
 def test_bad_input(call):
@@ -198,5 +186,5 @@ def test_bad_input(call):
 
 def test_nothing_variable():
     shape = LinearShape(*car_like(np.random.default_rng(4)), np.zeros(5))
-    with pytest.raises(InvalidInputError):
-        reprojection_factor(ProjectionKernel(shape, CAMERA, gtsam.Pose3()), 0, [0, 0], 1.0)
+    with pytest.raises((InvalidInputError, ValueError)):
+        reprojection_factor(ProjectionKernel(shape, CAMERA, gtsam.Pose3()), np.zeros((14, 2)), np.ones(14), UNIT)

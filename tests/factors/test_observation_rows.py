@@ -11,14 +11,15 @@ from factors import (
     O,
     ProjectionKernel,
     X,
-    box_factor,
-    ground_height_factor,
-    stacked_reprojection_factor,
-    upright_factor,
+    reprojection_factor,
+    term_factor,
 )
+from factors.box import BoxRows
+from factors.ground import GroundRows
+from factors.keypoint_rows import KeypointRows
 from factors.mixture import Form
 from factors.native import native
-from factors.observation_factor import BoxRows, GroundRows, ObservationRows, observation_factor
+from factors.observation_rows import ObservationRows, observation_factor
 from tests.factors.support import CAMERA, assert_jacobian, car_like, graph_of, project, random_pose
 
 KERNEL = native("factors._observation")
@@ -72,7 +73,7 @@ class Case:
         self.edges = np.concatenate([low, high]) + 0.5 * sigma * rng.normal(size=4)
         outline_shape = LinearShape(outline, outline_basis, L() if shape_free else x)
         self.outline = ProjectionKernel(outline_shape, nominal, X() if pose_free else self.pose, focal)
-        self.box = BoxRows(self.outline, self.edges, self.used, sigma, 0.02, sigma / 2) if box else None
+        self.box = BoxRows(self.edges, self.used, sigma, 0.02, sigma / 2) if box else None
         self.ground = GroundRows(NORMAL, 1.6, 0.03) if ground and pose_free else None
         seen = None
         if compiled:
@@ -96,7 +97,14 @@ class Case:
                 (NORMAL, 1.6, 0.1, 0.0, 0.03) if ground else None,
             )
         self.rows = ObservationRows(
-            self.kernel, self.pixels, self.whitener, self.box, self.ground, seen, share=0.7, height_sigma=0.12
+            self.kernel,
+            KeypointRows(self.pixels, self.whitener),
+            self.box,
+            self.outline,
+            self.ground,
+            seen,
+            share=0.7,
+            height_sigma=0.12,
         )
 
     def tell(self, form):
@@ -155,10 +163,8 @@ def test_rows_have_the_numeric_jacobian_by_the_focal_length(name):
 
 def test_terms_have_the_numeric_jacobian_by_the_focal_length():
     case = Case(1, compiled=False, zoom=-0.3)
-    box = box_factor(case.outline, case.edges, 1.0, softness=case.sigma)
-    keypoints = stacked_reprojection_factor(case.kernel, case.pixels, case.right, case.sigma)
-    for factor in (box, keypoints):
-        assert_jacobian(factor, case.values, step=1e-4, relative=1e-5)
+    for name in ("reprojection", "box"):
+        assert_jacobian(term_factor(case.tell(Form.WEIGHTED), name), case.values, step=1e-4, relative=1e-5)
 
 
 @BOTH
@@ -187,25 +193,24 @@ def test_newtons_gradient_is_that_of_the_loss(name, compiled):
 
 
 @BOTH
-def test_weighted_rows_are_those_of_the_terms_factors(compiled):
-    """Error and linear system, whichever factors they come from."""
+def test_all_rows_are_those_of_the_terms(compiled):
+    """Error and linear system, whichever factors they come from; and the terms on their own variables."""
     case = Case(3, compiled=compiled)
     rows = case.tell(Form.WEIGHTED)
-    rows.share = 1.0
-    noise = gtsam.noiseModel.Diagonal.Sigmas(case.sigma / np.sqrt(case.edge_weights[case.used]))
-    alone = graph_of(
-        stacked_reprojection_factor(case.kernel, case.pixels, case.weights, case.sigma),
-        box_factor(case.outline, case.edges, noise, softness=case.sigma / 2, edges=case.used.tolist()),
-        ground_height_factor(X(), NORMAL, 1.6, 0.12),
-        upright_factor(X(), NORMAL, 0.03),
-    )
-    together = graph_of(observation_factor(rows))
-    assert together.error(case.values) == pytest.approx(alone.error(case.values), rel=1e-12)
+    alone = {name: term_factor(rows, name) for name in rows.terms}
+    keys = {name: set(factor.keys()) for name, factor in alone.items()}
+    assert keys == {"reprojection": {X(), L(), O()}, "box": {X(), L()}, "ground": {X()}, "cheirality": {X(), L(), O()}}
+    assert alone["cheirality"].error(case.values) == 0.0
+    together, apart = graph_of(observation_factor(rows)), graph_of(*alone.values())
+    assert together.error(case.values) == pytest.approx(apart.error(case.values), rel=1e-12)
     ordering = gtsam.Ordering()
     for key in (X(), L(), O()):
         ordering.push_back(key)
-    mine, theirs = (graph.linearize(case.values).augmentedHessian(ordering) for graph in (together, alone))
+    mine, theirs = (graph.linearize(case.values).augmentedHessian(ordering) for graph in (together, apart))
     np.testing.assert_allclose(mine, theirs, atol=1e-11 * np.abs(theirs).max())
+    sigma = np.tile(case.sigma**2 * np.eye(2), (SIZE, 1, 1))
+    own = reprojection_factor(case.kernel, case.pixels, case.weights, sigma)
+    assert alone["reprojection"].error(case.values) == pytest.approx(rows.share * own.error(case.values), rel=1e-9)
 
 
 @BOTH

@@ -1,0 +1,64 @@
+"""Keypoints where they are projected and where they were measured: E_reproj of the paper's section III-C, whitened.
+
+    r_i = W_i (pi(K (R X_i(lambda, offsets) + t)) - x_i),    W_i' W_i = Sigma_i^-1
+
+The rows of a factor (`factors.observation_rows`), and for many poses at once those of the search.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from factors.checks import finite_array
+from factors.errors import InvalidInputError
+
+__all__ = ["SMALLEST_WEIGHT", "KeypointRows", "whiteners"]
+
+Array = NDArray[np.float64]
+
+SMALLEST_WEIGHT = 1e-12
+"""A keypoint of less weight is left out."""
+
+
+@dataclass(frozen=True)
+class KeypointRows:
+    """Measured keypoints.
+
+    Attributes:
+        pixels: (K, 2) where they were measured, without lens distortion; any finite number where they were not.
+        whitener: (K, 3) entries a, b, c of lower triangular whiteners [[a, 0], [b, c]].
+    """
+
+    pixels: Array
+    whitener: Array
+
+    def residual(self, projected: Array) -> Array:
+        """Whitened residuals (..., K, 2) of projected pixels (..., K, 2)."""
+        return self.whiten((projected - self.pixels)[..., None])[..., 0]
+
+    def whiten(self, pairs: Array) -> Array:
+        """Pairs of rows (..., K, 2, D) times the whiteners."""
+        a, b, c = self.whitener.T[..., None]
+        u, v = pairs[..., 0, :], pairs[..., 1, :]
+        return np.stack([a * u, b * u + c * v], axis=-2)
+
+
+def whiteners(covariances: ArrayLike) -> Array:
+    """(K, 3) inverse Cholesky factors [[a, 0], [b, c]] of covariances (K, 2, 2) in square pixels.
+
+    Raises:
+        InvalidInputError: A covariance is not symmetric positive definite.
+    """
+    S = finite_array("covariances", covariances, (None, 2, 2))
+    if not S[:, 0, 1].any() and (S[:, 0, 0] == S[:, 1, 1]).all() and S.min(initial=0.0) >= 0.0 and S[:, 0, 0].all():
+        root = 1.0 / np.sqrt(S[:, 0, 0])  # isotropic, which needs no linear algebra
+        return np.stack([root, np.zeros(len(S)), root], axis=1)
+    try:
+        inverse = np.linalg.inv(np.linalg.cholesky(S)).reshape(-1, 4)
+    except np.linalg.LinAlgError as error:
+        fix = "Give symmetric positive definite matrices."
+        raise InvalidInputError("covariances", S.tolist(), fix) from error
+    return np.ascontiguousarray(inverse[:, [0, 2, 3]])

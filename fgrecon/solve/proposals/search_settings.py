@@ -1,0 +1,120 @@
+"""Tuned numbers of the pose search, in one place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["SETTINGS", "PoseSearchSettings", "RestartSettings"]
+
+
+@dataclass(frozen=True)
+class RestartSettings:
+    """Of the second search, where a pose rests on few keypoints (`fgrecon.solve.proposals.restarts`); not tuned."""
+
+    all_round_starts: int = 48
+    """Starts in the 2D box, all round."""
+    nearby_starts: int = 24
+    """Starts about the pose."""
+    first_iterations: int = 4
+    """Iterations of all starts."""
+    first_kept_hypotheses: int = 24
+    """How many go on after `kept_from_iteration`."""
+    starts_per_keypoint: int = 12
+    """Starts in the box, and as many about the pose, for each keypoint that is assumed right."""
+    keypoint_iterations: int = 6
+    """Their iterations."""
+    keypoint_kept_hypotheses: int = 6
+    """How many of them go on."""
+    kept_from_iteration: int = 3
+    """Iteration from which only the best go on: losers show early."""
+    last_iterations: int = 8
+    """Iterations of all that are left."""
+    wrong_below_weight: float = 0.5
+    """A keypoint of less weight is taken for wrong in the result."""
+    least_right_probability: float = 0.1
+    """What is less probably right is not assumed to be."""
+    most_assumed_right: int = 4
+    """Keypoints that are assumed right, the most probable ones."""
+    never_wrong_density: float = 1e-200
+    """Density of a wrong point that leaves no other explanation, and a logarithm."""
+    most_poses: int = 3
+    """Poses that are returned."""
+    energy_gap_nats: float = 0.3
+    """The graph, which has more freedom, lowers the energy by as much in the same place: less is no other pose."""
+    same_turn_radians: float = float(np.deg2rad(4.0))
+    """Poses that are nearer in turn and shift are one."""
+    same_shift_metres: float = 0.15
+    """The same of the shift."""
+    log_depth_spread: float = 0.5
+    """Of the starts in the box: of the logarithm of depth."""
+    tilt_spread_radians: float = 0.2
+    """Of the starts in the box: roll and pitch."""
+    nearby_log_depth_spread: float = 0.3
+    """Of the starts about the pose: of the logarithm of depth."""
+    nearby_tilt_spread_radians: float = 0.15
+    """Of the starts about the pose: roll and pitch."""
+    nearby_turn_spread_radians: float = 0.5
+    """Of the starts about the pose: heading."""
+    azimuth_period: int = 3
+    """Searches before the azimuths come again."""
+
+
+@dataclass(frozen=True)
+class PoseSearchSettings:
+    """Of the search over many poses (`fgrecon.solve.proposals.pose_search` and `search`).
+
+    Where nothing else is said a number was not tuned.
+    """
+
+    iterations: int = 4
+    """Levenberg-Marquardt iterations of all starts."""
+    kept_hypotheses: tuple[tuple[int, int], ...] = ((1, 10), (3, 4))
+    """Iteration, and how many hypotheses go on from it: losers show early."""
+    distinct_turn_radians: float = float(np.deg2rad(20.0))
+    """Poses that are turned by less against each other are one."""
+    foreseen_azimuth_divisor: int = 2
+    """Times fewer azimuths where a pose is foreseen: they are there for what else the keypoints allow."""
+    heading_guess_radians: tuple[float, ...] = tuple(np.deg2rad([-30.0, 0.0, 30.0]).tolist())
+    """Starts about a guess of the heading, which is trusted within 45 degrees."""
+    pnp_least_right_probability: float = 0.3
+    """Keypoints that are less probably right are left out of ASPnP."""
+    pnp_least_keypoints: int = 4
+    """ASPnP gives no starts from fewer."""
+    largest_turn_radians: float = 0.5
+    """A step may turn by: beyond, the linearisation says nothing."""
+    settled_nats: float = 1e-4
+    """Once no step changes any energy by more, the search is over."""
+    alike_radians: float = float(np.deg2rad(8.0))
+    """Hypotheses closer than that are one: half the distance of neighbouring starts."""
+    first_damping: float = 1e-2
+    """Of Levenberg-Marquardt, as a share of the diagonal."""
+    damping_decrease: float = 0.3
+    """Factor on the damping after a good step."""
+    damping_increase: float = 5.0
+    """Factor on the damping after a bad step."""
+    ridge: float = 1e-9
+    """Added to the diagonal: what nothing determines stays where it is."""
+    most_right_probability: float = 0.99
+    """No detector is surer than that of a keypoint, nor that it is wrong."""
+    border_pixels: float = 2.0
+    """From the image's border, within which a box edge says nothing."""
+    box_softness_sigmas: float = 0.5
+    """Softness of a box's extents: with 0.2 the solver zigzags over creases of the outline."""
+    edge_wrong_probability: float = 0.1
+    """That a box edge is wrong."""
+    least_keypoints: int = 3
+    """A pose needs so many."""
+    most_outlier_density: float = 0.5
+    """Below 1, so that a wrong point never explains a keypoint better than a right one."""
+    model_noise_share: float = 0.1
+    """Of the general noise's variance, added to a detector's covariance for what no shape of the prior can meet."""
+    direction_meaningless_probability: float = 0.05
+    """That the directions of a detector mean nothing: none costs more than its logarithm and a little."""
+    restarts: RestartSettings = RestartSettings()
+    """Of the second search."""
+
+
+SETTINGS = PoseSearchSettings()
+"""What the search reads."""
