@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from fgrecon.calibration.regions import normalised_squared_error
 from fgrecon.core.camera import ANY_FOCAL_SIGMA, Camera, Ground
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.metrics import FAILURE_DEGREES, rotation_error
@@ -30,7 +31,6 @@ from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Status
 from fgrecon.core.scene_reconstruction import SceneReconstruction
 from fgrecon.core.size_prior import size_prior
-from fgrecon.evaluation.consistency import normalised_squared_error
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.files import write_text
 from fgrecon.io.images import read_image
@@ -38,7 +38,7 @@ from fgrecon.perception.from_image import reconstruct_detections
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.simulation.vehicles import Vehicle, simulate, yaw_pose
 from fgrecon.solve.scene import reconstruct_scene, reconstruct_scenes
-from fgrecon.training.keypoints.posed_cars import PosedCar, read_posed_cars, read_validation_ids
+from fgrecon_research.training.keypoints.posed_cars import PosedCar, read_posed_cars, read_validation_ids
 
 Array = NDArray[np.float64]
 T = TypeVar("T")

@@ -19,6 +19,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.calibration.labelled_boxes import TURNED_ROUND, BoxOutcome, outcome
+from fgrecon.calibration.regions import DIMENSIONS
 from fgrecon.core.geometry import view_azimuth
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import rotation_y
@@ -27,9 +29,6 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import size_prior
 from fgrecon.core.turned import turned_round
 from fgrecon.core.vehicle_estimate import VehicleEstimate
-from fgrecon.evaluation.consistency import consistency
-from fgrecon.evaluation.regions import DIMENSIONS
-from fgrecon.evaluation.video_images import TURNED_ROUND, BoxOutcome, outcome
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.files import write_text
 from fgrecon.io.kitti_drives import IMAGES_PER_SECOND
@@ -37,6 +36,7 @@ from fgrecon.io.kitti_tracking import read_tracking
 from fgrecon.io.track_file import GroundTruth
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate, yaw_pose
 from fgrecon.solve.tracker import Tracker
+from fgrecon_research.evaluation.consistency import consistency
 
 Array = NDArray[np.float64]
 

@@ -18,13 +18,13 @@ import cv2
 import numpy as np
 
 from benchmarks.weather import CHANGES, View
+from fgrecon.calibration.labelled_boxes import TURNED_ROUND, outcome, wanted
+from fgrecon.calibration.matching import match_detections
+from fgrecon.calibration.setup import Setup, reconstruct_boxes
 from fgrecon.core.camera import Ground
 from fgrecon.core.metrics import FAILURE_DEGREES
 from fgrecon.core.options import Options
 from fgrecon.core.size_prior import size_prior
-from fgrecon.evaluation.kitti_devkit import match_detections
-from fgrecon.evaluation.kitti_images import Setup, reconstruct_boxes
-from fgrecon.evaluation.video_images import TURNED_ROUND, outcome, wanted
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.files import write_text
 from fgrecon.io.images import read_image

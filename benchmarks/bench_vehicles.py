@@ -20,14 +20,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from fgrecon.evaluation.kitti_devkit import REGIMES, match_detections, regime_members
-from fgrecon.evaluation.kitti_overlap import box_overlap
+from fgrecon.calibration.matching import box_overlap, match_detections
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_drives import DriveFrame, read_images
 from fgrecon.io.kitti_files import Objects
 from fgrecon.perception.vehicles import NanodetVehicleDetector, Vehicles, YoloVehicleDetector
 from fgrecon.perception.vehicles.detect import NetworkDetector
-from fgrecon.training.keypoints.posed_cars import read_posed_cars
+from fgrecon_research.evaluation.kitti_devkit import REGIMES, regime_members
+from fgrecon_research.training.keypoints.posed_cars import read_posed_cars
 
 OVERLAPS = (0.5, 0.7)
 HEIGHTS = (25.0, 40.0, 80.0, np.inf)

@@ -15,7 +15,7 @@ import numpy as np
 
 import fgrecon
 from fgrecon.simulation import KITTI_CAMERA, Vehicle, yaw_pose
-from fgrecon.training import NrsfmOptions, compare_priors, learn_prior
+from fgrecon_research.training import NrsfmOptions, compare_priors, learn_prior
 
 
 def main() -> None:

@@ -15,11 +15,9 @@ back, `Options` the settings, `fgrecon.errors` has the errors. The factors of th
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING
 
 from factors.lazy import lazy_names
-from fgrecon._moved import MovedFinder
 
 if TYPE_CHECKING:  # imported when used
     from fgrecon import errors as errors
@@ -112,7 +110,5 @@ __all__ = [
 ]
 
 __docformat__ = "google"  # for the API reference
-
-sys.meta_path.insert(0, MovedFinder())
 
 __getattr__, __dir__ = lazy_names(__name__)

@@ -51,45 +51,70 @@ ROOMS = {
     },
     "simulation": {"factors", "core", "solve/vehicle"},
     "viz": {"core", "io", "io/export", "perception/keypoints"},
-    "annotation": {
-        *("factors", "core", "io", "io/export", "solve", "solve/vehicle", "solve/proposals", "solve/graph"),
-        *("perception", "perception/keypoints"),
-    },
-    "evaluation": {
-        *("core", "io", "io/export", "solve", "solve/vehicle", "solve/proposals", "perception", "perception/keypoints"),
-        *("annotation", "simulation", "video"),
-    },
-    "training/priors": {"core", "io", "io/annotations", "io/keypoints", "solve/vehicle"},
-    "training": {"factors", "training/priors"},
-    "training/keypoints": {
-        *("factors", "core", "io", "io/annotations", "io/export", "solve/vehicle", "simulation"),
-        *("perception/keypoints", "perception/vehicles", "training/priors"),
-    },
-    "paper": {
-        *("core", "io", "io/annotations", "solve", "solve/vehicle", "solve/proposals", "solve/graph", "simulation"),
-        *("perception", "perception/keypoints", "evaluation", "training/priors", "training/keypoints"),
+    "calibration": {
+        *("core", "io", "io/export", "solve/vehicle", "perception", "perception/keypoints", "video"),
     },
     "cli": {
         *("core", "io", "io/cameras", "io/export", "io/keypoints", "solve", "simulation", "perception"),
-        *("perception/keypoints", "perception/vehicles", "batch", "video", "viz", "evaluation", "training/priors"),
+        *("perception/keypoints", "perception/vehicles", "batch", "video", "viz", "calibration"),
     },
-    "cli/training": {
-        *("core", "io", "io/annotations", "io/export", "perception", "perception/keypoints", "viz"),
-        *("annotation", "training/priors", "training/keypoints", "paper", "cli"),
+    "research": set(),
+    "research/annotation": {
+        *("factors", "core", "io", "io/export", "solve", "solve/vehicle", "solve/proposals", "solve/graph"),
+        *("perception", "perception/keypoints", "calibration"),
     },
-    "cli/paper": {"core", "io", "simulation", "viz", "evaluation", "training/priors", "paper", "cli"},
+    "research/evaluation": {
+        *("core", "io", "io/export", "solve", "solve/vehicle", "solve/proposals", "perception", "perception/keypoints"),
+        *("simulation", "video", "calibration"),
+    },
+    "research/training/priors": {"core", "io", "io/annotations", "io/keypoints", "solve/vehicle"},
+    "research/training": {"factors", "research/training/priors"},
+    "research/training/keypoints": {
+        *("factors", "core", "io", "io/annotations", "io/export", "solve/vehicle", "simulation"),
+        *("perception/keypoints", "perception/vehicles", "research/training/priors"),
+    },
+    "research/paper": {
+        *("core", "io", "io/annotations", "solve", "solve/vehicle", "solve/proposals", "solve/graph", "simulation"),
+        *("perception", "perception/keypoints", "calibration"),
+        *("research/evaluation", "research/training/priors", "research/training/keypoints"),
+    },
+    "research/cli/evaluate": {
+        *("core", "io", "io/export", "perception/keypoints", "simulation", "viz", "calibration", "cli"),
+        "research/evaluation",
+    },
+    "research/cli/training": {
+        *(
+            "core",
+            "io",
+            "io/annotations",
+            "io/export",
+            "perception",
+            "perception/keypoints",
+            "viz",
+            "calibration",
+            "cli",
+        ),
+        *("research/annotation", "research/training/priors", "research/training/keypoints", "research/paper"),
+    },
+    "research/cli/paper": {
+        *("core", "io", "simulation", "viz", "cli", "research/evaluation", "research/training/priors"),
+        *("research/paper", "research/cli/evaluate"),
+    },
+    "research/cli": {"cli", "research/cli/evaluate", "research/cli/training", "research/cli/paper"},
 }
 """Each room, and the rooms that its files may import."""
+
+RESEARCH = REPOSITORY / "research"
 
 DRAWING = ("matplotlib", "rerun", "typer", "rich")
 """Libraries that what computes, reads and writes knows nothing of."""
 
 
 def _files():
-    """Dotted name and path of every module of the two packages."""
-    for package in ("factors", "fgrecon"):
-        for path in sorted((REPOSITORY / package).rglob("*.py")):
-            parts = path.relative_to(REPOSITORY).with_suffix("").parts
+    """Dotted name and path of every module of the three packages."""
+    for root, package in ((REPOSITORY, "factors"), (REPOSITORY, "fgrecon"), (RESEARCH, "fgrecon_research")):
+        for path in sorted((root / package).rglob("*.py")):
+            parts = path.relative_to(root).with_suffix("").parts
             if parts[-1] == "__main__":
                 continue  # the command line's door
             yield ".".join(parts[:-1] if parts[-1] == "__init__" else parts), path
@@ -100,7 +125,9 @@ FILES = dict(_files())
 
 def _room(module):
     folder = FILES[module].parent.relative_to(REPOSITORY).as_posix()
-    return folder if folder.startswith("factors") else folder.removeprefix("fgrecon").removeprefix("/")
+    if folder.startswith("factors"):
+        return folder
+    return folder.replace("research/fgrecon_research", "research").removeprefix("fgrecon").removeprefix("/")
 
 
 def _imports(path, *, all_levels=True):
@@ -163,6 +190,7 @@ def test_factors_depend_on_gtsam_and_numpy_alone():
         "io/export",
         "batch",
         "video",
+        "calibration",
         "simulation",
         *(r for r in ROOMS if "solve" in r or "perception" in r),
     ],

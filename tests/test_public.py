@@ -22,7 +22,6 @@ FACES = (
     "fgrecon.perception.vehicles",
     "fgrecon.simulation",
     "fgrecon.solve",
-    "fgrecon.training",
     "fgrecon.video",
     "fgrecon.viz",
 )
@@ -37,8 +36,7 @@ def imported_names(package):
     return {
         alias.asname or alias.name
         for node in imports
-        if node.module.startswith(("fgrecon.", "factors."))
-        and node.module not in ("fgrecon._moved", "factors.lazy", "fgrecon.core.renamed")
+        if node.module.startswith(("fgrecon.", "factors.")) and node.module != "factors.lazy"
         for alias in node.names
     }
 
@@ -61,7 +59,7 @@ def test_the_face_names_what_it_imports(package):
     assert set(module.__all__) <= set(dir(module))
 
 
-@pytest.mark.parametrize("package", ["fgrecon", "fgrecon.perception", "fgrecon.simulation", "fgrecon.training"])
+@pytest.mark.parametrize("package", ["fgrecon", "fgrecon.perception", "fgrecon.simulation"])
 def test_no_lazy_name_is_a_submodule_as_well(package):
     """Importing the submodule would put the module in the name's place."""
     folder = REPOSITORY.joinpath(*package.split("."))
@@ -85,7 +83,7 @@ def test_an_unknown_name_is_an_attribute_error():
         fgrecon.nonsense  # noqa: B018
 
 
-@pytest.mark.parametrize("module", ["fgrecon.perception", "fgrecon.simulation", "fgrecon.training"])
+@pytest.mark.parametrize("module", ["fgrecon.perception", "fgrecon.simulation"])
 def test_faces_cost_nothing(module):
     code = f"import sys, {module}; print([n for n in ('torch', 'cv2', 'scipy', 'gtsam', 'numpy') if n in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

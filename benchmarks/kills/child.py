@@ -15,8 +15,8 @@ import pytest
 
 import fgrecon.batch.parts as parts
 from fgrecon.cli.main import main
-from fgrecon.training.keypoints.labelling import Source
-from tests.training.keypoints.support import made_up_cars, make_small, unit_car_prior
+from fgrecon_research.training.keypoints.labelling import Source
+from research.tests.training.keypoints.support import made_up_cars, make_small, unit_car_prior
 
 __all__ = ["made_up_source"]
 

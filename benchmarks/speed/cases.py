@@ -91,8 +91,8 @@ def hard_cars(count: int) -> list[Case]:
 
 def marked_cars(count: int) -> list[Case]:
     """Cars of ApolloCar3D with keypoints marked by people, evenly spaced; none where the data is absent."""
-    from fgrecon.paper.apollocar3d import read_apollocar3d
-    from fgrecon.training.priors.apollo79 import load_apollo79
+    from fgrecon_research.paper.apollocar3d import read_apollocar3d
+    from fgrecon_research.training.priors.apollo79 import load_apollo79
 
     folder = data_root()
     if folder is None or not (folder / "apollocar3d_val").is_dir():

@@ -13,9 +13,9 @@ from benchmarks.speed.measure import Arm, Clock, Table, clock, interleaved, timi
 from benchmarks.speed.stages import Car, solvers, stages
 from fgrecon.core.options import Options
 from fgrecon.core.shape_prior import ShapePrior
-from fgrecon.paper.icra2017_release import import_icra2017, load_icra2017_example
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.scene import reconstruct_scene
+from fgrecon_research.paper.icra2017_release import import_icra2017, load_icra2017_example
 
 PEERS = ("sqpnp_confident", "poselib_ransac", "aspnp")
 

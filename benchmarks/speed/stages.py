@@ -11,11 +11,11 @@ from scipy.optimize import least_squares
 
 from benchmarks.speed.cases import Case
 from benchmarks.speed.measure import Clock, clock
+from fgrecon.calibration.setup import SceneKnowledge
 from fgrecon.core.camera import Ground
 from fgrecon.core.options import BoxModel, Options
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SIZE_PRIORS
-from fgrecon.evaluation.methods import METHODS, SceneKnowledge
 from fgrecon.solve.graph.covariance import factorise, read_covariances
 from fgrecon.solve.graph.graph import Graph, GraphObservation
 from fgrecon.solve.graph.multi_start import MultiStartResult, minimise_from_proposals, start_state
@@ -24,6 +24,7 @@ from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.proposals.pose_search import PoseEstimate, search_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.vehicle.model import prepare
+from fgrecon_research.evaluation.methods import METHODS
 from tests.solve.graph.energy import Energy, Whitened, minimise_by_ceres
 from tests.solve.graph.support import energy_of, vector
 

@@ -43,19 +43,18 @@ def calibrate_command(
     """
     from dataclasses import asdict, replace
 
+    from fgrecon.calibration.box_fit import check_whole_cars, fit_boxes, seen_boxes
+    from fgrecon.calibration.detector_fit import FACTORS, as_said, check_labels, check_solved, fit_detector
+    from fgrecon.calibration.labelled_boxes import SYSTEM, box_coverage
     from fgrecon.core.coverage import SIGMAS
     from fgrecon.core.detector_calibration import DetectorCalibration
     from fgrecon.core.errors import InvalidInputError
-    from fgrecon.evaluation.box_fit import check_whole_cars, fit_boxes, seen_boxes
-    from fgrecon.evaluation.calibration import calibrate_boxes
-    from fgrecon.evaluation.detector_fit import FACTORS, as_said, check_labels, check_solved, fit_detector
-    from fgrecon.evaluation.video_images import SYSTEM
     from fgrecon.io.detector_calibration import save_calibration
     from fgrecon.io.kitti_drives import read_images
 
     def score(factor: float) -> ScoredDrives:
-        done = how.score(folders, labelled, screen, rivals=(), track=False, keypoints=as_said(factor))
-        for one in calibrate_boxes(done.boxes, SYSTEM).regions:
+        done = how.score(folders, labelled, screen, keypoints=as_said(factor))
+        for one in box_coverage(done.boxes, SYSTEM):
             shares = ", ".join(f"{100 * one.inside[level]['claimed']:.0f} in {100 * level:.0f} %" for level in SIGMAS)
             screen.detail(f"Factor {factor:g}: {one.quantity} {shares}.")
         return done

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fgrecon.cli.commands import add_command
+from fgrecon.cli.commands import add_command, new_group
 from fgrecon.cli.common import check_outputs
 from fgrecon.cli.options import JsonOption, VehicleBoxes
 from fgrecon.cli.terminal import Terminal
@@ -20,12 +20,7 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
 
 __all__ = ["app"]
 
-app = typer.Typer(help="Find keypoints in images.", no_args_is_help=True)
-
-
-@app.callback()
-def _group() -> None:
-    """Find keypoints in images."""
+app = new_group("keypoints", "Find keypoints in images.", ("evaluate", "label", "silhouettes", "train"))
 
 
 def detect_command(

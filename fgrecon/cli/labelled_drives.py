@@ -5,7 +5,7 @@ Where no vehicle is followed, a folder of single images is as good as a drive.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,11 +18,11 @@ from fgrecon.core.choices import BoxModel
 from fgrecon.core.text import counted
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
+    from fgrecon.calibration.labelled_boxes import VideoBox
+    from fgrecon.calibration.labelled_frames import Rivals, ScoredFrame
+    from fgrecon.calibration.setup import SceneKnowledge, Setup
     from fgrecon.cli.terminal import Screen
     from fgrecon.core.options import KeypointOptions
-    from fgrecon.evaluation.kitti_images import Setup
-    from fgrecon.evaluation.video_frames import ScoredFrame
-    from fgrecon.evaluation.video_images import VideoBox
     from fgrecon.io.kitti_drives import Drive
 
 __all__ = ["DriveOptions", "DrivesArgument", "FoldOption", "ScoredDrives", "check_names", "read_folds"]
@@ -124,11 +124,9 @@ class DriveOptions:
         labelled: LabelledScene,
         screen: Screen,
         *,
-        rivals: Sequence[str],
-        track: bool,
+        read: Callable[[Path], Drive] | None = None,
+        rivals: Callable[[SceneKnowledge], Callable[[], Rivals]] | None = None,
         keypoints: KeypointOptions | None = None,
-        forget_ids: bool = False,
-        estimate_motion: bool = False,
     ) -> ScoredDrives:
         """Reconstruct the labelled boxes that count, and score them.
 
@@ -136,52 +134,37 @@ class DriveOptions:
             folders: Of the drives.
             labelled: What is told.
             screen: Where progress is shown.
-            rivals: Methods that get the same keypoints.
-            track: Whether the vehicles are followed as well.
+            read: Reads a drive; None to read folders of single images as well.
+            rivals: From what is told what scores other methods on the same keypoints.
             keypoints: What is assumed of the detector; None for the default.
-            forget_ids: Whether the vehicles that are followed are given ids anew; detected ones have none.
-            estimate_motion: Whether they are followed with the camera's estimated motion as well.
 
         Raises:
-            InvalidInputError: A folder is no drive, no box counts or is found, a network is given for none of the
-                drives, or the camera's motion is to be estimated without a ground.
+            InvalidInputError: A folder is no drive, no box counts or is found, or a network is given for none of the
+                drives.
         """
+        from fgrecon.calibration.labelled_boxes import wanted
+        from fgrecon.calibration.labelled_frames import looks_at, score_frames
         from fgrecon.core.errors import InvalidInputError
         from fgrecon.core.options import Options
-        from fgrecon.evaluation.video_frames import looks_at, score_frames
-        from fgrecon.evaluation.video_images import wanted
-        from fgrecon.evaluation.video_tracks import follow_boxes
-        from fgrecon.io.kitti_drives import read_drive, read_images
+        from fgrecon.io.kitti_drives import read_images
 
-        read = read_drive if track else read_images
-        drives = [read(folder.absolute()) for folder in folders]
+        drives = [(read or read_images)(folder.absolute()) for folder in folders]
         files = read_folds(self.fold or (), [drive.name for drive in drives], self.weights)
         if not any(len(wanted(frame)) for drive in drives for frame in drive.frames):
             fix = "Give drives with labelled cars or vans of at least 25 pixels."
             raise InvalidInputError("drives", ", ".join(drive.name for drive in drives), fix)
         told = labelled.told()
-        if estimate_motion and told.ground is None:
-            fix = "Give a ground, which tells how far the camera goes, or leave --estimate-motion out."
-            raise InvalidInputError("estimate_motion", "no ground", fix)
         options = Options(box=self.encloses, keypoints=keypoints, traffic=self.traffic)
         setups = _setups(files, told, options, together=self.together, detect=self.detect)
         images = sum(len(looks_at(drive, setups[drive.name])) for drive in drives)
         with screen.bar() as advance:
             watched = counting(advance, "Images", images)
-            frames = score_frames(drives, setups, told.scene, rivals=rivals, jobs=self.jobs, advance=watched)
-            boxes = [box for frame in frames for box in frame.boxes]
-            if not boxes:
-                fix = "Give drives with vehicles that the detector finds."
-                raise InvalidInputError("drives", ", ".join(setups), fix)
-            if track:
-                boxes = follow_boxes(
-                    frames,
-                    drives,
-                    setups,
-                    forget_ids=forget_ids or self.detect,
-                    estimate_motion=estimate_motion,
-                    advance=counting(advance, "Followed", (1 + estimate_motion) * len(frames)),
-                )
+            others = None if rivals is None else rivals(told.scene)
+            frames = score_frames(drives, setups, rivals=others, jobs=self.jobs, advance=watched)
+        boxes = [box for frame in frames for box in frame.boxes]
+        if not boxes:
+            fix = "Give drives with vehicles that the detector finds."
+            raise InvalidInputError("drives", ", ".join(setups), fix)
         missed = sum(frame.missed for frame in frames)
         return ScoredDrives(drives, files, setups, told, images, boxes, missed, frames)
 
@@ -231,7 +214,7 @@ def _setups(
     files: dict[str, Path | None], told: Told, options: Any, *, together: bool, detect: bool
 ) -> dict[str, Setup]:
     """What each drive is reconstructed with, by its name; each network is loaded once."""
-    from fgrecon.evaluation.kitti_images import Setup
+    from fgrecon.calibration.setup import Setup
     from fgrecon.perception.keypoints.detect import KeypointCascade
     from fgrecon.perception.vehicles import NanodetVehicleDetector
 

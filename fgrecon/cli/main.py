@@ -15,9 +15,9 @@ from typing import Annotated, TextIO
 
 import typer
 
-from fgrecon.cli import evaluate, keypoints, prior, vehicles
+from fgrecon.cli import keypoints, prior, vehicles
 from fgrecon.cli.calibrate import calibrate_command
-from fgrecon.cli.commands import add_command
+from fgrecon.cli.commands import add_command, new_group
 from fgrecon.cli.demo import demo_command
 from fgrecon.cli.export import export_command
 from fgrecon.cli.many import batch_command
@@ -43,17 +43,27 @@ app = typer.Typer(
 )
 
 
-add_command(app, "demo", demo_command, once_flags={"--json": "-"})
+add_command(app, "demo", demo_command)
 add_command(app, "sample", sample_command)
 add_command(app, "reconstruct", reconstruct_command)
 add_command(app, "batch", batch_command)
 add_command(app, "refine", refine_command)
 add_command(app, "run", run_command, in_folder=("tracks.txt", "tracks.csv", "tracks.parquet", "frames.jsonl"))
 add_command(app, "track", track_command)
-add_command(app, "replay", replay_command, once_flags={"--json": "-"})
+add_command(app, "replay", replay_command)
 add_command(app, "export", export_command)
 add_command(app, "calibrate", calibrate_command)
-_GROUPS = {"evaluate": evaluate.app, "prior": prior.app, "keypoints": keypoints.app, "vehicles": vehicles.app}
+evaluate = new_group(
+    "evaluate",
+    "Compare fgrecon with other methods on data with known poses.",
+    ("boxes", "calibration", "icra2017", "kitti", "marks", "models", "paper", "refine", "shape", "tracks", "video"),
+)
+_GROUPS = {
+    "evaluate": evaluate,
+    "prior": prior.app,
+    "keypoints": keypoints.app,
+    "vehicles": vehicles.app,
+}
 for _name, _group in _GROUPS.items():
     app.add_typer(_group, name=_name)
 for _plugin in metadata.entry_points(group=PLUGINS):

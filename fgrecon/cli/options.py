@@ -19,11 +19,11 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
 
     from numpy.typing import NDArray
 
+    from fgrecon.calibration.setup import SceneKnowledge
     from fgrecon.cli.settings import CameraSource, Settings
     from fgrecon.core.camera import Camera, Ground
     from fgrecon.core.options import Options
     from fgrecon.core.size_prior import SizePrior
-    from fgrecon.evaluation.methods import SceneKnowledge
     from fgrecon.io.boxes import NamedBox
 
 __all__ = [
@@ -287,8 +287,8 @@ class LabelledScene:
         Raises:
             InvalidInputError: A value names nothing.
         """
+        from fgrecon.calibration.setup import SceneKnowledge
         from fgrecon.core.size_prior import size_prior
-        from fgrecon.evaluation.methods import SceneKnowledge
         from fgrecon.io.catalogue import load_prior
 
         return SceneKnowledge(prior=load_prior(self.prior), ground=self.plane()[0], size=size_prior(self.size_prior))

@@ -8,19 +8,14 @@ from typing import Annotated
 
 import typer
 
-from fgrecon.cli.commands import add_command
+from fgrecon.cli.commands import add_command, new_group
 from fgrecon.cli.common import check_output
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.text import counted
 
 __all__ = ["app"]
 
-app = typer.Typer(help="Find cars in images.", no_args_is_help=True)
-
-
-@app.callback()
-def _group() -> None:
-    """Find cars in images."""
+app = new_group("vehicles", "Find cars in images.", ("convert",))
 
 
 def detect_command(

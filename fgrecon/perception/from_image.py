@@ -147,7 +147,6 @@ def reconstruct_image(
     size_prior: SizePrior | str | None = None,
     options: Options | None = None,
     together: bool = True,
-    detector: KeypointDetector | None = None,
 ) -> list[FromImage]:
     """Pose and shape of the vehicles in an image.
 
@@ -166,7 +165,6 @@ def reconstruct_image(
         together: Whether the vehicles share one ground that is a variable (`fgrecon.reconstruct_scene`); else, and
             where the pose is not to move with the shape (`joint=False`), each is solved alone. Where the focal length
             is not known they are solved together in any case.
-        detector: Old name of `keypoint_detector`, for one more release.
 
     Returns:
         The vehicles, in the order of the boxes; one that was refused has its error. Empty where there is none.
@@ -178,7 +176,6 @@ def reconstruct_image(
     Warns:
         AssumedCameraWarning: No camera is given, and the file does not tell one.
     """
-    camera, boxes, keypoint_detector = _of_first_release(camera, boxes, keypoint_detector, detector)
     options = checked_options(options)
     shape_prior = load_prior(prior)
     pixels, told = read_photograph(image) if isinstance(image, str | Path) else (as_rgb8(image), None)
@@ -221,18 +218,3 @@ def _warn_of_camera(found: Camera) -> None:
 
 def _boxes(given: ArrayLike) -> Array:
     return as_finite("boxes", as_rows("boxes", given, 4), (None, 4))
-
-
-def _of_first_release(camera: Any, boxes: Any, keypoint_detector: Any, detector: Any) -> tuple[Any, Any, Any]:
-    """Arguments in today's order and names: the first release had `(image, boxes, camera, *, detector)`."""
-    renamed = []
-    if isinstance(boxes, Camera):
-        renamed.append("(image, boxes, camera) is now (image, camera, boxes)")
-        camera, boxes = boxes, camera
-    if detector is not None:
-        renamed.append("detector= is now keypoint_detector=")
-        keypoint_detector = detector
-    for change in renamed:
-        message = f"reconstruct_image: {change}; the old way goes with the next release."
-        warnings.warn(message, DeprecationWarning, stacklevel=3)
-    return camera, boxes, keypoint_detector

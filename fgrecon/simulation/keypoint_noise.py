@@ -1,8 +1,8 @@
 """What a keypoint network does to the truth: localisation noise, confidences, lost points and coherent confusions.
 
-`HOURGLASS` holds the numbers that `fgrecon.paper.keypoint_noise_fit` measured on 76 frames of KITTI tracking whose
-keypoints a stacked-hourglass network really found; `NoiseModel.harder` worsens them. Everything is relative to the
-extent of the 2D box (the larger of its width and height), as a network that looks at a resized crop sees it.
+`HOURGLASS` holds the numbers that `fgrecon_research.paper.keypoint_noise_fit` measured on 76 frames of KITTI tracking
+whose keypoints a stacked-hourglass network really found; `NoiseModel.harder` worsens them. Everything is relative to
+the extent of the 2D box (the larger of its width and height), as a network that looks at a resized crop sees it.
 """
 
 from __future__ import annotations
@@ -237,8 +237,8 @@ HOURGLASS = NoiseModel(
 )
 """A stacked-hourglass network on unoccluded cars seen mostly from ahead or behind, at 8-30 m.
 
-Fitted by `fgrecon.paper.keypoint_noise_fit.fit_noise_model` to the three tracks (76 frames, 1,064 keypoints) of
-KITTI tracking in `kitti_tracking_keypoints14`. Of the 479 keypoints more confident than 0.3 there, 1 % are outliers.
+Fitted by `fgrecon_research.paper.keypoint_noise_fit.fit_noise_model` to the three tracks (76 frames, 1,064 keypoints)
+of KITTI tracking in `kitti_tracking_keypoints14`. Of the 479 keypoints more confident than 0.3 there, 1 % are outliers.
 """
 
 HARD = HOURGLASS.harder(1.0)

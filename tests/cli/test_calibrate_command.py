@@ -12,8 +12,8 @@ from fgrecon.cli.labelled_drives import DriveOptions
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.detector_calibration import load_calibration
-from tests.annotation.streets import Car, write_drive
-from tests.evaluation.test_detector_fit import boxes
+from research.tests.annotation.streets import Car, write_drive
+from tests.calibration.test_detector_fit import boxes
 
 pytest.importorskip("torch")
 
@@ -138,7 +138,7 @@ def test_too_few_labels_are_refused_before_anything_is_looked_at(tmp_path, passe
 
 
 def test_values_at_the_end_of_what_was_tried_are_warned_of(tmp_path, passes, monkeypatch):
-    monkeypatch.setattr("tests.evaluation.test_detector_fit.FACTOR", 500.0)
+    monkeypatch.setattr("tests.calibration.test_detector_fit.FACTOR", 500.0)
     done = run("calibrate", street(tmp_path / "a"), "--out", tmp_path / "detector.json")
     assert done.exit_code == 0, done.output
     assert "Warning: common_factor 32 is the largest that was tried" in " ".join(done.stderr.split())

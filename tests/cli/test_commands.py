@@ -92,7 +92,7 @@ def test_the_help_shows_all_that_was_written(path):
 
 def test_the_extra_of_silhouettes_is_named():
     shown = CliRunner().invoke(app, ["keypoints", "silhouettes", "--help"], terminal_width=200).stdout
-    assert "fgrecon[silhouettes]" in shown
+    assert "fgrecon-research" in shown
 
 
 @pytest.mark.parametrize("path", COMMANDS, ids=" ".join)

@@ -10,7 +10,7 @@ from scipy.io import savemat
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.annotations import Annotations, load_annotations, spread
-from tests.training.priors.nrsfm_data import chair, draw_world
+from research.tests.training.priors.nrsfm_data import chair, draw_world
 
 NAMES = chair().keypoints
 

@@ -22,9 +22,9 @@ from fgrecon.perception.keypoints.refine import (  # noqa: E402
     run_networks,
     window_of,
 )
-from fgrecon.training.keypoints.augment import Street  # noqa: E402
-from fgrecon.training.keypoints.train_refine import RefineTraining, train_refinement  # noqa: E402
-from tests.training.keypoints.test_augment import made_up_view  # noqa: E402
+from fgrecon_research.training.keypoints.augment import Street  # noqa: E402
+from fgrecon_research.training.keypoints.train_refine import RefineTraining, train_refinement  # noqa: E402
+from research.tests.training.keypoints.test_augment import made_up_view  # noqa: E402
 
 MIRROR = load_category("car14").mirror
 SMALL = RefineSettings(crop=64, width=2)

@@ -7,9 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
+from fgrecon.calibration.matching import box_overlap, match_detections
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.evaluation.kitti_devkit import REGIMES, match_detections, regime_members
-from fgrecon.evaluation.kitti_overlap import box_overlap
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_files import Objects, read_labels
@@ -24,6 +23,7 @@ from fgrecon.perception.vehicles.detect import (
     suppress,
 )
 from fgrecon.simulation.demo import demo_scene
+from fgrecon_research.evaluation.kitti_devkit import REGIMES, regime_members
 
 
 @pytest.fixture(scope="module")

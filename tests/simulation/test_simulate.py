@@ -11,7 +11,6 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.io.catalogue import load_prior
-from fgrecon.paper.keypoint_noise_fit import fit_noise_model, read_vehicle
 from fgrecon.simulation.keypoint_noise import HARD, HOURGLASS, OUTLIER, Twins
 from fgrecon.simulation.vehicles import (
     KITTI_CAMERA,
@@ -22,6 +21,7 @@ from fgrecon.simulation.vehicles import (
     simulate_track,
     yaw_pose,
 )
+from fgrecon_research.paper.keypoint_noise_fit import fit_noise_model, read_vehicle
 
 PRIOR = load_prior("car14")
 POSE = yaw_pose(0.7, np.array([2.0, 1.65, 15.0]))

@@ -15,7 +15,6 @@ from fgrecon.core.checks import as_finite, as_rows
 from fgrecon.core.detection import Detection
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
-from fgrecon.core.renamed import renamed
 from fgrecon.io.catalogue import load_category
 from fgrecon.perception.keypoints.crops import MARGIN, Crop, crop_of, extract
 from fgrecon.perception.keypoints.decode import (
@@ -44,7 +43,6 @@ __all__ = [
     "shipped_cascade",
 ]
 
-__getattr__ = renamed(__name__, {"Detector": "KeypointCascade"})
 
 Array = NDArray[np.float64]
 S = TypeVar("S", KNetSettings, RefineSettings)

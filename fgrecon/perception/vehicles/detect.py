@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from fgrecon.core.brief import brief_repr
 from fgrecon.core.checks import as_finite, one_word, own
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.renamed import renamed
 from fgrecon.io.hashes import check_hash, listed
 from fgrecon.io.isolated import Isolated
 from fgrecon.perception.keypoints.detect import as_rgb8
@@ -34,7 +33,6 @@ __all__ = [
     "suppress",
 ]
 
-__getattr__ = renamed(__name__, {"VehicleDetector": "NanodetVehicleDetector"})
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.vehicle.conditioning import given_size, is_one_vehicle, learn_size_relation, of_fleet
-from fgrecon.training.priors.apollo79 import apollo79_prior, load_apollo79
+from fgrecon_research.training.priors.apollo79 import apollo79_prior, load_apollo79
 
 
 @pytest.fixture(scope="module")

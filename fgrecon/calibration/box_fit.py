@@ -1,0 +1,102 @@
+"""Where the edges of a vehicle detector's boxes lie, beside those of the outlines: fitted to labelled vehicles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.calibration.labelled_boxes import wanted
+from fgrecon.calibration.labelled_frames import ScoredFrame
+from fgrecon.core.detector_calibration import BoxSource
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import box_around, yaw_rotation
+from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.io.kitti_drives import Drive, DriveFrame
+from fgrecon.solve.vehicle.model import VehicleModel, prepare
+
+__all__ = ["SeenBox", "check_whole_cars", "fit_boxes", "seen_boxes"]
+
+Array = NDArray[np.float64]
+
+_FEWEST = 30  # vehicles
+_MAD = 1.4826  # from the median absolute deviation to a normal standard deviation
+
+
+@dataclass(frozen=True)
+class SeenBox:
+    """A detected box of a vehicle that can be seen as a whole.
+
+    Attributes:
+        detected: (4,) x1, y1, x2, y2, pixels.
+        outline: (4,) the same of the outline of the mean shape, scaled to the labelled size, in the labelled pose.
+    """
+
+    detected: Array
+    outline: Array
+
+
+def check_whole_cars(drives: Sequence[Drive]) -> None:
+    """Refuse drives that cannot do before anything is detected.
+
+    Raises:
+        InvalidInputError: Too few of their labelled cars are visible as a whole.
+    """
+    count = 0
+    for frame in (frame for drive in drives for frame in drive.frames):
+        seen = frame.objects.take(wanted(frame))
+        count += sum(map(_is_whole, seen.kind, seen.occlusion.tolist(), seen.truncation.tolist()))
+    _check_count(count, "labelled cars that are visible as a whole")
+
+
+def _is_whole(kind: str, occlusion: float, truncation: float) -> bool:
+    return kind == "Car" and occlusion == 0 and truncation <= 0.0
+
+
+def _check_count(count: int, what: str) -> None:
+    if count < _FEWEST:
+        fix = f"Give drives with at least {_FEWEST} cars that are visible as a whole and detected."
+        raise InvalidInputError("drives", f"{count} {what}", fix)
+
+
+def seen_boxes(drives: Sequence[Drive], frames: Iterable[ScoredFrame], prior: ShapePrior) -> Iterator[SeenBox]:
+    """The detected boxes of labelled cars that nothing hides and that are in the image as a whole.
+
+    Args:
+        drives: The labelled drives.
+        frames: What was detected in their frames.
+        prior: Shape prior.
+    """
+    plain = prepare(prior)
+    labelled = {(drive.name, frame.number): frame for drive in drives for frame in drive.frames}
+    for frame in frames:
+        for box, seen in zip(frame.boxes, frame.sightings, strict=False):  # the first are those of the labelled boxes
+            if _is_whole(box.kind, box.occlusion, box.truncation):
+                label = labelled[frame.drive, frame.number]
+                yield SeenBox(np.asarray(seen.box, dtype=np.float64), _outline(label, box.index, plain))
+
+
+def _outline(frame: DriveFrame, index: int, plain: VehicleModel) -> Array:
+    objects = frame.objects
+    points = plain.outline.mean * (objects.size[index] / plain.dimension_mean)[[0, 2, 1]]
+    place = objects.location[index] + frame.calibration.label_offset
+    pixels = frame.calibration.camera.project(points @ yaw_rotation(float(objects.rotation_y[index])).T + place)
+    return box_around(pixels)
+
+
+def fit_boxes(seen: Sequence[SeenBox]) -> BoxSource:
+    """The medians of the edges' deviations, and how far edges vary about them.
+
+    Raises:
+        InvalidInputError: There are too few boxes.
+    """
+    _check_count(len(seen), "detected cars that are visible as a whole")
+    detected, outline = (np.array([getattr(one, name) for one in seen]) for name in ("detected", "outline"))
+    extent = detected[:, 2:] - detected[:, :2]
+    off = (detected - outline) / np.tile(extent, 2)
+    middle = np.median(off, axis=0)
+    varying = (off - middle) * np.tile(extent, 2) / extent.max(axis=1, keepdims=True)
+    left, upper, right, lower = middle.tolist()
+    return BoxSource(left, upper, right, lower, _MAD * float(np.median(np.abs(varying))))

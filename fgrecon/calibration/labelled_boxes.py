@@ -1,0 +1,261 @@
+"""Labelled boxes of video drives, and how far what was found in them is off.
+
+Cars and vans count that are at least 25 px high, largely occluded at most, and at most half outside the image (none
+that is cut off where labels have grades in the place of shares, as KITTI's tracking set), in the frames where nothing
+is drawn over them. Every box has one outcome by method: `SYSTEM` is the whole way from pixels to the pose; rivals get
+the keypoints that it found. Nothing is left out: a refused box counts as 180 degrees.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.calibration.matching import match_detections
+from fgrecon.calibration.regions import DIMENSIONS, claimed
+from fgrecon.calibration.selection import Wanted
+from fgrecon.core.coverage import Coverage, Region, coverage
+from fgrecon.core.geometry import view_azimuth, yaw_rotation
+from fgrecon.core.metrics import orientation_error, translation_error, wrap_angle
+from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.io.kitti_drives import DriveFrame
+from fgrecon.io.kitti_files import Objects
+from fgrecon.io.track_file import GroundTruth
+
+__all__ = [
+    "SYSTEM",
+    "TURNED_ROUND",
+    "BoxOutcome",
+    "VideoBox",
+    "View",
+    "box_coverage",
+    "claimed_regions",
+    "labelled_azimuth",
+    "matched",
+    "outcome",
+    "view_of",
+    "wanted",
+]
+
+Array = NDArray[np.float64]
+
+TURNED_ROUND = 90.0
+"""Degrees of yaw error above which a vehicle is turned round."""
+
+SYSTEM = "reconstruct_image"
+"""The whole way, which `fgrecon.reconstruct_image` goes: networks, both stages, and the network's direction."""
+
+
+class View(StrEnum):
+    """From where the vehicle is seen."""
+
+    FRONT = "front"
+    """The camera is within 45 degrees of ahead of it."""
+    REAR = "rear"
+    """Within 45 degrees of behind it."""
+    SIDE = "side"
+
+
+@dataclass(frozen=True)
+class BoxOutcome:
+    """What one method found in one box.
+
+    Attributes:
+        degrees: Yaw error on the full circle; 180 without a pose.
+        metres: Distance of the estimated from the labelled origin in the label's frame; infinite without a pose.
+        size: Estimated minus labelled length, width and height, metres; None where the method finds no size.
+        status: How the reconstruction ended; None without one, and for a rival.
+        failure: Why there is no pose, or None.
+        off: Estimated minus labelled yaw in degrees, and origin (3) in metres; None where it was not wanted.
+        squared: Normalised squared errors of `position`, `yaw`, `size` and `velocity`, as far as there are covariances
+            (`fgrecon.calibration.regions`); none of a vehicle that is turned round.
+        spread: Geometric mean of the one-sigma regions' semi-axes that those are by, degrees or metres.
+        facing: The result's `facing_probability`; None where it has none.
+        velocity: Distance of the estimated from the labelled velocity, metres per second; None where either is unknown.
+    """
+
+    degrees: float
+    metres: float
+    size: tuple[float, float, float] | None
+    status: str | None
+    failure: str | None
+    off: tuple[float, float, float, float] | None = None
+    squared: Mapping[str, float] = field(default_factory=dict)
+    spread: Mapping[str, float] = field(default_factory=dict)
+    facing: float | None = None
+    velocity: float | None = None
+
+
+@dataclass(frozen=True)
+class VideoBox:
+    """One labelled box of a drive.
+
+    Attributes:
+        drive: Name of the drive.
+        frame: Number of the frame.
+        index: Position among the frame's labels.
+        track: Number of the track in the drive.
+        kind: `Car` or `Van`.
+        truncation: Share outside the image.
+        occlusion: 0 fully visible, 1 partly, 2 largely occluded; -1 where unknown.
+        height: Of the labelled 2D box, pixels.
+        distance: Of the labelled origin from the labels' camera, metres.
+        azimuth: Labelled direction from the vehicle to the camera, radians; 0 ahead, pi / 2 to its left.
+        facing: Probability that the network gives to directions within 90 degrees of the labelled one; None where it
+            gives no directions.
+        outcomes: What each method found, by its name.
+        line: What the whole system found, as a line of KITTI's results; empty where it found nothing.
+    """
+
+    drive: str
+    frame: int
+    index: int
+    track: int
+    kind: str
+    truncation: float
+    occlusion: int
+    height: float
+    distance: float
+    azimuth: float
+    facing: float | None
+    outcomes: Mapping[str, BoxOutcome]
+    line: str = ""
+
+    @property
+    def view(self) -> View:
+        """From where the vehicle is seen."""
+        return view_of(self.azimuth)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Plain values, a row for each method; an infinite distance is None."""
+        about = {
+            "drive": self.drive,
+            "frame": self.frame,
+            "index": self.index,
+            "track": self.track,
+            "kind": self.kind,
+            "truncation": self.truncation,
+            "occlusion": self.occlusion,
+            "height_px": self.height,
+            "distance_m": self.distance,
+            "view": self.view.value,
+            "azimuth_deg": float(np.degrees(self.azimuth)),
+            "facing": self.facing,
+        }
+        rows = []
+        for method, found in self.outcomes.items():
+            length, width, height = found.size or (None, None, None)
+            rows.append(
+                about
+                | {
+                    "method": method,
+                    "degrees": found.degrees,
+                    "metres": found.metres if np.isfinite(found.metres) else None,
+                    "length_error_m": length,
+                    "width_error_m": width,
+                    "height_error_m": height,
+                    "status": found.status,
+                    "failure": found.failure,
+                    "velocity_error_m_s": found.velocity,
+                    **{f"{name}_nees": found.squared.get(name) for name in DIMENSIONS},
+                }
+            )
+        return rows
+
+
+def wanted(frame: DriveFrame) -> NDArray[np.intp]:
+    """Indices of the labels that count: those that are annotated by default, and have a 3D box to be scored by."""
+    rows, _ = Wanted().judge(frame)
+    counting: NDArray[np.intp] = rows[frame.boxed[rows]]
+    return counting
+
+
+def matched(frame: DriveFrame, boxes: Objects, least: float) -> NDArray[np.int64]:
+    """For each label that counts (`wanted`) the box that overlaps it most in the image, by more than that; or -1.
+
+    A box that is a car's or van's that does not count is no other's. Where no box of a car is there, one of a van is
+    taken: detectors call the same vehicle both.
+
+    Args:
+        frame: The labels.
+        boxes: What was found.
+        least: Overlap.
+    """
+    rows = np.flatnonzero(np.isin(frame.objects.kind, Wanted().kinds))
+    labels = frame.objects.take(rows)
+    at = match_detections(labels, boxes, least)
+    without = np.flatnonzero(at < 0)
+    at[without] = match_detections(labels.take(without), boxes, least, kind="Van")
+    return at[np.isin(rows, wanted(frame))]
+
+
+def labelled_azimuth(rotation_y: float, location: Array) -> float:
+    """Direction from a vehicle to the camera, radians in [-pi, pi]: 0 ahead of it, pi / 2 to its left.
+
+    Args:
+        rotation_y: Yaw of the vehicle about the camera's y axis, radians.
+        location: (3,) its origin in the camera's frame, metres.
+    """
+    return float(view_azimuth(yaw_rotation(rotation_y), location))
+
+
+def view_of(azimuth: float) -> View:
+    """Front, rear or side by the direction from the vehicle to the camera, radians."""
+    off = abs(np.degrees(wrap_angle(azimuth)))
+    return View.FRONT if off <= 45.0 else View.REAR if off >= 135.0 else View.SIDE
+
+
+def outcome(result: Reconstruction, truth: GroundTruth, size: Array, offset: Array) -> BoxOutcome:
+    """How far a result is off.
+
+    Args:
+        result: The result.
+        truth: Labelled place and yaw.
+        size: (3,) labelled length, width and height.
+        offset: (3,) of the labels' frame in the camera's.
+    """
+    length, width, height = (result.box_size - size).tolist()
+    turned = float(np.degrees(wrap_angle(result.rotation_y - truth.rotation_y)))
+    x, y, z = (result.location - offset - truth.location).tolist()
+    claims = claimed(result, np.array([x, y, z]), float(np.radians(turned)), result.box_size - size)
+    return BoxOutcome(
+        degrees=float(orientation_error([result.rotation_y], [truth.rotation_y])[0]),
+        metres=float(translation_error([result.location - offset], [truth.location])[0]),
+        size=(length, width, height),
+        status=result.status.value,
+        failure=None,
+        off=(turned, x, y, z),
+        squared={} if abs(turned) > TURNED_ROUND else claims.squared,
+        spread=claims.spread,
+        facing=result.facing_probability if np.isfinite(result.facing_probability) else None,
+    )
+
+
+def claimed_regions(found: BoxOutcome, group: str) -> tuple[Region, ...]:
+    """The errors of a result by the regions that it claims.
+
+    Args:
+        found: How far it is off.
+        group: What its regions are left out of the baselines with.
+    """
+    errors = {"position": found.metres, "yaw": found.degrees}
+    if found.size is not None:
+        errors["size"] = float(np.linalg.norm(found.size))
+    if found.velocity is not None:
+        errors["velocity"] = found.velocity
+    return tuple(
+        Region(group, name, found.squared[name], DIMENSIONS[name], found.spread[name], error)
+        for name, error in errors.items()
+        if name in found.squared
+    )
+
+
+def box_coverage(boxes: Sequence[VideoBox], method: str) -> list[Coverage]:
+    """How much of what a method's regions claim they hold; drives are left out of their own baselines."""
+    found = [(box, box.outcomes[method]) for box in boxes]
+    return coverage([r for box, one in found if one.status is not None for r in claimed_regions(one, box.drive)])

@@ -1,0 +1,223 @@
+"""Frames of video drives, taken as single images: from pixels to poses, each scored by the label that it is of.
+
+Looked at are the labelled boxes that count, or where a setup has a vehicle detector all that it finds. Of those a
+labelled box has the one that overlaps it most, by more than half; a label without one is not scored but counted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.calibration.labelled_boxes import SYSTEM, BoxOutcome, VideoBox, labelled_azimuth, matched, outcome, wanted
+from fgrecon.calibration.setup import Setup, reconstruct_boxes
+from fgrecon.core.camera import Camera
+from fgrecon.core.detection import facing_probability
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.metrics import FAILURE_DEGREES
+from fgrecon.core.processes import processes_with
+from fgrecon.io.export.kitti import kitti_text
+from fgrecon.io.export.results import NamedResult
+from fgrecon.io.images import read_image
+from fgrecon.io.kitti_drives import Drive, DriveFrame
+from fgrecon.io.kitti_files import Objects
+from fgrecon.io.track_file import GroundTruth, TrackFrame
+from fgrecon.perception.boxes import large_vehicles
+from fgrecon.perception.from_image import FromImage
+from fgrecon.video.records import Sighting
+
+__all__ = ["Looked", "Rivals", "ScoredFrame", "looks_at", "no_rivals", "reconstruct_frame", "score_frames"]
+
+Array = NDArray[np.float64]
+
+Rivals = Callable[[Camera, TrackFrame, Array], Mapping[str, BoxOutcome]]
+"""Scores other methods by name, from the camera, the keypoints with their truth, and the labels' offset (3,)."""
+
+_OVERLAP = 0.5  # from which on a detected box is a labelled one's
+
+
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """One vehicle of an image that was looked at.
+
+    Attributes:
+        label: Position among the frame's labels of the box that counts and that it is of; None where it is of none.
+        score: Of its detection; 1 for a labelled box.
+        found: What was found.
+    """
+
+    label: int | None
+    score: float
+    found: FromImage
+
+
+@dataclass(frozen=True, eq=False)
+class ScoredFrame:
+    """A frame of a drive.
+
+    Attributes:
+        drive: Name of the drive.
+        number: Of the frame.
+        boxes: The labelled boxes that count and were looked at.
+        sightings: All that was looked at; the first are those of `boxes`, with the labelled tracks for identities.
+        missed: How many labelled boxes that count were not found.
+    """
+
+    drive: str
+    number: int
+    boxes: list[VideoBox]
+    sightings: tuple[Sighting, ...]
+    missed: int
+
+
+def no_rivals() -> Rivals:
+    """What scores no other method."""
+    return lambda *_: {}
+
+
+def looks_at(drive: Drive, setup: Setup) -> list[DriveFrame]:
+    """The frames of a drive to look at: those with a box that counts, or all where vehicles are to be detected."""
+    return [frame for frame in drive.frames if setup.vehicles is not None or len(wanted(frame)) > 0]
+
+
+def reconstruct_frame(frame: DriveFrame, setup: Setup) -> tuple[NDArray[np.uint8], list[Looked]]:
+    """The frame's image (H, W, 3), and what is found in it; labelled boxes come first, in the order of the labels.
+
+    Raises:
+        InvalidInputError: The image cannot be read, or a box is outside it; names the image.
+    """
+    image = read_image(frame.image)
+    camera = frame.calibration.camera.with_size_of(image)
+    labels = wanted(frame)
+    known: list[int | None] = [*labels.tolist()]
+    boxes, scores = frame.objects.box[labels], np.ones(len(labels))
+    if setup.vehicles is not None:
+        vehicles = large_vehicles(image, setup.vehicles)
+        known, order = _labels_of(frame, vehicles.boxes)
+        boxes, scores = vehicles.boxes[order], vehicles.scores[order]
+    try:
+        found = reconstruct_boxes(image, camera, list(boxes), setup)
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{frame.image}: {error.field}", error.value, error.fix) from error
+    return image, [Looked(*one) for one in zip(known, scores.tolist(), found, strict=True)]
+
+
+def _labels_of(frame: DriveFrame, boxes: Array) -> tuple[list[int | None], list[int]]:
+    """The label that counts of each detected box (M, 4), and its number; those with one come first."""
+    detected = Objects.detections(["Car"] * len(boxes), boxes, np.ones(len(boxes)))
+    at = zip(wanted(frame).tolist(), matched(frame, detected, _OVERLAP).tolist(), strict=True)
+    pairs: list[tuple[int | None, int]] = [(row, number) for row, number in at if number >= 0]
+    named = {number for _, number in pairs}
+    pairs += [(None, number) for number in range(len(boxes)) if number not in named]
+    return [label for label, _ in pairs], [number for _, number in pairs]
+
+
+def score_frames(
+    drives: Sequence[Drive],
+    setups: Mapping[str, Setup],
+    *,
+    rivals: Callable[[], Rivals] | None = None,
+    jobs: int = 1,
+    advance: Callable[[str], None] = lambda _: None,
+) -> list[ScoredFrame]:
+    """Look at every frame of `looks_at`, and score the boxes that count.
+
+    Args:
+        drives: What to score.
+        setups: What each drive is reconstructed with, by its name.
+        rivals: Makes, in each process, what scores other methods on the same keypoints; picklable.
+        jobs: Number of processes; 1 uses this one. Each of several uses one thread, and the results do not depend on
+            how many they are.
+        advance: Called with the drive's name after each of its frames.
+
+    Raises:
+        InvalidInputError: An image or box cannot be used.
+    """
+    tasks = [(drive.name, frame) for drive in drives for frame in looks_at(drive, setups[drive.name])]
+    make = partial(_Worker, setups, rivals or no_rivals)
+    scored: list[ScoredFrame] = []
+    with ExitStack() as stack:
+        if jobs > 1:
+            pool, run = stack.enter_context(processes_with(make, jobs))
+            found: Iterator[ScoredFrame] = pool.map(run, tasks)
+        else:
+            found = map(make(), tasks)
+        for frame in found:
+            scored.append(frame)
+            advance(frame.drive)
+    return scored
+
+
+_Task = tuple[str, DriveFrame]
+
+
+class _Worker:
+    """What a process keeps between frames."""
+
+    def __init__(self, setups: Mapping[str, Setup], rivals: Callable[[], Rivals]) -> None:
+        self.setups = setups
+        self.rivals = rivals()
+
+    def __call__(self, task: _Task) -> ScoredFrame:
+        drive, frame = task
+        return _score_frame(drive, frame, self.setups[drive], self.rivals)
+
+
+def _score_frame(drive: str, frame: DriveFrame, setup: Setup, rivals: Rivals) -> ScoredFrame:
+    image, looks = reconstruct_frame(frame, setup)
+    boxes, sightings = [], []
+    for look in looks:
+        track = None
+        if look.label is not None:
+            boxes.append(_scored(drive, frame, look.label, look.found, image, rivals))
+            track = boxes[-1].track
+        seen = look.found.detection.evidence
+        assert seen.box is not None
+        sightings.append(Sighting(seen.box, look.score, track, seen))
+    return ScoredFrame(drive, frame.number, boxes, tuple(sightings), len(wanted(frame)) - len(boxes))
+
+
+def _scored(
+    drive: str, frame: DriveFrame, index: int, one: FromImage, image: NDArray[np.uint8], rivals: Rivals
+) -> VideoBox:
+    """A labelled box with what was found."""
+    labels, offset = frame.objects, frame.calibration.label_offset
+    camera = frame.calibration.camera.with_size_of(image)
+    location, yaw = labels.location[index], float(labels.rotation_y[index])
+    azimuth = labelled_azimuth(yaw, location + offset)
+    truth = TrackFrame(f"{drive}:{frame.number}", one.detection.observation, GroundTruth(location, yaw))
+    outcomes = {SYSTEM: _outcome(one, truth.truth, labels.size[index], offset), **rivals(camera, truth, offset)}
+    directions = one.detection.azimuth
+    return VideoBox(
+        drive=drive,
+        frame=frame.number,
+        index=index,
+        track=int(frame.tracks[index]),
+        kind=labels.kind[index],
+        truncation=float(labels.truncation[index]),
+        occlusion=int(labels.occlusion[index]),
+        height=float(labels.box[index, 3] - labels.box[index, 1]),
+        distance=float(np.linalg.norm(location)),
+        azimuth=azimuth,
+        facing=None if directions is None else facing_probability(directions, azimuth),
+        outcomes=outcomes,
+        line=_line(one, labels.box[index], offset),
+    )
+
+
+def _line(found: FromImage, box: Array, offset: Array) -> str:
+    if found.result is None:
+        return ""
+    return kitti_text([NamedResult("", found.result, box, offset)])
+
+
+def _outcome(found: FromImage, truth: GroundTruth, size: Array, offset: Array) -> BoxOutcome:
+    """The whole system's outcome; truth and size (3,) are the label's."""
+    if found.result is None:
+        return BoxOutcome(FAILURE_DEGREES, float("inf"), None, None, str(found.error))
+    return outcome(found.result, truth, size, offset)

@@ -1,0 +1,80 @@
+"""What labelled vehicles are reconstructed with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.calibration.matching import MINIMUM_OVERLAP
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.options import Options
+from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.core.size_prior import SizePrior
+from fgrecon.perception.from_image import FromImage, reconstruct_image
+from fgrecon.perception.keypoints.detect import KeypointCascade
+from fgrecon.perception.protocols import VehicleDetector
+
+__all__ = ["SceneKnowledge", "Setup", "reconstruct_boxes"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SceneKnowledge:
+    """What the user knows; each method is told the part that its name says.
+
+    Attributes:
+        prior: Shape prior of the category.
+        ground: Ground plane in the camera's frame.
+        size: Size of the fleet.
+    """
+
+    prior: ShapePrior
+    ground: Ground
+    size: SizePrior
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What every car is reconstructed with.
+
+    Attributes:
+        detector: Finds the keypoints.
+        prior: Shape prior.
+        ground: Ground plane, or None.
+        size_prior: Fleet, or None.
+        options: Settings.
+        overlap: From which overlap on a detected box is a labelled car's.
+        together: Whether the vehicles of an image share one ground (`fgrecon.reconstruct_scene`).
+        vehicles: Finds the vehicles in frames of drives; None where the labelled boxes are the input.
+    """
+
+    detector: KeypointCascade
+    prior: ShapePrior
+    ground: Ground | None
+    size_prior: SizePrior | None
+    options: Options
+    overlap: float = MINIMUM_OVERLAP["Car"]
+    together: bool = True
+    vehicles: VehicleDetector | None = None
+
+
+def reconstruct_boxes(
+    image: NDArray[np.uint8], camera: Camera, boxes: Sequence[Array], setup: Setup
+) -> list[FromImage]:
+    """What is found in the boxes (4,) of an image; their parts outside the image are cut off."""
+    limits = np.array([image.shape[1], image.shape[0]] * 2) - 1.0
+    return reconstruct_image(
+        image,
+        camera,
+        np.clip(np.reshape(boxes, (-1, 4)), 0.0, limits),
+        keypoint_detector=setup.detector,
+        prior=setup.prior,
+        ground=setup.ground,
+        size_prior=setup.size_prior,
+        options=setup.options,
+        together=setup.together,
+    )

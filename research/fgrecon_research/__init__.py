@@ -1,0 +1,1 @@
+"""Training, annotation, evaluation and the paper's tables for fgrecon, and their commands."""

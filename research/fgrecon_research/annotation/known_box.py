@@ -1,0 +1,172 @@
+"""The keypoints of a vehicle whose 3D box is known in every image, by the factor graph.
+
+    image t: reprojection of what a network found, robust --- X(0,t) --- labelled box
+                        |
+                    L(0), O(0) --- N(0, I) given the box's size, offsets, symmetry, rectangular faces
+
+Where the box is and which way it faces is known, so a network's points are evidence under the right facing alone: what
+contradicts it is outvoted by the box and by the other images. The shape is free within what the size leaves open; the
+images of a vehicle share it. Labels are the projections of that shape, hidden keypoints as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from factors import X
+from fgrecon.calibration.selection import Reason
+from fgrecon.core.box3d import Box3D
+from fgrecon.core.camera import Camera
+from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
+from fgrecon.core.observation import Observation
+from fgrecon.core.options import Options, ShapeOptions
+from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.core.size_prior import SizePrior
+from fgrecon.solve.graph.covariance import factorise, projected_covariances
+from fgrecon.solve.graph.graph import GraphObservation
+from fgrecon.solve.graph.multi_start import MultiStartResult, minimise_from_proposals
+from fgrecon.solve.inputs import observe
+from fgrecon.solve.proposals.pose_search import PoseEstimate
+from fgrecon.solve.proposals.problem import Problem
+from fgrecon.solve.proposals.starts import from_box3d
+from fgrecon.solve.result import results
+from fgrecon.solve.vehicle.model import prepare
+from fgrecon_research.annotation.fit import Fit
+
+__all__ = ["BoxedView", "KnownBoxOptions", "fit_known_boxes"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class KnownBoxOptions:
+    """How exactly boxes are labelled, one sigma.
+
+    Attributes:
+        turn_sigma: Yaw, roll and pitch, radians.
+        shift_sigma: Location per axis near the camera, metres.
+        depth_share: Added to that of the depth, as a share of the distance.
+        size_share: Length, width and height, as a share of each.
+        common_error: As in `fgrecon.core.options.ShapeOptions`.
+    """
+
+    turn_sigma: float = float(np.deg2rad(1.5))
+    shift_sigma: float = 0.06
+    depth_share: float = 0.004
+    size_share: float = 0.03
+    common_error: float = 0.3
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            InvalidInputError: A sigma is not above zero, or a share is negative.
+        """
+        for name in ("turn_sigma", "shift_sigma", "size_share"):
+            if not 0.0 < getattr(self, name) < np.inf:
+                raise InvalidInputError(f"known_box.{name}", getattr(self, name), "Give a number above zero.")
+        for name in ("depth_share", "common_error"):
+            if not 0.0 <= getattr(self, name) < np.inf:
+                raise InvalidInputError(f"known_box.{name}", getattr(self, name), "Give a number from zero.")
+
+
+@dataclass(frozen=True)
+class BoxedView:
+    """One image of a vehicle.
+
+    Attributes:
+        observation: What a network found, with the 2D box.
+        camera: The camera.
+        box: The 3D box in the camera's frame, with its size.
+    """
+
+    observation: Observation
+    camera: Camera
+    box: Box3D
+
+
+def fit_known_boxes(
+    views: Sequence[BoxedView], prior: ShapePrior, how: KnownBoxOptions | None = None
+) -> list[Fit | Reason]:
+    """The shape of a vehicle of known boxes, and its poses within what the boxes leave open.
+
+    Args:
+        views: Its images.
+        prior: Shape prior; its size becomes that of the boxes.
+        how: How exact the boxes are.
+
+    Returns:
+        A fit for each image, or why there is none.
+
+    Raises:
+        InvalidInputError: There is no image, a box has no size, or an observation is of another category.
+    """
+    how = KnownBoxOptions() if how is None else how
+    if not views or any(view.box.size is None for view in views):
+        raise InvalidInputError("views", f"{len(views)} images", "Give at least one, each with the size of its box.")
+    sizes = np.array([view.box.size for view in views], dtype=np.float64)
+    size = np.median(sizes, axis=0)
+    model = prepare(prior, SizePrior("of the box", size, how.size_share * size))
+    options = Options(box="off", shape=ShapeOptions(common_error=how.common_error), keep_history=False)
+    seen: list[GraphObservation] = []
+    starts: list[PoseEstimate] = []
+    extra: list[gtsam.NonlinearFactor] = []
+    for number, view in enumerate(views):
+        observation = observe(view.observation, view.camera, prior.category, options)
+        try:
+            problem = Problem.of(observation, view.camera, model, None, options)
+        except DegenerateProblemError:
+            continue
+        start = _start(problem, view.box)
+        seen.append(GraphObservation(problem, image=number))
+        starts.append(start)
+        extra.append(_labelled(start.camera_T_object, X(0, number), how))
+    found: list[Fit | Reason] = [Reason.FEW_POINTS] * len(views)
+    if seen:
+        adjusted = minimise_from_proposals(seen, starts, extra)
+        solved = results(seen, starts, adjusted, {}, extra)
+        for one, result, covariance in zip(seen, solved, _covariances(adjusted), strict=True):
+            found[one.image] = Reason.NO_MINIMUM if covariance is None else Fit.of(result, covariance, model.prior)
+    return found
+
+
+def _covariances(adjusted: MultiStartResult) -> list[Array | None]:
+    """(K, 2, 2) of the projected keypoints in each image; None where the graph has no minimum that determines them."""
+    graph, optimum = adjusted.graph, adjusted.optimum
+    values = graph.values(optimum.state)
+    marginals = None if optimum.failure is not None else factorise(graph.build(optimum.state.weights), values)
+    return [None if marginals is None else projected_covariances(p, values, marginals) for p in graph.observations]
+
+
+def _start(problem: Problem, box: Box3D) -> PoseEstimate:
+    """The labelled box as the one proposal."""
+    start = from_box3d(replace(box, size=None), problem.model, None)
+    pose = start.matrices()[0]
+    total, weights = problem.energy.evaluate(start)
+    return PoseEstimate(
+        camera_T_object=pose,
+        coefficients=start.coefficients[0],
+        weights=weights[0],
+        visibility=problem.energy.visibility(pose[None])[0],
+        energy=float(total.energy[0]),
+        alternatives=(),
+        history=(),
+    )
+
+
+def _labelled(pose: Array, key: int, how: KnownBoxOptions) -> gtsam.NonlinearFactor:
+    """The labelled pose as a prior; its spread along the line of sight is larger than across."""
+    sight = pose[:3, 3] / np.linalg.norm(pose[:3, 3])
+    depth = how.depth_share * float(np.linalg.norm(pose[:3, 3]))
+    shift = how.shift_sigma**2 * np.eye(3) + depth**2 * np.outer(sight, sight)
+    rotation = pose[:3, :3]
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3] = how.turn_sigma**2 * np.eye(3)
+    covariance[3:, 3:] = rotation.T @ shift @ rotation  # GTSAM's increments are in the object's frame
+    noise = gtsam.noiseModel.Gaussian.Covariance((covariance + covariance.T) / 2)
+    return gtsam.PriorFactorPose3(key, gtsam.Pose3(pose), noise)

@@ -1,0 +1,1 @@
+"""Commands that compare fgrecon with other methods on data with known poses."""

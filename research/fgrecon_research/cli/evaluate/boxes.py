@@ -1,0 +1,154 @@
+"""`fgrecon evaluate boxes`: 3D boxes of any source against KITTI's labels, several sources side by side."""
+
+from __future__ import annotations
+
+import json
+from itertools import takewhile
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fgrecon.cli.common import check_outputs, headed_table
+from fgrecon.cli.labelled_drives import check_names
+from fgrecon.cli.options import JsonOption, MarkdownOption
+from fgrecon.cli.terminal import Terminal
+from fgrecon.core.text import counted
+
+if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
+    from collections.abc import Sequence
+
+    from rich.table import Table
+
+    from fgrecon.io.kitti_drives import Drive
+    from fgrecon.io.kitti_files import Objects
+    from fgrecon_research.evaluation.boxes_tables import BoxesTable
+
+__all__ = ["boxes_command", "boxes_tables"]
+
+
+def boxes_command(
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DRIVE",
+            help="Labels: a drive of KITTI's tracking set, or its object set's folder; more of them may follow.",
+        ),
+    ],
+    results: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="[NAME=]RESULTS",
+            help="Folders of object lines by frame, or files of tracking lines; of several drives a folder with one "
+            "for each, by its name. NAME is what the tables call it.",
+        ),
+    ],
+    terminal: Terminal,
+    overlap: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Overlap in the image above which a box is a labelled vehicle's.")
+    ] = 0.5,
+    min_score: Annotated[
+        float, typer.Option(help="Boxes of a lower score are none; average precision takes all of them.")
+    ] = 0.0,
+    markdown: MarkdownOption = None,
+    json_out: JsonOption = None,
+) -> None:
+    """Score 3D boxes against labels: overlaps, positions, angles and sizes of labelled vehicles, and average precision.
+
+    Folders with labels at the beginning are drives, scored together; what follows has boxes. The frames are those that
+    every source speaks of. Shares are of all labelled vehicles, found or not, errors of those that are found, with
+    intervals of 95 % by bootstrap over tracks, of single images over these. Of fewer than 41 labels there is no average
+    precision at 40 points (-): even of perfect boxes it would be below 100. --verbose tells every vehicle.
+
+    Exit code 1: no labelled vehicle got a box.
+    """
+    from fgrecon.core.errors import InvalidInputError
+    from fgrecon_research.evaluation.boxes3d import score_drives
+    from fgrecon_research.evaluation.boxes_summary import document, precisions_of_drives, summarise
+    from fgrecon_research.evaluation.boxes_tables import markdown as side_by_side
+    from fgrecon_research.evaluation.boxes_tables import tables
+
+    check_outputs(json_out, markdown)
+    screen = terminal.screen(json_out)
+    drives, texts = _drives(folder, results)
+    sources = _sources(texts, drives)
+    frames = {
+        drive.name: sorted(set.intersection(*(set(boxes.get(drive.name, ())) for boxes in sources.values())))
+        for drive in drives
+    }
+    spoken_of = [drive for drive in drives if frames[drive.name]]
+    if not spoken_of:
+        raise InvalidInputError("results", ", ".join(sources), "Give sources that speak of the same frames.")
+    scored = {
+        name: score_drives(spoken_of, boxes, frames, least=overlap, min_score=min_score)
+        for name, boxes in sources.items()
+    }
+    if not all(scored.values()):
+        raise InvalidInputError("drive", str(folder), "Give labelled cars or vans of at least 25 pixels.")
+    curves = {name: precisions_of_drives(spoken_of, boxes, frames) for name, boxes in sources.items()}
+    made = tables({name: summarise(vehicles) for name, vehicles in scored.items()}, curves)
+    what = counted(sum(map(len, frames.values())), "image")
+    screen.print(f"{what}." if len(drives) == 1 else f"{counted(len(spoken_of), 'drive')}, {what}.")
+    if silent := [drive.name for drive in drives if not frames[drive.name]]:
+        screen.print(f"Left out, since not every source speaks of them: {', '.join(silent)}.")
+    screen.print(*boxes_tables(made))
+    for name, vehicles in scored.items():
+        for one in vehicles:
+            place = one.frame if len(drives) == 1 else f"{one.drive}/{one.frame}"
+            told = f"{one.metres:.2f} m, {one.degrees:.1f} degrees, IoU {one.overlap:.2f}" if one.found else "no box"
+            screen.detail(f"{name} {place}/{one.index} {one.kind}: {told}")
+    screen.write_json(json.dumps(document(scored, curves), indent=1, allow_nan=False) + "\n")
+    screen.write_text(markdown, side_by_side(made))
+    if not any(one.found for vehicles in scored.values() for one in vehicles):
+        screen.fail("No labelled vehicle got a box.")
+        raise typer.Exit(1)
+
+
+def boxes_tables(made: Sequence[BoxesTable]) -> list[Table]:
+    """The tables as the terminal shows them."""
+    from fgrecon_research.evaluation.boxes_tables import TEXTS
+
+    shown = []
+    for one in made:
+        table = headed_table(*one.headings, left=TEXTS, wrap=True)
+        for row in one.rows:
+            table.add_row(*row)
+        shown.append(table)
+    return shown
+
+
+def _drives(folder: Path, following: Sequence[str]) -> tuple[list[Drive], list[str]]:
+    """The drives, and the texts behind them.
+
+    Raises:
+        InvalidInputError: A drive cannot be read, two have one name, or nothing follows them.
+    """
+    from fgrecon.core.errors import InvalidInputError
+    from fgrecon.io.kitti_drives import has_labels, read_images
+
+    more = list(takewhile(has_labels, map(Path, following)))
+    if len(more) == len(following):
+        raise InvalidInputError("results", "none", "Give boxes behind the drives: [NAME=]RESULTS.")
+    drives = [read_images(place.absolute()) for place in (folder, *more)]
+    check_names([drive.name for drive in drives])
+    return drives, list(following[len(more) :])
+
+
+def _sources(texts: Sequence[str], drives: Sequence[Drive]) -> dict[str, dict[str, dict[int, Objects]]]:
+    """Boxes by the source's name, the drive's and the frame.
+
+    Raises:
+        InvalidInputError: Two sources have one name, or one cannot be read.
+    """
+    from fgrecon.core.errors import InvalidInputError
+    from fgrecon_research.evaluation.boxes3d import read_boxes_of_drives
+
+    sources: dict[str, dict[str, dict[int, Objects]]] = {}
+    for text in texts:
+        name, named, place = text.partition("=")
+        if not named or Path(text).exists():  # a path may have the sign in it
+            name, place = Path(text).stem, text
+        if name in sources:
+            raise InvalidInputError("results", name, "Give each source another name, by NAME=RESULTS.")
+        sources[name] = read_boxes_of_drives(Path(place), drives)
+    return sources

@@ -1,0 +1,147 @@
+"""`fgrecon evaluate calibration`: whether regions, facings and statuses hold what they promise, on labelled drives."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fgrecon.cli.common import check_outputs, headed_table
+from fgrecon.cli.labelled_drives import DriveOptions, DrivesArgument
+from fgrecon.cli.options import JsonOption, LabelledScene
+from fgrecon.cli.terminal import Terminal
+from fgrecon_research.cli.evaluate.followed_drives import score_drives
+
+if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
+    from rich.table import Table
+
+    from fgrecon_research.evaluation.calibration import Calibration
+
+__all__ = ["calibration_command", "regions_table", "status_table"]
+
+_SIMULATION = "simulation"
+
+
+def calibration_command(
+    labelled: LabelledScene,
+    terminal: Terminal,
+    how: DriveOptions,
+    folders: DrivesArgument = [],  # noqa: B006  # Typer makes a list of its own
+    simulated: Annotated[
+        int, typer.Option(min=0, metavar="N", help="Also so many simulated cars, whose 3D keypoints are known.")
+    ] = 0,
+    track: Annotated[
+        bool, typer.Option("--track", help="Also what is said over time: online, and in batch (`fgrecon.Tracker`).")
+    ] = False,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Coverage and reliability diagrams (png, svg, pdf, jpg).")
+    ] = None,
+    json_out: JsonOption = None,
+) -> None:
+    """Compare what results say of themselves with labels: regions, the facing's probability, and the status.
+
+    A region of 68 or 95 % should hold so many errors, and be no wider than one that is made to hold: by scaling the
+    covariances, or of one size for all, with the drive (of simulated cars a tenth) left out of the fit. Vehicles turned
+    round count for the facing alone. Wrong are results more than 15 degrees or 20 % of the distance off. With
+    --detect a labelled box is judged by the detected one that overlaps it most, by more than half. --verbose tells
+    every box.
+
+    Exit code 1: no vehicle could be reconstructed.
+    """
+    from fgrecon.calibration.labelled_boxes import SYSTEM
+    from fgrecon.core.errors import InvalidInputError
+    from fgrecon_research.evaluation.calibration import calibrate, calibrate_boxes, calibration_document
+    from fgrecon_research.evaluation.simulated_calibration import judge_simulated
+    from fgrecon_research.evaluation.video_tracks import BATCH, ONLINE
+
+    check_outputs(json_out, picture=picture)
+    screen = terminal.screen(json_out)
+    if not folders and not simulated:
+        raise InvalidInputError("drives", "none", "Give folders of labelled drives, or --simulated N.")
+    if how.detect and not folders:
+        raise InvalidInputError("detect", "without drives", "Give folders of labelled drives, in which to find cars.")
+    known = labelled.told()
+    given: dict[str, Any] = {"ground": known.origin, "size_prior": labelled.size_prior}
+    found: dict[str, Calibration] = {}
+    if folders:
+        scored = score_drives(how, folders, labelled, screen, track=track)
+        given |= {"drives": [drive.name for drive in scored.drives], "traffic": how.traffic}
+        given |= {"boxes": how.boxes, "box_model": how.encloses.value}
+        methods = (SYSTEM, ONLINE, BATCH) if track else (SYSTEM,)
+        found |= {method: calibrate_boxes(scored.boxes, method) for method in methods}
+        screen.print(scored.in_words())
+        for box in scored.boxes:
+            for method in methods:
+                outcome = box.outcomes[method]
+                told = outcome.failure or f"{outcome.status}, {outcome.degrees:.1f} degrees, {outcome.metres:.2f} m"
+                screen.detail(f"{box.drive}/{box.frame:06d}/{box.index} {method}: {told}")
+    if simulated:
+        cars = judge_simulated(simulated, known.scene.prior, ground=known.ground, size_prior=known.size)
+        with screen.bar() as advance:
+            judged = []
+            for done, car in enumerate(cars, 1):
+                judged += [] if car is None else [car]
+                advance("Simulated cars", done, simulated)
+        found[_SIMULATION] = calibrate(judged)
+    for method, one in found.items():
+        screen.print(regions_table(method, one), status_table(method, one), doubt_table(method, one), _in_words(one))
+    documents = [calibration_document(one, {"method": method, **given}) for method, one in found.items()]
+    screen.write_json(json.dumps(documents, indent=1, allow_nan=False) + "\n")
+    first = next(iter(found.values()))
+    if picture is not None:
+        from fgrecon.viz import save_picture
+        from fgrecon.viz.calibration_picture import calibration_picture
+
+        screen.wrote(save_picture(picture, calibration_picture(first.regions, first.facing)))
+    if not first.statuses:
+        screen.fail("No vehicle could be reconstructed.")
+        raise typer.Exit(1)
+
+
+def regions_table(method: str, found: Calibration) -> Table:
+    """Shares inside the regions of each quantity, and their radii."""
+    from fgrecon.core.coverage import SIGMAS
+
+    kinds = ("claimed", "scaled", "constant")
+    headings = [f"{kind} {100 * level:.0f} %" for level in SIGMAS for kind in kinds]
+    table = headed_table(f"{method}: inside, radius", "results", *headings)
+    units = {"yaw": "°", "velocity": " m/s"}
+    for one in found.regions:
+        unit = units.get(one.quantity, " m")
+        cells = [
+            f"{100 * one.inside[level][kind]:.0f}, {one.width[level][kind]:.2f}{unit}"
+            for level in SIGMAS
+            for kind in kinds
+        ]
+        table.add_row(one.quantity, str(one.count), *cells)
+    return table
+
+
+def status_table(method: str, found: Calibration) -> Table:
+    """How many results of each status are wrong."""
+    table = headed_table(f"{method}: status", "results", "turned round", "wrong", "wrong %")
+    for one in found.statuses:
+        table.add_row(one.status, str(one.count), str(one.turned), str(one.wrong), f"{100 * one.wrong / one.count:.1f}")
+    return table
+
+
+def doubt_table(method: str, found: Calibration) -> Table:
+    """What it costs and brings to take settled results alone whose facing has some probability at least."""
+    table = headed_table(f"{method}: facing at least", "turned, refused", "right, refused", "converged", "turned round")
+    for one in found.doubts:
+        table.add_row(
+            f"{one.least:g}",
+            f"{one.turned_refused} of {one.turned}",
+            f"{one.right_refused} of {one.right} ({100 * one.right_refused / max(one.right, 1):.1f} %)",
+            str(one.sure),
+            f"{one.sure_turned} ({100 * one.sure_turned / max(one.sure, 1):.1f} %)",
+        )
+    return table
+
+
+def _in_words(found: Calibration) -> str:
+    if not len(found.facing.count):
+        return "No result has a facing's probability."
+    return f"The facing's probability has an expected calibration error of {found.facing.error:.3f}."

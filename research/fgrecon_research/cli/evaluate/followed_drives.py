@@ -1,0 +1,71 @@
+"""Labelled drives whose boxes are scored beside other methods, and followed over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fgrecon.cli.labelled_drives import DriveOptions, ScoredDrives
+from fgrecon.cli.options import UNTOLD, LabelledScene
+from fgrecon.cli.progress import counting
+from fgrecon.core.errors import InvalidInputError
+
+if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
+    from fgrecon.cli.terminal import Screen
+
+__all__ = ["score_drives"]
+
+
+def score_drives(
+    how: DriveOptions,
+    folders: Sequence[Path],
+    labelled: LabelledScene,
+    screen: Screen,
+    *,
+    rivals: Sequence[str] = (),
+    track: bool = False,
+    forget_ids: bool = False,
+    estimate_motion: bool = False,
+) -> ScoredDrives:
+    """Reconstruct the labelled boxes that count, follow them if that is wanted, and score.
+
+    Args:
+        how: How they are reconstructed.
+        folders: Of the drives.
+        labelled: What is told.
+        screen: Where progress is shown.
+        rivals: Methods that get the same keypoints.
+        track: Whether the vehicles are followed as well.
+        forget_ids: Whether the vehicles that are followed are given ids anew; detected ones have none.
+        estimate_motion: Whether they are followed with the camera's estimated motion as well.
+
+    Raises:
+        InvalidInputError: As `DriveOptions.score` does; there is no method of a name; or the camera's motion is to be
+            estimated without a ground.
+    """
+    from fgrecon.io.kitti_drives import read_drive
+    from fgrecon_research.evaluation.methods import select
+    from fgrecon_research.evaluation.run import ScoredRivals
+    from fgrecon_research.evaluation.video_tracks import follow_boxes
+
+    select(rivals)  # refuse before the work
+    if estimate_motion and labelled.ground == UNTOLD:
+        fix = "Give a ground, which tells how far the camera goes, or leave --estimate-motion out."
+        raise InvalidInputError("estimate_motion", "no ground", fix)
+    others = (lambda scene: partial(ScoredRivals, scene, tuple(rivals))) if rivals else None
+    scored = how.score(folders, labelled, screen, read=read_drive if track else None, rivals=others)
+    if not track:
+        return scored
+    with screen.bar() as advance:
+        boxes = follow_boxes(
+            scored.frames,
+            scored.drives,
+            scored.setups,
+            forget_ids=forget_ids or how.detect,
+            estimate_motion=estimate_motion,
+            advance=counting(advance, "Followed", (1 + estimate_motion) * len(scored.frames)),
+        )
+    return replace(scored, boxes=boxes)

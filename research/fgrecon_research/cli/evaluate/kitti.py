@@ -1,0 +1,249 @@
+"""`fgrecon evaluate kitti`: from KITTI's photographs to poses, scored by regime."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fgrecon.cli.common import check_folder, check_outputs
+from fgrecon.cli.deliver import Delivery, recordings_of
+from fgrecon.cli.options import (
+    DATA,
+    DataOption,
+    JsonOption,
+    LabelledScene,
+    MarkdownOption,
+    ResultsOption,
+    TogetherOption,
+    TrafficOption,
+    WeightsOption,
+)
+from fgrecon.cli.overwrites import check_not_over
+from fgrecon.cli.terminal import Terminal
+from fgrecon.core.choices import BoxModel, TrafficSide
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.text import counted
+from fgrecon_research.cli.evaluate.boxes import boxes_tables
+
+if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
+    from rich.table import Table
+
+    from fgrecon.calibration.setup import Setup
+    from fgrecon.viz import Sight
+    from fgrecon_research.evaluation.kitti_images import Car
+
+__all__ = ["kitti_command"]
+
+
+def _folder(what: str, name: str) -> Any:
+    default = f"DATA/kitti_object/training/{name}"
+    return typer.Option(metavar="FOLDER", help=f"{what}.", show_default=default)
+
+
+@dataclass(frozen=True)
+class KittiFolders:
+    """Where images, labels and calibrations are: in KITTI's layout, or each in a folder of its own."""
+
+    data: DataOption = DATA
+    images: Annotated[Path | None, _folder("Images", "image_2")] = None
+    labels: Annotated[Path | None, _folder("Label files", "label_2")] = None
+    calib: Annotated[Path | None, _folder("Calibration files", "calib")] = None
+
+    def paths(self) -> tuple[Path, Path, Path]:
+        """Folders of images, labels and calibrations.
+
+        Raises:
+            InvalidInputError: One is not told, and there are no data in KITTI's layout.
+        """
+        training = self.data / "kitti_object" / "training"
+        if None in (self.images, self.labels, self.calib) and not training.is_dir():
+            fix = (
+                "Give --data FOLDER (or FGRECON_DATA), which has kitti_object/training, or all of --images, --labels "
+                "and --calib."
+            )
+            raise InvalidInputError("data", str(self.data), fix)
+        return (
+            self.images or training / "image_2",
+            self.labels or training / "label_2",
+            self.calib or training / "calib",
+        )
+
+
+@dataclass(frozen=True)
+class KittiBoxes:
+    """The 2D boxes that cars are looked for in."""
+
+    boxes: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="2D detections, lines `image class score x1 y1 x2 y2`.",
+            show_default="the labelled boxes",
+        ),
+    ] = None
+    overlap: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Overlap with the labelled box that a detected one must exceed.")
+    ] = 0.7
+    box_model: Annotated[
+        BoxModel | None,
+        typer.Option(help="What the 2D boxes enclose.", show_default="cuboid; of FILE what its lines say"),
+    ] = None
+
+    @property
+    def enclose(self) -> BoxModel:
+        """What they enclose."""
+        from fgrecon.io.kitti_files import stated_model
+
+        stated = stated_model(self.boxes) if self.boxes is not None and self.box_model is None else None
+        return self.box_model or stated or BoxModel.CUBOID
+
+
+def kitti_command(
+    folders: KittiFolders,
+    boxes: KittiBoxes,
+    labelled: LabelledScene,
+    delivery: Delivery,
+    terminal: Terminal,
+    split: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="File of frame names.", show_default="all images")
+    ] = None,
+    weights: WeightsOption = None,
+    together: TogetherOption = True,
+    traffic: TrafficOption = None,
+    picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Contact sheet of every car.")] = None,
+    results_out: ResultsOption = None,
+    markdown: MarkdownOption = None,
+    json_out: JsonOption = None,
+) -> None:
+    """Find keypoints in KITTI's images, reconstruct every labelled car, and score poses and 3D boxes.
+
+    Regimes are cumulative; a car without a detection or a result counts as 180 degrees and stays in. Below stand the 3D
+    boxes as `evaluate boxes` scores them, with intervals of 95 % by bootstrap over images; average precision is over
+    the boxes of labelled cars alone. --verbose tells every car's errors.
+
+    Exit code 1: no car could be reconstructed.
+    """
+    from fgrecon.io.kitti_files import read_image_set, write_results
+    from fgrecon_research.evaluation import kitti_images
+    from fgrecon_research.evaluation.boxes_summary import plain_boxes
+    from fgrecon_research.evaluation.boxes_tables import markdown as side_by_side
+    from fgrecon_research.evaluation.boxes_tables import tables
+    from fgrecon_research.evaluation.kitti_boxes import score_boxes
+
+    check_outputs(json_out, markdown, picture=picture)
+    delivery.check()
+    screen = terminal.screen(json_out)
+    paths = folders.paths()
+    setup, origin = _setup(boxes, labelled, weights, traffic, together=together)
+    names = None if split is None else read_image_set(split)
+    frames, problems = kitti_images.read_frames(*paths, names, boxes.boxes)
+    if results_out is not None:
+        check_folder(results_out)
+        for frame in frames:
+            name = f"{frame.name}.txt"
+            check_not_over("results", results_out / name, [paths[1] / name, paths[2] / name])
+    cars = [car for frame in screen.watch(frames, "Images") for car in kitti_images.score_frame(frame, setup)]
+
+    kind = "detected" if boxes.boxes else "labelled"
+    images = counted(len(frames), "image")
+    found = score_boxes(frames, cars)
+    made = tables({f"{kind} boxes": found.groups}, {f"{kind} boxes": found.curves})
+    screen.print(f"{images}, {counted(len(cars), 'car')}, {kind} boxes; {origin}.", _table(cars), *boxes_tables(made))
+    for car in cars:
+        error = car.failure or f"{car.degrees:.1f} degrees, {car.metres:.2f} m"
+        screen.detail(f"{car.frame}/{car.index}: {error}")
+    screen.print(*map(str, problems))
+    given = {
+        "images": len(frames),
+        "boxes": "labels" if boxes.boxes is None else boxes.boxes.name,
+        "overlap": boxes.overlap,
+        "ground": origin,
+        "size_prior": labelled.size_prior,
+        "box_model": setup.options.box.model.value,
+        "together": together,
+        "traffic": traffic,
+        "network": setup.detector.provenance,
+    }
+    told = kitti_images.document(cars, given)
+    told["boxes"] = plain_boxes(found.groups, found.curves, found.vehicles)
+    screen.write_json(json.dumps(told, indent=1, allow_nan=False) + "\n")
+    screen.write_text(markdown, side_by_side(made))
+    if results_out is not None:
+        write_results(results_out, found.results)
+        screen.wrote(results_out)
+    wanted = picture is not None or delivery.wanted
+    sights = _sights(cars, {frame.name: frame.image for frame in frames}) if wanted else []
+    if picture is not None and sights:
+        from fgrecon.viz import contact_sheet, save_picture
+
+        screen.wrote(save_picture(picture, contact_sheet(sights, columns=5)))
+    if delivery.wanted:
+        delivery.deliver(recordings_of(sights, setup.ground), screen, several=True)
+    if not any(car.failure is None for car in cars):
+        screen.fail("No car could be reconstructed.")
+        raise typer.Exit(1)
+
+
+def _setup(
+    boxes: KittiBoxes, labelled: LabelledScene, weights: Path | None, traffic: TrafficSide | None, *, together: bool
+) -> tuple[Setup, str]:
+    """What every car is reconstructed with, and in words where the ground plane comes from."""
+    from fgrecon.calibration.setup import Setup
+    from fgrecon.core.options import Options
+    from fgrecon.perception.keypoints.detect import KeypointCascade
+
+    told = labelled.told()
+    setup = Setup(
+        detector=KeypointCascade(weights),
+        prior=told.scene.prior,
+        ground=told.ground,
+        size_prior=told.size,
+        options=Options(box=boxes.enclose, traffic=traffic),
+        overlap=boxes.overlap,
+        together=together,
+    )
+    return setup, told.origin
+
+
+def _table(cars: list[Car]) -> Table:
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    from fgrecon.core.metrics import THRESHOLDS
+    from fgrecon_research.evaluation.kitti_images import summarise
+
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    headings = [*(f"AOP {threshold}°" for threshold in THRESHOLDS), "mean °", "median °", "median m", "failed"]
+    for heading in ("regime", "cars", *headings):
+        table.add_column(heading, justify="left" if heading == "regime" else "right")
+    for score in summarise(cars):
+        shares = [f"{100 * count / score.cars:.1f} ({count})" for count in score.within]
+        numbers = [f"{score.mean_degrees:.1f}", f"{score.median_degrees:.1f}", f"{score.median_metres:.2f}"]
+        table.add_row(score.name, str(score.cars), *shares, *numbers, str(score.failures))
+    return table
+
+
+def _sights(cars: list[Car], images: dict[str, Path]) -> list[Sight]:
+    """Every car with a result, with its photograph and the labelled box."""
+    from fgrecon.io.images import read_image
+    from fgrecon.simulation.vehicles import yaw_pose
+    from fgrecon.viz import Sight
+    from fgrecon.viz.truth import Truth
+
+    photographs = {name: read_image(images[name]) for name in {car.frame for car in cars}}
+    return [
+        Sight(
+            car.found.result,
+            car.found.detection.observation,
+            car.camera,
+            photographs[car.frame],
+            Truth(yaw_pose(car.rotation_y, car.location), car.size),
+            f"{car.frame}/{car.index}",
+        )
+        for car in cars
+        if car.found is not None and car.found.result is not None
+    ]

@@ -1,0 +1,147 @@
+"""`fgrecon evaluate refine`: 3D boxes before and after `fgrecon refine`, against KITTI's labels."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fgrecon.cli.box_errors import BoxErrorOptions
+from fgrecon.cli.common import check_outputs, headed_table
+from fgrecon.cli.labelled_drives import FoldOption, read_folds
+from fgrecon.cli.options import JsonOption, SceneOptions, WeightsOption
+from fgrecon.cli.progress import counting
+from fgrecon.cli.terminal import Terminal
+
+if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
+    from collections.abc import Sequence
+
+    from rich.table import Table
+
+    from fgrecon_research.evaluation.refined import RefinedVehicle
+
+__all__ = ["refine_evaluation_command"]
+
+
+def refine_evaluation_command(
+    folders: Annotated[
+        list[Path],
+        typer.Argument(metavar="DRIVE", help="Labels: drives of KITTI's tracking set, or its object set's folder."),
+    ],
+    scene: SceneOptions,
+    errors: BoxErrorOptions,
+    terminal: Terminal,
+    boxes: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER|FILE",
+            help="A detector's boxes of the only drive, as for `evaluate boxes`.",
+            show_default="the labelled ones, disturbed by the errors given",
+        ),
+    ] = None,
+    min_score: Annotated[float, typer.Option(help="Boxes of a lower score are none.")] = 0.5,
+    seed: Annotated[int, typer.Option(help="Of the errors that labels are disturbed by.")] = 0,
+    every: Annotated[int, typer.Option(min=1, help="Take every so many of the images that count.")] = 1,
+    weights: WeightsOption = None,
+    fold: FoldOption = None,
+    json_out: JsonOption = None,
+) -> None:
+    """Score 3D boxes before and after they are refined: position, yaw, turned round, size, and how many got worse.
+
+    Without --boxes each labelled box is disturbed by the errors that the options say, with a fixed seed. Cars and vans
+    count as in `evaluate video`. --verbose tells every vehicle.
+
+    Exit code 1: no box was refined.
+    """
+    import numpy as np
+
+    from fgrecon.core.errors import InvalidInputError
+    from fgrecon.core.options import BoxModel, BoxOptions, Options
+    from fgrecon.io.kitti_drives import read_images
+    from fgrecon.perception.keypoints.detect import KeypointCascade
+    from fgrecon_research.evaluation.boxes3d import read_boxes
+    from fgrecon_research.evaluation.refined import Refinement, document, refine_drive
+
+    check_outputs(json_out)
+    screen = terminal.screen(json_out)
+    drives = [read_images(folder.absolute()) for folder in folders]
+    files = read_folds(fold or (), [drive.name for drive in drives], weights)
+    settings = scene.settings(
+        Options(strategy=scene.strategy, box=BoxOptions(model=BoxModel.CUBOID), keep_history=False)
+    )
+    if boxes is not None and len(drives) > 1:
+        raise InvalidInputError("boxes", str(boxes), "Give the one drive that they are of.")
+    networks = {file: KeypointCascade(file) for file in dict.fromkeys(files.values())}
+    vehicles = []
+    with screen.bar() as advance:
+        for number, drive in enumerate(drives):
+            how = Refinement(
+                networks[files[drive.name]],
+                settings.prior,
+                settings.ground,
+                errors.errors(),
+                settings.options,
+                settings.size_prior,
+            )
+            source = (
+                np.random.default_rng([seed, number])
+                if boxes is None
+                else {
+                    frame: found.take(
+                        np.array([kind == "Car" for kind in found.kind], dtype=bool) & (found.score >= min_score)
+                    )
+                    for frame, found in read_boxes(boxes, [frame.number for frame in drive.frames]).items()
+                }
+            )
+            count = counting(advance, drive.name, len(drive.frames) // every)
+            vehicles += refine_drive(drive, source, how, every=every, advance=count)
+    if not vehicles:
+        raise InvalidInputError("drives", ", ".join(d.name for d in drives), "Give drives with labelled boxes.")
+    screen.print(_table(vehicles))
+    for one in vehicles:
+        told = (
+            f"{one.before.metres:.2f} -> {one.after.metres:.2f} m, {one.before.degrees:.1f} -> {one.after.degrees:.1f}"
+        )
+        screen.detail(f"{one.drive}/{one.frame:06d}/{one.index} {one.kind}: {told} degrees. {one.message}")
+    given = {
+        "drives": [drive.name for drive in drives],
+        "boxes": "disturbed labels" if boxes is None else str(boxes),
+        "seed": seed,
+        "every": every,
+        "networks": {name: "shipped" if file is None else str(file) for name, file in files.items()},
+        "box_errors": vars(errors),
+        "ground": settings.ground is not None,
+    }
+    screen.write_json(json.dumps(document(vehicles, given), indent=1, allow_nan=False) + "\n")
+    if not any(one.changed for one in vehicles):
+        screen.fail("No box was refined.")
+        raise typer.Exit(1)
+
+
+def _table(vehicles: Sequence[RefinedVehicle]) -> Table:
+    from fgrecon_research.evaluation.refined import compare
+
+    headings = ("mean m", "median m", "mean °", "median °", "turned", "l, w, h cm", "> 5 % worse", "worst", "doubled")
+    table = headed_table("before -> after", "boxes", "refined", *headings, "spread")
+    for name, one in compare(vehicles).items():
+        sizes = [", ".join(f"{100.0 * value:.0f}" for value in size) for size in one.size]
+        table.add_row(
+            name,
+            str(one.vehicles),
+            str(one.refined),
+            *(_arrow(pair, ".2f") for pair in (one.mean_metres, one.median_metres)),
+            *(_arrow(pair, ".1f") for pair in (one.mean_degrees, one.median_degrees)),
+            _arrow(one.turned, "d"),
+            " -> ".join(sizes),
+            str(one.worse),
+            f"{one.worst_metres:+.2f} m, {one.worst_percent:+.1f} %",
+            str(one.doubled),
+            f"{one.spread:.2f}",
+        )
+    return table
+
+
+def _arrow(pair: tuple[float, float], digits: str) -> str:
+    return " -> ".join(format(value, digits) for value in pair)

@@ -1,0 +1,282 @@
+"""`fgrecon evaluate video`: from the images of video drives, each on its own, to poses, scored."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fgrecon.cli.common import check_folder, check_outputs, headed_table
+from fgrecon.cli.labelled_drives import DriveOptions, DrivesArgument
+from fgrecon.cli.options import UNTOLD, JsonOption, LabelledScene, MarkdownOption, ResultsOption, fitting_names
+from fgrecon.cli.terminal import Terminal
+from fgrecon.core.text import number_or_dash
+from fgrecon_research.cli.evaluate.followed_drives import score_drives
+
+if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
+    from rich.table import Table
+
+    from fgrecon.calibration.labelled_boxes import VideoBox
+    from fgrecon.calibration.labelled_frames import ScoredFrame
+    from fgrecon.cli.labelled_drives import ScoredDrives
+    from fgrecon.core.reliability import Reliability
+    from fgrecon.viz import Sight
+    from fgrecon_research.evaluation.bootstrap import Interval
+
+__all__ = ["video_command"]
+
+_WORST = 20
+_RIVAL = "sqpnp_confident"
+_COLUMNS = 5
+
+
+def _rivals() -> list[str]:
+    from fgrecon_research.evaluation.methods import METHODS
+
+    return list(METHODS)
+
+
+def video_command(
+    folders: DrivesArgument,
+    labelled: LabelledScene,
+    terminal: Terminal,
+    how: DriveOptions,
+    rival: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Method of `evaluate tracks` that gets the same keypoints; repeat for more.",
+            show_default=_RIVAL,
+            autocompletion=fitting_names(_rivals),
+        ),
+    ] = None,
+    track: Annotated[
+        bool,
+        typer.Option(
+            "--track",
+            help="Follow the vehicles by their labelled ids as well: online, and in batch (`fgrecon.Tracker`); "
+            "score velocities, and covariances against errors.",
+        ),
+    ] = False,
+    forget_ids: Annotated[
+        bool, typer.Option("--forget-ids", help="Follow without the labelled ids, as `fgrecon run` associates.")
+    ] = False,
+    estimate_motion: Annotated[
+        bool | None,
+        typer.Option(
+            "--estimate-motion/--no-estimate-motion",
+            help="Follow with the camera's motion as well, as the images tell it.",
+            show_default="with --track and a ground",
+        ),
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE", help=f"Contact sheet of the {_WORST} worst tracks' worst boxes.")
+    ] = None,
+    table: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Rows by box and method as .csv or .parquet.")
+    ] = None,
+    results_out: ResultsOption = None,
+    markdown: MarkdownOption = None,
+    json_out: JsonOption = None,
+) -> None:
+    """Find keypoints in every image of labelled drives, reconstruct cars and vans from their labelled boxes, and score.
+
+    Boxes count that are at least 25 px high, largely occluded at most, and at most half outside the image. Each image
+    is taken on its own; with --track the same keypoints are followed over time as well, without a motion of the camera
+    and with the one that all images between the first and the last labelled one tell; beside that the single images
+    stand turned round where the network's directions so far, or of the whole track, add up to that. A box without a
+    result counts as 180 degrees and stays in. Intervals are of 95 %, by bootstrap over tracks. For a picture the worst
+    images are solved once more after they were scored. --verbose tells every box.
+
+    With --detect a labelled box is scored by the detected one that overlaps it most, by more than half; labelled boxes
+    without one are counted, and in none of the shares. All frames of a drive are looked at, and followed without ids.
+
+    Exit code 1: no box could be reconstructed.
+    """
+    from fgrecon.core.errors import InvalidInputError
+    from fgrecon.io.export.files import TABLE_FORMATS, export_rows
+    from fgrecon.io.files import check_ending
+    from fgrecon_research.evaluation.video_markdown import markdown as side_by_side
+    from fgrecon_research.evaluation.video_summary import document, facing_reliability, methods_of
+
+    check_outputs(json_out, table, markdown, picture=picture)
+    if forget_ids and not track:
+        raise InvalidInputError("forget_ids", "true", "Give --track as well: single images have no ids.")
+    if estimate_motion and not track:
+        raise InvalidInputError("estimate_motion", "true", "Give --track as well: single images know no motion.")
+    moving = (track and labelled.ground != UNTOLD) if estimate_motion is None else estimate_motion
+    if table is not None:
+        check_ending(table, TABLE_FORMATS)
+    if results_out is not None:
+        check_folder(results_out)
+    screen = terminal.screen(json_out)
+    scored = score_drives(
+        how,
+        folders,
+        labelled,
+        screen,
+        rivals=rival or [_RIVAL],
+        track=track,
+        forget_ids=forget_ids,
+        estimate_motion=moving,
+    )
+    boxes = scored.boxes
+
+    screen.print(scored.in_words())
+    for method in methods_of(boxes):
+        screen.print(_table(boxes, method))
+    if track:
+        screen.print(_consistency_table(boxes))
+    screen.print(_in_words(facing_reliability(boxes)))
+    for box in boxes:
+        for method, found in box.outcomes.items():
+            error = found.failure or f"{found.degrees:.1f} degrees, {found.metres:.2f} m"
+            screen.detail(f"{box.drive}/{box.frame:06d}/{box.index} {method}: {error}")
+    given = {
+        "drives": [drive.name for drive in scored.drives],
+        "images": scored.images,
+        "prior": scored.told.scene.prior.describe(),
+        "ground": scored.told.origin,
+        "size_prior": labelled.size_prior,
+        "box_model": how.encloses.value,
+        "together": how.together,
+        "traffic": how.traffic,
+        "track": track,
+        "estimate_motion": moving,
+        "ids": "associated" if forget_ids or how.detect else "labelled",
+        "boxes": how.boxes,
+        "missed": scored.missed,
+    }
+    screen.write_json(json.dumps(document(boxes, given, scored.networks()), indent=1, allow_nan=False) + "\n")
+    if results_out is not None:
+        screen.wrote(*_write_results(results_out, scored.frames))
+    if table is not None:
+        screen.wrote(export_rows(table, [row for box in boxes for row in box.rows()]))
+    screen.write_text(markdown, side_by_side(boxes))
+    if picture is not None and (sights := _sights(scored)):
+        from fgrecon.viz import contact_sheet, save_picture
+
+        screen.wrote(save_picture(picture, contact_sheet(sights, columns=_COLUMNS)))
+    if all(box.outcomes[methods_of(boxes)[0]].failure is not None for box in boxes):
+        screen.fail("No box could be reconstructed.")
+        raise typer.Exit(1)
+
+
+def _write_results(folder: Path, frames: Sequence[ScoredFrame]) -> list[Path]:
+    """The folder of each drive, which has a file for each image with a label that counts, found or not."""
+    from fgrecon.io.files import write_text
+
+    folders = set()
+    for frame in frames:
+        if frame.boxes or frame.missed:
+            path = folder / frame.drive / f"{frame.number:06d}.txt"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_text(path, "".join(box.line for box in frame.boxes))
+            folders.add(path.parent)
+    return sorted(folders)
+
+
+def _table(boxes: list[VideoBox], method: str) -> Table:
+    from fgrecon.calibration.labelled_boxes import SYSTEM
+    from fgrecon.core.metrics import THRESHOLDS
+    from fgrecon_research.evaluation.video_summary import group_boxes, summarise_boxes
+
+    whole = method == SYSTEM
+    shares = [f"AOP {threshold}° %" for threshold in THRESHOLDS]
+    silent = ["silent %", "network %"] if whole else []
+    jitter = ["size cm", "jitter °", "jitter m"]
+    numbers = ["boxes", "tracks", "mean °", *shares, "turned %", *silent, "median m", "mean m", *jitter, "refused"]
+    table = headed_table(method, *numbers)
+    for by, named in group_boxes(boxes).items():
+        if not whole and by not in ("drive", "regime"):
+            continue
+        for name, some in named.items():
+            score = summarise_boxes(some, method)
+            first, *others = (score.aop[threshold] for threshold in THRESHOLDS)
+            table.add_row(
+                name,
+                str(score.boxes),
+                str(score.tracks),
+                f"{score.mean_degrees.value:.1f}",
+                _cell(first, score.tracks),
+                *(f"{share.value:.1f}" for share in others),
+                _cell(score.turned_round, score.tracks),
+                *(["-" if s is None else f"{s.value:.1f}" for s in (score.silent, score.network_turned_round)] * whole),
+                f"{score.median_metres:.2f}",
+                f"{score.mean_metres:.2f}",
+                number_or_dash(score.mean_absolute_size_error, ".0f", 100.0),
+                number_or_dash(score.jitter_degrees, ".2f"),
+                number_or_dash(score.jitter_metres, ".2f"),
+                str(score.refused),
+            )
+        table.add_section()
+    return table
+
+
+def _consistency_table(boxes: list[VideoBox]) -> Table:
+    """How sure the methods are that have covariances, against how far they are off."""
+    from fgrecon.calibration.regions import DIMENSIONS
+    from fgrecon_research.evaluation.video_summary import methods_of, summarise_boxes
+
+    headings = [heading for name in DIMENSIONS for heading in (f"{name} mean", "median", "in 95 %")]
+    table = headed_table("squared errors by covariance", *headings, "velocity m/s")
+    for method in methods_of(boxes):
+        score = summarise_boxes(boxes, method)
+        if not score.consistency:
+            continue
+        cells = []
+        for name in DIMENSIONS:
+            one = score.consistency.get(name)
+            cells += ["-"] * 3 if one is None else [f"{one.mean:.2f}", f"{one.median:.2f}", f"{one.inside:.1f}"]
+        table.add_row(method, *cells, number_or_dash(score.median_velocity, ".2f"))
+    sure = summarise_boxes(boxes, methods_of(boxes)[0]).consistency
+    bounds = [(one.low, one.high) for one in sure.values()]
+    if bounds:
+        cells = [text for low, high in bounds for text in (f"{low:.2f}-{high:.2f}", "1.00", "95.0")]
+        table.add_row("right covariances", *cells)
+    return table
+
+
+def _cell(share: Interval, tracks: int) -> str:
+    return f"{share.value:.1f}" if tracks < 2 else f"{share.value:.1f} ({share.low:.0f}-{share.high:.0f})"
+
+
+def _in_words(facing: Reliability) -> str:
+    if not len(facing.count):
+        return "The network gives no directions."
+    right, sure = (
+        100.0 * float(values @ facing.count) / facing.count.sum() for values in (facing.right, facing.confidence)
+    )
+    return (
+        f"The network's more probable half of all directions is right for {right:.1f} % of the boxes, where it says "
+        f"{sure:.1f} %; expected calibration error {100.0 * facing.error:.1f} %."
+    )
+
+
+def _sights(scored: ScoredDrives) -> list[Sight]:
+    """The worst boxes with their photographs and labels, worst first; their frames are solved once more."""
+    from fgrecon.calibration.labelled_frames import reconstruct_frame
+    from fgrecon.simulation.vehicles import yaw_pose
+    from fgrecon.viz import Sight
+    from fgrecon.viz.truth import Truth
+    from fgrecon_research.evaluation.video_summary import worst_boxes
+
+    by_name = {drive.name: drive for drive in scored.drives}
+    sights = []
+    for box in worst_boxes(scored.boxes, _WORST):
+        drive = by_name[box.drive]
+        frame = next(frame for frame in drive.frames if frame.number == box.frame)
+        image, looks = reconstruct_frame(frame, scored.setups[box.drive])
+        one = next(look.found for look in looks if look.label == box.index)
+        if one.result is None:
+            continue
+        labels, offset = frame.objects, drive.calibration.label_offset
+        pose = yaw_pose(float(labels.rotation_y[box.index]), labels.location[box.index] + offset)
+        camera = drive.calibration.camera.with_size_of(image)
+        title = f"{box.drive}/{box.frame:06d}/{box.index}"
+        truth = Truth(pose, labels.size[box.index])
+        sights.append(Sight(one.result, one.detection.observation, camera, image, truth, title))
+    return sights

@@ -1,0 +1,1 @@
+"""Commands that make the paper's tables."""

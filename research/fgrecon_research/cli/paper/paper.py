@@ -1,0 +1,81 @@
+"""`fgrecon evaluate paper`: every table of the paper by one command."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fgrecon.cli.options import DATA, DataOption, LabelledScene
+from fgrecon.cli.terminal import Terminal
+
+if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
+    from fgrecon_research.paper.example_cars import ExampleCar
+
+__all__ = ["paper_command"]
+
+
+def paper_command(
+    labelled: LabelledScene,
+    terminal: Terminal,
+    out: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="Folder for tables, page, result files and stored parts.")
+    ] = Path("evaluation"),
+    data: DataOption = DATA,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Processes; results do not depend on it.", show_default="one a core")
+    ] = None,
+    every: Annotated[
+        int, typer.Option(min=1, help="Work on every so many-th part of the simulated set, for a first look.")
+    ] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Work on everything again: delete the stored parts first.")
+    ] = False,
+) -> None:
+    """Make every table of the paper: real tracks, real images, simulated validation set, cars of known shape.
+
+    Writes evaluation.md, evaluation.json, evaluation.html and KITTI result files. A run that was interrupted goes on
+    where it stopped. Stored parts know the data and settings that they were made from, but not unreleased changes of
+    the code: use --fresh after those. Nothing is recorded for the viewer, these are thousands of cars: see
+    `fgrecon evaluate tracks --save`. --verbose names every defect of the files and every failure.
+    """
+    from fgrecon_research.evaluation import report
+    from fgrecon_research.paper import page as paper_page
+    from fgrecon_research.paper.run import EvaluationSettings, evaluate_paper
+
+    screen = terminal.screen()
+    scene = labelled.scene()
+    settings = EvaluationSettings(data, out, scene, workers or os.cpu_count() or 1, every, seed, fresh)
+    with screen.bar() as advance:
+        page = evaluate_paper(settings, advance)
+    pictures = _pictures(page.cars)
+    parameters = report.settings(scene, {})
+    parameters |= {"data": str(data), "workers": settings.workers, "every": every, "seed": seed}
+    screen.print(*map(str, page.claims))
+    screen.detail(*page.defects, *page.failures)
+    screen.write_text(out / "evaluation.md", paper_page.markdown(page))
+    screen.write_text(out / "evaluation.json", report.to_json(paper_page.document(page, parameters)))
+    screen.write_text(out / "evaluation.html", paper_page.html(page, pictures))
+    screen.wrote(out / "kitti_results")
+
+
+def _pictures(cars: Sequence[ExampleCar]) -> dict[str, str]:
+    """The cars as SVG elements by caption; no photograph is there to be drawn on."""
+    from fgrecon.viz import Sight, Truth, contact_sheet
+    from fgrecon_research.paper.plots import svg_text
+
+    if not cars:
+        return {}
+    sights = []
+    for car in cars:
+        truth = Truth(car.camera_T_object, car.size, car.shape)
+        sights.append(Sight(car.result, car.observation, car.camera, None, truth, f"{car.place}: {car.name}"))
+    caption = (
+        f"{len(cars)} of the cars of known shape, in the order of the error of their keypoints. Dots: people's marks, "
+        "with a line to the estimate. Blue and vermilion: the estimated car's left and right. Green: the true box."
+    )
+    return {caption: svg_text(contact_sheet(sights, columns=3))}

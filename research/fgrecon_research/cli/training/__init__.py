@@ -1,0 +1,1 @@
+"""Commands that label images, measure and train networks, and learn priors."""

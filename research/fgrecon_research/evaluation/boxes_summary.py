@@ -1,0 +1,233 @@
+"""What 3D boxes against labels come to: overlaps, errors and average precision, by kind and distance.
+
+Intervals are by bootstrap over tracks, or images of a folder of single ones. Average precision is the official one
+(`evaluation.kitti_devkit`), over all boxes of cars that a source gives; labels that something is drawn over may
+be found or missed. Its curve has as many points as there are labels at most, up to 41: of fewer the best possible
+number is below 100 (12.5 of 6), and there is none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.calibration.labelled_boxes import TURNED_ROUND
+from fgrecon.core.metrics import THRESHOLDS
+from fgrecon.core.plain import finite
+from fgrecon.io.kitti_drives import Drive, DriveFrame
+from fgrecon.io.kitti_files import Objects
+from fgrecon_research.evaluation.bootstrap import Interval, mean_interval, median_interval
+from fgrecon_research.evaluation.boxes3d import LabelledBox
+from fgrecon_research.evaluation.kitti_devkit import LEAST_LABELS, REGIMES, evaluate
+from fgrecon_research.evaluation.kitti_overlap import Space
+
+__all__ = [
+    "LEAST_OVERLAPS",
+    "BoxesSummary",
+    "Precision",
+    "by_distance",
+    "document",
+    "plain_boxes",
+    "precisions",
+    "precisions_of_drives",
+    "summarise",
+    "summarise_group",
+]
+
+LEAST_OVERLAPS = (0.5, 0.7)
+"""Overlaps from which on a box counts as right."""
+
+_DISTANCES = (0.0, 15.0, 30.0, np.inf)  # metres
+_UNKNOWN = 3  # KITTI's grade of occlusion
+
+
+@dataclass(frozen=True)
+class BoxesSummary:
+    """A group of vehicles; shares in percent of all of them, found or not, errors over the found ones.
+
+    Attributes:
+        vehicles: How many there are.
+        tracks: Of how many tracks, or images where they are single.
+        found: How many got a box.
+        right: Share with a 3D overlap of at least each of `LEAST_OVERLAPS`.
+        ground: Share with such an overlap from above.
+        within: Share within 5, 15 and 30 degrees.
+        turned: Share of the found ones that is turned by more than 90 degrees.
+        mean_metres: Mean distance of the origins; None where none is found.
+        median_metres: The median.
+        depth: Median relative error of the depth, percent.
+        size: Mean errors of length, width and height, metres.
+        intervals: Of `median_metres`, `depth`, `length`, `width` and `height` as above, and of `absolute_size`, the
+            mean of the errors of length, width and height without sign, metres; empty where none is found.
+    """
+
+    vehicles: int
+    tracks: int
+    found: int
+    right: tuple[Interval, ...]
+    ground: tuple[Interval, ...]
+    within: tuple[Interval, ...]
+    turned: float
+    mean_metres: Interval | None
+    median_metres: float
+    depth: float
+    size: tuple[float, float, float]
+    intervals: Mapping[str, Interval]
+
+
+@dataclass(frozen=True)
+class Precision:
+    """Average precision at 40 recall points, percent; None of fewer than 41 labels.
+
+    Attributes:
+        regime: `Easy`, `Moderate` or `Hard`.
+        labels: Number of cars that count.
+        image: Of 2D boxes at an overlap of 0.7.
+        orientation: Average orientation similarity (AOS); None where the source has no angles.
+        ground: From above, at each of `LEAST_OVERLAPS`.
+        volume: In 3D, likewise.
+    """
+
+    regime: str
+    labels: int
+    image: float | None
+    orientation: float | None
+    ground: tuple[float | None, ...]
+    volume: tuple[float | None, ...]
+
+
+def summarise(vehicles: Sequence[LabelledBox]) -> dict[str, BoxesSummary]:
+    """Summaries of each kind, of all where there are vans, and of cars by distance; groups without any are left out."""
+    cars, vans = ([one for one in vehicles if one.kind == kind] for kind in ("Car", "Van"))
+    groups = {"cars": cars, "vans": vans, "all": list(vehicles) if vans else []} | by_distance("cars", cars)
+    return {name: summarise_group(members) for name, members in groups.items() if members}
+
+
+def by_distance(name: str, vehicles: Sequence[LabelledBox]) -> dict[str, list[LabelledBox]]:
+    """Vehicles by the distance of their labels, under a name and the metres."""
+    bands = {}
+    for low, high in pairwise(_DISTANCES):
+        place = f"{low:.0f}-{high:.0f} m" if np.isfinite(high) else f"beyond {low:.0f} m"
+        bands[f"{name} {place}"] = [one for one in vehicles if low <= one.distance < high]
+    return bands
+
+
+def summarise_group(vehicles: Sequence[LabelledBox]) -> BoxesSummary:
+    """Summary of a group.
+
+    Raises:
+        InvalidInputError: There is no vehicle.
+    """
+    groups = np.unique([f"{one.drive}/{one.group}" for one in vehicles], return_inverse=True)[1]
+    got = np.array([one.found for one in vehicles], dtype=bool)
+
+    def errors(name: str) -> NDArray[np.float64]:
+        return np.array([getattr(one, name) for one in vehicles if one.found])
+
+    def share(members: NDArray[np.bool_]) -> Interval:
+        return mean_interval(100.0 * members, groups)
+
+    def shares(name: str) -> tuple[Interval, ...]:
+        overlaps = np.array([getattr(one, name) for one in vehicles])
+        return tuple(share(overlaps >= least) for least in LEAST_OVERLAPS)
+
+    degrees = np.array([one.degrees for one in vehicles])
+    metres, sizes, own = errors("metres"), errors("size").reshape(-1, 3), groups[got]
+    intervals = {}
+    if got.any():
+        intervals = {
+            "median_metres": median_interval(metres, own),
+            "depth": median_interval(100.0 * errors("depth"), own),
+            **{name: mean_interval(sizes[:, i], own) for i, name in enumerate(("length", "width", "height"))},
+            "absolute_size": mean_interval(np.abs(sizes).mean(axis=1), own),
+        }
+    values = {name: one.value for name, one in intervals.items()}
+    return BoxesSummary(
+        vehicles=len(vehicles),
+        tracks=int(groups.max()) + 1,
+        found=int(got.sum()),
+        right=shares("overlap"),
+        ground=shares("footprint"),
+        within=tuple(share(degrees <= most) for most in THRESHOLDS),
+        turned=100.0 * float((degrees[got] > TURNED_ROUND).mean()) if got.any() else np.nan,
+        mean_metres=mean_interval(metres, own) if got.any() else None,
+        median_metres=values.get("median_metres", np.nan),
+        depth=values.get("depth", np.nan),
+        size=(values.get("length", np.nan), values.get("width", np.nan), values.get("height", np.nan)),
+        intervals=intervals,
+    )
+
+
+def precisions(labels: Mapping[str, Objects], results: Mapping[str, Objects]) -> list[Precision]:
+    """KITTI's average precision of cars in each regime.
+
+    Args:
+        labels: Labels by frame.
+        results: Boxes of the same frames.
+    """
+    image = evaluate(labels, results)
+    ground, volume = (
+        [evaluate(labels, results, space=space, minimum_overlap=least) for least in LEAST_OVERLAPS]
+        for space in (Space.GROUND, Space.VOLUME)
+    )
+    told = []
+    for i, regime in enumerate(REGIMES):
+        enough, similarity = image[i].labels >= LEAST_LABELS, image[i].orientation_similarity
+        told.append(
+            Precision(
+                regime.name,
+                image[i].labels,
+                image[i].average_precision[1] if enough else None,
+                similarity[1] if enough and similarity is not None else None,
+                tuple(curves[i].average_precision[1] if enough else None for curves in ground),
+                tuple(curves[i].average_precision[1] if enough else None for curves in volume),
+            )
+        )
+    return told
+
+
+def precisions_of_drives(
+    drives: Sequence[Drive], results: Mapping[str, Mapping[int, Objects]], frames: Mapping[str, Sequence[int]]
+) -> list[Precision]:
+    """`precisions` over frames of drives; results and frames are by their names."""
+    labels, boxes = {}, {}
+    for drive in drives:
+        chosen = set(frames[drive.name])
+        for frame in drive.frames:
+            if frame.number in chosen:
+                name = f"{drive.name}/{frame.number}"
+                labels[name], boxes[name] = _counting(frame), results[drive.name][frame.number]
+    return precisions(labels, boxes)
+
+
+def document(scored: Mapping[str, Sequence[LabelledBox]], curves: Mapping[str, Sequence[Precision]]) -> dict[str, Any]:
+    """Plain values for JSON, of several sources."""
+    return {
+        "format": "fgrecon.boxes/1",
+        "least_overlaps": list(LEAST_OVERLAPS),
+        "sources": [
+            {"name": name} | plain_boxes(summarise(vehicles), curves[name], vehicles)
+            for name, vehicles in scored.items()
+        ],
+    }
+
+
+def plain_boxes(
+    groups: Mapping[str, BoxesSummary], curves: Sequence[Precision], vehicles: Sequence[LabelledBox]
+) -> dict[str, Any]:
+    """Plain values of one source: groups by name, average precision by regime, and every vehicle."""
+    return {
+        "groups": {group: finite(asdict(summary)) for group, summary in groups.items()},
+        "average_precision_40": [asdict(one) for one in curves],
+        "vehicles": [finite(asdict(one)) for one in vehicles],
+    }
+
+
+def _counting(frame: DriveFrame) -> Objects:
+    """The labels; those that something is drawn over as KITTI's of unknown occlusion, which no regime counts."""
+    return replace(frame.objects, occlusion=np.where(frame.usable, frame.objects.occlusion, _UNKNOWN))

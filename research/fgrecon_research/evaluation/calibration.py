@@ -1,0 +1,182 @@
+"""How far what results say of themselves can be trusted, from scored boxes: regions, facing, status."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from fgrecon.calibration.labelled_boxes import TURNED_ROUND, BoxOutcome, VideoBox, claimed_regions
+from fgrecon.core.coverage import LEVELS, Coverage, Region, coverage
+from fgrecon.core.plain import finite
+from fgrecon.core.reconstruction import Status
+from fgrecon.core.reliability import Reliability, reliability
+
+__all__ = [
+    "WRONG",
+    "Calibration",
+    "Caution",
+    "Judged",
+    "StatusCount",
+    "calibrate",
+    "calibrate_boxes",
+    "calibration_document",
+    "judged",
+]
+
+FORMAT = "fgrecon.calibration/1"
+WRONG = (15.0, 0.2)
+"""A result is wrong beyond so many degrees of yaw, or parts of the distance."""
+
+_LEAST = (0.9, 0.95, 0.99)
+
+
+@dataclass(frozen=True)
+class StatusCount:
+    """Results of one status.
+
+    Attributes:
+        status: The status.
+        count: Number of results.
+        turned: Of these turned round, by more than 90 degrees.
+        wrong: Of these wrong (`WRONG`), turned ones included.
+    """
+
+    status: str
+    count: int
+    turned: int
+    wrong: int
+
+
+@dataclass(frozen=True)
+class Caution:
+    """Who takes only results that are settled and whose facing has at least some probability, and what that costs.
+
+    Attributes:
+        least: That probability.
+        turned: Number of results that are turned round.
+        turned_refused: Of these refused.
+        right: Number of the other results.
+        right_refused: Of these refused.
+        sure: Number of results that are `converged` and not refused.
+        sure_turned: Of these turned round.
+    """
+
+    least: float
+    turned: int
+    turned_refused: int
+    right: int
+    right_refused: int
+    sure: int
+    sure_turned: int
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What results of one method say, beside what is so.
+
+    Attributes:
+        regions: Of each quantity; vehicles turned round are left out, which the facing's probability is about.
+        facing: Of the facing's probability; without a bin where there is none.
+        statuses: By their names.
+        doubts: By the least probability of the facing.
+    """
+
+    regions: tuple[Coverage, ...]
+    facing: Reliability
+    statuses: tuple[StatusCount, ...]
+    doubts: tuple[Caution, ...] = ()
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What one result says of itself, beside the truth.
+
+    Attributes:
+        status: Its status.
+        turned: Whether it is turned round.
+        wrong: Whether it is wrong (`WRONG`).
+        facing: Its facing's probability, or None.
+        regions: Its errors by the regions that it claims.
+    """
+
+    status: str
+    turned: bool
+    wrong: bool
+    facing: float | None
+    regions: tuple[Region, ...]
+
+
+def judged(found: BoxOutcome, group: str, distance: float, status: str) -> Judged:
+    """A result of some status beside the truth.
+
+    Args:
+        found: How far it is off.
+        group: What its regions are left out of the baselines with.
+        distance: Of the vehicle from the camera, metres.
+        status: Its status.
+    """
+    turned = found.degrees > TURNED_ROUND
+    off = found.degrees > WRONG[0] or found.metres > WRONG[1] * distance
+    return Judged(status, turned, off, found.facing, claimed_regions(found, group))
+
+
+def calibrate_boxes(boxes: Sequence[VideoBox], method: str) -> Calibration:
+    """Compare what a method says of its results with the labels; drives are left out of their own baselines."""
+    found = [(box, box.outcomes[method]) for box in boxes]
+    return calibrate([judged(one, box.drive, box.distance, one.status) for box, one in found if one.status is not None])
+
+
+def calibrate(results: Sequence[Judged]) -> Calibration:
+    """Compare what results say of themselves with the truth; groups are left out of their own baselines."""
+    regions = [region for one in results for region in one.regions]
+    faced = [(one.facing, not one.turned) for one in results if one.facing is not None]
+    counts: dict[str, list[Judged]] = {}
+    for one in results:
+        counts.setdefault(one.status, []).append(one)
+    statuses = [
+        StatusCount(status, len(some), sum(one.turned for one in some), sum(one.wrong for one in some))
+        for status, some in sorted(counts.items())
+    ]
+    facing = reliability([sure for sure, _ in faced], [right for _, right in faced])
+    doubts = tuple(_doubt(results, least) for least in _LEAST)
+    return Calibration(tuple(coverage(regions)), facing, tuple(statuses), doubts)
+
+
+def _doubt(results: Sequence[Judged], least: float) -> Caution:
+    refused = [not Status(one.status).settled or (one.facing is not None and one.facing < least) for one in results]
+    turned = [no for one, no in zip(results, refused, strict=True) if one.turned]
+    right = [no for one, no in zip(results, refused, strict=True) if not one.turned]
+    pairs = zip(results, refused, strict=True)
+    sure = [one.turned for one, no in pairs if not no and one.status == Status.CONVERGED.value]
+    return Caution(least, len(turned), sum(turned), len(right), sum(right), len(sure), sum(sure))
+
+
+def calibration_document(found: Calibration, given: dict[str, Any]) -> dict[str, Any]:
+    """Plain values for JSON; what is not known is None."""
+    return {
+        "format": FORMAT,
+        **given,
+        "regions": [
+            {
+                "quantity": one.quantity,
+                "count": one.count,
+                "levels": LEVELS.tolist(),
+                "claimed": one.claimed.tolist(),
+                "inside": {f"{level:g}": finite(some) for level, some in one.inside.items()},
+                "width": {f"{level:g}": finite(some) for level, some in one.width.items()},
+            }
+            for one in found.regions
+        ],
+        "facing": {
+            "error": found.facing.error,
+            "confidence": found.facing.confidence.tolist(),
+            "right": found.facing.right.tolist(),
+            "count": found.facing.count.tolist(),
+        },
+        "statuses": [
+            {"status": one.status, "count": one.count, "turned_round": one.turned, "wrong": one.wrong}
+            for one in found.statuses
+        ],
+        "doubts": [asdict(one) for one in found.doubts],
+    }

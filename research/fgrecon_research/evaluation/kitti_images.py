@@ -1,0 +1,271 @@
+"""From KITTI's photographs to poses: the networks and both stages on every labelled car of some images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.calibration.matching import match_detections
+from fgrecon.calibration.setup import Setup, reconstruct_boxes
+from fgrecon.core.camera import Camera
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.metrics import (
+    FAILURE_DEGREES,
+    THRESHOLDS,
+    instances_within,
+    orientation_error,
+    translation_error,
+)
+from fgrecon.core.plain import finite
+from fgrecon.io.images import read_image
+from fgrecon.io.kitti_calibration import KittiCalibration, read_calibration
+from fgrecon.io.kitti_files import Defect, Fault, Objects, read_detections, read_labels
+from fgrecon.perception.from_image import FromImage
+from fgrecon_research.evaluation.kitti_devkit import REGIMES, regime_members
+
+__all__ = [
+    "Car",
+    "ImageFrame",
+    "RegimeScore",
+    "document",
+    "read_frames",
+    "score_frame",
+    "summarise",
+]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ImageFrame:
+    """What there is of one image.
+
+    Attributes:
+        name: The frame.
+        image: Its file.
+        labels: All labelled objects.
+        detections: Detected objects, or None where the labelled boxes are the input.
+        calibration: Camera and label offset.
+    """
+
+    name: str
+    image: Path
+    labels: Objects
+    detections: Objects | None
+    calibration: KittiCalibration
+
+
+@dataclass(frozen=True)
+class Car:
+    """One labelled car that counts in some regime.
+
+    Attributes:
+        frame: Name of the frame.
+        index: Position in its label file.
+        regimes: (3,) whether Easy, Moderate and Hard count it.
+        box: (4,) the box that was looked at, or None without a detection that overlaps it enough.
+        score: Of that detection; None without one, and where the labelled box was looked at.
+        degrees: Orientation error; 180 without a result.
+        metres: Translation error; infinite without a result.
+        camera: The camera.
+        rotation_y: Labelled yaw, radians.
+        location: (3,) labelled location in the camera's frame, metres.
+        size: (3,) labelled length, width and height, metres.
+        found: What was found, or None without a box.
+        failure: Why there is no result, or None.
+    """
+
+    frame: str
+    index: int
+    regimes: NDArray[np.bool_]
+    box: Array | None
+    score: float | None
+    degrees: float
+    metres: float
+    camera: Camera
+    rotation_y: float
+    location: Array
+    size: Array
+    found: FromImage | None
+    failure: str | None
+
+
+@dataclass(frozen=True)
+class RegimeScore:
+    """A regime's numbers, over all of its cars (cumulative, as KITTI counts).
+
+    Attributes:
+        name: `Easy`, `Moderate` or `Hard`.
+        cars: Number of cars; those without a result are among them.
+        within: Number of cars within 5, 15 and 30 degrees.
+        mean_degrees: Mean orientation error.
+        median_degrees: Median orientation error.
+        median_metres: Median translation error.
+        failures: Cars without a result.
+    """
+
+    name: str
+    cars: int
+    within: tuple[int, ...]
+    mean_degrees: float
+    median_degrees: float
+    median_metres: float
+    failures: int
+
+
+def read_frames(
+    images: Path, labels: Path, calib: Path, names: Sequence[str] | None = None, detections: Path | None = None
+) -> tuple[list[ImageFrame], list[Fault]]:
+    """The frames that have an image.
+
+    Args:
+        images: Folder of images, named by frame.
+        labels: Folder of label files.
+        calib: Folder of calibration files.
+        names: Frames to take; None takes all images.
+        detections: File of 2D detections, or None for the labelled boxes.
+
+    Returns:
+        Frames in alphabetical order, and what was wrong with files of theirs.
+
+    Raises:
+        InvalidInputError: There is no image, or a frame lacks label or calibration.
+    """
+    if not images.is_dir():
+        raise InvalidInputError("images", str(images), "Give a folder of images named by frame.")
+    files = {path.stem: path for path in sorted(images.iterdir()) if path.suffix.lower() in (".png", ".jpg", ".jpeg")}
+    chosen = sorted(files) if names is None else [name for name in names if name in files]
+    if not chosen:
+        raise InvalidInputError("images", str(images), "Give a folder with images of these frames.")
+    objects, problems = read_labels(labels, chosen)
+    if names is not None and (without := [name for name in names if name not in files]):
+        more = f", as for {len(without) - 1} more" if len(without) > 1 else ""
+        problems.append(Fault(Defect.MISSING_FRAME, without[0], f"no image{more}"))
+    missing = [name for name in chosen if name not in objects]
+    if missing:
+        raise InvalidInputError("labels", f"no label of {missing[0]}", "Give the folder with a label file per frame.")
+    found: dict[str, Objects] | None = None
+    if detections is not None:
+        found, others = read_detections(detections, chosen)
+        problems += [problem for problem in others if problem.place in chosen]
+    frames = [
+        ImageFrame(
+            name,
+            files[name],
+            objects[name],
+            None if found is None else found[name],
+            read_calibration(calib / f"{name}.txt"),
+        )
+        for name in chosen
+    ]
+    return frames, problems
+
+
+def score_frame(frame: ImageFrame, setup: Setup) -> list[Car]:
+    """Reconstruct every car of a frame that counts in some regime; all boxes pass through the network at once."""
+    labels, offset = frame.labels, frame.calibration.label_offset
+    members = np.array([regime_members(labels, regime) for regime in REGIMES])
+    chosen = np.flatnonzero(np.array([kind == "Car" for kind in labels.kind], dtype=bool) & members.any(axis=0))
+    if not len(chosen):
+        return []
+    image = read_image(frame.image)
+    camera = frame.calibration.camera.with_size_of(image)
+    boxes: list[Array | None] = [labels.box[i] for i in chosen]
+    scores: list[float | None] = [None] * len(chosen)
+    if frame.detections is not None:
+        at = match_detections(labels.take(chosen), frame.detections, setup.overlap)
+        boxes = [frame.detections.box[i] if i >= 0 else None for i in at]
+        scores = [float(frame.detections.score[i]) if i >= 0 else None for i in at]
+    results = iter(reconstruct_boxes(image, camera, [box for box in boxes if box is not None], setup))
+    cars = []
+    for index, box, score in zip(chosen.tolist(), boxes, scores, strict=True):
+        found = None if box is None else next(results)
+        result = None if found is None else found.result
+        location = labels.location[index] + offset
+        degrees, metres = FAILURE_DEGREES, float("inf")
+        if result is not None:
+            degrees = float(orientation_error([result.rotation_y], [labels.rotation_y[index]])[0])
+            metres = float(translation_error([result.location], [location])[0])
+        failure = None if result is not None else "no detection" if found is None else str(found.error)
+        cars.append(
+            Car(
+                frame=frame.name,
+                index=index,
+                regimes=members[:, index],
+                box=box,
+                score=score,
+                degrees=degrees,
+                metres=metres,
+                camera=camera,
+                rotation_y=float(labels.rotation_y[index]),
+                location=location,
+                size=labels.size[index],
+                found=found,
+                failure=failure,
+            )
+        )
+    return cars
+
+
+def summarise(cars: Sequence[Car]) -> tuple[RegimeScore, ...]:
+    """The numbers of each regime that has a car."""
+    scores = []
+    for row, regime in enumerate(REGIMES):
+        own = [car for car in cars if car.regimes[row]]
+        if not own:
+            continue
+        degrees, metres = np.array([car.degrees for car in own]), np.array([car.metres for car in own])
+        scores.append(
+            RegimeScore(
+                name=regime.name,
+                cars=len(own),
+                within=tuple(instances_within(degrees, threshold) for threshold in THRESHOLDS),
+                mean_degrees=float(degrees.mean()),
+                median_degrees=float(np.median(degrees)),
+                median_metres=float(np.median(metres)),
+                failures=sum(car.failure is not None for car in own),
+            )
+        )
+    return tuple(scores)
+
+
+def document(cars: Sequence[Car], given: dict[str, Any]) -> dict[str, Any]:
+    """Everything as plain values for JSON: what was given, the regimes, and each car."""
+    return {
+        "format": "fgrecon.kitti-images/1",
+        "given": given,
+        "regimes": [
+            {
+                "name": score.name,
+                "cars": score.cars,
+                "aop": {
+                    str(threshold): count / score.cars
+                    for threshold, count in zip(THRESHOLDS, score.within, strict=True)
+                },
+                "within": dict(zip(map(str, THRESHOLDS), score.within, strict=True)),
+                "mean_degrees": score.mean_degrees,
+                "median_degrees": score.median_degrees,
+                "median_metres": finite(score.median_metres),
+                "failures": score.failures,
+            }
+            for score in summarise(cars)
+        ],
+        "cars": [
+            {
+                "frame": car.frame,
+                "index": car.index,
+                "regimes": [regime.name for regime, member in zip(REGIMES, car.regimes, strict=True) if member],
+                "box": None if car.box is None else car.box.tolist(),
+                "degrees": car.degrees,
+                "metres": finite(car.metres),
+                "failure": car.failure,
+                "status": None if car.found is None or car.found.result is None else car.found.result.status.value,
+            }
+            for car in cars
+        ],
+    }

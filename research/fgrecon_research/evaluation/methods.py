@@ -1,0 +1,300 @@
+"""One registry of every method that the tables compare, by name.
+
+A method is bound once to what is known about the scene (shape prior, ground plane, fleet size) and then maps an
+observation and a camera to a pose. The part of a name after `+` says what the method was told: `+size` the mean size of
+the fleet, `+ground` the ground plane; a method without them is not shown these values. A robust strategy may follow
+after a colon (`fgrecon+ground+size:paper`): see `fgrecon.core.robust`; `none` keeps the first weights (Eq. 4).
+
+The baselines fit the prior's mean shape, scaled per axis to the fleet's mean size where they are told it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.calibration.setup import SceneKnowledge
+from fgrecon.core.camera import Camera
+from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.observation import Observation
+from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.robust import RobustStrategy, StrategyName, strategy
+from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.solve.vehicle.conditioning import of_fleet
+from fgrecon.solve.vehicle.model import prepare
+
+__all__ = [
+    "CONFIDENT",
+    "METHODS",
+    "NO_UPDATES",
+    "RANSAC_TOLERANCE",
+    "Estimate",
+    "Method",
+    "left_out",
+    "named_strategy",
+    "select",
+]
+
+CONFIDENT = 0.3
+"""Confidence above which `sqpnp_confident` uses a point."""
+
+RANSAC_TOLERANCE = 0.12
+"""Inlier threshold of the RANSAC baseline relative to the longer side of the box: on real network keypoints the best of
+0.05 to 0.2, so that the baseline is not handicapped (0.1, the tolerance of the APK, costs it two flips in 76)."""
+
+NO_UPDATES = "none"
+"""Name of the strategy that keeps the paper's first weights (Eq. 4): no IRLS."""
+
+_OURS = "fgrecon"
+_MINIMUM = 4  # fewer points leave several poses
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a method found.
+
+    Attributes:
+        camera_T_object: (4, 4) pose, maps object coordinates into the camera frame.
+        milliseconds: Wall time by stage, `pose` and, where the method has that stage, `shape`.
+    """
+
+    camera_T_object: NDArray[np.float64]
+    milliseconds: Mapping[str, float]
+
+
+Solver = Callable[[Observation, Camera], Estimate]
+"""A bound method. It refuses by raising; whoever scores it counts that as a failure."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A named method.
+
+    Attributes:
+        name: Key in the registry and in every table.
+        summary: What it does, in a few words.
+        bind: Makes the solver for a scene; slow imports happen here, outside the time that is measured.
+        prior_name: Which shapes it fits, for the tables.
+        package: Python package that it needs and that fgrecon does without, or None.
+        reconstruct: For recordings: solves as the solver does, but keeps the history and gives the whole result; None
+            for a baseline, which has a pose alone.
+    """
+
+    name: str
+    summary: str
+    bind: Callable[[SceneKnowledge], Solver]
+    prior_name: Callable[[SceneKnowledge], str]
+    reconstruct: Callable[[SceneKnowledge, Observation, Camera], Reconstruction] | None = None
+    package: str | None = None
+
+    @property
+    def installed(self) -> bool:
+        """Whether everything is installed that it needs."""
+        return self.package is None or find_spec(self.package) is not None
+
+
+def left_out() -> tuple[str, ...]:
+    """Names of the methods that cannot run, since a package of theirs is not installed."""
+    return tuple(name for name, method in METHODS.items() if not method.installed)
+
+
+def select(names: Iterable[str] | None = None) -> tuple[Method, ...]:
+    """The methods of the given names in this order without repetitions, or all of them that are installed.
+
+    Raises:
+        InvalidInputError: There is no method, or no robust strategy, of a name, or a package of it is not installed.
+    """
+    chosen: dict[str, Method] = {}
+    if names is None:
+        names = [name for name, method in METHODS.items() if method.installed]
+    for name in names:
+        method, _, robust = name.partition(":")
+        if method not in METHODS or (robust and not method.startswith(_OURS)):
+            fix = f"Use one of {', '.join(METHODS)}; after {_OURS}... also a robust strategy, as in {_OURS}:paper."
+            raise InvalidInputError("method", name, fix)
+        chosen[name] = METHODS[method]
+        if not chosen[name].installed:
+            value = f"{name}: the package {chosen[name].package} is not installed"
+            raise InvalidInputError("method", value, "Run pip install fgrecon-research.")
+        if robust:
+            known = method.split("+")
+            chosen[name] = _fgrecon(name, ground="ground" in known, size="size" in known, robust=named_strategy(robust))
+    return tuple(chosen.values())
+
+
+def named_strategy(name: str) -> RobustStrategy:
+    """A robust strategy by its name, or `NO_UPDATES`.
+
+    Raises:
+        InvalidInputError: There is none of that name.
+    """
+    return RobustStrategy(name=StrategyName.PAPER, updates=0) if name == NO_UPDATES else strategy(name)
+
+
+Shape = NDArray[np.float64]
+PnP = Callable[[Shape, Observation, Camera], NDArray[np.float64]]
+"""Object points (K, 3), undistorted observation, camera -> camera_T_object (4, 4)."""
+
+
+def _use_all(observation: Observation) -> NDArray[np.intp]:
+    return np.flatnonzero(observation.measured)
+
+
+def _use_confident(observation: Observation) -> NDArray[np.intp]:
+    """Points above `CONFIDENT`, or the four most confident ones where there are fewer."""
+    confident = np.flatnonzero(observation.confidence > CONFIDENT)
+    if len(confident) >= _MINIMUM:
+        return confident
+    measured = np.flatnonzero(observation.measured)
+    best: NDArray[np.intp] = measured[np.argsort(-observation.confidence[measured], kind="stable")[:_MINIMUM]]
+    return np.sort(best)
+
+
+def _opencv(flag: str, points: Callable[[Observation], NDArray[np.intp]]) -> Callable[[], PnP]:
+    def load() -> PnP:
+        import cv2
+
+        def solve(shape: Shape, observation: Observation, camera: Camera) -> NDArray[np.float64]:
+            used = _enough(points(observation))
+            found, rotation, translation = cv2.solvePnP(
+                shape[used], observation.keypoints[used], camera.matrix, None, flags=getattr(cv2, flag)
+            )
+            if not found:
+                raise FgreconError(f"OpenCV found no pose from {len(used)} points.")
+            return _pose(cv2.Rodrigues(rotation)[0], translation)
+
+        return solve
+
+    return load
+
+
+def _poselib() -> PnP:
+    import poselib
+
+    def solve(shape: Shape, observation: Observation, camera: Camera) -> NDArray[np.float64]:
+        used = _enough(_use_all(observation))
+        # normalised by K, so that a skewed camera is no special case; PoseLib takes thresholds in pixels of its camera
+        focal = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
+        pinhole = {"model": "SIMPLE_PINHOLE", "width": 0, "height": 0, "params": [focal, 0.0, 0.0]}
+        pixels = focal * camera.rays(observation.keypoints[used])[:, :2]
+        options = {"max_reproj_error": RANSAC_TOLERANCE * observation.extent, "seed": 0}
+        pose, info = poselib.estimate_absolute_pose(pixels, shape[used], pinhole, options, {})
+        if not info["num_inliers"]:
+            raise FgreconError(f"PoseLib found no pose from {len(used)} points.")
+        return _pose(pose.R, pose.t)
+
+    return solve
+
+
+def _aspnp() -> PnP:
+    from fgrecon.solve.proposals.aspnp import aspnp
+
+    def solve(shape: Shape, observation: Observation, camera: Camera) -> NDArray[np.float64]:
+        used = _enough(_use_all(observation))
+        return aspnp(shape[used], camera.rays(observation.keypoints[used])[:, :2])[0].camera_T_object
+
+    return solve
+
+
+def _enough(points: NDArray[np.intp]) -> NDArray[np.intp]:
+    if len(points) < _MINIMUM:
+        raise InvalidInputError("keypoints", f"{len(points)} measured", f"Give at least {_MINIMUM}.")
+    return points
+
+
+def _pose(rotation: Any, translation: Any) -> NDArray[np.float64]:
+    camera_T_object = np.eye(4)
+    camera_T_object[:3, :3] = rotation
+    camera_T_object[:3, 3] = np.ravel(translation)
+    return camera_T_object
+
+
+def _baseline(name: str, summary: str, load: Callable[[], PnP], package: str | None = None, *, size: bool) -> Method:
+    def prior(scene: SceneKnowledge) -> ShapePrior:
+        return of_fleet(scene.prior, scene.size) if size else scene.prior
+
+    def bind(scene: SceneKnowledge) -> Solver:
+        shape, pnp = np.ascontiguousarray(prior(scene).mean), load()
+
+        def solve(observation: Observation, camera: Camera) -> Estimate:
+            start = time.perf_counter()
+            if camera.distortion is not None:
+                observation = replace(observation, keypoints=camera.undistort(observation.keypoints))
+                camera = replace(camera, distortion=None)
+            camera_T_object = pnp(shape, observation, camera)
+            return Estimate(camera_T_object, {"pose": 1e3 * (time.perf_counter() - start)})
+
+        return solve
+
+    full_name = f"{name}+size" if size else name
+    return Method(full_name, summary, bind, lambda scene: f"mean shape of {prior(scene).name}", package=package)
+
+
+def _fgrecon(name: str, *, ground: bool, size: bool, robust: RobustStrategy | None = None) -> Method:
+    def result_of(
+        scene: SceneKnowledge, observation: Observation, camera: Camera, *, keep_history: bool
+    ) -> Reconstruction:
+        from fgrecon.core.options import BoxModel, Options
+        from fgrecon.solve.pipeline import reconstruct
+
+        # KITTI's 2D boxes are its 3D boxes projected, to within 1 % of their size.
+        strategy = robust or RobustStrategy()
+        return reconstruct(
+            observation,
+            camera,
+            prior=scene.prior,
+            ground=scene.ground if ground else None,
+            size_prior=scene.size if size else None,
+            options=Options(strategy=strategy, box=BoxModel.CUBOID, keep_history=keep_history),
+        )
+
+    def bind(scene: SceneKnowledge) -> Solver:
+        import fgrecon.solve.pipeline  # noqa: F401 - slow: not while the time is measured
+        from fgrecon.core.reconstruction import Status
+
+        def solve(observation: Observation, camera: Camera) -> Estimate:
+            result = result_of(scene, observation, camera, keep_history=False)
+            if result.status is Status.FAILED:
+                raise FgreconError(result.message)
+            return Estimate(result.camera_T_object, result.milliseconds)
+
+        return solve
+
+    def prior_name(scene: SceneKnowledge) -> str:
+        return prepare(scene.prior, scene.size if size else None).prior.name
+
+    summary = "pose and shape by factor-graph optimisation"
+    return Method(name, summary, bind, prior_name, partial(result_of, keep_history=True))
+
+
+_BASELINES: tuple[tuple[str, str, Callable[[], PnP], str | None], ...] = (
+    ("epnp", "OpenCV EPnP on all points", _opencv("SOLVEPNP_EPNP", _use_all), None),
+    ("sqpnp", "OpenCV SQPnP on all points", _opencv("SOLVEPNP_SQPNP", _use_all), None),
+    (
+        "sqpnp_confident",
+        f"OpenCV SQPnP on points of confidence > {CONFIDENT}",
+        _opencv("SOLVEPNP_SQPNP", _use_confident),
+        None,
+    ),
+    ("poselib_ransac", "PoseLib LO-RANSAC on all points", _poselib, "poselib"),
+    ("aspnp", "ASPnP on all points, without IRLS", _aspnp, None),
+)
+
+METHODS: Mapping[str, Method] = {
+    method.name: method
+    for method in (
+        *(_baseline(*baseline, size=False) for baseline in _BASELINES),
+        *(_baseline(*baseline, size=True) for baseline in _BASELINES),
+        _fgrecon("fgrecon", ground=False, size=False),
+        _fgrecon("fgrecon+size", ground=False, size=True),
+        _fgrecon("fgrecon+ground+size", ground=True, size=True),
+    )
+}
+"""Every method by its name, in the order of the tables."""

@@ -1,0 +1,297 @@
+"""3D boxes before and after `fgrecon.refine_boxes`, against labels: a detector's, or labels disturbed as one errs.
+
+Vehicles count as in `fgrecon.calibration.labelled_boxes` (`wanted`). Those that a detector did not find are left out:
+there is nothing to refine. A disturbed box lies farther or nearer on its ray, is seen some pixels aside, is turned, and
+some are turned round; the 2D box is the labelled one.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.calibration.labelled_boxes import TURNED_ROUND, matched, wanted
+from fgrecon.core.box3d import Box3D, BoxErrors
+from fgrecon.core.camera import Ground
+from fgrecon.core.metrics import orientation_error
+from fgrecon.core.options import Options
+from fgrecon.core.plain import finite
+from fgrecon.core.refined_box import RefinedBox
+from fgrecon.core.shape_prior import ShapePrior
+from fgrecon.core.size_prior import SizePrior
+from fgrecon.io.images import read_image
+from fgrecon.io.kitti_drives import Drive, DriveFrame
+from fgrecon.io.kitti_files import Objects
+from fgrecon.perception.keypoints.detect import KeypointCascade
+from fgrecon.perception.refine import refine_boxes
+from fgrecon.simulation.detected_boxes import disturbed_boxes
+
+__all__ = ["BoxError", "Comparison", "RefinedVehicle", "Refinement", "compare", "document", "refine_drive"]
+
+Array = NDArray[np.float64]
+
+_OVERLAP = 0.5  # in the image, above which a box is a labelled vehicle's
+_WORSE = 5.0  # percent of the distance
+_DISTANCES = (0.0, 15.0, 30.0, np.inf)  # metres
+
+
+@dataclass(frozen=True)
+class BoxError:
+    """How far a box is off.
+
+    Attributes:
+        metres: Distance of the origins.
+        degrees: Yaw error on the full circle.
+        size: (3,) of length, width and height, metres, without sign.
+    """
+
+    metres: float
+    degrees: float
+    size: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class RefinedVehicle:
+    """A labelled vehicle whose box was refined.
+
+    Attributes:
+        drive: Name of the drive.
+        frame: Number of the frame.
+        index: Position among the frame's labels.
+        kind: `Car` or `Van`.
+        distance: Of the labelled origin, metres.
+        before: Errors of the given box.
+        after: Errors of the better one.
+        message: What is said of it.
+        changed: Whether it is another box.
+        within: How far the better box is off, in its own standard deviations along the ray; NaN where it tells none.
+    """
+
+    drive: str
+    frame: int
+    index: int
+    kind: str
+    distance: float
+    before: BoxError
+    after: BoxError
+    message: str
+    changed: bool
+    within: float
+
+    @property
+    def worse(self) -> float:
+        """By how much farther off it is, percent of its distance; below zero where it is nearer."""
+        return 100.0 * (self.after.metres - self.before.metres) / self.distance
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A group of vehicles, before and after.
+
+    Attributes:
+        vehicles: How many there are.
+        refined: How many boxes were changed.
+        mean_metres: Mean position error before and after, and so on.
+        median_metres: The median.
+        mean_degrees: Of the yaw, on the full circle.
+        median_degrees: The median.
+        turned: Vehicles turned by more than 90 degrees.
+        size: Mean errors of length, width and height without sign, metres.
+        worse: Vehicles that lie farther off by more than 5 % of their distance.
+        worst_metres: The largest rise of the position error, metres.
+        worst_percent: The largest rise in percent of the distance.
+        doubled: Vehicles whose position error more than doubled.
+        spread: Standard deviation of the errors along the ray in terms of their own; 1 where those are right.
+    """
+
+    vehicles: int
+    refined: int
+    mean_metres: tuple[float, float]
+    median_metres: tuple[float, float]
+    mean_degrees: tuple[float, float]
+    median_degrees: tuple[float, float]
+    turned: tuple[int, int]
+    size: tuple[tuple[float, float, float], tuple[float, float, float]]
+    worse: int
+    worst_metres: float
+    worst_percent: float
+    doubled: int
+    spread: float
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """How boxes are refined.
+
+    Attributes:
+        detector: Finds the keypoints.
+        prior: Shape prior.
+        ground: Ground plane, or None.
+        errors: How far the boxes are taken to be off.
+        options: Settings.
+        size_prior: For boxes without a size, or None.
+    """
+
+    detector: KeypointCascade
+    prior: ShapePrior
+    ground: Ground | None
+    errors: BoxErrors
+    options: Options
+    size_prior: SizePrior | None = None
+
+
+def refine_drive(
+    drive: Drive,
+    boxes: Mapping[int, Objects] | np.random.Generator,
+    how: Refinement,
+    *,
+    every: int = 1,
+    advance: Callable[[str], None] = lambda _: None,
+) -> list[RefinedVehicle]:
+    """Refine the boxes of a drive's images, and score those of labelled vehicles.
+
+    Args:
+        drive: The labels and images.
+        boxes: A detector's, by frame; or the source of the errors that labels are disturbed by.
+        how: How they are refined.
+        every: Take every so many of the images that count.
+        advance: Called with the drive's name after each image.
+    """
+    scored: list[RefinedVehicle] = []
+    frames = [f for f in drive.frames if len(wanted(f)) > 0]
+    if not isinstance(boxes, np.random.Generator):
+        frames = [frame for frame in frames if frame.number in boxes]
+    for frame in frames[::every]:
+        labels, calibration = frame.objects.take(wanted(frame)), frame.calibration
+        if isinstance(boxes, np.random.Generator):
+            own, at = labels, np.arange(len(labels))
+            true = _boxes(labels, calibration.label_offset)
+            given = disturbed_boxes(true, calibration.camera, how.errors, boxes)
+        else:
+            own = boxes[frame.number]
+            at, given = matched(frame, own, _OVERLAP), _boxes(own, calibration.label_offset)
+        scored += _refine_frame(drive.name, frame, given, own.box, at, how)
+        advance(drive.name)
+    return scored
+
+
+def compare(vehicles: Sequence[RefinedVehicle]) -> dict[str, Comparison]:
+    """All vehicles, those of each drive, and by distance; groups without any are left out."""
+    groups: dict[str, list[RefinedVehicle]] = defaultdict(list)
+    groups["all"] = list(vehicles)
+    for one in vehicles:
+        groups[one.drive].append(one)
+    for low, high in pairwise(_DISTANCES):
+        name = f"{low:.0f}-{high:.0f} m" if np.isfinite(high) else f"beyond {low:.0f} m"
+        groups[name] = [one for one in vehicles if low <= one.distance < high]
+    return {name: _comparison(members) for name, members in groups.items() if members}
+
+
+def document(vehicles: Sequence[RefinedVehicle], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Plain values for JSON."""
+    return {
+        "format": "fgrecon.refinement/1",
+        "given": dict(given),
+        "groups": {name: finite(asdict(one)) for name, one in compare(vehicles).items()},
+        "vehicles": [finite(asdict(one)) for one in vehicles],
+    }
+
+
+def _boxes(objects: Objects, offset: Array) -> list[Box3D]:
+    """3D boxes in the camera's frame."""
+    each = zip(objects.location, objects.rotation_y.tolist(), objects.size, strict=True)
+    return [Box3D(location + offset, yaw, size) for location, yaw, size in each]
+
+
+def _refine_frame(
+    name: str, frame: DriveFrame, boxes: Sequence[Box3D], corners: Array, at: NDArray[np.int64], how: Refinement
+) -> list[RefinedVehicle]:
+    offset, labels, rows = frame.calibration.label_offset, frame.objects, wanted(frame)
+    image = read_image(frame.image)
+    camera = frame.calibration.camera.with_size_of(image)
+    found = refine_boxes(
+        image,
+        boxes,
+        camera,
+        corners=corners,
+        box_errors=how.errors,
+        keypoint_detector=how.detector,
+        prior=how.prior,
+        ground=how.ground,
+        size_prior=how.size_prior,
+        options=how.options,
+    )
+    scored = []
+    for row, j in zip(rows.tolist(), at.tolist(), strict=True):
+        if j < 0:
+            continue
+        one, place, yaw = found[j], labels.location[row] + offset, float(labels.rotation_y[row])
+        scored.append(
+            RefinedVehicle(
+                drive=name,
+                frame=frame.number,
+                index=row,
+                kind=labels.kind[row],
+                distance=float(np.linalg.norm(labels.location[row])),
+                before=_error(one.given, place, yaw, labels.size[row]),
+                after=_error(one.box, place, yaw, labels.size[row]),
+                message=one.message,
+                changed=one.changed,
+                within=_within(one, place),
+            )
+        )
+    return scored
+
+
+def _error(box: Box3D, place: Array, yaw: float, size: Array) -> BoxError:
+    assert box.size is not None
+    length, width, height = np.abs(box.size - size).tolist()
+    degrees = float(orientation_error([box.rotation_y], [yaw])[0])
+    return BoxError(float(np.linalg.norm(box.location - place)), degrees, (length, width, height))
+
+
+def _within(one: RefinedBox, place: Array) -> float:
+    if one.location_covariance is None:
+        return float("nan")
+    ray = place / np.linalg.norm(place)
+    return float(ray @ (one.box.location - place) / np.sqrt(ray @ one.location_covariance @ ray))
+
+
+def _comparison(vehicles: Sequence[RefinedVehicle]) -> Comparison:
+    both = [[one.before for one in vehicles], [one.after for one in vehicles]]
+    metres = np.array([[error.metres for error in errors] for errors in both])
+    degrees = np.array([[error.degrees for error in errors] for errors in both])
+    sizes = np.array([[error.size for error in errors] for errors in both]).mean(axis=1)
+    worse = np.array([one.worse for one in vehicles])
+    within = np.array([one.within for one in vehicles if one.changed])
+    return Comparison(
+        vehicles=len(vehicles),
+        refined=sum(one.changed for one in vehicles),
+        mean_metres=_pair(metres.mean(axis=1)),
+        median_metres=_pair(np.median(metres, axis=1)),
+        mean_degrees=_pair(degrees.mean(axis=1)),
+        median_degrees=_pair(np.median(degrees, axis=1)),
+        turned=(int((degrees[0] > TURNED_ROUND).sum()), int((degrees[1] > TURNED_ROUND).sum())),
+        size=(_three(sizes[0]), _three(sizes[1])),
+        worse=int((worse > _WORSE).sum()),
+        worst_metres=float((metres[1] - metres[0]).max()),
+        worst_percent=float(worse.max()),
+        doubled=int((metres[1] > 2.0 * metres[0]).sum()),
+        spread=float(np.sqrt(np.square(within).mean())) if len(within) else float("nan"),
+    )
+
+
+def _pair(values: Array) -> tuple[float, float]:
+    before, after = values.tolist()
+    return before, after
+
+
+def _three(values: Array) -> tuple[float, float, float]:
+    length, width, height = values.tolist()
+    return length, width, height

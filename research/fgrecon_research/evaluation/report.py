@@ -1,0 +1,213 @@
+"""Tables, Markdown and JSON of scored methods.
+
+The JSON document: `methods` maps each method's name to `n`, `mae_deg`, `median_deg`, `aop` (percent of all frames
+within 5, 15 and 30 degrees), `frames_within` (the same as counts), `median_translation_m` (null where half of the
+frames or more failed), `ms` (mean wall time of the stages `pose` and `shape`, null for a stage that a method does not
+have), `prior`, `summary` and `failures` (frame and reason). Beside it stand `units`, `machine`, `versions`, `files` and
+`settings`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from importlib import metadata
+from itertools import compress
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.markup import escape
+from rich.table import Table
+
+from fgrecon.calibration.setup import SceneKnowledge
+from fgrecon.core.metrics import THRESHOLDS, instances_within, orientation_precision
+from fgrecon.core.plain import finite
+from fgrecon.core.text import markdown_row, number_or_dash
+from fgrecon.io.track_file import Track
+from fgrecon_research.evaluation.run import MethodScores
+
+__all__ = ["document", "frames_document", "machine", "markdown", "settings", "summary", "table", "to_json", "versions"]
+
+FORMAT = "fgrecon_research.evaluation.tracks/1"
+STAGES = ("pose", "shape")
+_PACKAGES = ("fgrecon", "gtsam", "numpy", "scipy", "opencv-python-headless", "poselib")
+_UNITS = {
+    "mae_deg": "degrees, mean absolute orientation error; a failure counts 180",
+    "median_deg": "degrees",
+    "aop": "percent of all n frames with an orientation error of at most 5, 15 and 30 degrees",
+    "median_translation_m": "metres between estimated and labelled origin; a failure counts as infinite",
+    "ms": "milliseconds of wall time per frame, mean over the frames with a pose",
+}
+_HEADINGS = (
+    "method",
+    "N",
+    "mean °",
+    "median °",
+    *(f"AOP {threshold}° %" for threshold in THRESHOLDS),
+    "median m",
+    "ms pose",
+    "ms shape",
+    "failed",
+    "prior",
+)
+
+
+def summary(scores: MethodScores) -> dict[str, Any]:
+    """The entry of one method in the JSON document."""
+    errors = scores.orientation_errors
+    return {
+        "n": len(scores.frames),
+        "mae_deg": float(errors.mean()),
+        "median_deg": float(np.median(errors)),
+        "aop": {str(t): 100.0 * orientation_precision(errors, t) for t in THRESHOLDS},
+        "frames_within": {str(t): instances_within(errors, t) for t in THRESHOLDS},
+        "median_translation_m": finite(float(np.median(scores.translation_errors))),
+        "ms": {stage: scores.milliseconds(stage) for stage in STAGES},
+        "prior": scores.prior,
+        "summary": scores.summary,
+        "failures": [{"frame": frame.frame, "reason": frame.failure} for frame in scores.failures],
+    }
+
+
+def document(
+    scores: Sequence[MethodScores], files: Sequence[tuple[str, Track]], scene: SceneKnowledge, notes: Mapping[str, str]
+) -> dict[str, Any]:
+    """The JSON document of a run: every method, and under which conditions.
+
+    Args:
+        scores: One entry per method.
+        files: Each track with the path that it was read from.
+        scene: What the methods were told, each as far as its name says.
+        notes: Where values of the scene come from, by name.
+    """
+    return {
+        "format": FORMAT,
+        "methods": {entry.name: summary(entry) for entry in scores},
+        "units": _UNITS,
+        "machine": machine(),
+        "versions": versions(),
+        "files": [
+            {
+                "path": path,
+                "frames": len(track.frames),
+                "frames_without_keypoints": [f.name for f in track.frames if f.observation is None],
+            }
+            for path, track in files
+        ],
+        "settings": settings(scene, notes),
+    }
+
+
+def settings(scene: SceneKnowledge, notes: Mapping[str, str]) -> dict[str, Any]:
+    """What the user knew about the scene, as plain values."""
+    return {
+        "prior": scene.prior.describe(),
+        "ground": {"normal": scene.ground.normal.tolist(), "distance_m": scene.ground.distance},
+        "size_prior": {
+            "name": scene.size.name,
+            "mean_m": scene.size.mean.tolist(),
+            "sigma_m": scene.size.sigma.tolist(),
+        },
+        "notes": dict(notes),
+    }
+
+
+def frames_document(scores: Sequence[MethodScores]) -> dict[str, Any]:
+    """Every frame's result by method and frame: errors, estimate in the label's frame, times, failure."""
+    return {
+        "format": f"{FORMAT}/frames",
+        "methods": {
+            entry.name: [
+                {
+                    "frame": frame.frame,
+                    "orientation_deg": frame.orientation_error,
+                    "translation_m": finite(frame.translation_error),
+                    "rotation_y": frame.rotation_y,
+                    "location": None if frame.location is None else frame.location.tolist(),
+                    "ms": frame.milliseconds,
+                    "failure": frame.failure,
+                }
+                for frame in entry.frames
+            ]
+            for entry in scores
+        },
+    }
+
+
+def to_json(content: Mapping[str, Any]) -> str:
+    """Indented JSON text; every number in it is finite."""
+    return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def table(scores: Sequence[MethodScores], *, narrow: bool = False) -> Table:
+    """The table for the terminal.
+
+    Args:
+        scores: One entry per method.
+        narrow: Whether it has to fit into 80 columns: without prior and number of failures.
+    """
+    left_out = ("failed", "prior") if narrow else ()
+    shown = [heading not in left_out for heading in _HEADINGS]
+    result = Table(box=SIMPLE_HEAD, show_edge=False, padding=(0, 0)) if narrow else Table()
+    for heading in compress(_HEADINGS, shown):
+        justify: Literal["left", "right"] = "left" if heading in ("method", "prior") else "right"
+        result.add_column(heading, justify=justify, no_wrap=not narrow or heading == "method")
+    for entry in scores:
+        result.add_row(*map(escape, compress(_cells(entry), shown)))
+    return result
+
+
+def markdown(scores: Sequence[MethodScores]) -> str:
+    """The same table as Markdown."""
+    alignment = ["---", *["---:"] * (len(_HEADINGS) - 2), "---"]
+    rows = [list(_HEADINGS), alignment, *(_cells(entry) for entry in scores)]
+    return "".join(map(markdown_row, rows))
+
+
+def machine() -> dict[str, Any]:
+    """The machine that the times were measured on."""
+    return {
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+    }
+
+
+def versions() -> dict[str, str | None]:
+    """Versions of the packages that the methods run on; None for one that is not installed."""
+    found: dict[str, str | None] = {}
+    for package in _PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            found[package] = None
+    return found
+
+
+def _processor() -> str:
+    try:  # `platform.processor` is empty on most Linux systems
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor() or "unknown"
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return models[0] if models else platform.processor() or "unknown"
+
+
+def _cells(scores: MethodScores) -> list[str]:
+    entry = summary(scores)
+    return [
+        scores.name,
+        str(entry["n"]),
+        f"{entry['mae_deg']:.2f}",
+        f"{entry['median_deg']:.2f}",
+        *(f"{value:.1f}" for value in entry["aop"].values()),
+        number_or_dash(entry["median_translation_m"], ".2f"),
+        *(number_or_dash(entry["ms"][stage], ".2f") for stage in STAGES),
+        str(len(entry["failures"])),
+        scores.prior,
+    ]

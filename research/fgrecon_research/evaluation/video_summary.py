@@ -1,0 +1,323 @@
+"""What the boxes of video drives come to: by drive, by what can be seen of the vehicle, and with intervals.
+
+Boxes of one track show one vehicle and go wrong together, so the intervals draw whole tracks (bootstrap).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from fgrecon.calibration.labelled_boxes import SYSTEM, TURNED_ROUND, VideoBox, View
+from fgrecon.calibration.regions import DIMENSIONS
+from fgrecon.core.metrics import THRESHOLDS, wrap_angle
+from fgrecon.core.plain import finite
+from fgrecon.core.reconstruction import Status
+from fgrecon.core.reliability import Reliability, reliability
+from fgrecon_research.evaluation.bootstrap import Interval, mean_interval, median_interval
+from fgrecon_research.evaluation.consistency import Consistency, consistency
+
+__all__ = [
+    "BoxSummary",
+    "document",
+    "facing_reliability",
+    "group_boxes",
+    "methods_of",
+    "summarise_boxes",
+    "worst_boxes",
+]
+
+FORMAT = "fgrecon.video-images/1"
+_NEXT = 2  # frames: labelled boxes are in every second one at least
+_SIZES = (25.0, 40.0, 60.0, 120.0, np.inf)  # pixels of the box's height
+_DISTANCES = (0.0, 10.0, 20.0, 30.0, 50.0, np.inf)  # metres
+_OCCLUSIONS = {0: "fully visible", 1: "partly occluded", 2: "largely occluded"}
+_UNITS = {
+    "mean_degrees": "degrees of yaw error on the full circle; a refused box counts 180",
+    "aop": "percent of all boxes with a yaw error of at most 5, 15 and 30 degrees",
+    "turned_round": "percent of all boxes with a yaw error above 90 degrees",
+    "silent": "percent of all boxes that are turned round and have the status converged; null for a rival",
+    "network_turned_round": "percent of all boxes where the directions within 90 degrees of the labelled one have at "
+    "most half of the network's probability; null where it gives no directions",
+    "median_metres": "between estimated and labelled origin, over the boxes with a pose",
+    "mean_metres": "the same",
+    "mean_size_error": "metres, estimated minus labelled length, width and height, over the boxes with a pose",
+    "mean_absolute_size_error": "metres, mean of the absolute errors of length, width and height",
+    "jitter_degrees": "mean change of the yaw error from a box to the next one of its track, at most two frames later; "
+    "null where no yaw errors are known",
+    "jitter_metres": "the same of the position error, a vector",
+    "median_velocity": "metres per second over the ground, estimated minus labelled; labels within 0.2 s make a line, "
+    "and are carried into the world by the camera's estimated motion where that is known",
+    "consistency": "normalised squared errors by dimension (NEES): mean, its 95 % bounds for as many draws as tracks, "
+    "median over that of the chi-square distribution, percent within the 95 % region; boxes turned round are left out",
+    "intervals": "of the numbers of the same names",
+    "interval": "95 % by bootstrap over tracks; null where there is one track",
+    "facing": "probability of the directions within 90 degrees of the labelled one; the bins, of equally many boxes, "
+    "compare the probability of the more probable half, this one or the other, with how often it is the labelled one",
+}
+
+
+@dataclass(frozen=True)
+class BoxSummary:
+    """One method on a group of boxes. Shares are percent of all boxes of the group.
+
+    Attributes:
+        boxes: Number of boxes.
+        tracks: Number of tracks that they are of.
+        mean_degrees: Mean yaw error; a refused box counts 180.
+        aop: Share within 5, 15 and 30 degrees.
+        turned_round: Share more than 90 degrees off.
+        silent: Share that is turned round though the status is `converged`; None for a method without a status.
+        network_turned_round: Share for which the network finds the wrong half of all directions more probable, or no
+            half; None where it gives no directions.
+        median_metres: Median position error over the boxes with a pose; NaN without one.
+        mean_metres: Mean position error over them; NaN without one.
+        mean_size_error: Mean of estimated minus labelled length, width and height, metres; None where none is found.
+        refused: Number of boxes without a pose.
+        mean_absolute_size_error: Mean absolute error of length, width and height, metres; None where none is found.
+        jitter_degrees: Mean change of the yaw error from a box to the next one of its track; None where none is known.
+        jitter_metres: The same of the position error.
+        median_velocity: Median velocity error, metres per second; None where none is known.
+        consistency: Of what has covariances, by its name (`DIMENSIONS`).
+        intervals: Of the numbers above without one, by their names: position, size and velocity, where they are known.
+    """
+
+    boxes: int
+    tracks: int
+    mean_degrees: Interval
+    aop: Mapping[int, Interval]
+    turned_round: Interval
+    silent: Interval | None
+    network_turned_round: Interval | None
+    median_metres: float
+    mean_metres: float
+    mean_size_error: tuple[float, float, float] | None
+    refused: int
+    mean_absolute_size_error: float | None = None
+    jitter_degrees: float | None = None
+    jitter_metres: float | None = None
+    median_velocity: float | None = None
+    consistency: Mapping[str, Consistency] = field(default_factory=dict)
+    intervals: Mapping[str, Interval] = field(default_factory=dict)
+
+
+def methods_of(boxes: Sequence[VideoBox]) -> tuple[str, ...]:
+    """Names of the methods that ran on the boxes."""
+    return tuple(boxes[0].outcomes) if boxes else ()
+
+
+def group_boxes(boxes: Sequence[VideoBox]) -> dict[str, dict[str, list[VideoBox]]]:
+    """The groups that have a box, by what they are formed by and by their names; regimes are cumulative.
+
+    `cars_easy` are cars that are fully visible and at least 40 px high, `cars_moderate` those occluded partly at most.
+    """
+    groups: dict[str, dict[str, list[VideoBox]]] = {
+        "drive": {name: [b for b in boxes if b.drive == name] for name in dict.fromkeys(b.drive for b in boxes)},
+        "regime": _pick(
+            boxes,
+            {
+                "cars_easy": lambda b: b.kind == "Car" and b.occlusion <= 0 and b.height >= 40.0,
+                "cars_moderate": lambda b: b.kind == "Car" and b.occlusion <= 1,
+                "cars": lambda b: b.kind == "Car",
+                "vans": lambda b: b.kind == "Van",
+            },
+        )
+        | {"all": list(boxes)},
+        "view": {view.value: [b for b in boxes if b.view is view] for view in View},
+        "height": _bands(boxes, _SIZES, lambda b: b.height, "px"),
+        "occlusion": {name: [b for b in boxes if b.occlusion == level] for level, name in _OCCLUSIONS.items()}
+        | {"unknown": [b for b in boxes if b.occlusion not in _OCCLUSIONS]},
+        "distance": _bands(boxes, _DISTANCES, lambda b: b.distance, "m"),
+    }
+    return {by: {name: some for name, some in named.items() if some} for by, named in groups.items()}
+
+
+def _pick(boxes: Sequence[VideoBox], rules: Mapping[str, Callable[[VideoBox], bool]]) -> dict[str, list[VideoBox]]:
+    return {name: [box for box in boxes if rule(box)] for name, rule in rules.items()}
+
+
+def _bands(
+    boxes: Sequence[VideoBox], edges: Sequence[float], value: Callable[[VideoBox], float], unit: str
+) -> dict[str, list[VideoBox]]:
+    """Groups from each edge on up to the next, which is in the next group."""
+    found = {}
+    for low, high in pairwise(edges):
+        name = f"{low:g}-{high:g} {unit}" if np.isfinite(high) else f"from {low:g} {unit} on"
+        found[name] = [box for box in boxes if low <= value(box) < high]
+    return found
+
+
+def summarise_boxes(boxes: Sequence[VideoBox], method: str) -> BoxSummary:
+    """One method's numbers on a group of boxes.
+
+    Raises:
+        InvalidInputError: There is no box.
+    """
+    found = [box.outcomes[method] for box in boxes]
+    names = [(box.drive, box.track) for box in boxes]
+    numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
+    tracks = np.array([numbers[name] for name in names])
+
+    def share(members: Sequence[bool]) -> Interval:
+        return mean_interval(100.0 * np.array(members, dtype=np.float64), tracks)
+
+    turned = [one.degrees > TURNED_ROUND for one in found]
+    silent = [off and one.status == Status.CONVERGED.value for off, one in zip(turned, found, strict=True)]
+    metres = np.array([one.metres for one in found])
+    sizes = [one.size for one in found if one.size is not None]
+    absolute = np.array([np.nan if one.size is None else float(np.mean(np.abs(one.size))) for one in found])
+    length, width, height = np.mean(sizes, axis=0).tolist() if sizes else (np.nan,) * 3
+    facing = [box.facing for box in boxes if box.facing is not None]
+    velocities = np.array([np.nan if one.velocity is None else one.velocity for one in found])
+    intervals = {
+        name: interval(errors[known], tracks[known])
+        for name, errors, interval in (
+            ("median_metres", metres, median_interval),
+            ("mean_metres", metres, mean_interval),
+            ("mean_absolute_size_error", absolute, mean_interval),
+            ("median_velocity", velocities, median_interval),
+        )
+        if (known := np.isfinite(errors)).any()
+    }
+    values = {name: one.value for name, one in intervals.items()}
+    return BoxSummary(
+        boxes=len(boxes),
+        tracks=len(numbers),
+        mean_degrees=mean_interval([one.degrees for one in found], tracks),
+        aop={threshold: share([one.degrees <= threshold for one in found]) for threshold in THRESHOLDS},
+        turned_round=share(turned),
+        silent=share(silent) if method == SYSTEM else None,
+        network_turned_round=share([value <= 0.5 for value in facing]) if len(facing) == len(boxes) else None,
+        median_metres=values.get("median_metres", np.nan),
+        mean_metres=values.get("mean_metres", np.nan),
+        mean_size_error=(length, width, height) if sizes else None,
+        refused=sum(one.failure is not None for one in found),
+        mean_absolute_size_error=values.get("mean_absolute_size_error"),
+        **_jitter(boxes, method),
+        median_velocity=values.get("median_velocity"),
+        consistency=_consistency(boxes, method),
+        intervals=intervals,
+    )
+
+
+def _consistency(boxes: Sequence[VideoBox], method: str) -> dict[str, Consistency]:
+    told = {}
+    for name, dimension in DIMENSIONS.items():
+        pairs = [(box.outcomes[method].squared.get(name), (box.drive, box.track)) for box in boxes]
+        errors = [error for error, _ in pairs if error is not None]
+        tracks = {track for error, track in pairs if error is not None}
+        one = consistency(errors, dimension, len(tracks))
+        if one is not None:
+            told[name] = one
+    return told
+
+
+def _jitter(boxes: Sequence[VideoBox], method: str) -> dict[str, float | None]:
+    """How much errors change from a box to the next one of its track."""
+    last: dict[tuple[str, int], tuple[int, tuple[float, ...]]] = {}
+    turns, ways = [], []
+    for box in boxes:
+        off, name = box.outcomes[method].off, (box.drive, box.track)
+        if off is None:
+            continue
+        frame, before = last.get(name, (-np.inf, off))
+        if box.frame - frame <= _NEXT:
+            turns.append(abs(float(wrap_angle(np.radians(off[0] - before[0])))))
+            ways.append(float(np.linalg.norm(np.subtract(off[1:], before[1:]))))
+        last[name] = box.frame, off
+    if not turns:
+        return {"jitter_degrees": None, "jitter_metres": None}
+    return {"jitter_degrees": float(np.degrees(np.mean(turns))), "jitter_metres": float(np.mean(ways))}
+
+
+def facing_reliability(boxes: Sequence[VideoBox]) -> Reliability:
+    """How often the half of all directions that the network finds more probable is the right one.
+
+    The halves are the directions within 90 degrees of the labelled one, and the others. Boxes for which the network
+    gives no directions are left out.
+    """
+    facing = np.array([box.facing for box in boxes if box.facing is not None], dtype=np.float64)
+    return reliability(np.maximum(facing, 1.0 - facing), facing > 0.5)
+
+
+def worst_boxes(boxes: Sequence[VideoBox], count: int) -> list[VideoBox]:
+    """The worst box with a pose of each of the tracks that are worst by it: by yaw error, then by position error."""
+
+    def badness(box: VideoBox) -> tuple[float, float]:
+        return box.outcomes[SYSTEM].degrees, box.outcomes[SYSTEM].metres
+
+    tracks: dict[tuple[str, int], VideoBox] = {}
+    for box in sorted((b for b in boxes if b.outcomes[SYSTEM].failure is None), key=badness, reverse=True):
+        tracks.setdefault((box.drive, box.track), box)
+    return list(tracks.values())[:count]
+
+
+def document(
+    boxes: Sequence[VideoBox], given: Mapping[str, Any], networks: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
+    """Everything as plain values for JSON.
+
+    Args:
+        boxes: Every box.
+        given: What was given.
+        networks: Of each network its file, the drives that it scored, and what it has learnt from.
+    """
+    facing = facing_reliability(boxes)
+    groups = group_boxes(boxes)
+    return {
+        "format": FORMAT,
+        "given": dict(given),
+        "networks": [dict(network) for network in networks],
+        "units": _UNITS,
+        "methods": {
+            method: {
+                by: {name: _plain(summarise_boxes(some, method)) for name, some in named.items()}
+                for by, named in groups.items()
+            }
+            for method in methods_of(boxes)
+        },
+        "facing": {
+            "expected_calibration_error": facing.error,
+            "bins": [
+                {"boxes": int(count), "probability": float(sure), "right": float(right)}
+                for count, sure, right in zip(facing.count, facing.confidence, facing.right, strict=True)
+            ],
+        },
+        "boxes": [row for box in boxes for row in box.rows()],
+    }
+
+
+def _plain(summary: BoxSummary) -> dict[str, Any]:
+    def interval(found: Interval | None) -> dict[str, float | None] | None:
+        if found is None:
+            return None
+        alone = summary.tracks < 2  # nothing to draw from: the interval would look certain
+        return {
+            "value": found.value,
+            "low": None if alone else found.low,
+            "high": None if alone else found.high,
+        }
+
+    return {
+        "boxes": summary.boxes,
+        "tracks": summary.tracks,
+        "mean_degrees": interval(summary.mean_degrees),
+        "aop": {str(threshold): interval(found) for threshold, found in summary.aop.items()},
+        "turned_round": interval(summary.turned_round),
+        "silent": interval(summary.silent),
+        "network_turned_round": interval(summary.network_turned_round),
+        "median_metres": finite(summary.median_metres),
+        "mean_metres": finite(summary.mean_metres),
+        "mean_size_error": None if summary.mean_size_error is None else list(summary.mean_size_error),
+        "refused": summary.refused,
+        "mean_absolute_size_error": summary.mean_absolute_size_error,
+        "jitter_degrees": summary.jitter_degrees,
+        "jitter_metres": summary.jitter_metres,
+        "median_velocity": summary.median_velocity,
+        "consistency": {name: asdict(one) for name, one in summary.consistency.items()},
+        "intervals": {name: interval(one) for name, one in summary.intervals.items()},
+    }

@@ -1,0 +1,320 @@
+"""Boxes of video drives over time: the keypoints that single images gave, followed by labelled ids or without any.
+
+`ONLINE` is what `fgrecon.Tracker` says after each frame, by that one and those before; `BATCH` what it says at the end,
+by all. Both get what the single images got, and nothing else: the camera's own motion is not given, and velocities are
+relative to the camera. `ONLINE_MOVING` and `BATCH_MOVING` are the same with the motion that the images tell. `ALONE` is
+each vehicle of each image by itself; `VOTE` and `VOTE_BATCH` turn that round where the network's directions of the
+frames so far, and of all, add up to the other facing (`fgrecon_research.evaluation.video_vote`).
+
+Velocities with the camera's motion are over the world that it makes, and so are the labels: there are none over the
+world, and the camera's error is in both. The error is thus that of the velocity relative to the camera, as without.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.calibration.labelled_boxes import TURNED_ROUND, BoxOutcome, VideoBox, outcome
+from fgrecon.calibration.labelled_frames import ScoredFrame
+from fgrecon.calibration.regions import normalised_squared_error
+from fgrecon.calibration.setup import Setup
+from fgrecon.core.camera import Camera
+from fgrecon.core.errors import DegenerateProblemError
+from fgrecon.core.geometry import transform
+from fgrecon.core.metrics import FAILURE_DEGREES
+from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.vehicle_estimate import VehicleEstimate
+from fgrecon.io.frames import SourceFrame
+from fgrecon.io.images import read_image
+from fgrecon.io.kitti_drives import IMAGES_PER_SECOND, Drive
+from fgrecon.io.track_file import GroundTruth
+from fgrecon.solve.pipeline import reconstruct
+from fgrecon.solve.tracker import Tracker
+from fgrecon.video.association import GatedAssociation
+from fgrecon.video.follow import Follower
+from fgrecon.video.motion_estimator import MotionEstimator
+from fgrecon.video.records import FrameRecord, Sighting
+from fgrecon_research.evaluation.video_vote import vote
+
+__all__ = [
+    "ALONE",
+    "BATCH",
+    "BATCH_MOVING",
+    "ONLINE",
+    "ONLINE_MOVING",
+    "VOTE",
+    "VOTE_BATCH",
+    "follow_boxes",
+    "labelled_velocities",
+]
+
+Array = NDArray[np.float64]
+
+_Key = tuple[int, int]  # number of a frame, and position among its sightings; the first are those of the labelled boxes
+
+ALONE = "alone"
+"""Each vehicle of each image by itself; without what is known of others the whole system does the same."""
+VOTE, VOTE_BATCH = "vote", "vote_batch"
+"""The same, turned round where the network's directions of the frames so far, and of all, say so by their sum."""
+ONLINE = "online"
+"""Each frame by itself and those before."""
+BATCH = "batch"
+"""Each frame by all."""
+
+ONLINE_MOVING, BATCH_MOVING = "online_moving", "batch_moving"
+"""The same with the camera's motion, as the images tell it."""
+
+_OVER_GROUND = [0, 2]  # axes of the camera
+_ABOUT, _FEWEST = 2, 4  # a labelled velocity is of labels at most so many frames away, and of so many labels
+
+
+def follow_boxes(
+    frames: Sequence[ScoredFrame],
+    drives: Sequence[Drive],
+    setups: Mapping[str, Setup],
+    *,
+    forget_ids: bool = False,
+    estimate_motion: bool = False,
+    advance: Callable[[str], None] = lambda _: None,
+) -> list[VideoBox]:
+    """The boxes with outcomes of `ALONE` (where all were solved together), the votes, `ONLINE`, `BATCH` and more.
+
+    Args:
+        frames: Those of `fgrecon.calibration.labelled_frames.score_frames`.
+        drives: The drives that they are of.
+        setups: What each drive is reconstructed with, by its name.
+        forget_ids: Whether the vehicles are given ids anew, by association.
+        estimate_motion: Whether to follow with the camera's motion as well, which all images between the first and the
+            last tell; it needs the ground.
+        advance: Called with the drive's name after each of these frames that was followed, with the motion once more.
+    """
+    found: list[VideoBox] = []
+    for drive in drives:
+        own = [frame for frame in frames if frame.drive == drive.name]
+        setup = setups[drive.name]
+        found += _follow(own, drive, setup, advance, forget_ids=forget_ids, estimate_motion=estimate_motion)
+    return found
+
+
+def _records(seen: Sequence[ScoredFrame], drive: Drive, setup: Setup, *, moving: bool) -> Iterator[FrameRecord]:
+    """What the frames show; with the camera's motion, those between them as well."""
+    sightings = {frame.number: frame.sightings for frame in seen}
+    look = None
+    if moving:
+        assert setup.ground is not None
+        look = MotionEstimator(drive.calibration.camera, setup.ground)
+    for frame in drive.frames:
+        shown = sightings.get(frame.number, ())
+        record = FrameRecord(frame.number, frame.number / IMAGES_PER_SECOND, frame.image.name, None, tuple(shown))
+        if look is not None and sightings and min(sightings) <= frame.number <= max(sightings):
+            image = SourceFrame(record.number, record.time, record.name, read_image(frame.image))
+            yield replace(record, motion=look(image, shown))
+        elif frame.number in sightings:
+            yield record
+
+
+@dataclass(frozen=True, eq=False)
+class _Followed:
+    """What following a drive gave.
+
+    Attributes:
+        online: Estimates of the sightings, each by its frame and those before.
+        batch: The same by all frames.
+        ids: The vehicle that each sighting was taken for.
+        world_T_camera: (4, 4) poses of the camera by the number of the frame; none without its motion.
+        velocities: Labelled ones as the estimates have theirs, but along the camera's axes; by frame and track.
+    """
+
+    online: Mapping[_Key, VehicleEstimate]
+    batch: Mapping[_Key, VehicleEstimate]
+    ids: Mapping[_Key, int]
+    world_T_camera: Mapping[int, Array]
+    velocities: Mapping[tuple[int, int], Array]
+
+
+def _follow(
+    seen: Sequence[ScoredFrame],
+    drive: Drive,
+    setup: Setup,
+    advance: Callable[[str], None],
+    *,
+    forget_ids: bool,
+    estimate_motion: bool,
+) -> list[VideoBox]:
+    camera = drive.calibration.camera.with_size_of(read_image(drive.frames[0].image))  # as single images have it
+    follow = partial(_estimates, seen, drive, camera, setup, advance, forget_ids=forget_ids)
+    still = follow(moving=False)
+    ways = [(ONLINE, BATCH, still)]
+    if estimate_motion:
+        ways.append((ONLINE_MOVING, BATCH_MOVING, follow(moving=True)))
+    alone = _alone(seen, camera, setup)
+    results = ({ALONE: alone} if setup.together else {}) | _votes(seen, alone, still.ids)
+    frames = {frame.number: frame for frame in drive.frames}
+    scored = []
+    for frame in seen:
+        for position, box in enumerate(frame.boxes):  # the first sightings are those of the labelled boxes
+            key, labelled = (frame.number, position), frames[frame.number]
+            objects, offset = labelled.objects, labelled.calibration.label_offset
+            truth = GroundTruth(objects.location[box.index], float(objects.rotation_y[box.index]))
+            score = partial(_outcome, truth=truth, size=objects.size[box.index], offset=offset)
+            more = {name: score(found[key]) for name, found in results.items()}
+            for online, batch, way in ways:
+                velocity, place = way.velocities.get((frame.number, box.track)), way.world_T_camera.get(frame.number)
+                for name, estimate in ((online, way.online.get(key)), (batch, way.batch.get(key))):
+                    more[name] = score("no estimate" if estimate is None else estimate.reconstruction)
+                    if estimate is not None:
+                        more[name] = _moving(more[name], estimate, velocity, place)
+            scored.append(replace(box, outcomes={**box.outcomes, **more}))
+    return scored
+
+
+def _outcome(found: Reconstruction | str, truth: GroundTruth, size: Array, offset: Array) -> BoxOutcome:
+    """Of a result, or of why there is none."""
+    if isinstance(found, str):
+        return BoxOutcome(FAILURE_DEGREES, float("inf"), None, None, found)
+    return outcome(found, truth, size, offset)
+
+
+def _estimates(
+    seen: Sequence[ScoredFrame],
+    drive: Drive,
+    camera: Camera,
+    setup: Setup,
+    advance: Callable[[str], None],
+    *,
+    forget_ids: bool,
+    moving: bool,
+) -> _Followed:
+    tracker = Tracker(
+        prior=setup.prior, size_prior=setup.size_prior, options=setup.options, shared_ground=setup.together, past=None
+    )
+    largest = max((int(frame.tracks.max(initial=-1)) for frame in drive.frames), default=-1)
+    association = GatedAssociation(first=largest + 1)
+    follower = Follower(tracker, association, camera, ground=setup.ground, moving=moving)
+    online: dict[_Key, VehicleEstimate] = {}
+    ids: dict[_Key, int] = {}
+    places: dict[int, Array] = {}
+    numbers = {frame.number for frame in seen}
+    for record in _records(seen, drive, setup, moving=moving):
+        if forget_ids:
+            record = replace(record, sightings=tuple(replace(one, identity=None) for one in record.sightings))
+        tracked = follower(record)
+        for position, one in enumerate(record.sightings):
+            identity = next((i for i, box in tracked.boxes.items() if box is one.box), None)
+            if identity is not None:
+                ids[record.number, position] = identity
+                if identity in tracked.estimates:
+                    online[record.number, position] = tracked.estimates[identity]
+        if tracked.world_T_camera is not None:
+            places[record.number] = tracked.world_T_camera
+        if record.number in numbers:
+            advance(drive.name)
+    smoothed = {(identity, one.time): one for identity, past in tracker.smooth().items() for one in past}
+    times = {key: (ids[key], one.time) for key, one in online.items()}
+    batch = {key: smoothed[time] for key, time in times.items() if time in smoothed}
+    return _Followed(online, batch, ids, places, labelled_velocities(drive, places if moving else None))
+
+
+def _votes(
+    seen: Sequence[ScoredFrame], alone: Mapping[_Key, Reconstruction | str], ids: Mapping[_Key, int]
+) -> dict[str, dict[_Key, Reconstruction | str]]:
+    """The results of `VOTE` and `VOTE_BATCH`, vehicle by vehicle; one that was not followed votes for itself."""
+    tracks: dict[int | _Key, dict[_Key, tuple[Reconstruction, Array | None]]] = {}
+    for frame in seen:
+        for position, one in enumerate(frame.sightings):
+            key = frame.number, position
+            result, directions = alone[key], None if one.observation is None else one.observation.azimuth
+            if not isinstance(result, str):
+                tracks.setdefault(ids.get(key, key), {})[key] = result, directions
+    found = {VOTE: dict(alone), VOTE_BATCH: dict(alone)}
+    for track in tracks.values():
+        for key, voted in zip(track, vote(list(track.values())), strict=True):
+            found[VOTE][key], found[VOTE_BATCH][key] = voted
+    return found
+
+
+def _alone(seen: Sequence[ScoredFrame], camera: Camera, setup: Setup) -> dict[_Key, Reconstruction | str]:
+    """The result of each sighting by itself, or why there is none."""
+    return {
+        (frame.number, position): _by_itself(one, camera, setup)
+        for frame in seen
+        for position, one in enumerate(frame.sightings)
+    }
+
+
+def _by_itself(seen: Sighting, camera: Camera, setup: Setup) -> Reconstruction | str:
+    if seen.observation is None:
+        return "no keypoints"
+    try:
+        return reconstruct(
+            seen.observation,
+            camera,
+            prior=setup.prior,
+            ground=setup.ground,
+            size_prior=setup.size_prior,
+            options=setup.options,
+        )
+    except DegenerateProblemError as error:
+        return str(error)
+
+
+def labelled_velocities(
+    drive: Drive, world_T_camera: Mapping[int, Array] | None = None
+) -> dict[tuple[int, int], Array]:
+    """(3,) velocity of each labelled box along the camera's axes, metres per second, by frame and track.
+
+    It is the slope of a line through the track's labels within two frames, of which there are at least four, on both
+    sides.
+
+    Args:
+        drive: The drive.
+        world_T_camera: (4, 4) poses of the camera by the number of the frame, for velocities over the world; between
+            the labels none may be missing. None for velocities relative to the camera.
+    """
+    tracks: dict[int, dict[int, Array]] = {}
+    for frame in drive.frames:
+        for index in np.flatnonzero(frame.boxed & (frame.tracks >= 0)):
+            place = frame.objects.location[index] + frame.calibration.label_offset
+            tracks.setdefault(int(frame.tracks[index]), {})[frame.number] = place
+    missing = set() if world_T_camera is None else {frame.number for frame in drive.frames} - set(world_T_camera)
+    found: dict[tuple[int, int], Array] = {}
+    for track, places in tracks.items():
+        for number in places:
+            near = [n for n in range(number - _ABOUT, number + _ABOUT + 1) if n in places]
+            if len(near) < _FEWEST or not near[0] < number < near[-1]:
+                continue
+            if not missing.isdisjoint(range(near[0], near[-1] + 1)):
+                continue
+            points = [places[n] for n in near]
+            if world_T_camera is not None:
+                here = np.linalg.inv(world_T_camera[number])
+                points = [transform(here @ world_T_camera[n], places[n]) for n in near]
+            slope, _ = np.polyfit(np.array(near) / IMAGES_PER_SECOND, np.array(points), 1)
+            found[number, track] = slope
+    return found
+
+
+def _moving(
+    found: BoxOutcome, estimate: VehicleEstimate, velocity: Array | None, world_T_camera: Array | None
+) -> BoxOutcome:
+    """With the facing's probability over time, and the velocity's error over the ground."""
+    found = replace(found, facing=estimate.facing_probability)
+    if velocity is None or estimate.velocity is None:
+        return found
+    told = estimate.velocity if world_T_camera is None else world_T_camera[:3, :3].T @ estimate.velocity
+    off = (told - velocity)[_OVER_GROUND]
+    found = replace(found, velocity=float(np.linalg.norm(off)))
+    spread = estimate.velocity_covariance
+    if spread is None or found.degrees > TURNED_ROUND or world_T_camera is not None:  # it lacks the camera's own error
+        return found
+    over_ground = spread[np.ix_(_OVER_GROUND, _OVER_GROUND)]
+    squared = normalised_squared_error(off, over_ground)
+    if squared is None:
+        return found
+    radius = float(np.linalg.det(over_ground)) ** 0.25
+    return replace(found, squared={**found.squared, "velocity": squared}, spread={**found.spread, "velocity": radius})

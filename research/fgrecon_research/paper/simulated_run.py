@@ -1,0 +1,244 @@
+"""Runs the simulated validation set: in parallel, resumable, and the same whatever the number of processes."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import as_completed
+from dataclasses import dataclass, fields
+from functools import partial
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+
+from fgrecon.calibration.setup import SceneKnowledge
+from fgrecon.core.processes import processes_with
+from fgrecon.core.robust import StrategyName
+from fgrecon.io.catalogue import load_category
+from fgrecon.io.kitti_calibration import read_calibration
+from fgrecon.io.kitti_files import Fault, Objects, read_detections, read_image_set, read_labels
+from fgrecon.io.stored import stored
+from fgrecon.simulation.keypoint_noise import HOURGLASS
+from fgrecon.simulation.vehicles import Vehicle
+from fgrecon.solve.vehicle.conditioning import of_fleet
+from fgrecon_research.paper.simulated import Fleet, KittiFrame, simulate_frame
+from fgrecon_research.paper.simulated_scores import (
+    CHAIN_ROWS,
+    MAIN_ROWS,
+    RowSolver,
+    Scores,
+    row_solvers,
+    score_instances,
+)
+from fgrecon_research.training.priors.apollo79 import Apollo79
+
+__all__ = [
+    "CONDITIONS",
+    "Condition",
+    "ConditionResult",
+    "Validation",
+    "read_validation",
+    "run_conditions",
+    "vehicles_of",
+]
+
+_FRAMES_A_PART = 24
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One set of rows under one level of noise.
+
+    Attributes:
+        name: Name.
+        severity: How much worse the keypoints are than the fitted network's (`NoiseModel.harder`).
+        every: Take every so many-th part of the frames.
+        rows: What runs.
+    """
+
+    name: str
+    severity: float
+    every: int
+    rows: tuple[str, ...]
+
+
+CONDITIONS = (
+    Condition("validation", 0.0, 1, MAIN_ROWS),
+    Condition("harder", 1.0, 10, MAIN_ROWS),
+    Condition("chain", 0.0, 10, CHAIN_ROWS),
+    Condition("strategies", 0.0, 20, tuple(f"fgrecon+ground+size:{name.value}" for name in StrategyName)),
+)
+
+
+@dataclass(frozen=True)
+class Validation:
+    """KITTI's validation set as it was read.
+
+    Attributes:
+        frames: The frames that have labels and a camera.
+        problems: What was wrong with the files.
+    """
+
+    frames: tuple[KittiFrame, ...]
+    problems: tuple[Fault, ...]
+
+
+@dataclass(frozen=True)
+class ConditionResult:
+    """Result of a condition.
+
+    Attributes:
+        condition: The condition.
+        scores: All instances, in the order of frames and label files.
+        solved: Instances that were worked on now; the others had been stored.
+        seconds: Wall time of that.
+    """
+
+    condition: Condition
+    scores: Scores
+    solved: int
+    seconds: float
+
+
+def read_validation(folder: Path, image_set: str = "val") -> Validation:
+    """Read labels, cameras and 2D detections of an image set in KITTI's object layout.
+
+    Args:
+        folder: Has `ImageSets`, `training/label_2`, `training/calib` and `detections_2d/rgb_detection_<set>.txt`.
+        image_set: Name of the image set.
+
+    Raises:
+        InvalidInputError: The image set, the detections or a camera cannot be read.
+    """
+    names = read_image_set(folder / "ImageSets" / f"{image_set}.txt")
+    labels, problems = read_labels(folder / "training" / "label_2", names)
+    detections, more = read_detections(folder / "detections_2d" / f"rgb_detection_{image_set}.txt", names)
+    frames = tuple(
+        KittiFrame(
+            name, labels[name], detections[name], read_calibration(folder / "training" / "calib" / f"{name}.txt")
+        )
+        for name in names
+        if name in labels
+    )
+    return Validation(frames, (*problems, *more))
+
+
+def vehicles_of(models: Apollo79) -> tuple[Vehicle, ...]:
+    """The car models as shapes to simulate."""
+    category = load_category("car14")
+    pairs = zip(models.keypoints, models.vertices, strict=True)
+    return tuple(Vehicle(category, keypoints, vertices, models.faces) for keypoints, vertices in pairs)
+
+
+@dataclass(frozen=True)
+class _Job:
+    """Some frames of one condition, and the file for their scores."""
+
+    condition: Condition
+    frames: tuple[KittiFrame, ...]
+    path: Path
+
+
+class _Worker:
+    """What a process needs, made once: shapes and, by condition, solvers."""
+
+    def __init__(self, scene: SceneKnowledge, vehicles: Sequence[Vehicle], sizes: np.ndarray, seed: int) -> None:
+        self.scene, self.vehicles, self.sizes, self.seed = scene, vehicles, sizes, seed
+        self.mean = of_fleet(scene.prior, scene.size).mean
+        self.solvers: dict[str, tuple[RowSolver, ...]] = {}
+
+    def __call__(self, job: _Job) -> int:
+        """Write the job's scores; the number of instances."""
+        name = job.condition.name
+        if name not in self.solvers:
+            self.solvers[name] = row_solvers(job.condition.rows, self.scene, self.seed)
+        fleet = Fleet(self.vehicles, self.sizes, HOURGLASS.harder(job.condition.severity), self.seed)
+        instances = [instance for frame in job.frames for instance in simulate_frame(frame, fleet)]
+        score_instances(instances, job.condition.rows, self.solvers[name], self.mean).write(job.path)
+        return len(instances)
+
+
+def run_conditions(
+    validation: Validation,
+    conditions: Sequence[Condition],
+    scene: SceneKnowledge,
+    models: Apollo79,
+    folder: Path,
+    *,
+    seed: int = 0,
+    workers: int = 1,
+    every: int = 1,
+    advance: Callable[[str, int, int], None] = lambda *_: None,
+) -> Mapping[str, ConditionResult]:
+    """Score every condition; parts that an earlier run finished with the same inputs are read, not made again.
+
+    Args:
+        validation: Frames.
+        conditions: What to run.
+        scene: What the methods know.
+        models: Car models to draw from.
+        folder: Where parts are stored.
+        seed: Seed of everything random.
+        workers: Number of processes; the result does not depend on it.
+        every: Take every so many-th part of what a condition takes, for a first look. A whole run later takes these
+            parts over.
+        advance: Told condition, parts done and parts in all.
+
+    Returns:
+        Outcomes by the conditions' names.
+    """
+    vehicles = vehicles_of(models)
+    outcomes: dict[str, ConditionResult] = {}
+    with processes_with(partial(_Worker, scene, vehicles, models.size, seed), workers) as (pool, run):
+        for condition in conditions:
+            place = folder / condition.name
+            place.mkdir(parents=True, exist_ok=True)
+            parts = _parts(validation)[:: condition.every * every]
+            inputs = _digest(condition, scene, models, seed)
+            jobs = [_Job(condition, part, place / f"{part[0].name}-{_part_digest(inputs, part)}.npz") for part in parts]
+            missing = [job for job in jobs if stored(job.path, Scores.read) is None]
+            advance(condition.name, len(jobs) - len(missing), len(jobs))
+            started, solved = time.perf_counter(), 0
+            waiting = [pool.submit(run, job) for job in missing]
+            for done, future in enumerate(as_completed(waiting), start=len(jobs) - len(missing) + 1):
+                solved += future.result()
+                advance(condition.name, done, len(jobs))
+            seconds = time.perf_counter() - started
+            scores = Scores.join([Scores.read(job.path) for job in jobs])
+            outcomes[condition.name] = ConditionResult(condition, scores, solved, seconds)
+    return outcomes
+
+
+def _parts(validation: Validation) -> list[tuple[KittiFrame, ...]]:
+    """The frames a few at a time: what one process works on and one file holds."""
+    frames = validation.frames
+    return [frames[start : start + _FRAMES_A_PART] for start in range(0, len(frames), _FRAMES_A_PART)]
+
+
+def _digest(condition: Condition, scene: SceneKnowledge, models: Apollo79, seed: int) -> bytes:
+    """Changes with everything but the frames that a result depends on, save for unreleased changes of the code."""
+    ground = scene.ground
+    plane = (ground.normal.tolist(), ground.distance, ground.height_sigma, ground.slope_sigma, ground.tilt_sigma)
+    noise = HOURGLASS.harder(condition.severity)
+    plain = (metadata.version("fgrecon"), condition.rows, seed, noise, scene.prior.name, plane)
+    arrays = [scene.prior.mean, scene.prior.basis, scene.size.mean, scene.size.sigma, models.keypoints, models.vertices]
+    digest = hashlib.sha256(repr(plain).encode())
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.digest()
+
+
+def _part_digest(inputs: bytes, frames: Sequence[KittiFrame]) -> str:
+    """Changes with the rest of the inputs and with what the frames hold."""
+    digest = hashlib.sha256(inputs)
+    for frame in frames:
+        digest.update(frame.name.encode())
+        arrays = [frame.calibration.camera.matrix, frame.calibration.label_offset]
+        for objects in (frame.labels, frame.detections):
+            digest.update("".join(objects.kind).encode())
+            arrays += [getattr(objects, f.name) for f in fields(Objects) if f.name != "kind"]
+        for array in arrays:
+            digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()[:12]

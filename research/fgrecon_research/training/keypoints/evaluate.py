@@ -1,0 +1,203 @@
+"""How good the networks are: against keypoints marked by hand, and end to end on cars of known direction."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.camera import Camera
+from fgrecon.core.errors import FgreconError
+from fgrecon.core.geometry import view_azimuth
+from fgrecon.core.metrics import average_precision
+from fgrecon.io.images import read_image
+from fgrecon.perception.keypoints.detect import REACH, Detection, KeypointCascade
+from fgrecon_research.training.keypoints.calibrate import Reliability, reliability
+from fgrecon_research.training.keypoints.marks import Mark
+from fgrecon_research.training.keypoints.posed_cars import PosedCar
+from fgrecon_research.training.keypoints.progress import Progress, no_progress
+
+__all__ = [
+    "GROUPS",
+    "Localisation",
+    "PosedScore",
+    "Scored",
+    "adjusted",
+    "azimuth_errors",
+    "localisation",
+    "marks_reliability",
+    "score_marks",
+]
+
+Array = NDArray[np.float64]
+
+GROUPS: dict[str, tuple[str, ...]] = {
+    "photographs": ("photographs",),
+    "easy": ("easy",),
+    "moderate": ("easy", "moderate"),
+    "hard": ("easy", "moderate", "hard"),
+}
+"""Groups of marks; KITTI's regimes are cumulative."""
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A marked car, what was found, and how far off that is.
+
+    Attributes:
+        mark: The car.
+        detection: What the network found.
+        error: (K,) distances as fractions of the box's longer side, for visible and hidden keypoints alike.
+    """
+
+    mark: Mark
+    detection: Detection
+    error: Array
+
+
+@dataclass(frozen=True)
+class Localisation:
+    """How well visible keypoints are found in a group of cars.
+
+    Attributes:
+        cars: Number of cars.
+        points: Number of visible points.
+        within_tenth: Share of them within 0.1 of the box's longer side (PCK).
+        within_twentieth: Within 0.05.
+        median: Median distance, same unit.
+        keypoints: (K, 2) both shares by keypoint, NaN where none is visible.
+        precisions: (K, 2) average precision by keypoint (APK) at the same distances, likewise: of all cars' points by
+            their confidences, of which hidden ones are wrong.
+        counts: (K,) number of visible points by keypoint.
+    """
+
+    cars: int
+    points: int
+    within_tenth: float
+    within_twentieth: float
+    median: float
+    keypoints: Array
+    precisions: Array
+    counts: NDArray[np.int64]
+
+
+def score_marks(detector: KeypointCascade, marks: Sequence[Mark], progress: Progress = no_progress) -> list[Scored]:
+    """Run the network on every marked car; `progress` shows how far it is."""
+    scored = []
+    images: dict[Any, NDArray[np.uint8]] = {}
+    for mark in progress(marks, "Marked cars"):
+        if mark.image not in images:
+            images = {mark.image: read_image(mark.image)}  # the cars of an image come one after the other
+        (detection,) = detector(images[mark.image], [mark.box])
+        away = np.linalg.norm(detection.observation.keypoints - mark.keypoints, axis=1) / mark.extent
+        scored.append(Scored(mark, detection, away))
+    return scored
+
+
+def localisation(scored: Sequence[Scored], groups: Sequence[str] | None = None, *, least: float = 0.0) -> Localisation:
+    """Shares of visible keypoints that are found.
+
+    Args:
+        scored: Marked cars.
+        groups: Names of `Mark.group` to count; None for all.
+        least: Longer side in pixels from which cars are counted.
+    """
+    used = [s for s in scored if (groups is None or s.mark.group in groups) and s.mark.extent >= least]
+    if not used:
+        none = np.zeros((0, 2))
+        return Localisation(0, 0, np.nan, np.nan, np.nan, none, none, np.zeros(0, dtype=np.int64))
+    error, visible = np.array([s.error for s in used]), np.array([s.mark.visible for s in used])
+    near, nearer = (error <= REACH) & visible, (error <= REACH / 2) & visible
+    count = visible.sum(axis=0)
+    with np.errstate(invalid="ignore"):
+        shares = np.stack([near.sum(axis=0) / count, nearer.sum(axis=0) / count], axis=1)
+    sure = np.array([s.detection.observation.confidence for s in used])
+    precisions = [
+        [average_precision(sure[:, k], right[:, k], int(count[k])) for right in (near, nearer)]
+        for k in range(len(count))
+    ]
+    total = max(int(visible.sum()), 1)
+    return Localisation(
+        cars=len(used),
+        points=int(visible.sum()),
+        within_tenth=near.sum() / total,
+        within_twentieth=nearer.sum() / total,
+        median=float(np.median(error[visible])) if visible.any() else float("nan"),
+        keypoints=shares,
+        precisions=np.array(precisions),
+        counts=count,
+    )
+
+
+def marks_reliability(scored: Sequence[Scored], bins: int = 8) -> Reliability:
+    """Confidences against marks: right is visible and within 0.1 of the box's longer side."""
+    confidence = [s.detection.observation.confidence for s in scored]
+    right = [s.mark.visible & (s.error <= REACH) for s in scored]
+    return reliability(np.concatenate(confidence), np.concatenate(right), bins)
+
+
+def adjusted(scored: Sequence[Scored], projections: Sequence[Array | None]) -> list[Scored]:
+    """The same cars with other keypoints in the place of the network's, as in the paper's Table II.
+
+    Args:
+        scored: Cars as the network found them.
+        projections: (K, 2) pixels of each car's adjusted wireframe; None, where there is none, is infinitely far.
+    """
+    after = []
+    for item, pixels in zip(scored, projections, strict=True):
+        away = np.full(len(item.error), np.inf)
+        if pixels is not None:
+            away = np.linalg.norm(pixels - item.mark.keypoints, axis=1) / item.mark.extent
+        after.append(replace(item, error=away))
+    return after
+
+
+@dataclass(frozen=True)
+class PosedScore:
+    """Directions of photographs of known pose.
+
+    Attributes:
+        errors: (M,) degrees on the full circle; 180 where the car was refused.
+    """
+
+    errors: Array
+
+    @property
+    def median(self) -> float:
+        """Median error, degrees."""
+        return float(np.median(self.errors))
+
+    def within(self, degrees: float) -> float:
+        """Share of photographs with an error of at most so many degrees."""
+        return float((self.errors <= degrees).mean())
+
+
+def azimuth_errors(
+    detector: KeypointCascade,
+    cars: Sequence[PosedCar],
+    solve: Callable[[Detection, Camera], Any],
+    progress: Progress = no_progress,
+) -> PosedScore:
+    """Reconstruct photographs, intrinsics given, and compare the direction from the car to the camera.
+
+    Args:
+        detector: The network.
+        cars: Photographs with measured poses.
+        solve: Makes a result with `camera_T_object` from a detection and a camera.
+        progress: Shows how far it is.
+    """
+    errors = np.full(len(cars), 180.0)
+    for row, car in progress(list(enumerate(cars)), "Photographs"):
+        image = read_image(car.image)
+        camera = replace(Camera(car.matrix), image_size=None)  # the photograph's edges are the car's
+        (detection,) = detector(image, [car.box])
+        try:
+            pose = solve(detection, camera).camera_T_object
+        except FgreconError:
+            continue
+        turn = np.degrees(float(view_azimuth(pose[:3, :3], pose[:3, 3])) - car.azimuth)
+        errors[row] = abs((turn + 180.0) % 360.0 - 180.0)
+    return PosedScore(errors)

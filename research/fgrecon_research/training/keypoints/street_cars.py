@@ -1,0 +1,218 @@
+"""Street cars with labelled keypoints, cut from the images of drives and kept in memory-mapped arrays."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.arrays import read_arrays
+from fgrecon.io.export.coco_keypoints import read_coco_keypoints
+from fgrecon.io.files import write_bytes
+from fgrecon.io.images import read_image
+from fgrecon.io.stored import MADE_AGAIN
+from fgrecon.perception.keypoints.crops import Crop, extract
+from fgrecon_research.training.keypoints.dataset import SIDE, Photographs
+from fgrecon_research.training.keypoints.labelled_view import LabelledView
+from fgrecon_research.training.keypoints.progress import Progress, no_progress
+from fgrecon_research.training.keypoints.views import Together, TrainingSet, Views, azimuth_weights
+
+__all__ = ["LAST", "StreetCars", "StreetShare", "check_drives", "learning", "prepare_street_cars"]
+
+_AROUND = 1.5  # side of what is kept relative to the box's longer side
+_FILES = "images.npy", "masks.npy"
+LAST = "cars.npz"
+"""Name of the file that is written last: where it is, all are."""
+_EVEN = 0.7, 6.0  # how far directions are evened out, as for `azimuth_weights`
+_VAN = 1.5  # vans are rare, and look less alike than cars
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class StreetCars(Views):
+    """Cars in their street, read from disk on use.
+
+    Attributes:
+        images: (M, 192, 192, 3) RGB around each car.
+        masks: (M, 192, 192) 255 on what can be seen of the car.
+        boxes: (M, 4) 2D box in them.
+        keypoints: (M, K, 2) pixels.
+        visible: (M, K) probability that each can be seen.
+        azimuth: (M,) direction from the car to the camera, radians.
+        drives: (M,) names.
+        tracks: (M,) number of the vehicle within its drive.
+        kinds: (M,) as labelled.
+    """
+
+    images: NDArray[np.uint8]
+    masks: NDArray[np.uint8]
+    boxes: Array
+    keypoints: Array
+    visible: Array
+    azimuth: Array
+    drives: NDArray[np.str_]
+    tracks: NDArray[np.int64]
+    kinds: NDArray[np.str_]
+
+    @classmethod
+    def load(cls, folder: Path) -> StreetCars:
+        """What `prepare_street_cars` wrote.
+
+        Raises:
+            InvalidInputError: There is nothing, or it is damaged.
+        """
+        if not (folder / LAST).exists():
+            raise InvalidInputError("street", str(folder), "Give a folder that a training prepared.")
+        table = read_arrays(folder / LAST, str(folder / LAST), MADE_AGAIN)
+        try:
+            images, masks = (np.load(folder / name, mmap_mode="r") for name in _FILES)
+            return cls(images, masks, **table)
+        except Exception as error:  # numpy promises no kind of error for damaged content
+            raise InvalidInputError(str(folder), f"damaged: {error}", MADE_AGAIN) from error
+
+    def view(self, index: int) -> LabelledView:
+        """One car with its labels."""
+        return LabelledView(
+            np.asarray(self.images[index]),
+            np.asarray(self.masks[index]),
+            self.keypoints[index],
+            self.visible[index],
+            float(self.azimuth[index]),
+            self.boxes[index],
+        )
+
+    def weights(self, chosen: NDArray[np.intp]) -> Array:
+        """Probabilities of drawing each: directions about evened out, and a long track not as often as it is long."""
+        names = np.char.add(np.char.add(self.drives[chosen], " "), self.tracks[chosen].astype(str))
+        _, which, count = np.unique(names, return_inverse=True, return_counts=True)
+        weight = azimuth_weights(self.azimuth, chosen, *_EVEN) / np.sqrt(count[which])
+        weight = weight * np.where(self.kinds[chosen] == "Van", _VAN, 1.0)
+        probability: Array = weight / weight.sum()
+        return probability
+
+
+@dataclass(frozen=True, eq=False)
+class StreetShare:
+    """Street cars beside photographs.
+
+    Attributes:
+        cars: The street cars.
+        share: Of the samples that show one.
+        without: Drives whose cars are not learnt from.
+    """
+
+    cars: StreetCars
+    share: float
+    without: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse names that leave nothing out: a mistyped one would let the network learn from what it is scored on.
+
+        Raises:
+            InvalidInputError: A drive that is left out is none of the cars'.
+        """
+        check_drives(self.without, self.cars.drives.tolist())
+
+    @property
+    def chosen(self) -> NDArray[np.intp]:
+        """Which cars are learnt from."""
+        return np.flatnonzero(~np.isin(self.cars.drives, self.without))
+
+    def describe(self) -> str:
+        """In words, for the file that keeps what a training began with and for the network's provenance."""
+        left_out = f", without {', '.join(self.without)}" if self.without else ""
+        return f"{len(self.chosen)} street cars in {self.share:g} of the samples{left_out}"
+
+
+def check_drives(without: Sequence[str], known: Iterable[str]) -> None:
+    """Refuse drives to leave out that are not there.
+
+    Raises:
+        InvalidInputError: One is none of the known drives; lists these.
+    """
+    names = sorted(set(known))
+    for name in without:
+        if name not in names:
+            fix = f"Name drives among {', '.join(names)}." if names else "Leave out drives only where there are some."
+            raise InvalidInputError("without", name, fix)
+
+
+def learning(photographs: Photographs, chosen: NDArray[np.intp], street: StreetShare | None) -> TrainingSet:
+    """The chosen photographs, all directions about equally often, and the street cars' share of the samples.
+
+    Raises:
+        InvalidInputError: All drives are left out.
+    """
+    weights = azimuth_weights(photographs.azimuth, chosen)
+    if street is None:
+        return TrainingSet(photographs, chosen, weights)
+    some = street.chosen
+    if not len(some):
+        raise InvalidInputError("without", ", ".join(street.without), "Leave a drive to learn from.")
+    return TrainingSet(
+        Together([photographs, street.cars]),
+        np.concatenate([chosen, some + len(photographs.azimuth)]),
+        np.concatenate([(1.0 - street.share) * weights, street.share * street.cars.weights(some)]),
+    )
+
+
+def prepare_street_cars(file: Path, folder: Path, progress: Progress = no_progress) -> None:
+    """Cut the cars out of their images, with what is around them (0.15 MB a car).
+
+    Args:
+        file: What `fgrecon keypoints label` wrote.
+        folder: Where to write; made if missing.
+        progress: Shows how far it is.
+
+    Raises:
+        InvalidInputError: The file is malformed, holds no vehicle, or an image cannot be read.
+    """
+    cars = read_coco_keypoints(file).vehicles
+    if not cars:
+        raise InvalidInputError(f"{file}: annotations", "none", "Give the labels of at least one vehicle.")
+    folder.mkdir(parents=True, exist_ok=True)
+    shape = (len(cars), SIDE, SIDE)
+    images = np.lib.format.open_memmap(folder / _FILES[0], "w+", np.uint8, (*shape, 3))
+    masks = np.lib.format.open_memmap(folder / _FILES[1], "w+", np.uint8, shape)
+    boxes, keypoints = [], []
+    path, image = None, np.zeros((0, 0, 3), dtype=np.uint8)
+    for row, car in progress(list(enumerate(cars)), "Street cars"):
+        if car.image.path != path:  # the cars of an image come one after the other
+            path, image = car.image.path, read_image(car.image.path)
+        x1, y1, x2, y2 = car.box
+        crop = Crop(np.array([(x1 + x2) / 2, (y1 + y2) / 2]), _AROUND * max(x2 - x1, y2 - y1), SIDE)
+        images[row] = extract(image, crop)
+        masks[row] = _filled([crop.from_image(polygon) for polygon in car.silhouette])
+        boxes.append(crop.from_image(car.box.reshape(2, 2)).ravel())
+        keypoints.append(crop.from_image(car.keypoints))
+    images.flush()
+    masks.flush()
+    table = io.BytesIO()
+    np.savez(
+        table,
+        boxes=np.array(boxes),
+        keypoints=np.array(keypoints),
+        visible=np.array([car.probability for car in cars]),
+        azimuth=np.array([car.azimuth for car in cars]),
+        drives=np.array([car.image.drive for car in cars]),
+        tracks=np.array([car.track for car in cars]),
+        kinds=np.array([car.kind for car in cars]),
+    )
+    write_bytes(folder / LAST, table.getvalue())
+
+
+def _filled(polygons: Sequence[Array]) -> NDArray[np.uint8]:
+    """255 inside the polygons."""
+    import cv2
+
+    mask = np.zeros((SIDE, SIDE), dtype=np.uint8)
+    corners = [np.clip(np.rint(polygon * 16), -1e6, 1e6).astype(np.int32) for polygon in polygons]
+    if corners:
+        cv2.fillPoly(mask, corners, (255,), shift=4)  # sixteenths of a pixel
+    return mask

@@ -1,0 +1,129 @@
+"""Training of KNet: resumable, the same samples for the same seed however often it is interrupted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch.utils.data import DataLoader, Dataset
+
+from fgrecon.perception.keypoints.knet import KNet, KNetSettings, load_imagenet
+from fgrecon_research.training.keypoints.augment import Street
+from fgrecon_research.training.keypoints.losses import knet_loss
+from fgrecon_research.training.keypoints.trainer import Schedule, Trainer, TrainingProgress
+from fgrecon_research.training.keypoints.validate import HeldOut
+from fgrecon_research.training.keypoints.views import TrainingSet
+
+__all__ = ["Training", "train_knet"]
+
+_CLIP = 5.0  # largest norm of a step's gradient
+
+
+@dataclass(frozen=True)
+class Training(Schedule):
+    """How KNet is trained: see `Schedule`; the pretrained encoder's learning rate is half of the others'.
+
+    Attributes:
+        sigma: Standard deviation of the target Gaussians, pixels of the crop.
+        workers: Processes that make samples; 0 makes them in this one.
+        network: Sizes.
+        street: Augmentation.
+    """
+
+    sigma: float = 2.5
+    workers: int = 1
+    network: KNetSettings = field(default_factory=KNetSettings)
+    street: Street = field(default_factory=Street)
+
+
+class _Samples(Dataset):  # type: ignore[misc]
+    """Sample number i of the training, whichever step or process asks for it."""
+
+    def __init__(self, learning: TrainingSet, partner: NDArray[np.intp], how: Training) -> None:
+        self.learning, self.partner, self.how = learning, partner, how
+
+    def __getitem__(self, number: int) -> tuple[Any, ...]:
+        drawn = self.learning.draw(self.how.street, self.partner, (self.how.seed, int(number)))
+        numbers = (drawn.keypoints, drawn.visible, np.array(drawn.azimuth))
+        return (torch.from_numpy(drawn.crop), *(torch.from_numpy(n.astype(np.float32)) for n in numbers))
+
+
+def train_knet(
+    learning: TrainingSet,
+    partner: NDArray[np.intp],
+    checkpoint: Path,
+    how: Training,
+    *,
+    imagenet: dict[str, Any] | None = None,
+    start: dict[str, Any] | None = None,
+    device: str = "cpu",
+    report: Callable[[TrainingProgress], None] | None = None,
+    until: int | None = None,
+    held: HeldOut | None = None,
+) -> KNet:
+    """Train, or go on where the checkpoint ends.
+
+    Args:
+        learning: Views with labels, and how often to draw each.
+        partner: (K,) index of each keypoint's mirror image.
+        checkpoint: File to go on from and to write to.
+        how: Settings.
+        imagenet: Weights to start the encoder from, without a checkpoint.
+        start: Weights of a whole network to start from instead.
+        device: Torch's name of the device; mixed precision on a GPU.
+        report: Called after every `save_every` steps.
+        until: Step after which to end with a checkpoint; None for the last.
+        held: What the averaged network is scored on for the report.
+
+    Returns:
+        The averaged network, in evaluation mode.
+    """
+    torch.manual_seed(how.seed)
+    network = KNet(how.network)
+    if imagenet is not None:
+        load_imagenet(network, imagenet)
+    if start is not None:
+        network.load_state_dict(start, strict=False)
+    network.to(device=device, memory_format=torch.channels_last)
+    score = None if held is None else partial(held.score, device=device)
+    trainer = Trainer(network, _groups(network), how, checkpoint, how.network.to_dict(), report, score)
+
+    def losses(batch: Sequence[Any]) -> dict[str, Any]:
+        crops, points, visible, azimuth = (part.to(device) for part in batch)
+        crops = crops.permute(0, 3, 1, 2).float()
+        with torch.autocast(device, dtype=torch.bfloat16, enabled=device != "cpu"):
+            output = network(crops)
+        return knet_loss(output, points, visible, azimuth, how.sigma)
+
+    samples = _Samples(learning, partner, how)
+    return trainer.run(_batches(samples, how, trainer.done), losses, clip=_CLIP, until=until)
+
+
+def _groups(network: KNet) -> list[dict[str, Any]]:
+    """The parameters for the optimizer: those of the encoder learn at half the rate."""
+    encoder = [p for part in (network.stem, network.stages) for p in part.parameters()]
+    inner = {id(p) for p in encoder}
+    others = [p for p in network.parameters() if id(p) not in inner]
+    return [{"params": encoder, "share": 0.5}, {"params": others, "share": 1.0}]
+
+
+def _batches(samples: _Samples, how: Training, first: int) -> Iterator[Any]:
+    import cv2
+
+    # A worker is one thread: the cores belong to the network. OpenCV's threads must end before processes are forked: a
+    # worker that inherits them waits for them for ever.
+    cv2.setNumThreads(1)
+    numbers = range(first * how.batch, how.steps * how.batch)
+    yield from DataLoader(
+        samples,
+        batch_size=how.batch,
+        sampler=list(numbers),
+        num_workers=how.workers,
+        prefetch_factor=4 if how.workers else None,
+    )

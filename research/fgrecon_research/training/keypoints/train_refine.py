@@ -1,0 +1,115 @@
+"""Training of the refinement networks: patches around the labels, off by as much as KNet's estimates are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from fgrecon.perception.keypoints.crops import MARGIN
+from fgrecon.perception.keypoints.refine import PATCH, RefineNet, RefineSettings, cut_patches
+from fgrecon_research.training.keypoints.augment import Sample, Street
+from fgrecon_research.training.keypoints.losses import HIDDEN_WEIGHT, map_loss
+from fgrecon_research.training.keypoints.trainer import Schedule, Trainer, TrainingProgress
+from fgrecon_research.training.keypoints.views import TrainingSet
+
+__all__ = ["RefineTraining", "train_refinement"]
+
+Array = NDArray[np.float64]
+
+_SEED = 7_000_000  # keeps the samples apart from KNet's
+
+
+@dataclass(frozen=True)
+class RefineTraining(Schedule):
+    """How the refinement networks are trained: see `Schedule`; each sample has a patch for every keypoint.
+
+    Attributes:
+        sigma: Standard deviation of the target Gaussians, pixels of the patch.
+        estimate: Standard deviation of KNet's estimate around the label, as a fraction of the car's longer side.
+        network: Sizes.
+        street: Augmentation; without much occlusion, since hidden points teach little.
+    """
+
+    steps: int = 2000
+    decay: float = 0.3
+    batch: int = 16
+    rate: float = 2e-3
+    warmup: int = 0
+    average: float = 0.995
+    save_every: int = 50
+    sigma: float = 2.2
+    estimate: float = 0.035
+    network: RefineSettings = field(default_factory=RefineSettings)
+    street: Street = field(default_factory=lambda: replace(Street(), covered=0.15, block=0.1, truncated=0.06))
+
+
+def train_refinement(
+    learning: TrainingSet,
+    partner: NDArray[np.intp],
+    checkpoint: Path,
+    how: RefineTraining,
+    *,
+    start: Mapping[str, Any] | None = None,
+    device: str = "cpu",
+    report: Callable[[TrainingProgress], None] | None = None,
+) -> RefineNet:
+    """Train, or go on where the checkpoint ends.
+
+    Args:
+        learning: Views with labels, and how often to draw each.
+        partner: (K,) index of each keypoint's mirror image.
+        checkpoint: File to go on from and to write to.
+        how: Settings.
+        start: Weights to start from, without a checkpoint.
+        device: Torch's name of the device.
+        report: Called after every `save_every` steps.
+
+    Returns:
+        The averaged networks, in evaluation mode.
+    """
+    torch.manual_seed(how.seed)
+    network: RefineNet = RefineNet(how.network)
+    if start is not None:
+        network.load_state_dict(start, strict=False)
+    network = network.to(device)
+    trainer = Trainer(network, [{"params": network.parameters()}], how, checkpoint, how.network.to_dict(), report)
+
+    def losses(drawn: tuple[int, list[Sample]]) -> dict[str, Any]:
+        patches, inside, weight = (torch.from_numpy(a).to(device).float() for a in _targets(*drawn, how))
+        return {"patches": map_loss(network(patches), inside, weight, 1.0, how.sigma)}
+
+    street = replace(how.street, size=how.network.crop)
+    samples = (
+        (
+            step,
+            [learning.draw(street, partner, (how.seed, _SEED + step * how.batch + i)) for i in range(how.batch)],
+        )
+        for step in range(trainer.done, how.steps)
+    )
+    return trainer.run(samples, losses, objective="patches")
+
+
+def _targets(step: int, drawn: Sequence[Sample], how: RefineTraining) -> tuple[NDArray[np.uint8], Array, Array]:
+    """Patches around estimates of the keypoints, the labels in pixels of the patches, and how much each point counts.
+
+    The patches are (B, K, 3, P, P), the labels (B, K, 2), the weights (B, K): 0 where the label is unknown or not in
+    the patch.
+    """
+    rng = np.random.default_rng((how.seed, _SEED, step))
+    points = np.array([sample.keypoints for sample in drawn])
+    known = np.isfinite(points).all(axis=-1)
+    points = np.where(known[..., None], points, 0.0)
+    estimate = points + rng.normal(0.0, how.estimate * how.network.crop / MARGIN, points.shape)
+    corners = np.rint(estimate).astype(np.int64)[:, None] - PATCH // 2
+    patches = cut_patches(np.stack([sample.crop for sample in drawn]), corners)[:, 0]
+    inside = points - corners[:, 0]
+    there = ((inside >= 0) & (inside <= PATCH - 1)).all(axis=-1)
+    visible = np.array([sample.visible for sample in drawn])
+    weight = (HIDDEN_WEIGHT * 0.4 + (1.0 - HIDDEN_WEIGHT * 0.4) * visible) * (there & known)
+    return np.ascontiguousarray(patches), inside.astype(np.float64), weight

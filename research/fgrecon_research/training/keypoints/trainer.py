@@ -1,0 +1,157 @@
+"""What the trainings of all networks share: the schedule, and steps that go on where a checkpoint ends."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import torch
+
+from fgrecon.io.stored import stored
+from fgrecon_research.training.keypoints.checkpoint import follow, load_checkpoint, restore_checkpoint, save_checkpoint
+
+__all__ = ["Schedule", "Trainer", "TrainingProgress"]
+
+Network = TypeVar("Network", bound=torch.nn.Module)
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """How long and how fast a network is trained.
+
+    Attributes:
+        steps: Gradient steps in all; the last `decay` of them lower the rate to zero.
+        decay: Share of the steps.
+        batch: Samples per step.
+        rate: TrainingSet rate.
+        warmup: Steps over which the rate rises.
+        average: Decay per step of the moving average of the weights, which is what is kept.
+        seed: Of samples and first weights.
+        save_every: Steps between checkpoints.
+    """
+
+    steps: int = 4000
+    decay: float = 0.25
+    batch: int = 32
+    rate: float = 1e-3
+    warmup: int = 100
+    average: float = 0.998
+    seed: int = 0
+    save_every: int = 100
+
+    def rate_at(self, step: int) -> float:
+        """TrainingSet rate of a step: up, level, and down to zero."""
+        start = round(self.steps * (1.0 - self.decay))
+        down = 1.0 if step < start else (self.steps - step) / max(self.steps - start, 1)
+        return self.rate * min(1.0, (step + 1) / max(self.warmup, 1)) * max(down, 0.0)
+
+
+@dataclass(frozen=True)
+class TrainingProgress:
+    """How far a training has come.
+
+    Attributes:
+        step: Steps done.
+        steps: Of how many.
+        losses: Mean of each part of the loss since the last report.
+        score: Score of the averaged network on held-out samples (PCK at 0.1 of KNet); None where there are none.
+    """
+
+    step: int
+    steps: int
+    losses: dict[str, float]
+    score: float | None = None
+
+
+class Trainer(Generic[Network]):
+    """A network in training, its running average and its optimizer; a checkpoint that exists is taken over.
+
+    A damaged one is named and put aside.
+
+    Args:
+        network: On its device already.
+        groups: Parameters for the optimizer, with the `share` of the learning rate that each group has.
+        how: Schedule.
+        checkpoint: File to go on from and to write to.
+        settings: Sizes of the network: a checkpoint of others is refused.
+        report: Called after every `save_every` steps.
+        score: Gives the averaged network's score for the report.
+    """
+
+    def __init__(
+        self,
+        network: Network,
+        groups: list[dict[str, Any]],
+        how: Schedule,
+        checkpoint: Path,
+        settings: dict[str, Any],
+        report: Callable[[TrainingProgress], None] | None = None,
+        score: Callable[[Network], float] | None = None,
+    ) -> None:
+        self.network = network
+        self.average: Network = copy.deepcopy(network).eval()
+        self.optimizer = torch.optim.AdamW(groups, lr=how.rate)
+        self.how, self.checkpoint, self.settings, self.report, self.score = how, checkpoint, settings, report, score
+        self.done = 0
+        found = stored(checkpoint, load_checkpoint)
+        if found is not None:
+            self.done = restore_checkpoint(found, network, self.average, self.optimizer, settings)
+        network.train()
+
+    def run(
+        self,
+        batches: Iterable[Any],
+        losses: Callable[[Any], Mapping[str, Any]],
+        *,
+        objective: str = "total",
+        clip: float = float("inf"),
+        until: int | None = None,
+    ) -> Network:
+        """Make one step for each batch, from the step after the last one.
+
+        Args:
+            batches: What `losses` takes.
+            losses: Losses of a batch by name.
+            objective: Name of the one that is minimised.
+            clip: Largest norm of a step's gradient.
+            until: Step after which to end with a checkpoint; None for the last.
+
+        Returns:
+            The averaged network, in evaluation mode.
+        """
+        end = self.how.steps if until is None else until
+        if self.done >= end:
+            return self.average
+        sums: dict[str, float] = {}
+        begin = self.done
+        for batch in batches:
+            found = losses(batch)
+            self._update(found[objective], clip)
+            for name, value in found.items():
+                sums[name] = sums.get(name, 0.0) + float(value.detach())
+            if self.done % self.how.save_every == 0 or self.done >= end:
+                self._save({name: value / (self.done - begin) for name, value in sums.items()})
+                sums, begin = {}, self.done
+            if self.done >= end:
+                break
+        return self.average
+
+    def _update(self, loss: Any, clip: float) -> None:
+        for group in self.optimizer.param_groups:
+            group["lr"] = self.how.rate_at(self.done) * group.get("share", 1.0)
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        if clip < float("inf"):
+            torch.nn.utils.clip_grad_norm_(self.network.parameters(), clip)
+        self.optimizer.step()
+        self.done += 1
+        follow(self.average, self.network, min(self.how.average, self.done / (self.done + 9)))
+
+    def _save(self, means: dict[str, float]) -> None:
+        save_checkpoint(self.checkpoint, self.network, self.average, self.optimizer, self.done, self.settings)
+        if self.report is not None:
+            score = None if self.score is None else self.score(self.average)
+            self.report(TrainingProgress(self.done, self.how.steps, means, score))

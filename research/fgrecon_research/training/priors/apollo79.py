@@ -1,0 +1,265 @@
+"""The default car prior, learnt from the 79 metric car models of ApolloCar3D.
+
+The models come as one npz file (`apollo79_car14.npz`: 14 keypoints located on every model, and the models' meshes in
+one topology). They are under ApolloScape's terms and are not part of fgrecon; the prior learnt from them is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fgrecon.core.checks import as_shape
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.shape_prior import ShapePrior, Surface
+from fgrecon.io.arrays import read_arrays
+from fgrecon.io.catalogue import load_category
+from fgrecon.solve.vehicle.conditioning import SizeRelation, express, learn_size_relation
+from fgrecon_research.training.priors.half_mesh import mirrored_half
+from fgrecon_research.training.priors.pca import SurfaceSamples, pca_prior
+
+__all__ = [
+    "DUPLICATE",
+    "Apollo79",
+    "LeaveOneOut",
+    "apollo79_prior",
+    "apollo79_size_relation",
+    "kept_models",
+    "leave_one_out",
+    "load_apollo79",
+    "rounded",
+    "surface_samples",
+]
+
+DUPLICATE = ("fengtian-puladuo-06", "guangqi-chuanqi-GS4-2015")
+"""Two names of one and the same car: it is learnt from once, and held out by either name."""
+
+_FILE = Path("apollo79") / "apollo79_car14.npz"
+_ARRAYS = (
+    *("car_names", "keypoints", "keypoints_mesh", "vertices", "faces", "mirror_vertex_ids", "mirror_bary"),
+    *("dims", "body_width", "real_length_m", "scale_suspect"),
+)
+_DECIMALS = 6
+"""The shipped prior is rounded to micrometres, so that another machine's linear algebra gives the same file."""
+
+
+@dataclass(frozen=True)
+class Apollo79:
+    """The 79 car models, oversize ones brought to their real length. Object frame, metres.
+
+    Attributes:
+        names: Names of the models.
+        keypoints: (79, 14, 3) keypoints in the order of `car14`, located on every model, exactly symmetric.
+        keypoints_mesh: (79, 14, 3) the same keypoints as fixed points of the common topology: 2 cm from `keypoints`
+            on average, left and right differ by 2 to 3 cm RMS.
+        vertices: (79, 1352, 3) vertices of the meshes; the topology is not symmetric.
+        mirrored: (79, 1352, 3) the point that each vertex's mirror image about z = 0 should be: interpolated on the
+            opposite side of the same mesh and reflected.
+        faces: (2700, 3) triangles, the same for all.
+        size: (79, 3) length, width without mirrors, and height of each model's box.
+        scale: (79,) factor by which the file's numbers were multiplied; 1 for all but four models.
+    """
+
+    names: tuple[str, ...]
+    keypoints: NDArray[np.float64]
+    keypoints_mesh: NDArray[np.float64]
+    vertices: NDArray[np.float64]
+    mirrored: NDArray[np.float64]
+    faces: NDArray[np.int32]
+    size: NDArray[np.float64]
+    scale: NDArray[np.float64]
+
+    def index(self, names: Sequence[str]) -> NDArray[np.intp]:
+        """Indices of models by name.
+
+        Raises:
+            InvalidInputError: There is no model of that name.
+        """
+        for name in names:
+            if name not in self.names:
+                raise InvalidInputError("exclude", name, f"Use names of the models, such as {self.names[0]}.")
+        return np.array([self.names.index(name) for name in names], dtype=np.intp)
+
+
+def load_apollo79(path: str | Path) -> Apollo79:
+    """Read the models from the npz file, or from the data folder that has it at `apollo79/apollo79_car14.npz`.
+
+    Four models (`scale_suspect` in the file) are 10 to 17 % longer than the real car; they are divided by length over
+    real length, keypoints and mesh alike.
+
+    Raises:
+        InvalidInputError: The file is missing, unreadable, or lacks an array.
+    """
+    path = Path(path)
+    file = path / _FILE if path.is_dir() else path
+    fix = "Give the folder with apollo79/apollo79_car14.npz, or that file."
+    try:
+        arrays = read_arrays(file, str(file), fix, _ARRAYS)
+    except FileNotFoundError:
+        raise InvalidInputError("data", str(file), fix) from None
+    missing = [field for field in _ARRAYS if field not in arrays]
+    if missing:
+        raise InvalidInputError(f"{file}: {missing[0]}", "no such array", fix)
+    size = np.column_stack([arrays["dims"][:, 0], arrays["body_width"], arrays["dims"][:, 2]])
+    scale = np.where(arrays["scale_suspect"], arrays["real_length_m"] / size[:, 0], 1.0)
+    vertices = arrays["vertices"].astype(np.float64)
+    bary = arrays["mirror_bary"].astype(np.float64)
+    image = np.einsum("mvca,vc->mva", vertices[:, arrays["mirror_vertex_ids"]], bary) * [1.0, 1.0, -1.0]
+    return Apollo79(
+        names=tuple(str(name) for name in arrays["car_names"]),
+        keypoints=arrays["keypoints"] * scale[:, None, None],
+        keypoints_mesh=arrays["keypoints_mesh"] * scale[:, None, None],
+        vertices=vertices * scale[:, None, None],
+        mirrored=image * scale[:, None, None],
+        faces=arrays["faces"],
+        size=size * scale[:, None],
+        scale=scale,
+    )
+
+
+def apollo79_prior(
+    path: str | Path | Apollo79,
+    basis: int = 5,
+    exclude: Sequence[str] = (),
+    symmetric: bool = True,
+    weights: ArrayLike | None = None,
+) -> ShapePrior:
+    """Learn the `car14` prior with surface from the models, without those named (for experiments on held-out cars).
+
+    Args:
+        path: The npz file, the data folder, or the models as loaded.
+        basis: Number of basis vectors.
+        exclude: Names of models not to learn from; either name of the car that has two takes it out.
+        symmetric: Learn from the keypoints located on every model, which are symmetric, and a surface cut along the
+            medial plane and mirrored: symmetric for every lambda. Otherwise learn from the keypoints as fixed points
+            of the meshes, whose left and right differ as those of a prior from 2D annotations do, and from the
+            meshes as they are.
+        weights: (79,) how much each model counts, such as how frequent it is; equal by default.
+
+    Raises:
+        InvalidInputError: The file cannot be used, a name is unknown, or too few models are left.
+    """
+    models = path if isinstance(path, Apollo79) else load_apollo79(path)
+    keep = kept_models(models, exclude)
+    return pca_prior(
+        load_category("car14"),
+        (models.keypoints if symmetric else models.keypoints_mesh)[keep],
+        basis=basis,
+        symmetric=symmetric,
+        weights=None if weights is None else as_shape("weights", weights, (len(models.names),))[keep],
+        surface=surface_samples(models, keep, symmetric),
+        name="car14",
+        provenance={
+            "source": f"{len(keep)} of the 79 car models of ApolloCar3D, 14 keypoints located on each",
+            "terms": "ApolloScape terms (research); see the model card",
+        },
+    )
+
+
+def apollo79_size_relation(models: Apollo79, prior: ShapePrior, exclude: Sequence[str] = ()) -> SizeRelation:
+    """How the models' boxes go with a prior's coefficients, without those named.
+
+    Args:
+        models: The models.
+        prior: A prior from `apollo79_prior`.
+        exclude: Names of models not to learn from.
+
+    Raises:
+        InvalidInputError: A name is unknown, or too few models are left for the prior's number of vectors.
+    """
+    keep = kept_models(models, exclude)
+    return learn_size_relation(prior, models.keypoints[keep], models.size[keep])
+
+
+@dataclass(frozen=True)
+class LeaveOneOut:
+    """How well the first N vectors express a car that they were not learnt from (least-squares coefficients).
+
+    Attributes:
+        basis: Number N of vectors.
+        explained: Fraction of the variance that they explain in the data itself.
+        keypoint_rms: Root mean square distance of a keypoint, metres.
+        keypoint_median: Median distance of a keypoint, metres.
+        vertex_rms: Root mean square distance of a vertex of the surface, metres.
+    """
+
+    basis: int
+    explained: float
+    keypoint_rms: float
+    keypoint_median: float
+    vertex_rms: float
+
+
+def leave_one_out(
+    models: Apollo79, counts: Sequence[int], advance: Callable[[int, int], None] = lambda *_: None
+) -> list[LeaveOneOut]:
+    """Hold out each model in turn, learn the symmetric prior from the others, and express the one held out.
+
+    Args:
+        models: The models.
+        counts: Numbers of basis vectors to report.
+        advance: Told how many models are done, and how many there are.
+    """
+    category = load_category("car14")
+    keep = kept_models(models, ())
+    shapes, samples, most = models.keypoints[keep], surface_samples(models, keep, symmetric=True), max(counts)
+    explained = np.cumsum(pca_prior(category, shapes, basis=most).explained)
+    keypoint = np.zeros((len(counts), len(keep), category.size))
+    vertex = np.zeros((len(counts), len(keep), samples.vertices.shape[1]))
+    for i in range(len(keep)):
+        rest = np.arange(len(keep)) != i
+        surface = replace(samples, vertices=samples.vertices[rest])
+        prior = pca_prior(category, shapes[rest], basis=most, surface=surface)
+        for row, count in enumerate(counts):
+            part = prior.truncated(count)
+            coefficients, residual = express(part, shapes[i : i + 1])
+            keypoint[row, i] = np.linalg.norm(residual[0], axis=1)
+            if part.surface is not None:
+                vertex[row, i] = np.linalg.norm(part.surface.vertices(coefficients[0]) - samples.vertices[i], axis=1)
+        advance(i + 1, len(keep))
+    return [
+        LeaveOneOut(
+            basis=count,
+            explained=float(explained[count - 1]) if count else 0.0,
+            keypoint_rms=float(np.sqrt((keypoint[row] ** 2).mean())),
+            keypoint_median=float(np.median(keypoint[row])),
+            vertex_rms=float(np.sqrt((vertex[row] ** 2).mean())),
+        )
+        for row, count in enumerate(counts)
+    ]
+
+
+def kept_models(models: Apollo79, exclude: Sequence[str]) -> NDArray[np.intp]:
+    """Indices of the models to learn from: all but those named, and of the car with two names one.
+
+    Raises:
+        InvalidInputError: A name is unknown.
+    """
+    twice = [name for name in DUPLICATE if name in models.names]
+    skip = {*exclude, *(twice if set(exclude) & set(twice) else twice[1:])}
+    kept = np.ones(len(models.names), dtype=bool)
+    kept[models.index(sorted(skip))] = False
+    return np.flatnonzero(kept)
+
+
+def surface_samples(models: Apollo79, keep: NDArray[np.intp], symmetric: bool) -> SurfaceSamples:
+    """Surfaces of some models, as they are or cut along the medial plane and mirrored."""
+    if not symmetric:
+        return SurfaceSamples(models.vertices[keep], models.faces)
+    mesh = mirrored_half((models.vertices[keep] + models.mirrored[keep]) / 2, models.faces)
+    return SurfaceSamples(mesh.vertices, mesh.faces, mesh.mirror)
+
+
+def rounded(prior: ShapePrior) -> ShapePrior:
+    """The prior to the micrometre, its surface in single precision: what is shipped."""
+    surface = prior.surface
+    if surface is not None:
+        mean, basis = (np.round(a, _DECIMALS).astype(np.float32) for a in (surface.mean, surface.basis))
+        surface = Surface(mean.astype(np.float64), basis.astype(np.float64), surface.faces)
+    fields = ("mean", "basis", "offset_sigma", "explained")
+    arrays = {field: np.round(getattr(prior, field), _DECIMALS) + 0.0 for field in fields}
+    return ShapePrior(prior.category, surface=surface, name=prior.name, provenance=prior.provenance, **arrays)

@@ -1,0 +1,299 @@
+"""The steps of EM-PPCA: one probabilistic linear shape model seen through M scaled-orthographic cameras.
+
+The model of Torresani, Hertzmann and Bregler (2008), with keypoints that may be unseen:
+
+    a_m p_mk = R_m (mean_k + sum_j z_mj basis_jk) + t_m + n_mk,   z_m ~ N(0, I),   n_mk ~ N(0, sigma^2 I)
+
+p_mk is the image point, R_m has two orthonormal rows, a_m = 1 / c_m is the inverse of the camera's scale. The noise is
+measured in the object's units (c_m sigma in the image), so that near and far vehicles count alike whatever their size
+in pixels; the change of variables adds 2 log a_m to the log density of each seen keypoint, which keeps a_m from
+shrinking to zero. An unseen keypoint has no term: integrating it out is what filling it in by the E-step and counting
+its conditional variance in the M-step amount to, without the slow convergence that the latter has.
+
+*Restricted likelihood.* Six camera parameters are fitted to each image's few keypoints, so that the likelihood of
+the fitted cameras takes noise for pose and shape: on street images with ten keypoints it finds less than half of the
+noise, and basis vectors that fit the rest. Integrating the cameras out by Laplace's method takes the place of 6 of the
+2 n residuals of an image (their curvature grows with (a / sigma)^2 each), which turns the log likelihood of an image
+
+    2 n log(a / sigma) - sum |residual|^2 / (2 sigma^2) + const.   into   (2 n - 6) log(a / sigma) - (the same sum),
+
+the restricted likelihood (REML) of mixed models; it has the same closed-form steps. `Data.freedom` = 0 is the plain
+likelihood.
+
+*Robust noise.* With `dof` the noise is Student's t (per keypoint, two-dimensional), a Gaussian of variance sigma^2 / u
+with u ~ Gamma(dof / 2, dof / 2): wrongly marked keypoints get a small E[u]. The posterior is then factorised into
+q(z) q(u), and what no step lowers is the evidence lower bound; for Gaussian noise the bound is the log likelihood.
+
+Every step maximises the bound over its own variables: basis, mean, noise and weights in closed form; scale and
+translation in closed form given the rotation; the rotation by a majorisation that cannot lower it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon_research.training.priors.symmetric_subspace import SymmetricSubspace
+
+__all__ = [
+    "Cameras",
+    "Data",
+    "Posterior",
+    "ShapeModel",
+    "bound",
+    "e_step",
+    "expected_shapes",
+    "model_step",
+    "orthonormal_rows",
+    "pose_step",
+]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Data:
+    """The annotations, ready for use.
+
+    Attributes:
+        points: (M, K, 2) image points; unseen ones hold zeros.
+        seen: (M, K) 1.0 where a keypoint was annotated, else 0.0.
+        importance: (M,) factor on each instance's log likelihood; ones where all count alike.
+        freedom: Fitted camera parameters that the noise estimate allows for: 6, or 0 for the plain likelihood.
+    """
+
+    points: Array
+    seen: Array
+    importance: Array
+    freedom: float = 6.0
+
+    @property
+    def keypoints(self) -> float:
+        """How many keypoints are annotated, each image counting by its importance."""
+        return float(self.importance @ self.seen.sum(axis=1))
+
+
+@dataclass(frozen=True)
+class ShapeModel:
+    """Mean (K, 3), basis (N, K, 3) and noise variance (scalar) in the object's units."""
+
+    mean: Array
+    basis: Array
+    variance: float
+
+
+@dataclass(frozen=True)
+class Cameras:
+    """Scaled-orthographic cameras: rotation rows (M, 2, 3), inverse scale (M,) and translation (M, 2)."""
+
+    rotation: Array
+    inverse_scale: Array
+    translation: Array
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """What the E-step knows about the latent variables.
+
+    Attributes:
+        mean: (M, N) posterior mean of the coefficients.
+        covariance: (M, N, N) their posterior covariance.
+        weight: (M, K) expected precision factor u of each keypoint, 1 for Gaussian noise and 0 where unseen.
+        squared: (M, K) expected squared residual in the object's units.
+    """
+
+    mean: Array
+    covariance: Array
+    weight: Array
+    squared: Array
+
+
+def expected_shapes(model: ShapeModel, coefficients: Array) -> Array:
+    """(M, K, 3) shapes at the coefficients (M, N)."""
+    count, size = model.basis.shape[0], model.mean.shape[0]
+    return model.mean + (coefficients @ model.basis.reshape(count, size * 3)).reshape(-1, size, 3)
+
+
+def _squared_residuals(data: Data, model: ShapeModel, cameras: Cameras, mean: Array, covariance: Array) -> Array:
+    """(M, K) E |a p - R X - t|^2 under q(z)."""
+    shapes = expected_shapes(model, mean)
+    residual = (
+        cameras.inverse_scale[:, None, None] * data.points
+        - shapes @ cameras.rotation.transpose(0, 2, 1)
+        - cameras.translation[:, None]
+    )
+    squared = np.square(residual).sum(axis=2)
+    if model.basis.shape[0]:
+        design = _design(model, cameras)  # (M, K * 2, N)
+        spread = np.einsum("mrn,mrn->mr", design @ covariance, design)
+        squared += spread.reshape(*squared.shape, 2).sum(axis=2)
+    return np.asarray(squared * data.seen)
+
+
+def _design(model: ShapeModel, cameras: Cameras) -> Array:
+    """(M, K * 2, N) derivative of each projected keypoint by the coefficients."""
+    count, size = model.basis.shape[0], model.mean.shape[0]
+    vectors = model.basis.transpose(2, 1, 0).reshape(3, size * count)
+    return (cameras.rotation @ vectors).reshape(-1, 2, size, count).swapaxes(1, 2).reshape(-1, size * 2, count)
+
+
+def _weights(data: Data, squared: Array, variance: float, dof: float | None) -> Array:
+    """(M, K) expected precision factors under q(u)."""
+    if dof is None:
+        return data.seen
+    return data.seen * (dof + 2.0) / (dof + squared / variance)
+
+
+def e_step(data: Data, model: ShapeModel, cameras: Cameras, dof: float | None, weight: Array | None) -> Posterior:
+    """q(z) for the given weights (one where None), then q(u) for that q(z)."""
+    count = model.basis.shape[0]
+    used = data.seen if weight is None else weight
+    if count:
+        design = _design(model, cameras)
+        precision = np.repeat(used / model.variance, 2, axis=1)
+        residual = (
+            cameras.inverse_scale[:, None, None] * data.points
+            - model.mean @ cameras.rotation.transpose(0, 2, 1)
+            - cameras.translation[:, None]
+        )
+        weighted = (design * precision[:, :, None]).transpose(0, 2, 1)
+        covariance = np.linalg.inv(np.eye(count) + weighted @ design)
+        covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
+        mean = (covariance @ (weighted @ residual.reshape(len(residual), -1, 1)))[:, :, 0]
+    else:
+        mean, covariance = np.zeros((len(used), 0)), np.zeros((len(used), 0, 0))
+    squared = _squared_residuals(data, model, cameras, mean, covariance)
+    return Posterior(mean, covariance, _weights(data, squared, model.variance, dof), squared)
+
+
+def bound(data: Data, model: ShapeModel, cameras: Cameras, posterior: Posterior, dof: float | None) -> Array:
+    """(M,) evidence lower bound of each instance (its log likelihood for Gaussian noise after an E-step), nats."""
+    relative = posterior.squared / model.variance
+    loss = 0.5 * relative if dof is None else (0.5 * dof + 1.0) * np.log1p(relative / dof)
+    pairs = data.seen.sum(axis=1) - 0.5 * data.freedom
+    total = pairs * (2.0 * np.log(cameras.inverse_scale) - np.log(2.0 * np.pi * model.variance))
+    total -= (loss * data.seen).sum(axis=1)
+    if model.basis.shape[0]:
+        _, log_determinant = np.linalg.slogdet(posterior.covariance)
+        trace = np.trace(posterior.covariance, axis1=1, axis2=2)
+        total -= 0.5 * (trace + np.square(posterior.mean).sum(axis=1) - model.basis.shape[0] - log_determinant)
+    return np.asarray(total * data.importance)
+
+
+def pose_step(data: Data, model: ShapeModel, cameras: Cameras, posterior: Posterior, sweeps: int = 4) -> Cameras:
+    """Raise the bound over rotation, scale and translation, the posterior held.
+
+    With the translation eliminated, an instance's cost is a^2 P - 2 a tr(R'B) + tr(R C R') - 4 n log a. Given R the
+    best a is the root of a quadratic. Given a, tr(R C R') with orthonormal rows is a constant minus a convex function
+    of R, so its tangent bounds the cost from above: the polar factor of a B + R (l I - C), l the largest eigenvalue of
+    C, never raises it.
+    """
+    weight = posterior.weight / model.variance
+    total = weight.sum(axis=1)[:, None]
+    shapes = expected_shapes(model, posterior.mean)
+    centre_p = np.einsum("mk,mki->mi", weight, data.points) / total
+    centre_x = np.einsum("mk,mki->mi", weight, shapes) / total
+    p = (data.points - centre_p[:, None]) * data.seen[:, :, None]
+    x = shapes - centre_x[:, None]
+    wp = (weight[:, :, None] * p).transpose(0, 2, 1)
+    power = (wp.transpose(0, 2, 1) * p).sum(axis=(1, 2))
+    cross = wp @ x
+    square = (weight[:, :, None] * x).transpose(0, 2, 1) @ x
+    count, size = model.basis.shape[0], model.mean.shape[0]
+    if count:  # sum_k w_k V_k phi V_k'
+        outer = np.einsum("akj,bkl->kajbl", model.basis, model.basis).transpose(0, 1, 3, 2, 4).reshape(size, -1)
+        spread = (weight @ outer).reshape(-1, count * count, 9)
+        square += (posterior.covariance.reshape(-1, 1, count * count) @ spread).reshape(-1, 3, 3)
+    slack = np.linalg.eigvalsh(square)[:, -1, None, None] * np.eye(3) - square
+    pairs = data.seen.sum(axis=1) - 0.5 * data.freedom
+    rotation, scale = cameras.rotation, cameras.inverse_scale
+    for _ in range(sweeps):
+        rotation = orthonormal_rows(scale[:, None, None] * cross + rotation @ slack)
+        along = (rotation * cross).sum(axis=(1, 2))
+        scale = (along + np.sqrt(along**2 + 8.0 * pairs * power)) / (2.0 * power)
+    translation = scale[:, None] * centre_p - (rotation @ centre_x[:, :, None])[:, :, 0]
+    return Cameras(rotation, scale, translation)
+
+
+def orthonormal_rows(matrices: Array) -> Array:
+    """(M, 2, 3) nearest matrices with orthonormal rows, by the closed root of a 2x2 matrix."""
+    gram = matrices @ matrices.transpose(0, 2, 1)
+    root = np.sqrt(np.maximum(gram[:, 0, 0] * gram[:, 1, 1] - gram[:, 0, 1] ** 2, 1e-300))
+    gram[:, 0, 0] += root
+    gram[:, 1, 1] += root  # proportional to the square root of the Gram matrix
+    norm = np.sqrt(gram[:, 0, 0] + gram[:, 1, 1])
+    determinant = gram[:, 0, 0] * gram[:, 1, 1] - gram[:, 0, 1] ** 2
+    inverse = np.empty_like(gram)
+    inverse[:, 0, 0], inverse[:, 1, 1] = gram[:, 1, 1], gram[:, 0, 0]
+    inverse[:, 0, 1] = inverse[:, 1, 0] = -gram[:, 0, 1]
+    return np.asarray((inverse * (norm / determinant)[:, None, None]) @ matrices)
+
+
+def model_step(
+    data: Data, model: ShapeModel, cameras: Cameras, posterior: Posterior, subspace: SymmetricSubspace, floor: float
+) -> tuple[ShapeModel, Posterior]:
+    """Best mean, basis and noise for the cameras and the posterior, all in closed form.
+
+    The basis step is parameter-expanded (Liu, Rubin and Wu 1998): the coefficients' own mean and covariance are
+    estimated too and then absorbed into mean and basis, with the posterior carried along, which raises the bound
+    further and makes EM converge several times faster.
+
+    Args:
+        data: The annotations.
+        model: The model so far.
+        cameras: Their cameras.
+        posterior: The latent variables.
+        subspace: Where the mean and basis live.
+        floor: Least noise variance, which keeps exact data from a division by zero.
+
+    Returns:
+        The model, and the posterior in its coordinates with new squared residuals.
+    """
+    count, size = model.basis.shape[0], model.mean.shape[0]
+    extended = np.ones((len(data.points), count + 1))
+    extended[:, 1:] = posterior.mean
+    moments = extended[:, :, None] * extended[:, None]
+    moments[:, 1:, 1:] += posterior.covariance
+    moments = moments.reshape(len(moments), -1).T
+    gram = (cameras.rotation.transpose(0, 2, 1) @ cameras.rotation).reshape(-1, 9)
+    target = (cameras.inverse_scale[:, None, None] * data.points - cameras.translation[:, None]) @ cameras.rotation
+    weights = posterior.weight * data.importance[:, None]
+    shapes = np.zeros((count + 1, size, 3))
+    for orbit in subspace.orbits:
+        lhs = np.zeros((count + 1, orbit.size, count + 1, orbit.size))
+        rhs = np.zeros((count + 1, orbit.size))
+        for k, F in zip(orbit.keypoints, orbit.maps, strict=True):
+            products = ((moments * weights[:, k]) @ gram).reshape(count + 1, count + 1, 3, 3)
+            lhs += np.einsum("abij,ic,jd->acbd", products, F, F)
+            rhs += (extended * weights[:, k, None]).T @ target[:, k] @ F
+        n = (count + 1) * orbit.size
+        matrix = lhs.reshape(n, n)
+        matrix[np.diag_indices(n)] += 1e-12 * np.trace(matrix) / n  # a keypoint that is hardly ever seen
+        solution = np.linalg.solve(matrix, rhs.reshape(n)).reshape(count + 1, orbit.size)
+        shapes[:, orbit.keypoints] = np.einsum("pic,ac->api", orbit.maps, solution)
+    mean, basis, q_mean, q_covariance = _absorb(shapes[0], shapes[1:], posterior, data.importance)
+    trial = ShapeModel(mean, basis, model.variance)
+    squared = _squared_residuals(data, trial, cameras, q_mean, q_covariance)
+    pairs = data.importance @ (data.seen.sum(axis=1) - 0.5 * data.freedom)
+    variance = max(float((weights * squared).sum() / (2.0 * pairs)), floor)
+    return ShapeModel(mean, basis, variance), Posterior(q_mean, q_covariance, posterior.weight, squared)
+
+
+def _absorb(mean: Array, basis: Array, posterior: Posterior, importance: Array) -> tuple[Array, Array, Array, Array]:
+    """Move the coefficients' empirical mean and covariance into the shape: they are N(0, I) afterwards."""
+    if not len(basis):
+        return mean, basis, posterior.mean, posterior.covariance
+    share = importance / importance.sum()
+    centre = share @ posterior.mean
+    centred = posterior.mean - centre
+    spread = np.tensordot(share, posterior.covariance, axes=1) + (centred * share[:, None]).T @ centred
+    root = np.linalg.cholesky(spread)
+    inverse = np.linalg.inv(root)
+    return (
+        mean + np.tensordot(centre, basis, axes=1),
+        np.tensordot(root.T, basis, axes=1),
+        centred @ inverse.T,
+        inverse @ posterior.covariance @ inverse.T,
+    )

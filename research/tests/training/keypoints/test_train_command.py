@@ -1,0 +1,186 @@
+"""`fgrecon keypoints train` from the outside, on made-up photographs and with small networks."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from fgrecon.cli.main import app
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.catalogue import load_prior
+from fgrecon.io.export import write_coco_keypoints
+from fgrecon.io.kitti_drives import read_drive
+from fgrecon.perception.keypoints.decode import ConfidenceCalibration
+from fgrecon.perception.keypoints.weights import Stored, load_weights, save_weights
+from fgrecon_research.annotation.annotate import annotate
+from fgrecon_research.annotation.labels import vehicle_labels
+from research.tests.annotation.streets import Car, Told, write_drive
+from research.tests.training.keypoints.support import make_small
+from research.tests.training.keypoints.test_rounds import SMALL, source  # noqa: F401 - a fixture
+
+torch = pytest.importorskip("torch")
+
+from fgrecon.perception.keypoints.knet import KNet  # noqa: E402
+from fgrecon.perception.keypoints.refine import RefineNet, RefineSettings  # noqa: E402
+from fgrecon_research.training.keypoints import networks, rounds  # noqa: E402
+
+
+@pytest.fixture
+def train(source, monkeypatch, tmp_path):  # noqa: F811
+    make_small(source, monkeypatch)
+
+    def run(out, *more):
+        told = ["--work", tmp_path / "work", "--out", tmp_path / out, "--steps", 2, "--batch", 2, "--relabel-at", 1]
+        arguments = ["keypoints", "train", *told, "--workers", 0, "--refine-steps", 1, *more]
+        return CliRunner().invoke(app, [*map(str, arguments)])
+
+    return run
+
+
+def test_networks_are_trained_shown_and_written(train, tmp_path):
+    done = train("first.safetensors")
+    assert done.exit_code == 0, done.output
+    assert done.stdout == f"Wrote {tmp_path / 'first.safetensors'}.\n"
+    for line in ("Training to step 2", "Refinement networks", "Calibration"):
+        assert line in done.stderr.splitlines()
+    assert "step 2 of 2: " in done.stderr
+    first = load_weights(tmp_path / "first.safetensors")
+    assert first.refinement is not None
+    assert first.provenance["training"] == "2 steps of 2, labels corrected at [1], seed 0"
+    assert first.provenance["start"] == "random weights"
+
+
+def test_a_trained_network_can_go_on_and_be_kept(train, tmp_path):
+    torch.manual_seed(1)
+    start = tmp_path / "start.safetensors"
+    save_weights(
+        start, Stored(KNet(SMALL).state_dict(), SMALL.to_dict(), ConfidenceCalibration(), {"start": "nothing"})
+    )
+    done = train("on.safetensors", "--start", start, "--start-share", 1, "--relabel-at", 9, "--refine-steps", 0)
+    assert done.exit_code == 0, done.output
+    before, after = load_weights(start), load_weights(tmp_path / "on.safetensors")
+    told = "start.safetensors (of which 1 is left in the weights), itself from: nothing"
+    assert after.provenance["start"] == told
+    assert after.refinement is None
+    for name, value in before.state.items():  # nothing of what was learnt now is in them
+        np.testing.assert_allclose(after.state[name].float(), value.float(), atol=1e-3)
+
+
+def test_quiet(train):
+    assert train("n.safetensors", "-q").output == ""
+
+
+def test_bad_options_are_refused_before_the_work(train, tmp_path):
+    for arguments, field in ((["--relabel-at", "a"], "relabel_at"), (["--out", tmp_path], "output")):
+        done = train("n.safetensors", *arguments)
+        assert isinstance(done.exception, InvalidInputError)
+        assert done.exception.field == field
+    assert not (tmp_path / "work").exists()
+
+
+@pytest.fixture
+def street(tmp_path, monkeypatch):
+    """Labels of a car in each of two drives, `near` and `far`."""
+    # A network that knows nothing would correct the photographs' labels to where no shape is.
+    monkeypatch.setattr(rounds, "corrected", lambda _, first, *more: first)
+    prior = load_prior("car14")
+    streets = {"near": [{1: Car((0.0, 1.65, 15.0), 0.4)}], "far": [{1: Car((1.0, 1.65, 20.0), 2.0)}]}
+    annotated = []
+    for name, frames in streets.items():
+        made, _ = annotate(read_drive(write_drive(tmp_path / name, prior, frames)), Told(frames, prior), prior)
+        annotated += [(name, one) for one in made]
+    return write_coco_keypoints(tmp_path / "street.json", vehicle_labels(annotated, prior.category, {}))
+
+
+@pytest.fixture
+def begun(tmp_path):
+    """A network of both kinds, in a file."""
+    torch.manual_seed(1)
+    knet, refined = KNet(SMALL), RefineNet(RefineSettings(crop=64, width=4))
+    stored = Stored(knet.state_dict(), SMALL.to_dict(), ConfidenceCalibration(), {}, refined.state_dict(), {})
+    stored = replace(stored, refine_settings=refined.settings.to_dict(), trust=0.3)
+    return save_weights(tmp_path / "start.safetensors", stored)
+
+
+def test_street_cars_are_learnt_from_beside_the_photographs(train, street, begun, tmp_path):
+    told = ("--start", begun, "--street", street, "--street-share", 0.75, "--rate", 1e-4, "--decay", 0.5)
+    done = train("street.safetensors", *told, "--without", "far", "--relabel-at", 9, "--refine-steps", 0)
+    assert done.exit_code == 0, done.output
+    assert "Street cars" in done.stderr
+    before, trained = load_weights(begun), load_weights(tmp_path / "street.safetensors")
+    assert trained.provenance["data"].endswith("; 1 street cars in 0.75 of the samples, without far")
+    assert (trained.trust, trained.refine_settings) == (0.3, before.refine_settings)
+    for name, value in trained.refinement.items():  # kept, since no step was made on them
+        np.testing.assert_allclose(value, before.refinement[name], atol=1e-3)
+    again = train("street.safetensors", *told, "--relabel-at", 9, "--refine-steps", 0)
+    assert isinstance(again.exception, InvalidInputError)  # the same folder, but other drives
+    assert again.exception.field == "work"
+    labels = json.loads(street.read_text())
+    street.write_text(json.dumps({**labels, "annotations": labels["annotations"][:1]}))
+    again = train("street.safetensors", *told, "--relabel-at", 9, "--refine-steps", 0)
+    assert isinstance(again.exception, InvalidInputError)  # the cars that are cut out are others
+    assert "labels" in again.exception.fix
+
+
+def test_refinement_networks_learn_from_the_street_as_well(train, street, begun, tmp_path):
+    alone = train("p.safetensors", "--start", begun, "--relabel-at", 9)
+    assert alone.exit_code == 0, alone.output
+    options = ("--start", begun, "--start-share", 0, "--street", street, "--street-share", 1, "--relabel-at", 9)
+    done = train("s.safetensors", "--work", tmp_path / "other", *options)
+    assert done.exit_code == 0, done.output
+    before, after = load_weights(begun).refinement, load_weights(tmp_path / "s.safetensors").refinement
+    assert before.keys() == after.keys()
+    moved = [name for name, value in after.items() if (value - before[name]).abs().max() > 1e-4]
+    assert moved
+
+
+@pytest.mark.parametrize(("street_too", "known"), [(True, "far, near"), (False, "Leave out drives only where")])
+def test_drives_that_are_not_there_cannot_be_left_out(train, street, tmp_path, street_too, known):
+    told = ("--street", street) if street_too else ()
+    done = train("s.safetensors", *told, "--without", "near,drive_0095")
+    assert isinstance(done.exception, InvalidInputError)
+    assert (done.exception.field, done.exception.value) == ("without", "drive_0095" if street_too else "near")
+    assert known in done.exception.fix
+    assert not (tmp_path / "work" / "knet.pt").exists()
+
+
+class Killed(BaseException):
+    """As from outside: nothing catches it."""
+
+
+def test_a_network_that_is_there_is_calibrated(train, tmp_path, monkeypatch):
+    with monkeypatch.context() as patch:
+
+        def killed(*_, **__):
+            raise Killed
+
+        patch.setattr(networks, "calibrate", killed)
+        with pytest.raises(Killed):
+            train("n.safetensors")
+    assert not (tmp_path / "n.safetensors").exists()
+    assert train("n.safetensors").exit_code == 0
+    assert load_weights(tmp_path / "n.safetensors").calibration != ConfidenceCalibration()
+
+
+def test_a_training_goes_on_with_the_same_plan_network_and_data(train, source, begun, tmp_path, monkeypatch):  # noqa: F811
+    monkeypatch.setattr(rounds, "corrected", lambda _, first, *more: first)
+    assert train("n.safetensors", "--start", begun).exit_code == 0
+
+    def refused(told, *options):
+        again = train("n.safetensors", "--start", begun, *options)
+        assert isinstance(again.exception, InvalidInputError)
+        assert again.exception.field == "work"
+        assert told in again.exception.fix
+
+    refused("rate: 0.001 became 0.01.", "--rate", 0.01)
+    refused("steps: 2 became 3.", "--steps", 3)
+    refused("steps: 1 became 2.", "--refine-steps", 2)
+    other = replace(source, learn=source.learn[1:])
+    with monkeypatch.context() as patch:
+        patch.setattr(networks, "read_source", lambda data, marks: other)
+        refused("photographs: ")
+    stored = load_weights(begun)
+    save_weights(begun, replace(stored, trust=0.9))  # another network under the same name
+    refused("start: ")
