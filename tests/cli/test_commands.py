@@ -1,4 +1,4 @@
-"""Groups of options, old spellings, and what holds for every command: help, completion, quiet and verbose."""
+"""Groups of options, and what holds for every command: help, completion, quiet and verbose."""
 
 import os
 import re
@@ -13,7 +13,7 @@ from rich.text import Text
 from typer.main import get_command
 from typer.testing import CliRunner
 
-from fgrecon.cli.commands import add_command, current_spelling
+from fgrecon.cli.commands import add_command
 from fgrecon.cli.main import app
 
 ROOT = get_command(app)
@@ -55,33 +55,6 @@ def test_a_group_becomes_its_fields():
     assert CliRunner().invoke(made, ["add", "x"]).exit_code == 2  # --left has no default
 
 
-@pytest.mark.parametrize(
-    ("given", "current", "warnings"),
-    [
-        (["car14", "--out", "a.png"], ["car14", "--picture", "a.png"], 1),
-        (["--out=a.png", "--rrd", "b.rrd"], ["--picture=a.png", "--save", "b.rrd"], 2),
-        (["--picture", "a.png", "--", "--out"], ["--picture", "a.png", "--", "--out"], 0),
-        (["--json"], ["--json", "-"], 1),
-        (["--json", "--seed", "1"], ["--json", "-", "--seed", "1"], 1),
-        (["--json", "run.rrd"], ["--json", "-", "run.rrd"], 1),
-        (["--json", "-"], ["--json", "-"], 0),
-        (["--json", "run.json"], ["--json", "run.json"], 0),
-    ],
-)
-def test_old_spellings(given, current, warnings):
-    found, told = current_spelling(given, {"--out": "--picture", "--rrd": "--save"}, {"--json": "-"})
-    assert found == current
-    assert len(told) == warnings
-
-
-def test_an_old_spelling_works_with_a_warning_and_is_not_in_the_help(tmp_path):
-    done = CliRunner().invoke(app, ["prior", "show", "car14", "--out", str(tmp_path / "p.png")])
-    assert done.exit_code == 0, done.output
-    assert done.stderr == "fgrecon: --out is now called --picture; the old name goes with the next release.\n"
-    assert (tmp_path / "p.png").exists()
-    assert "--out" not in CliRunner().invoke(app, ["prior", "show", "--help"], terminal_width=200).stdout
-
-
 @pytest.mark.parametrize("path", COMMANDS, ids=" ".join)
 def test_the_help_shows_all_that_was_written(path):
     """Brackets are markup to rich, which drops what it takes for a tag."""
@@ -90,9 +63,17 @@ def test_the_help_shows_all_that_was_written(path):
         assert Text.from_markup(text).plain == text.replace("\\[", "["), text
 
 
-def test_the_extra_of_silhouettes_is_named():
-    shown = CliRunner().invoke(app, ["keypoints", "silhouettes", "--help"], terminal_width=200).stdout
-    assert "fgrecon-research" in shown
+@pytest.mark.parametrize("words", ["evaluate", "evaluate tracks", "keypoints train", "prior learn", "vehicles convert"])
+def test_what_another_package_brings_says_so(words):
+    """In a process that finds no installed command of another package."""
+    code = (
+        "import sys, importlib.metadata as m; m.entry_points = lambda **_: ();"
+        f"sys.argv = ['fgrecon', *{words.split()}]; from fgrecon.cli.main import main; main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+    assert f"fgrecon {words} needs fgrecon-research" in done.stderr
 
 
 @pytest.mark.parametrize("path", COMMANDS, ids=" ".join)

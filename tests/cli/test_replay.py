@@ -40,7 +40,7 @@ def test_summary_prints_stages_iterations_and_energies(recording):
 
 
 def test_summary_as_json_has_the_numbers(recording):
-    done = run("replay", recording, "--summary", "--json")
+    done = run("replay", recording, "--summary", "--json", "-")
     content = json.loads(done.stdout)
     expected = replay.read(recording).summary()
     assert [stage["stage"] for stage in content["stages"]] == list(STAGES)

@@ -41,7 +41,7 @@ def test_a_baseline_that_is_not_installed_is_left_out_unless_it_is_named(monkeyp
     monkeypatch.setattr(methods, "find_spec", lambda package: None)
     assert left_out() == ("poselib_ransac", "poselib_ransac+size")
     assert [method.name for method in select()] == [name for name in METHODS if not name.startswith("poselib")]
-    with pytest.raises(InvalidInputError, match=r"poselib is not installed.*pip install 'fgrecon\[baselines\]'"):
+    with pytest.raises(InvalidInputError, match=r"poselib is not installed.*pip install fgrecon-research"):
         select(["poselib_ransac+size"])
 
 

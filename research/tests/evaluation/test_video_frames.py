@@ -45,7 +45,7 @@ def test_a_label_has_the_box_that_overlaps_it_most(folder, detecting):  # noqa: 
 
 def test_labels_without_a_box_are_counted_and_not_scored(folder, detecting, scene):  # noqa: F811
     drive = read_drive(folder)
-    (frame,) = score_frames([drive], {"drive": detecting}, scene, jobs=2)
+    (frame,) = score_frames([drive], {"drive": detecting}, jobs=2)
     assert [box.track for box in frame.boxes] == [0, 1]
     assert frame.missed == 1
     assert [one.identity for one in frame.sightings] == [0, 1, None, None]
@@ -70,7 +70,7 @@ def test_vehicles_are_followed_without_ids(folder, setup, detecting, scene, dete
     clean = json.loads((folder / "clean_tracks.json").read_text())
     (folder / "clean_tracks.json").write_text(json.dumps({name: [0, 1, 2] for name in clean}))
     drives, setups = [read_drive(folder)], {"drive": detecting if detected else replace(setup, together=False)}
-    frames = score_frames(drives, setups, scene)
+    frames = score_frames(drives, setups)
     boxes = follow_boxes(frames, drives, setups, forget_ids=True)
     known = follow_boxes(frames, drives, setups) if not detected else boxes
     for box, other in zip(boxes, known, strict=True):

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from fgrecon.core.options import Options
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.images import write_png
 from fgrecon.io.kitti_drives import read_drive
+from fgrecon_research.evaluation.run import ScoredRivals
 from tests.made_up_track import T2, K, pose_of
 
 FRONT, REAR = np.pi / 2, -np.pi / 2  # rotation_y of a car straight ahead of the camera that shows this
@@ -87,9 +89,10 @@ def folder(tmp_path):
     return drive
 
 
-def score_drives(*arguments, **named):
-    """The boxes of all frames."""
-    return [box for frame in score_frames(*arguments, **named) for box in frame.boxes]
+def score_drives(drives, setups, scene=None, rivals=(), **named):
+    """The boxes of all frames, and what methods of these names make of their keypoints."""
+    others = partial(ScoredRivals, scene, tuple(rivals)) if rivals else None
+    return [box for frame in score_frames(drives, setups, rivals=others, **named) for box in frame.boxes]
 
 
 @pytest.fixture
@@ -107,7 +110,10 @@ def test_labels_count_that_are_large_visible_and_not_drawn_over(folder):
 def test_a_box_is_scored_in_the_labels_frame_on_the_full_circle(folder, setup, scene):
     seen = []
     (frame,) = score_frames(
-        [read_drive(folder)], {"drive": setup}, scene, rivals=["sqpnp_confident"], advance=seen.append
+        [read_drive(folder)],
+        {"drive": setup},
+        rivals=partial(ScoredRivals, scene, ("sqpnp_confident",)),
+        advance=seen.append,
     )
     right, turned, refused = frame.boxes
     assert seen == ["drive"]
@@ -172,9 +178,9 @@ class Refusing:
         return [Observation(pixels, np.full(14, 0.9), box) for box in boxes]
 
 
-def test_an_unknown_rival_is_refused_before_the_work(folder, scene):
+def test_an_unknown_rival_is_refused(scene):
     with pytest.raises(InvalidInputError, match="method"):
-        score_drives([read_drive(folder)], {}, scene, rivals=["nobody"])
+        ScoredRivals(scene, ["nobody"])
 
 
 def test_what_cannot_be_read_is_named(folder, setup, scene):

@@ -31,7 +31,7 @@ from research.tests.evaluation.test_video_images import folder, setup  # noqa: F
 
 def test_a_track_of_one_box_is_a_single_image(folder, setup, scene):  # noqa: F811
     setup, drives = replace(setup, together=False), [read_drive(folder)]
-    frames = score_frames(drives, {"drive": setup}, scene)
+    frames = score_frames(drives, {"drive": setup})
     boxes = [box for frame in frames for box in frame.boxes]
     followed = follow_boxes(frames, drives, {"drive": setup})
     for box, before in zip(followed, boxes, strict=True):
@@ -54,7 +54,7 @@ def test_several_images_and_how_much_errors_change(folder, setup, scene):  # noq
     clean = json.loads((folder / "clean_tracks.json").read_text())
     (folder / "clean_tracks.json").write_text(json.dumps({name: [0, 1, 2, 6] for name in clean}))
     drives = [read_drive(folder)]
-    frames = score_frames(drives, {"drive": setup}, scene)
+    frames = score_frames(drives, {"drive": setup})
     boxes = follow_boxes(frames, drives, {"drive": setup}, estimate_motion=True)
     first = [box for box in boxes if box.track == 0]
     assert len(first) == 4
@@ -102,7 +102,7 @@ def test_labels_make_velocities(folder, setup, scene):  # noqa: F811
     assert sorted(velocities) == [(n, track) for n in (1, 2, 3, 4)]  # ahead of the first and behind the last are none
     for velocity in velocities.values():
         np.testing.assert_allclose(velocity, [5.0, 0.0, 0.0], atol=1e-9)
-    boxes = follow_boxes(score_frames([drive], {"drive": setup}, scene), [drive], {"drive": setup})
+    boxes = follow_boxes(score_frames([drive], {"drive": setup}), [drive], {"drive": setup})
     errors = [box.outcomes[BATCH].velocity for box in boxes]
     assert [error is None for error in errors] == [True, False, False, False, False, True]
     assert errors[2] == pytest.approx(5.0, abs=0.3)
@@ -120,7 +120,7 @@ def test_velocities_with_the_cameras_motion_are_as_far_off_as_those_relative_to_
     step[:3, :3], step[:3, 3] = yaw_rotation(0.03), (0.0, 0.0, 0.7)
     motion = CameraMotion(step, np.diag([1e-8] * 3 + [1e-6] * 3), 100)
     monkeypatch.setattr(video_tracks, "MotionEstimator", lambda *_: lambda image, sightings: motion)
-    frames = score_frames([drive], {"drive": setup}, scene)
+    frames = score_frames([drive], {"drive": setup})
     boxes = follow_boxes(frames, [drive], {"drive": setup}, estimate_motion=True)
     for method in (ONLINE_MOVING, BATCH_MOVING):
         errors = [box.outcomes[method].velocity for box in boxes]
@@ -158,7 +158,7 @@ def test_the_vote_turns_single_images_round(folder, setup, scene):  # noqa: F811
     drive = read_drive(folder)
     for together in (True, False):
         setups = {"drive": replace(setup, together=together)}
-        frames = score_frames([drive], setups, scene)
+        frames = score_frames([drive], setups)
         (seen,) = frames[1].sightings
         unsure = 0.9 * seen.observation.azimuth + 0.1 / len(seen.observation.azimuth)
         other = turned_round(replace(seen.observation, azimuth=unsure), setup.prior)
