@@ -63,7 +63,7 @@ def test_the_help_shows_all_that_was_written(path):
         assert Text.from_markup(text).plain == text.replace("\\[", "["), text
 
 
-@pytest.mark.parametrize("words", ["evaluate", "evaluate tracks", "keypoints train", "prior learn", "vehicles convert"])
+@pytest.mark.parametrize("words", ["evaluate", "keypoints train", "prior learn", "vehicles convert"])
 def test_what_another_package_brings_says_so(words):
     """In a process that finds no installed command of another package."""
     code = (
