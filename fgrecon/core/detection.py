@@ -11,10 +11,18 @@ from numpy.typing import NDArray
 from fgrecon.core.brief import brief_repr
 from fgrecon.core.checks import as_finite, own
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import view_azimuth
 from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.observation import Observation, as_directions
 
-__all__ = ["Detection", "at_direction", "calibrated_facing", "facing_probability", "half_around"]
+__all__ = [
+    "Detection",
+    "at_direction",
+    "calibrated_facing",
+    "facing_probability",
+    "half_around",
+    "pose_facing_probability",
+]
 
 _SUREST = 1e-6
 
@@ -87,6 +95,11 @@ def facing_probability(directions: NDArray[np.float64], azimuth: float) -> float
         azimuth: The direction, radians.
     """
     return float(half_around(azimuth, len(directions)) @ directions)
+
+
+def pose_facing_probability(directions: NDArray[np.float64], camera_T_object: NDArray[np.float64]) -> float:
+    """The same of the half around the direction from which a vehicle at a pose (4, 4) is seen."""
+    return facing_probability(directions, float(view_azimuth(camera_T_object[:3, :3], camera_T_object[:3, 3])))
 
 
 def half_around(azimuth: float, bins: int) -> NDArray[np.float64]:

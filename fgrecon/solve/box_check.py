@@ -15,14 +15,12 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import MIN_DEPTH, Camera
 from fgrecon.core.geometry import transform
 from fgrecon.solve.proposals.problem import Problem
+from fgrecon.solve.solve_settings import STATUS
 
 __all__ = ["box_excess", "boxes_off", "boxes_warning"]
 
 Array = NDArray[np.float64]
 
-_FEWEST = 5  # vehicles
-_NORMAL = 0.05  # the package's own sources: -3 to 2 % on KITTI's video
-_SURE = 3.0  # standard errors of the median
 _ERROR = 1.86  # standard error of a median times the root of the count, over the median absolute deviation
 
 
@@ -52,12 +50,12 @@ def boxes_off(vehicles: Iterable[float]) -> float | None:
     Returns:
         The median over those that tell, or None where it is as usual or they are too few.
     """
-    told = [excess for excess in vehicles if math.isfinite(excess)]
-    if len(told) < _FEWEST:
+    known = [excess for excess in vehicles if math.isfinite(excess)]
+    if len(known) < STATUS.box_vehicles:
         return None
-    middle = float(np.median(told))
-    error = _ERROR * float(np.median(np.abs(np.array(told) - middle))) / len(told) ** 0.5
-    return middle if abs(middle) > max(_NORMAL, _SURE * error) else None
+    middle = float(np.median(known))
+    error = _ERROR * float(np.median(np.abs(np.array(known) - middle))) / len(known) ** 0.5
+    return middle if abs(middle) > max(STATUS.box_excess, STATUS.box_excess_sigmas * error) else None
 
 
 def boxes_warning(off: float) -> str:

@@ -22,14 +22,10 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.size_prior import LONGEST, SHORTEST, SIZES, SizePrior
 from fgrecon.solve.inputs import SolveSetup
 from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
+from fgrecon.solve.solve_settings import SCENE
 from fgrecon.solve.vehicle.model import VehicleModel, sized
 
 __all__ = ["KnownBox"]
-
-_TOGETHER = 8.0
-"""Keypoints of one image err together, and beside another opinion they count with so many times their variance. Of 1,
-2, 4, 8 and 16 the best on 186 cars of six drives of KITTI's video with disturbed boxes; 16 is as good."""
-_ELSEWHERE = 0.05  # metres: where people and detectors put a box differs by so much however near it is
 
 
 @dataclass(frozen=True)
@@ -65,14 +61,16 @@ class KnownBox:
             raise DegenerateProblemError("box3d.size", size.tolist(), f"Give metres: {SIZES}.")
         own = setup.model if size is None else sized(self.unsized, SizePrior("its box", size, self.errors.size * size))
         counted = replace(options, keypoints=replace(options.keypoints, common_factor=1.0))  # it is in the solve
-        problem = Problem.of(replace(seen, covariance=_TOGETHER * covariance), camera, own, setup.ground, counted)
+        problem = Problem.of(
+            replace(seen, covariance=SCENE.box_keypoint_inflation * covariance), camera, own, setup.ground, counted
+        )
         return replace(problem, assumed=seen.covariance is None)
 
     def factors(self, camera: Camera, vehicle: int = 0) -> list[gtsam.NonlinearFactor]:
         """The factors of the box on the pose of a vehicle in image 0; its size is in the vehicle's model."""
         box, errors = self.box, self.errors
         focal = np.array([camera.matrix[0, 0], camera.matrix[1, 1]])
-        across, down = np.hypot(errors.bearing / focal, _ELSEWHERE / box.location[2]).tolist()
+        across, down = np.hypot(errors.bearing / focal, SCENE.box_definition_m / box.location[2]).tolist()
         noise = diagonal_noise("box_errors", np.array([across, down, errors.depth]))
         key = X(vehicle, 0)
         return [detected_origin_factor(key, box.location, noise), detected_yaw_factor(key, box.rotation_y, errors.yaw)]

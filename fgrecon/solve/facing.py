@@ -1,4 +1,4 @@
-"""Which way the vehicles of an image face: by their detector, by one another, and by the traffic where it is told.
+"""Which way the vehicles of an image face: by their detector, by one another, and by the traffic where it is given.
 
     right(0) ----- alike? ----- right(1) ----- alike? ----- right(2)
         |                           |                           |
@@ -7,7 +7,7 @@
 Vehicles in one row or lane face alike, those some metres beside it often the other way: by how far apart they are
 across their headings, a weak factor between any two that are near each other. What directions say beside which way a
 vehicle faces stays as it is. A network that takes a rear for a front often does so with all its keypoints: where these
-lead to the less probable side, they are turned round as a whole.
+lead to the less probable side, they are flipped as a whole.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.camera import Camera
-from fgrecon.core.detection import facing_probability, half_around
+from fgrecon.core.detection import half_around, pose_facing_probability
 from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.geometry import view_azimuth, yaw_rotation
 from fgrecon.core.metrics import wrap_angle
@@ -32,14 +32,11 @@ from fgrecon.core.traffic import traffic_directions
 from fgrecon.core.turned import half_a_turn, turned_round
 from fgrecon.solve.proposals.pose_search import PoseEstimate, search_pose
 from fgrecon.solve.proposals.problem import Problem
+from fgrecon.solve.solve_settings import FACING
 
 __all__ = ["couple_facings", "estimate_pose", "estimate_pose_facing"]
 
 Array = NDArray[np.float64]
-
-_COUNTS, _NEAR = 0.3, 20.0
-"""Share of what two vehicles say of one another that counts, since a row's say much the same; metres up to which."""
-_LEAST = 1e-4  # probability that a detector takes the front for the rear, however sure
 
 
 def couple_facings(
@@ -57,46 +54,51 @@ def couple_facings(
         options: Which side the traffic keeps to.
         rows: Whether they say which way one another face; over time their tracks do (`fgrecon.solve.time`).
     """
-    told = list(seen)
-    if len(told) < 2 and options.traffic is None:
-        return told
-    found = {i: side for i, one in enumerate(told) if (side := _Side.of(one, camera, prior)) is not None}
+    coupled = list(seen)
+    if len(coupled) < 2 and options.traffic is None:
+        return coupled
+    found = {i: side for i, one in enumerate(coupled) if (side := _Side.of(one, camera, prior)) is not None}
     sides = list(found.values())
     own = np.array([side.odds for side in sides])
     if options.traffic is not None:
         own += [side.along(traffic_directions(options.traffic, side.place, len(side.ahead))) for side in sides]
     headings, places = np.array([side.heading for side in sides]), np.array([side.place for side in sides])
-    between = (_COUNTS if rows else 0.0) * ties(headings, places.reshape(-1, 3), _NEAR)
+    between = (FACING.neighbour_share if rows else 0.0) * ties(
+        headings, places.reshape(-1, 3), FACING.neighbour_distance_m
+    )
     right = (1.0 + leanings(own, between)) / 2.0
     for row, (i, side) in enumerate(found.items()):
         if options.traffic is not None or between[row].any():
-            told[i] = replace(told[i], azimuth=_either_way(side.ahead, right[row]))
-    return told
+            coupled[i] = replace(coupled[i], azimuth=_either_way(side.ahead, right[row]))
+    return coupled
 
 
 def estimate_pose(
-    problem: Problem, given: Observation, initial: Box3D | float | None = None
+    problem: Problem, detected: Observation, initial: Box3D | float | None = None
 ) -> tuple[Problem, PoseEstimate]:
-    """The pose stage of an observation whose directions know the rest, its keypoints turned round if need be.
+    """The pose stage of an observation whose directions know the rest, its keypoints flipped if need be.
 
     Args:
         problem: Of the observation.
-        given: It as its detector gave it.
+        detected: It as its detector gave it.
         initial: As `search_pose` takes it.
 
     Raises:
         DegenerateProblemError: No pose is found.
     """
-    seen, start = problem.observation, search_pose(problem, initial)
-    if seen.azimuth is None or seen.azimuth is given.azimuth or _agrees(start, seen.azimuth):
+    observation, start = problem.observation, search_pose(problem, initial)
+    azimuth = observation.azimuth
+    if azimuth is None or azimuth is detected.azimuth:
         return problem, start
-    other = replace(turned_round(seen, problem.model.prior), azimuth=seen.azimuth)
+    if pose_facing_probability(azimuth, start.camera_T_object) >= 0.5:
+        return problem, start
     try:
-        turned = problem.showing(other)
-        again = search_pose(turned)
+        flipped = problem.showing(replace(turned_round(observation, problem.model.prior), azimuth=azimuth))
+        again = search_pose(flipped)
     except DegenerateProblemError:  # too few keypoints have a partner on the other side
         return problem, start
-    return (turned, again) if _agrees(again, seen.azimuth) else (problem, start)
+    agrees = pose_facing_probability(azimuth, again.camera_T_object) >= 0.5
+    return (flipped, again) if agrees else (problem, start)
 
 
 def estimate_pose_facing(
@@ -128,12 +130,6 @@ def estimate_pose_facing(
 def _either_way(ahead: Array, right: float) -> Array:
     """(A,) directions that are these (A,) with a probability, and turned by half otherwise."""
     return right * ahead + (1.0 - right) * half_a_turn(ahead)
-
-
-def _agrees(start: PoseEstimate, azimuth: Array) -> bool:
-    """Whether a pose is on the more probable side."""
-    pose = start.camera_T_object
-    return facing_probability(azimuth, float(view_azimuth(pose[:3, :3], pose[:3, 3]))) >= 0.5
 
 
 @dataclass(frozen=True)
@@ -172,7 +168,8 @@ class _Side:
     @property
     def odds(self) -> float:
         """Logarithm of the odds that the more probable half is the right one."""
-        p = min(max(self.probability, _LEAST), 1.0 - _LEAST)
+        least = FACING.detector_error_probability
+        p = min(max(self.probability, least), 1.0 - least)
         return float(np.log(p / (1.0 - p)))
 
     def along(self, directions: Array) -> float:

@@ -20,15 +20,10 @@ from factors.keys import F
 from factors.noise import diagonal_noise
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.solve.independent import Tried
+from fgrecon.solve.independent import IndependentSolve
+from fgrecon.solve.solve_settings import SCENE
 
 __all__ = ["candidates", "distinct_lengths", "energies_of", "focal_prior", "log_ratio", "starts"]
-
-_TRIED = 9
-_REACH = 2.0  # standard deviations of the prior that are tried
-_CLOSE = 5.0  # nats: a minimum over the tried ones that is worse by more is no start
-_MOST_STARTS = 2
-_SAME_FOCAL = 0.02  # logarithms that differ by less are of one focal length
 
 
 def candidates(camera: Camera) -> list[Camera]:
@@ -42,7 +37,8 @@ def candidates(camera: Camera) -> list[Camera]:
     if camera.distortion is not None:
         fix = "Give the focal length that the coefficients were calibrated with, or leave them out."
         raise InvalidInputError("distortion", "given without a known focal length", fix)
-    steps = np.linspace(-_REACH, _REACH, _TRIED) * camera.focal_sigma
+    reach = SCENE.focal_reach_sigmas
+    steps = np.linspace(-reach, reach, SCENE.focal_candidates) * camera.focal_sigma
     return [replace(camera.scaled(math.exp(step)), focal_sigma=0.0) for step in steps.tolist()]
 
 
@@ -57,7 +53,7 @@ def focal_prior(known: Camera, nominal: Camera) -> gtsam.PriorFactorVector:
     return gtsam.PriorFactorVector(F(0), np.array([log_ratio(known, nominal)]), noise)
 
 
-def energies_of(tried: Sequence[Tried], known: Camera) -> list[float]:
+def energies_of(tried: Sequence[IndependentSolve], known: Camera) -> list[float]:
     """The energy with each of the cameras, of the vehicles that were solved with all of them."""
     if len(tried) == 1:
         return [0.0]
@@ -82,15 +78,15 @@ def starts(energies: Sequence[float]) -> list[int]:
     minima = [
         i
         for i, energy in enumerate(energies)
-        if energy <= padded[i] and energy < padded[i + 2] and energy <= least + _CLOSE
+        if energy <= padded[i] and energy < padded[i + 2] and energy <= least + SCENE.focal_start_excess_nats
     ]
-    return sorted(minima, key=lambda i: energies[i])[:_MOST_STARTS]
+    return sorted(minima, key=lambda i: energies[i])[: SCENE.focal_starts]
 
 
 def distinct_lengths(lengths: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
     """Focal lengths and their energies, the best first, without those that are one of the better ones again."""
     kept: list[tuple[float, float]] = []
     for pixels, excess in lengths:
-        if all(abs(math.log(pixels / other)) > _SAME_FOCAL for other, _ in kept):
+        if all(abs(math.log(pixels / other)) > SCENE.same_focal_log for other, _ in kept):
             kept.append((pixels, excess))
     return tuple(kept)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
@@ -16,114 +16,120 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.solve.facing import estimate_pose_facing
 from fgrecon.solve.ground_evidence import GroundEvidence, ground_evidence
+from fgrecon.solve.inputs import SolveSetup
 from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.road import KnownGround
-from fgrecon.solve.time.camera_way import CameraWay, Milestone
-from fgrecon.solve.time.neighbours import neighbours_say
-from fgrecon.solve.time.vehicle import Followed
-from fgrecon.solve.time.window import Frame, FrameStep
+from fgrecon.solve.road import CameraFrame, KnownGround
+from fgrecon.solve.solve_settings import ROAD
+from fgrecon.solve.time.frame import Frame, FrameStep
+from fgrecon.solve.time.neighbours import neighbour_evidence
+from fgrecon.solve.time.vehicle_filter import FilterModel, Sighting, VehicleFilter, first_observed
 
-__all__ = ["FrameVehicles", "PastFrame", "VehicleTrack"]
+__all__ = ["FrameContext", "FrameVehicles", "VehicleTrack", "look_at_vehicles"]
 
 Array = NDArray[np.float64]
 
-_FARTHEST = 1e6  # metres: a camera that is further away than that has come there in an unknown way
-
 
 @dataclass(frozen=True)
-class PastFrame:
-    """A frame of a vehicle: what was seen, the time that was told, from where, and the ground that it was solved on."""
+class FrameContext:
+    """Where a vehicle's frame was taken: the time that was given, from where, and the ground that it was solved on."""
 
-    frame: Frame
     time: float
     world_T_camera: gtsam.Pose3 | None
     known: KnownGround | None
 
 
-@dataclass
+@dataclass(frozen=True)
 class VehicleTrack:
-    """A vehicle and its past."""
-
-    followed: Followed
-    time: float = -np.inf
-    world_T_camera: gtsam.Pose3 | None = None
-    milestone: Milestone = field(default_factory=Milestone)
-    past: list[PastFrame] = field(default_factory=list)
-
-
-@dataclass
-class FrameVehicles:
-    """The vehicles of a frame.
+    """A vehicle and where its frames were taken.
 
     Attributes:
-        time: Of the frame, seconds, by a clock on which no two frames are of one time.
-        world_T_camera: Pose of the camera, or None.
-        way: How the camera came there.
-        observations: Of each vehicle, by id.
-        problem: What one shows on a ground.
-        track: The track that an id has, or a new one.
-        refused: Why vehicles could not be looked at, by id.
-        looked: Each vehicle's track and the frame, by id, once they are looked at.
+        vehicle: The vehicle.
+        last: The frame of a camera in which it was observed last.
+        contexts: Of each frame of its past.
     """
 
-    time: float
-    world_T_camera: gtsam.Pose3 | None
-    way: CameraWay
-    observations: Mapping[int, Observation]
-    problem: Callable[[Observation, Ground | None], Problem]
-    track: Callable[[int], VehicleTrack]
-    refused: dict[int, FgreconError]
-    looked: dict[int, tuple[VehicleTrack, Frame]] = field(default_factory=dict)
+    vehicle: VehicleFilter
+    last: CameraFrame
+    contexts: tuple[FrameContext, ...]
 
-    def look(self, ground: Ground | None) -> None:
-        """Look at them on a ground."""
-        for name, observation in self.observations.items():
-            try:
-                problem, track = self.problem(observation, ground), self.track(name)
-                self.looked[name] = track, track.followed.look(problem, self.time, self._step(track))
-            except FgreconError as error:
-                self.refused[name] = error
-        self._settle()
+
+@dataclass(frozen=True)
+class FrameVehicles:
+    """The vehicles of a frame, looked at but not taken yet.
+
+    Attributes:
+        sightings: By id.
+        refused: Why others could not be looked at, by id.
+    """
+
+    sightings: Mapping[int, Sighting]
+    refused: Mapping[int, FgreconError]
 
     def poses(self) -> list[Array]:
         """Pose (4, 4) of each that was looked at."""
-        return [frame.pose.matrix() for _, frame in self.looked.values()]
+        return [sighting.frame.pose.matrix() for sighting in self.sightings.values()]
 
-    def say(self, known: Marginal, plane: Ground) -> GroundEvidence | None:
+    def ground_evidence(self, known: Marginal, plane: Ground) -> GroundEvidence | None:
         """What those that were looked at say of the ground; see `ground_evidence`."""
-        frames = [frame for _, frame in self.looked.values()]
-        return ground_evidence(frames, [track.followed.shape for track, _ in self.looked.values()], plane, known)
-
-    def _settle(self) -> None:
-        """Decide which way they face, by what each knows of itself and by one another."""
-        frames = [frame for _, frame in self.looked.values()]
-        says = neighbours_say(frames, [frame.belief for frame in frames])
-        for name, said in zip([*self.looked], says, strict=True):
-            track, frame = self.looked[name]
-            try:
-                track.followed.settle(frame, said)
-                if frame.step is None and (other := _faced(frame)) is not None:
-                    track.followed.again(frame, *other)
-            except FgreconError as error:
-                self.refused[name] = error
-                del self.looked[name]
-
-    def _step(self, track: VehicleTrack) -> FrameStep | None:
-        """From the last frame of a track to this one."""
-        if not track.followed.frames:
-            return None
-        before, place = track.world_T_camera, self.world_T_camera
-        camera = None if before is None or place is None else before.between(place)
-        if camera is not None and not np.abs(camera.translation()).max() < _FARTHEST:
-            camera = None
-        unsure = None if camera is None or place is None else self.way.since(track.milestone, place)
-        if unsure is None:
-            return FrameStep(self.time - track.time, None, np.zeros((6, 6)))
-        return FrameStep(self.time - track.time, camera, unsure)
+        sightings = self.sightings.values()
+        return ground_evidence([one.frame for one in sightings], [one.shape for one in sightings], plane, known)
 
 
-def _faced(frame: Frame) -> tuple[Problem, PoseEstimate] | None:
+def look_at_vehicles(
+    observations: Mapping[int, Observation],
+    frame: CameraFrame,
+    ground: Ground | None,
+    tracks: Mapping[int, VehicleTrack],
+    setup: SolveSetup,
+    model: FilterModel,
+) -> FrameVehicles:
+    """Look at the vehicles of a frame, and decide which way they face, by what each knows of itself and by one another.
+
+    Args:
+        observations: Of each vehicle, by id.
+        frame: The frame of the camera.
+        ground: The ground that they are looked at on, or None.
+        tracks: Those that were observed before, by id.
+        setup: What holds for all of them.
+        model: How they are followed.
+    """
+    sightings: dict[int, Sighting] = {}
+    refused: dict[int, FgreconError] = {}
+    for name, observation in observations.items():
+        try:
+            problem = Problem.of(observation, frame.camera, setup.model, ground, setup.options)
+            track = tracks.get(name)
+            if track is None:
+                sightings[name] = first_observed(model, problem, frame.time)
+            else:
+                sightings[name] = track.vehicle.observed(problem, frame.time, _step(track.last, frame))
+        except FgreconError as error:
+            refused[name] = error
+    frames = [sighting.frame for sighting in sightings.values()]
+    says = neighbour_evidence(frames, [one.belief for one in frames])
+    for (name, sighting), said in zip([*sightings.items()], says, strict=True):
+        try:
+            settled = sighting.settled(said)
+            if settled.vehicle is None and (other := _facing_otherwise(settled.frame)) is not None:
+                settled = settled.restarted(*other)
+            sightings[name] = settled
+        except FgreconError as error:
+            refused[name] = error
+            del sightings[name]
+    return FrameVehicles(sightings, refused)
+
+
+def _step(before: CameraFrame, now: CameraFrame) -> FrameStep:
+    """From a vehicle's last frame to this one."""
+    camera, place, seconds = now.motion_from(before), now.world_T_camera, now.time - before.time
+    if camera is None or place is None or not np.abs(camera.translation()).max() < ROAD.farthest_camera_m:
+        return FrameStep(seconds, None, np.zeros((6, 6)))
+    covariance = now.drift.since(before.drift, place)
+    return FrameStep(seconds, None, np.zeros((6, 6))) if covariance is None else FrameStep(seconds, camera, covariance)
+
+
+def _facing_otherwise(frame: Frame) -> tuple[Problem, PoseEstimate] | None:
     """A vehicle's first frame the other way round, where its neighbours say so; None where they do not."""
     believed = frame.believed
     if believed.facing(rotation_y(frame.pose.matrix())) >= 0.5:

@@ -14,12 +14,11 @@ from fgrecon.core.camera import Ground
 from fgrecon.solve.graph.graph import Graph, GraphObservation, State
 from fgrecon.solve.graph.optimise import optimise
 from fgrecon.solve.graph.vehicle_part import ShapeValues
+from fgrecon.solve.solve_settings import ROAD
 from fgrecon.solve.standing import Standing
-from fgrecon.solve.time.window import Frame
+from fgrecon.solve.time.frame import Frame
 
 __all__ = ["GroundEvidence", "ground_evidence"]
-
-_STEPS = 1  # Newton's, of the vehicles together: each begins near its minimum
 
 
 @dataclass(frozen=True)
@@ -36,31 +35,31 @@ class GroundEvidence:
 
 
 def ground_evidence(
-    seen: Sequence[Frame], shapes: Sequence[ShapeValues], told: Ground, known: Marginal
+    frames: Sequence[Frame], shapes: Sequence[ShapeValues], nominal: Ground, known: Marginal
 ) -> GroundEvidence | None:
     """What the vehicles of an image say of the ground, their poses and shapes eliminated.
 
     Args:
-        seen: The image for each of them, near its minimum.
+        frames: The image for each of them, near its minimum.
         shapes: Of each, as it is known.
-        told: About where the ground is.
+        nominal: About where the ground is.
         known: What is known of its change G(0) from there; of the evidence it is no part.
 
     Returns:
         The evidence about G(0); None where there are fewer than two vehicles, or they could not be solved.
     """
-    if len(seen) < 2 or "ground" in seen[0].problem.options.disabled_terms:
+    if len(frames) < 2 or "ground" in frames[0].problem.options.disabled_terms:
         return None
-    standing = Standing.of(0, {i: one.pose.matrix() for i, one in enumerate(seen)}, told)
-    state = State([one.pose for one in seen], dict(enumerate(shapes)), [one.weights for one in seen], known.values)
+    standing = Standing.of(0, {i: one.pose.matrix() for i, one in enumerate(frames)}, nominal)
+    state = State([one.pose for one in frames], dict(enumerate(shapes)), [one.weights for one in frames], known.values)
     extra = [*standing.contacts.values(), marginal_factor(known)]
     graph = Graph(
-        [GraphObservation(one.problem.on(None), vehicle=i) for i, one in enumerate(seen)],
+        [GraphObservation(one.problem.on(None), vehicle=i) for i, one in enumerate(frames)],
         state,
         pose_free=True,
         extra=extra,
     )
-    optimum = optimise(graph, state, _STEPS)
+    optimum = optimise(graph, state, ROAD.ground_iterations)
     if optimum.failure is not None:
         return None
     speaking, values = gtsam.NonlinearFactorGraph(), optimum.values
@@ -74,4 +73,4 @@ def ground_evidence(
         return None
     if not (np.isfinite(found.matrix).all() and np.isfinite(found.right).all()):
         return None
-    return GroundEvidence(found, max(one.problem.common_factor for one in seen))
+    return GroundEvidence(found, max(one.problem.common_factor for one in frames))

@@ -2,7 +2,7 @@
 
 Which way a vehicle faces is the detector's directions to say, where it has any; the energies add nothing to them. What
 else tells poses apart is their energy, but keypoints err together, so that a nat of it is worth less than a nat of
-evidence: by the `_TEMPER`, which makes the poses of one facing as probable as they are on KITTI's video. Keypoints
+evidence: by a temper, which makes the poses of one facing as probable as they are on KITTI's video. Keypoints
 without directions leave facings to the energies as well, by a logistic law that was fitted to 4,200 simulated vehicles
 (expected calibration error 0.001 there). A detector that turns more vehicles round than the simulated one is less sure.
 """
@@ -18,13 +18,9 @@ from numpy.typing import NDArray
 from fgrecon.core.reconstruction import Alternative
 from fgrecon.core.turned import turned_alternative
 from fgrecon.solve.graph.mode_selection import is_flipped
+from fgrecon.solve.solve_settings import STATUS
 
 __all__ = ["facing_by_energies", "with_probabilities"]
-
-_TEMPER = 0.15
-_BIAS, _SLOPE = 1.05, 0.128  # log odds of the facing, and what a nat adds to them
-_MOST = 35.0  # nats: beyond, more margin made no facing surer
-_WORTH = 0.01  # a facing that is less probable need not have a pose
 
 
 def facing_by_energies(camera_T_object: NDArray[np.float64], alternatives: Sequence[Alternative]) -> float:
@@ -32,7 +28,8 @@ def facing_by_energies(camera_T_object: NDArray[np.float64], alternatives: Seque
     turned = [other.excess for other in alternatives if is_flipped(other.camera_T_object, camera_T_object)]
     if any(math.isnan(other.excess) for other in alternatives):
         return float("nan")
-    return 1.0 / (1.0 + math.exp(-_BIAS - _SLOPE * min([_MOST, *turned])))
+    margin = min([STATUS.facing_margin_nats, *turned])
+    return 1.0 / (1.0 + math.exp(-STATUS.facing_log_odds - STATUS.facing_log_odds_per_nat * margin))
 
 
 def with_probabilities(
@@ -56,12 +53,12 @@ def with_probabilities(
         return tuple(alternatives)
     others = list(alternatives)
     turned = [is_flipped(other.camera_T_object, camera_T_object) for other in others]
-    if not any(turned) and 1.0 - facing >= _WORTH:
+    if not any(turned) and 1.0 - facing >= STATUS.facing_probability:
         others += turned_alternative(camera_T_object, coefficients, facing)
         turned += [True] * (len(others) - len(turned))
     if not others:
         return ()
-    odds = np.exp(-_TEMPER * np.array([other.excess for other in others]))
+    odds = np.exp(-STATUS.energy_temper * np.array([other.excess for other in others]))
     there = np.array(turned, dtype=bool)
     share = np.where(there, (1.0 - facing) / max(odds[there].sum(), 1e-300), facing / (1.0 + odds[~there].sum()))
     pairs = zip(others, (share * odds).tolist(), strict=True)

@@ -10,15 +10,11 @@ from fgrecon.core.errors import FgreconError
 from fgrecon.core.geometry import position_covariance
 from fgrecon.core.reconstruction import TRUSTED, Reconstruction
 from fgrecon.core.refined_box import RefinedBox
+from fgrecon.solve.solve_settings import SCENE
 
 __all__ = ["refined"]
 
 Array = NDArray[np.float64]
-
-_FEWEST = 3
-"""Keypoints that must be trusted: a pose needs as many."""
-_CONTRADICTS = 4.0
-"""Standard deviations of the box's errors: a result further off is of another vehicle, or wrong."""
 
 
 def refined(given: Box3D, errors: BoxErrors, result: Reconstruction | None, error: FgreconError | None) -> RefinedBox:
@@ -52,15 +48,19 @@ def _weak(result: Reconstruction) -> str | None:
     if not result.status.determined:
         return result.message
     trusted = int(np.count_nonzero(result.weights >= TRUSTED))
-    return None if trusted >= _FEWEST else f"{trusted} keypoints are trusted; it takes {_FEWEST}."
+    return (
+        None
+        if trusted >= SCENE.refined_keypoints
+        else f"{trusted} keypoints are trusted; it takes {SCENE.refined_keypoints}."
+    )
 
 
 def _contradiction(given: Box3D, errors: BoxErrors, result: Reconstruction) -> str | None:
     """What speaks against a result being the box's vehicle; None where nothing does."""
     farther = float(result.location[2] / given.location[2]) - 1.0
-    if abs(farther) > _CONTRADICTS * errors.depth:
+    if abs(farther) > SCENE.refined_contradiction_sigmas * errors.depth:
         return f"The keypoints show it {100.0 * abs(farther):.0f} % {'farther' if farther > 0.0 else 'nearer'}."
     off = abs(float(np.arctan(np.tan(result.rotation_y - given.rotation_y))))  # modulo half a turn
-    if off > _CONTRADICTS * errors.yaw:
+    if off > SCENE.refined_contradiction_sigmas * errors.yaw:
         return f"The keypoints show it turned by {np.rad2deg(off):.0f} degrees against the box."
     return None

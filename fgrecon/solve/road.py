@@ -1,22 +1,22 @@
 """The ground over time: what the vehicles of frame after frame say of the road under the camera.
 
-    told ---- G(0) ---- road ---- G(1) ---- road ---- G(2)
+    given --- G(0) ---- road ---- G(1) ---- road ---- G(2)
                 |                   |                   |
              vehicles            vehicles            vehicles
 
-A camera nods, and the road bends; both change slowly, and in the long run the ground is as near to what is told as that
-says (`Ground`). Each frame is one step: what its vehicles say, with poses and shapes eliminated (`ground_evidence.py`),
-one factor from the ground before, and what is left of that. Vehicles that are seen again err alike: they count by the
-time that has passed; what other cameras see at one time counts alike. How sure the ground is goes by a second chain, in
-which they count as their keypoints do for covariances. Where nothing is told the first vehicles say about where it is,
-nothing draws it back there, and it may change fast.
+A camera nods, and the road bends; both change slowly, and in the long run the ground is as near to what is given as
+that says (`Ground`). Each frame is one step: what its vehicles say, with poses and shapes eliminated
+(`ground_evidence.py`), one factor from the ground before, and what is left of that. Vehicles that are seen again err
+alike: they count by the time that has passed; what other cameras see at one time counts alike. How sure the ground is
+goes by a second chain, in which they count as their keypoints do for covariances. Where nothing is given the first
+vehicles say about where it is, nothing draws it back there, and it may change fast.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Protocol
+from dataclasses import dataclass, field, replace
+from typing import Protocol, TypeVar
 
 import gtsam
 import numpy as np
@@ -30,71 +30,84 @@ from factors.road import road_factor
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import FactorCallbackError
 from fgrecon.solve.ground_evidence import GroundEvidence
-from fgrecon.solve.standing import (
-    LEAST_DOWN,
-    LEAST_HEIGHT,
-    ground_spread,
-    own_deviations,
-    seen_ground,
-)
-from fgrecon.solve.time.window import AT_ONCE
+from fgrecon.solve.solve_settings import ROAD, SCENE
+from fgrecon.solve.standing import ground_spread, observed_ground, own_deviations
+from fgrecon.solve.time.camera_drift import CameraDrift
+from fgrecon.solve.time.time_settings import SETTINGS
 
-__all__ = ["KnownGround", "Road"]
+__all__ = ["CameraFrame", "KnownGround", "Road"]
 
 Array = NDArray[np.float64]
 
-_ALIKE = 0.3  # seconds after which what vehicles say of the ground counts whole again
-_LASTS = 12.0  # seconds after which a deviation from what is told has fallen to a third, and another one has come
-_FREE = 0.1  # seconds in which a ground that nobody told may change by as much: the camera may be in a hand
-_NEAR, _FAR = 10.0, 40.0  # metres: depths at which the uncertainty is that of the ground's
-_LEAST_KEPT = 1e-6
-_ROUNDS = 3  # of a solve that is nearly linear
+
+@dataclass(frozen=True)
+class CameraFrame:
+    """A frame of a camera, before its vehicles are looked at.
+
+    Attributes:
+        time: Seconds, by a clock on which no two frames are of one time.
+        camera: The camera.
+        ground: About where the ground is, or None.
+        world_T_camera: Pose of the camera, or None.
+        motion_covariance: (6, 6) of the camera's motion since the last frame with a place: rotation, translation in its
+            frame; None where it is exact.
+        drift: How far the camera may be astray.
+    """
+
+    time: float
+    camera: Camera
+    ground: Ground | None = None
+    world_T_camera: gtsam.Pose3 | None = None
+    motion_covariance: Array | None = None
+    drift: CameraDrift = field(default_factory=CameraDrift)
+
+    def motion_from(self, before: CameraFrame) -> gtsam.Pose3 | None:
+        """camera_before_T_camera_now; None where that is not known."""
+        if before.world_T_camera is None or self.world_T_camera is None:
+            return None
+        return before.world_T_camera.between(self.world_T_camera)
 
 
 class _Vehicles(Protocol):
-    """The vehicles of a frame; `fgrecon.solve.frame_vehicles.FrameVehicles` are such."""
-
-    def look(self, ground: Ground | None, /) -> None:
-        """Look at them on a ground."""
+    """The vehicles of a frame, looked at on a ground; `fgrecon.solve.frame_vehicles.FrameVehicles` are such."""
 
     def poses(self) -> Sequence[Array]:
         """Pose (4, 4) of each that was looked at."""
 
-    def say(self, known: Marginal, plane: Ground, /) -> GroundEvidence | None:
+    def ground_evidence(self, known: Marginal, plane: Ground, /) -> GroundEvidence | None:
         """What they say of G(0), a change of the plane, beside what is known of it."""
 
 
-@dataclass(frozen=True)
-class _About:
-    """About where the ground of a frame is.
+Vehicles = TypeVar("Vehicles", bound=_Vehicles)
 
-    Attributes:
-        plane: The plane.
-        camera: What sees it.
-        is_told: Whether somebody has told it, else vehicles speak of it.
-    """
+
+@dataclass(frozen=True)
+class _Nominal:
+    """About where the ground of a frame is; `given` where somebody has said so, else vehicles have."""
 
     plane: Ground
-    camera: Camera
-    is_told: bool = True
+    given: bool = True
 
     @property
     def spread(self) -> Array:
         """(3,) standard deviations of height, pitch and roll before any vehicle says more."""
-        return ground_spread(self.plane if self.is_told else None)
+        return ground_spread(self.plane if self.given else None)
+
+    @property
+    def axes(self) -> GroundFrame:
+        """Axes in which G(0) changes it."""
+        return GroundFrame.of(self.plane.normal, self.plane.distance)
 
 
 @dataclass(frozen=True)
 class _Past:
-    """The ground of the last frame."""
+    """The ground of the last frame; `share` is that by which its vehicles counted."""
 
-    time: float
-    about: _About
-    frame: GroundFrame
-    world_T_camera: gtsam.Pose3 | None
+    frame: CameraFrame
+    nominal: _Nominal
     known: _Known
     ground: Ground
-    weight: float  # share by which its vehicles counted
+    share: float
 
 
 @dataclass(frozen=True)
@@ -110,13 +123,13 @@ class KnownGround:
     """The ground of a frame.
 
     Attributes:
-        ground: The plane, and how far each vehicle is taken to lie off it for itself.
-        told: About where it is.
+        ground: The plane, and how far each vehicle is taken to be off it for itself.
+        nominal: About where it is.
         covariance: (3, 3) of its height, pitch and roll.
     """
 
     ground: Ground
-    told: Ground
+    nominal: Ground
     covariance: Array
 
     def considered(self, camera_T_object: Array, covariance: Array) -> Array:
@@ -128,139 +141,105 @@ class KnownGround:
         rotation, place = camera_T_object[:3, :3], camera_T_object[:3, 3]
         across = np.array([-1.0, *(GroundFrame.of(self.ground.normal, self.ground.distance).across @ place)])
         depth = float(place[2])
-        whole = _own_variance(self.told, depth) + float(across @ self.covariance @ across)
+        whole = _own_variance(self.nominal, depth) + float(across @ self.covariance @ across)
         used = self.ground.height_sigma_at_depth(depth) ** 2
         by_height = covariance[:, 3:] @ rotation.T @ self.ground.normal / used  # of the pose, by the ground's height
         considered: Array = covariance + max(whole - used, 0.0) * np.outer(by_height, by_height)
         return considered
 
 
+@dataclass(frozen=True)
 class Road:
-    """The ground of one video, frame by frame."""
+    """The ground of one video up to a frame; `past` is None before the first."""
 
-    def __init__(self) -> None:
-        """Begin without a frame."""
-        self._past: _Past | None = None
+    past: _Past | None = None
 
     def later(
-        self,
-        time: float,
-        told: Ground | None,
-        camera: Camera,
-        world_T_camera: gtsam.Pose3 | None,
-        vehicles: _Vehicles,
-        *,
-        motion_covariance: Array | None = None,
-    ) -> KnownGround | None:
+        self, frame: CameraFrame, look: Callable[[Ground | None], Vehicles]
+    ) -> tuple[Road, KnownGround | None, Vehicles]:
         """Take a frame, and look at its vehicles on its ground.
 
         Args:
-            time: Of the frame, seconds.
-            told: About where the ground is, or None.
-            camera: What sees it.
-            world_T_camera: Pose of the camera, or None.
-            vehicles: Those of the frame; may be none.
-            motion_covariance: (6, 6) of the camera's motion since the last frame with a place: rotation, translation in
-                its frame; None where it is exact.
+            frame: The frame.
+            look: Looks at its vehicles, there may be none, on a ground.
 
         Returns:
-            The ground; None where nothing tells of it: fewer than two vehicles do not.
+            The road up to the frame, its ground, and its vehicles. No ground where nothing tells of it: fewer than two
+            vehicles do not.
         """
-        about = self._about(told, camera, world_T_camera)
-        looked = about is None
-        if about is None:
-            vehicles.look(None)
-            poses, self._past = vehicles.poses(), None
-            seen = seen_ground(poses) if len(poses) > 1 else None
-            if seen is None:
-                return None
-            about = _About(seen, camera, is_told=False)
-        frame = GroundFrame.of(about.plane.normal, about.plane.distance)
-        known, weight = self._before(time, about, frame, world_T_camera, motion_covariance)
-        here = _ground(about, frame, known)
-        if not looked:
-            vehicles.look(about.plane if here is None else here.ground)
-        evidence = vehicles.say(known.where, about.plane)
+        nominal, vehicles = self._nominal(frame), None
+        if nominal is None:
+            vehicles = look(None)
+            poses = vehicles.poses()
+            observed = observed_ground(poses) if len(poses) > 1 else None
+            if observed is None:
+                return Road(), None, vehicles
+            nominal = _Nominal(observed, given=False)
+            known, share = _first(nominal)
+        else:
+            known, share = self._before(frame, nominal)
+        if vehicles is None:
+            here = _ground(nominal, known)
+            vehicles = look(nominal.plane if here is None else here.ground)
+        evidence = vehicles.ground_evidence(known.where, nominal.plane)
         if evidence is not None:
-            said = evidence.said.scaled(weight)
-            less, until_now = said.scaled(1.0 / evidence.common_factor), known
-            both = _known(lambda: (_both(until_now.where, said), _both(until_now.counted, less)))
-            known = both or known
-        found = _ground(about, frame, known)
-        self._past = None if found is None else _Past(time, about, frame, world_T_camera, known, found.ground, weight)
-        return found
+            said, before = evidence.said.scaled(share), known
+            less = said.scaled(1.0 / evidence.common_factor)
+            known = _known(lambda: (_both(before.where, said), _both(before.counted, less))) or known
+        found = _ground(nominal, known)
+        return Road(None if found is None else _Past(frame, nominal, known, found.ground, share)), found, vehicles
 
-    def _before(
-        self,
-        time: float,
-        about: _About,
-        frame: GroundFrame,
-        world_T_camera: gtsam.Pose3 | None,
-        motion_covariance: Array | None,
-    ) -> tuple[_Known, float]:
+    def _before(self, frame: CameraFrame, nominal: _Nominal) -> tuple[_Known, float]:
         """What is known of the ground of a frame before its vehicles speak, and by which share these count."""
-        past = self._past
-        if past is not None and (past.about.is_told or not about.is_told):
-            seconds = time - past.time
-            moved = _moved(past, seconds, frame, world_T_camera, about, motion_covariance)
-            before = past.known
+        past = self.past
+        if past is not None and (past.nominal.given or not nominal.given):
+            moved, before = _moved(past, frame, nominal), past.known
             known = _known(lambda: (_on_road(before.where, moved), _on_road(before.counted, moved)))
             if known is not None:
-                return known, past.weight if seconds < AT_ONCE else min(seconds / _ALIKE, 1.0)
-        # The first frame, or the camera has gone where no ground before tells of this one, or now it is told.
-        values = gtsam.Values()
-        values.insert(G(0), np.zeros(3))
-        first = Marginal((G(0),), (3,), values, np.diag(1.0 / about.spread), np.zeros(3))
-        return _Known(first, first), 1.0
+                seconds = frame.time - past.frame.time
+                simultaneous = seconds < SETTINGS.simultaneous_s
+                return known, past.share if simultaneous else min(seconds / ROAD.correlation_s, 1.0)
+        # The first frame, or the camera has gone where no ground before tells of this one, or now it is given.
+        return _first(nominal)
 
-    def _about(self, told: Ground | None, camera: Camera, world_T_camera: gtsam.Pose3 | None) -> _About | None:
-        """About where the ground of the next frame is: as is told, else where it was; None where that is open."""
-        past = self._past
-        if told is not None:
-            return _About(told, camera)
+    def _nominal(self, frame: CameraFrame) -> _Nominal | None:
+        """About where the ground of a frame is: as is given, else where it was; None where that is open."""
+        past = self.past
+        if frame.ground is not None:
+            return _Nominal(frame.ground)
         if past is None:
             return None
-        motion = _motion(past, world_T_camera)
-        if motion is not None:
-            here = replace(past.about.plane, normal=past.ground.normal, distance=past.ground.distance)
-            plane = _carried(here, motion)
-            return None if plane is None else _About(plane, camera, is_told=False)
-        return replace(past.about, is_told=False) if np.array_equal(past.about.camera.matrix, camera.matrix) else None
+        motion = frame.motion_from(past.frame)
+        if motion is None:
+            same = np.array_equal(past.frame.camera.matrix, frame.camera.matrix)
+            return replace(past.nominal, given=False) if same else None
+        here = replace(past.nominal.plane, normal=past.ground.normal, distance=past.ground.distance)
+        normal = motion.rotation().matrix().T @ here.normal
+        if normal[1] <= SCENE.least_normal_down:  # it looks upside down
+            return None
+        distance = max(here.distance - float(here.normal @ motion.translation()), SCENE.least_camera_height_m)
+        return _Nominal(replace(here, normal=normal, distance=distance), given=False)
 
 
-def _moved(
-    past: _Past,
-    seconds: float,
-    frame: GroundFrame,
-    world_T_camera: gtsam.Pose3 | None,
-    about: _About,
-    covariance: Array | None,
-) -> gtsam.CustomFactor:
+def _first(nominal: _Nominal) -> tuple[_Known, float]:
+    """What is known of the ground of a first frame before its vehicles speak, and by which share these count."""
+    values = gtsam.Values()
+    values.insert(G(0), np.zeros(3))
+    first = Marginal((G(0),), (3,), values, np.diag(1.0 / nominal.spread), np.zeros(3))
+    return _Known(first, first), 1.0
+
+
+def _moved(past: _Past, frame: CameraFrame, nominal: _Nominal) -> gtsam.CustomFactor:
     """What ties a frame's ground G(1) to the one before, G(0)."""
-    motion = _motion(past, world_T_camera)
-    kept = max(float(np.exp(-seconds / _LASTS)), _LEAST_KEPT) if about.is_told else 1.0
-    changes = 1.0 - kept**2 if about.is_told else 2.0 * seconds / _FREE
-    unsure = np.diag(changes * ground_spread(about.plane) ** 2)
-    if motion is not None and covariance is not None:
+    motion, seconds, axes = frame.motion_from(past.frame), frame.time - past.frame.time, nominal.axes
+    kept = max(float(np.exp(-seconds / ROAD.deviation_s)), ROAD.least_kept) if nominal.given else 1.0
+    changes = 1.0 - kept**2 if nominal.given else 2.0 * seconds / ROAD.estimated_change_s
+    unsure = np.diag(changes * ground_spread(nominal.plane) ** 2)
+    if motion is not None and frame.motion_covariance is not None:
         by_motion = np.zeros((3, 6))  # of height and slopes, in the camera's frame now
-        by_motion[0, 3:], by_motion[1:, :3] = frame.normal, np.cross(frame.normal, frame.across)
-        unsure = unsure + by_motion @ covariance @ by_motion.T
-    return road_factor(G(0), G(1), (past.frame, frame), full_noise("road", unsure), motion, kept)
-
-
-def _motion(past: _Past, world_T_camera: gtsam.Pose3 | None) -> gtsam.Pose3 | None:
-    """How the camera has moved since the last frame; None where that is not known."""
-    before = past.world_T_camera
-    return None if before is None or world_T_camera is None else before.between(world_T_camera)
-
-
-def _carried(plane: Ground, motion: gtsam.Pose3) -> Ground | None:
-    """The plane as it is seen after a motion of the camera; None where that looks upside down."""
-    normal = motion.rotation().matrix().T @ plane.normal
-    if normal[1] <= LEAST_DOWN:
-        return None
-    distance = plane.distance - float(plane.normal @ motion.translation())
-    return replace(plane, normal=normal, distance=max(distance, LEAST_HEIGHT))
+        by_motion[0, 3:], by_motion[1:, :3] = axes.normal, np.cross(axes.normal, axes.across)
+        unsure = unsure + by_motion @ frame.motion_covariance @ by_motion.T
+    return road_factor(G(0), G(1), (past.nominal.axes, axes), full_noise("road", unsure), motion, kept)
 
 
 def _known(make: Callable[[], tuple[Marginal, Marginal]]) -> _Known | None:
@@ -294,7 +273,7 @@ def _both(known: Marginal, said: Marginal) -> Marginal:
 
 
 def _solved(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
-    for _ in range(_ROUNDS):
+    for _ in range(ROAD.iterations):
         values = values.retract(graph.linearize(values).optimize())
     return values
 
@@ -306,35 +285,35 @@ def _on_first(left: Marginal) -> Marginal:
     return Marginal((G(0),), left.dims, values, left.matrix, left.right)
 
 
-def _ground(about: _About, frame: GroundFrame, known: _Known) -> KnownGround | None:
-    """The plane, and how far a vehicle's origin may lie off it: as far as is told where nothing is known.
+def _ground(nominal: _Nominal, known: _Known) -> KnownGround | None:
+    """The plane, and how far a vehicle's origin may be off it: as far as is given where nothing is known.
 
     None where the plane is no ground.
     """
-    told, spread = about.plane, about.spread
-    normal, distance = frame.plane(known.where.values.atVector(G(0)))
-    if normal[1] <= LEAST_DOWN:
+    plane, spread = nominal.plane, nominal.spread
+    normal, distance = nominal.axes.plane(known.where.values.atVector(G(0)))
+    if normal[1] <= SCENE.least_normal_down:
         return None
     covariance = _covariance(known.where)
 
     def variance(depth: float) -> float:
         across = np.array([-1.0, depth, 0.0])
-        own, whole = _own_variance(told, depth), float(np.square(across * spread).sum())
+        own, whole = _own_variance(plane, depth), float(np.square(across * spread).sum())
         left = min(float(across @ covariance @ across) / whole, 1.0)
         return own + (whole - own) * left**2  # what is left of it counts less: it is mostly the same for all vehicles
 
-    near, far = variance(_NEAR), variance(_FAR)
-    least_height, least_slope = own_deviations(told, 1.0)
-    slope = max((far - near) / (_FAR**2 - _NEAR**2), least_slope**2)
-    height = max(near - slope * _NEAR**2, least_height**2)
+    near, far = variance(ROAD.near_m), variance(ROAD.far_m)
+    least_height, least_slope = own_deviations(plane, 1.0)
+    slope = max((far - near) / (ROAD.far_m**2 - ROAD.near_m**2), least_slope**2)
+    height = max(near - slope * ROAD.near_m**2, least_height**2)
     ground = replace(
-        told,
+        plane,
         normal=normal,
-        distance=max(distance, LEAST_HEIGHT),
+        distance=max(distance, SCENE.least_camera_height_m),
         height_sigma=float(np.sqrt(height)),
         slope_sigma=float(np.sqrt(slope)),
     )
-    return KnownGround(ground, told, _covariance(known.counted))
+    return KnownGround(ground, plane, _covariance(known.counted))
 
 
 def _covariance(known: Marginal) -> Array:
@@ -342,7 +321,7 @@ def _covariance(known: Marginal) -> Array:
     return covariance
 
 
-def _own_variance(told: Ground, depth: float) -> float:
+def _own_variance(nominal: Ground, depth: float) -> float:
     """Of a vehicle's origin off the ground, what is its own, square metres."""
-    by_height, by_slope = own_deviations(told, depth)
+    by_height, by_slope = own_deviations(nominal, depth)
     return by_height**2 + by_slope**2

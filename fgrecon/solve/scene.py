@@ -4,7 +4,8 @@
     F(0) keypoints, box --- X(2,0) --- contact --- G(0) --- prior (what is known of the mount)
     +--- keypoints, box --- X(3,0) --- contact ---+
 
-Every vehicle is first solved alone, nearly to the end; `fgrecon.solve.standing` is about the ground.
+Every vehicle is first solved by itself, nearly to the end (`fgrecon.solve.independent`); `fgrecon.solve.standing` is
+about the ground.
 
 Where the focal length is not known it is the variable F(0) of all keypoints and boxes (`fgrecon.solve.focal`), also of
 several images that one camera took, each with a ground of its own. Vehicles of which another detector has a 3D box have
@@ -15,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
 
@@ -41,11 +42,12 @@ from fgrecon.solve.graph.graph import Graph, GraphObservation, State
 from fgrecon.solve.graph.multi_start import MultiStartResult, SolvedStage
 from fgrecon.solve.graph.optimise import Optimum, optimise
 from fgrecon.solve.graph.vehicle_part import fleet_prior, is_any_fleets
-from fgrecon.solve.independent import Alone, Tried, each_alone
+from fgrecon.solve.independent import IndependentSolve, IndependentVehicle, solve_independently
 from fgrecon.solve.inputs import SolveSetup, as_box_errors, as_boxes
 from fgrecon.solve.occlusion import with_occlusion
-from fgrecon.solve.result import count, history_of, results, weakened
-from fgrecon.solve.standing import Standing, seen_ground
+from fgrecon.solve.result import Marginalised, marginalise, pose_history, results, weakened
+from fgrecon.solve.solve_settings import SCENE
+from fgrecon.solve.standing import Standing, observed_ground
 from fgrecon.solve.threads import single_threaded
 from fgrecon.solve.vehicle.model import prepare
 from fgrecon.solve.weakness import unknown_focal
@@ -53,14 +55,6 @@ from fgrecon.solve.weakness import unknown_focal
 __all__ = ["reconstruct_scene", "reconstruct_scenes"]
 
 Array = NDArray[np.float64]
-
-_STEADY_ALONE = 1e-2
-"""Where vehicles that are about to be solved together end alone, as `optimise` has it: near enough for the same basins.
-
-Where visibility swings another one may be held then, which moves one box in a hundred by more than a centimetre, as
-often closer to the truth as further away."""
-_STEADY = 5e-4
-"""The same of the scene: half a millimetre, where a result is known to some centimetres at best."""
 
 
 @single_threaded
@@ -82,7 +76,7 @@ def reconstruct_scene(
         camera: The camera that took the image, or its matrix (3, 3), or (fx, fy, cx, cy). One whose focal length is not
             known (`Camera.focal_sigma`, `Camera.of_unknown`) is found with the vehicles.
         prior: Shape prior, or its name, or the path of its file.
-        ground: About where the ground is; a number is the height in metres of a level camera. None tells nothing: the
+        ground: About where the ground is; a number is the height in metres of a level camera. None gives nothing: the
             vehicles say where it is.
         size_prior: Fleet (`kitti`, `apollo79`), or a size prior; None takes sizes from the shape prior.
         options: Settings; `joint` must be set.
@@ -105,7 +99,7 @@ def reconstruct_scene(
         unsized = prepare(setup.prior, None, setup.options.shape.basis_vectors)
         each = as_boxes(boxes, len(observations), known)
         boxed = [None if box is None else KnownBox(box, errors, unsized) for box in each]
-    return _reconstruct([observations], known, setup, boxed)[0]
+    return _reconstruct(_Images([observations], known, setup), boxed)[0]
 
 
 @single_threaded
@@ -139,80 +133,51 @@ def reconstruct_scenes(
     setup, known = SolveSetup.of(prior, size_prior, options, ground, joint=True), Camera.of(camera)
     images = [as_list(f"images[{number}]", one) for number, one in enumerate(as_list("images", images))]
     if not known.focal_sigma:
-        return [_reconstruct([one], known, setup, None)[0] for one in images]
-    return _reconstruct(images, known, setup, None)
-
-
-def _reconstruct(
-    images: Sequence[Sequence[KeypointsLike]],
-    known: Camera,
-    setup: SolveSetup,
-    boxed: Sequence[KnownBox | None] | None,
-) -> list[SceneReconstruction]:
-    """The scenes of images whose vehicles, numbered through, are solved together."""
-    image_of = [image for image, some in enumerate(images) for _ in some]
-    observations = [one for some in images for one in some]
-    started = perf_counter()
-    steady = _STEADY_ALONE if len(observations) > 1 or known.focal_sigma else None
-    tried = [each_alone(observations, one, setup, boxed, image_of=image_of, steady=steady) for one in candidates(known)]
-    energies = energies_of(tried, known)
-    found = perf_counter()
-    told = _solved([tried[i] for i in starts(energies)], image_of, known, setup)
-    if told is None:
-        alone = tried[min(range(len(tried)), key=lambda i: (energies[i], abs(log_ratio(tried[i].camera, known))))]
-        told = _Told({}, {}, known, (), (), alone)
-    alone = told.alone
-    each = dict(told.results)
-    each |= {number: _result(one.to_the_end()) for number, one in alone.vehicles.items() if number not in each}
-    status, doubts = unknown_focal(told.camera.focal_sigma, told.focal_lengths, setup.options.ambiguity_margin)
-    each = {number: weakened(one, doubts, status) for number, one in each.items()}
-    milliseconds = {"alone": (found - started) * 1e3, "together": (perf_counter() - found) * 1e3}
-    scenes, first = [], 0
-    for image, some in enumerate(images):
-        own = range(first, first + len(some))
-        numbers = tuple(number for number in own if number in each)
-        ground, covariance = told.grounds.get(image, (setup.ground, None))
-        off = boxes_off(each[n].box_excess for n in numbers)
-        message = told.message(image, sum(number in told.results for number in own), len(images))
-        scenes.append(
-            SceneReconstruction(
-                tuple(number - first for number in numbers),
-                with_occlusion([each[n] for n in numbers]),
-                {number - first: alone.refused[number] for number in own if number in alone.refused},
-                ground,
-                covariance,
-                told.camera,
-                told.focal_lengths,
-                message if off is None else f"{message} {boxes_warning(off)}",
-                milliseconds,
-            )
-        )
-        first += len(some)
-    return scenes
+        return [_reconstruct(_Images([one], known, setup))[0] for one in images]
+    return _reconstruct(_Images(images, known, setup))
 
 
 @dataclass(frozen=True)
-class _Joint:
-    """Vehicles that were solved together, from where they were alone."""
+class _Images:
+    """Images of one camera, whose vehicles, numbered through, are solved together; `camera` is what is known of it."""
 
-    alone: Tried
+    vehicles: Sequence[Sequence[KeypointsLike]]
+    camera: Camera
+    setup: SolveSetup
+
+    @property
+    def image_of(self) -> list[int]:
+        """The image of each vehicle, by its number."""
+        return [image for image, some in enumerate(self.vehicles) for _ in some]
+
+
+@dataclass(frozen=True)
+class _JointSolve:
+    """Vehicles that were solved together, from where they were independently."""
+
+    independent: IndependentSolve
     seen: list[GraphObservation]
     graph: Graph
     optimum: Optimum
     extra: list[gtsam.NonlinearFactor]
     standing: dict[int, Standing]
 
+    @property
+    def camera(self) -> Camera:
+        """The camera with its focal length, where that is a variable."""
+        return self.independent.camera.scaled(math.exp(self.optimum.values.atVector(F(0))[0]))
+
 
 @dataclass(frozen=True)
-class _Told:
-    """What is said of the scenes: their grounds by image; vehicles without a result are as they were alone."""
+class _Estimate:
+    """What is known of the scenes: their grounds by image; vehicles without a result are as they were independently."""
 
-    results: dict[int, Reconstruction]
-    grounds: dict[int, tuple[Ground, Array | None]]
+    independent: IndependentSolve
     camera: Camera
-    focal_lengths: tuple[tuple[float, float], ...]
-    shared: tuple[str, ...]
-    alone: Tried
+    results: dict[int, Reconstruction] = field(default_factory=dict)
+    grounds: dict[int, tuple[Ground, Array | None]] = field(default_factory=dict)
+    focal_lengths: tuple[tuple[float, float], ...] = ()
+    shared: tuple[str, ...] = ()
     determined: bool = True
 
     def message(self, image: int, count: int, images: int) -> str:
@@ -224,62 +189,92 @@ class _Told:
         return f"{count} {'was' if count == 1 else 'were'} solved together with {' and '.join(shared)}{others}."
 
 
-def _result(one: Alone) -> Reconstruction:
+def _reconstruct(images: _Images, boxes: Sequence[KnownBox | None] | None = None) -> list[SceneReconstruction]:
+    """The scenes of images."""
+    known, setup, image_of = images.camera, images.setup, images.image_of
+    observations = [one for some in images.vehicles for one in some]
+    started = perf_counter()
+    steady = SCENE.single_visibility_step if len(observations) > 1 or known.focal_sigma else None
+    tried = [
+        solve_independently(observations, one, setup, boxes, image_of=image_of, steady=steady)
+        for one in candidates(known)
+    ]
+    energies = energies_of(tried, known)
+    begun = perf_counter()
+    scene = _solved([tried[i] for i in starts(energies)], images)
+    if scene is None:
+        best = min(range(len(tried)), key=lambda i: (energies[i], abs(log_ratio(tried[i].camera, known))))
+        scene = _Estimate(tried[best], known)
+    vehicles = scene.independent.vehicles
+    each = scene.results | {n: _result(one.converged()) for n, one in vehicles.items() if n not in scene.results}
+    margin = setup.options.ambiguity_margin
+    status, warnings = unknown_focal(scene.camera.focal_sigma, scene.focal_lengths, margin)
+    each = {number: weakened(one, warnings, status) for number, one in each.items()}
+    milliseconds = {"alone": (begun - started) * 1e3, "together": (perf_counter() - begun) * 1e3}
+    return [_scene_of_image(image, images, scene, each, milliseconds) for image in range(len(images.vehicles))]
+
+
+def _scene_of_image(
+    image: int,
+    images: _Images,
+    scene: _Estimate,
+    each: dict[int, Reconstruction],
+    milliseconds: dict[str, float],
+) -> SceneReconstruction:
+    first = sum(map(len, images.vehicles[:image]))
+    own = range(first, first + len(images.vehicles[image]))
+    numbers = [number for number in own if number in each]
+    refused = scene.independent.refused
+    ground, covariance = scene.grounds.get(image, (images.setup.ground, None))
+    message = scene.message(image, sum(number in scene.results for number in own), len(images.vehicles))
+    off = boxes_off(each[n].box_excess for n in numbers)
+    return SceneReconstruction(
+        tuple(number - first for number in numbers),
+        with_occlusion([each[n] for n in numbers]),
+        {number - first: refused[number] for number in own if number in refused},
+        ground,
+        covariance,
+        scene.camera,
+        scene.focal_lengths,
+        message if off is None else f"{message} {boxes_warning(off)}",
+        milliseconds,
+    )
+
+
+def _result(one: IndependentVehicle) -> Reconstruction:
     adjusted = replace(one.adjusted, alternatives=(one.alternatives(one.pose),))
-    return results(
-        [GraphObservation(one.problem)], [one.start], adjusted, {}, one.own(), facing=[one.facing(one.pose)]
-    )[0]
+    facing = one.facing(one.pose)
+    return results([GraphObservation(one.problem)], [one.start], adjusted, {}, one.box_factors(), facing=[facing])[0]
 
 
-def _solved(begun: Sequence[Tried], image_of: Sequence[int], known: Camera, setup: SolveSetup) -> _Told | None:
+def _solved(begun: Sequence[IndependentSolve], images: _Images) -> _Estimate | None:
     """The best end of the joint solves; None where there is none.
 
     A vehicle that the graph leaves open leaves all others without a covariance, so it is taken out.
     """
     out: set[int] = set()
     while True:
-        ends = (_together(one, image_of, known, setup, out=out) for one in begun)
+        ends = (_solve_jointly(one, images, out) for one in begun)
         joint = [one for one in ends if one is not None]
         if not joint:
             return None
         best = min(joint, key=lambda one: one.optimum.energy)
-        told = _told(best, joint, known)
-        if told.determined:
-            return told
+        scene = _estimate(best, joint, images.camera)
+        if scene.determined:
+            return scene
         left_open = undetermined(best.graph, best.optimum.values, best.optimum.state.weights)
         if not left_open or len(left_open) == len(best.seen):
-            return told
+            return scene
         out |= left_open
 
 
-def _together(
-    alone: Tried,
-    image_of: Sequence[int],
-    known: Camera,
-    setup: SolveSetup,
-    out: Collection[int] = (),
-) -> _Joint | None:
-    """The joint solve; None where there is nothing to solve together, or it gave up.
-
-    Args:
-        alone: The vehicles solved alone.
-        image_of: The image of each vehicle, by its number.
-        known: What is known of the camera.
-        setup: Settings, and about where the ground is.
-        out: Vehicles that are left out.
-    """
-    options, plane = setup.options, setup.ground
-    solved = {number: one for number, one in alone.solved.items() if number not in out}
-    standing: dict[int, Standing] = {}
-    if "ground" not in options.disabled_terms:
-        for image in sorted({image_of[number] for number in solved}):
-            poses = {number: one.pose for number, one in solved.items() if image_of[number] == image}
-            about = seen_ground([*poses.values()]) if plane is None else plane
-            if len(poses) > 1 and about is not None:
-                standing[image] = Standing.of(image, poses, about, is_told=plane is not None)
+def _solve_jointly(independent: IndependentSolve, images: _Images, out: Collection[int]) -> _JointSolve | None:
+    """The joint solve without some vehicles; None where there is nothing to solve together, or it gave up."""
+    known, options = images.camera, images.setup.options
+    solved = {number: one for number, one in independent.solved.items() if number not in out}
+    standing = _standing(solved, images)
     if not solved or not (standing or known.focal_sigma):
         return None
-    seen: list[GraphObservation] = []
     priors: list[gtsam.NonlinearFactor] = []
     others = gtsam.Values()
     for one_ground in standing.values():
@@ -287,14 +282,15 @@ def _together(
         priors.append(one_ground.prior)
     if known.focal_sigma:
         others.insert(F(0), np.zeros(1))
-        priors.append(focal_prior(known, alone.camera))
+        priors.append(focal_prior(known, independent.camera))
     models = [one.problem.model for one in solved.values() if is_any_fleets(one.problem.model, options)]
     if models and models[0].prior.dimension:
         others.insert(S(), np.zeros(3))
         priors.append(fleet_prior(models[0]))
+    seen: list[GraphObservation] = []
     for number, one in solved.items():
-        priors += one.own(number)
-        problem = one.problem.on(None) if image_of[number] in standing else one.problem
+        priors += one.box_factors(number)
+        problem = one.problem.on(None) if images.image_of[number] in standing else one.problem
         seen.append(GraphObservation(problem, vehicle=number))
     states = [one.adjusted.optimum.state for one in solved.values()]
     state = State(
@@ -305,37 +301,30 @@ def _together(
     )
     extra = [*(contact for one in standing.values() for contact in one.contacts.values()), *priors]
     graph = Graph(seen, state, pose_free=True, extra=extra)
-    optimum = optimise(graph, state, steady=_STEADY)
-    if optimum.failure is not None:
-        return None
-    return _Joint(alone, seen, graph, optimum, extra, standing)
+    optimum = optimise(graph, state, steady=SCENE.joint_visibility_step)
+    return None if optimum.failure is not None else _JointSolve(independent, seen, graph, optimum, extra, standing)
 
 
-def _told(best: _Joint, joint: Sequence[_Joint], known: Camera) -> _Told:
+def _standing(solved: dict[int, IndependentVehicle], images: _Images) -> dict[int, Standing]:
+    """The ground of each image that has one, with its vehicles; not of one vehicle alone."""
+    found: dict[int, Standing] = {}
+    given, image_of = images.setup.ground, images.image_of
+    if "ground" in images.setup.options.disabled_terms:
+        return found
+    for image in sorted({image_of[number] for number in solved}):
+        poses = {number: one.pose for number, one in solved.items() if image_of[number] == image}
+        nominal = observed_ground([*poses.values()]) if given is None else given
+        if len(poses) > 1 and nominal is not None:
+            found[image] = Standing.of(image, poses, nominal, given=given is not None)
+    return found
+
+
+def _estimate(best: _JointSolve, joint: Sequence[_JointSolve], known: Camera) -> _Estimate:
     """Results of the vehicles, the ground and the camera, with what is left open of both."""
     optimum, values = best.optimum, best.optimum.values
-    solved = {one.vehicle: best.alone.vehicles[one.vehicle] for one in best.seen}
-    poses = [pose.matrix() for pose in optimum.state.poses]
-    adjusted = MultiStartResult(
-        optimum,
-        (SolvedStage("scene", best.graph, optimum.steps),),
-        tuple(one.alternatives(pose) for one, pose in zip(solved.values(), poses, strict=True)),
-    )
-    starts_ = [one.start for one in solved.values()]
-    if best.graph.options.keep_history:  # what led to each vehicle's pose alone; the scene's steps follow
-        starts_ = [
-            replace(one.start, history=history_of(one.start, one.adjusted, 0, alone=True)) for one in solved.values()
-        ]
-    facing = [one.facing(pose) for one, pose in zip(solved.values(), poses, strict=True)]
-    counted = count(best.graph, optimum)
-    found = results(best.seen, starts_, adjusted, {}, best.extra, facing=facing, counted=counted)
-    each = dict(zip(solved, found, strict=True))
-    for one_ground in best.standing.values():
-        for number, contact in one_ground.contacts.items():
-            energies = {**each[number].energies, "ground": float(contact.error(values))}
-            each[number] = replace(each[number], energies=energies)
-            each[number] = weakened(each[number], one_ground.doubt(each[number], solved[number].problem.ground, values))
-    marginals, camera = counted.marginals, best.alone.camera
+    marginalised = marginalise(best.graph, optimum)
+    each = _vehicles(best, marginalised)
+    marginals, camera = marginalised.marginals, best.independent.camera
     shared: tuple[str, ...] = ()
     lengths: tuple[tuple[float, float], ...] = ()
     grounds = {
@@ -346,15 +335,32 @@ def _told(best: _Joint, joint: Sequence[_Joint], known: Camera) -> _Told:
     if known.focal_sigma:
         variance = covariance_of(marginals, F(0))
         sigma = known.focal_sigma if variance is None else float(np.sqrt(variance[0, 0]))
-        camera = replace(_camera(best), focal_sigma=min(sigma, known.focal_sigma))
+        camera = replace(best.camera, focal_sigma=min(sigma, known.focal_sigma))
         lengths = tuple(
-            (float(_camera(one).matrix[0, 0]), one.optimum.energy - optimum.energy)
+            (float(one.camera.matrix[0, 0]), one.optimum.energy - optimum.energy)
             for one in sorted(joint, key=lambda one: one.optimum.energy)
         )
         shared = ("the focal length",)
     determined = marginals is not None and all(one.pose_covariance is not None for one in each.values())
-    return _Told(each, grounds, camera, distinct_lengths(lengths), shared, best.alone, determined)
+    return _Estimate(best.independent, camera, each, grounds, distinct_lengths(lengths), shared, determined)
 
 
-def _camera(joint: _Joint) -> Camera:
-    return joint.alone.camera.scaled(math.exp(joint.optimum.values.atVector(F(0))[0]))
+def _vehicles(best: _JointSolve, marginalised: Marginalised) -> dict[int, Reconstruction]:
+    """The result of each vehicle of a joint solve, by number."""
+    optimum, values = best.optimum, best.optimum.values
+    solved = {one.vehicle: best.independent.vehicles[one.vehicle] for one in best.seen}
+    poses = [pose.matrix() for pose in optimum.state.poses]
+    alternatives = tuple(one.alternatives(pose) for one, pose in zip(solved.values(), poses, strict=True))
+    adjusted = MultiStartResult(optimum, (SolvedStage("scene", best.graph, optimum.steps),), alternatives)
+    begun = [one.start for one in solved.values()]
+    if best.graph.options.keep_history:  # what led to each vehicle's pose independently; the scene's steps follow
+        begun = [replace(one.start, history=pose_history(one.start, one.adjusted)) for one in solved.values()]
+    facing = [one.facing(pose) for one, pose in zip(solved.values(), poses, strict=True)]
+    found = results(best.seen, begun, adjusted, {}, best.extra, facing=facing, marginalised=marginalised)
+    each = dict(zip(solved, found, strict=True))
+    for one_ground in best.standing.values():
+        for number, contact in one_ground.contacts.items():
+            energies = {**each[number].energies, "ground": float(contact.error(values))}
+            result = replace(each[number], energies=energies)
+            each[number] = weakened(result, one_ground.off_ground(result, solved[number].problem.ground, values))
+    return each

@@ -30,27 +30,25 @@ from fgrecon.core.turned import turned_alternative
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.solve.box_check import box_excess, boxes_off
 from fgrecon.solve.facing import couple_facings
-from fgrecon.solve.frame_vehicles import FrameVehicles, PastFrame, VehicleTrack
-from fgrecon.solve.graph.multi_start import MultiStartResult
+from fgrecon.solve.frame_vehicles import FrameContext, FrameVehicles, VehicleTrack, look_at_vehicles
 from fgrecon.solve.graph.structure import graph_factors
 from fgrecon.solve.inputs import SolveSetup, as_camera_pose, as_ground, as_motion_covariance, calibrated, observe
-from fgrecon.solve.proposals.problem import Problem
-from fgrecon.solve.result import count, results
-from fgrecon.solve.road import KnownGround, Road
+from fgrecon.solve.result import marginalise, results
+from fgrecon.solve.road import CameraFrame, Road
+from fgrecon.solve.solve_settings import ROAD
 from fgrecon.solve.threads import single_threaded
-from fgrecon.solve.time.camera_way import CameraWay
-from fgrecon.solve.time.neighbours import with_neighbours
+from fgrecon.solve.time.camera_drift import CameraDrift
+from fgrecon.solve.time.frame import Frame
+from fgrecon.solve.time.neighbours import beliefs_with_neighbours
 from fgrecon.solve.time.smooth import smooth
-from fgrecon.solve.time.vehicle import Followed
-from fgrecon.solve.time.window import Frame, OwnFactors, WindowSolve, velocity_covariances
+from fgrecon.solve.time.vehicle_filter import FilterModel
+from fgrecon.solve.time.window import MotionFactors, WindowSolve, velocity_covariances
 
 __all__ = ["Tracker"]
 
 Array = NDArray[np.float64]
 
 _MAPPING = "Give a mapping: an `fgrecon.Observation` by id. Images go to `fgrecon.video.ImageTracker`."
-_MOST_FRAMES = 100  # of a window
-_SHORTEST = 1e-6  # seconds from frame to frame: noise that grows with time must not vanish
 
 
 class Tracker:
@@ -71,7 +69,7 @@ class Tracker:
         window: int = 5,
         shared_ground: bool = False,
         past: int | None = 1000,
-        motion_factors: OwnFactors | None = None,
+        motion_factors: MotionFactors | None = None,
     ) -> None:
         """Prepare for vehicles of one category.
 
@@ -94,18 +92,19 @@ class Tracker:
             InvalidInputError: An argument cannot be used; names it, its value and the fix.
         """
         setup = SolveSetup.of(prior, size_prior, options, joint=True)
-        if not isinstance(window, int | np.integer) or not 2 <= window <= _MOST_FRAMES:
-            raise InvalidInputError("window", window, f"Give 2 to {_MOST_FRAMES} frames, a whole number.")
+        if not isinstance(window, int | np.integer) or not 2 <= window <= ROAD.largest_window:
+            raise InvalidInputError("window", window, f"Give 2 to {ROAD.largest_window} frames, a whole number.")
         if past is not None and (not isinstance(past, int | np.integer) or past < 1):
             raise InvalidInputError("past", past, "Give at least 1 frame, a whole number, or None.")
         self._setup = replace(setup, options=replace(setup.options, keep_history=False))
-        self._window, self._past = window, past
-        self._shared, self._own, self._road = shared_ground, motion_factors, Road()
+        kept = None if past is None else int(past)
+        self._model = FilterModel(setup.prior.category.motion, int(window), kept, motion_factors)
+        self._road = Road() if shared_ground else None
         self._tracks: dict[int, VehicleTrack] = {}
         self._forgotten: list[float] = []  # how far the boxes of vehicles were off that were forgotten
         self._time = self._clock = -np.inf
         self._cameras: list[tuple[Camera, gtsam.Pose3 | None]] = []  # of the last time
-        self._way = CameraWay()
+        self._drift = CameraDrift()
         self._one_call = Lock()
         self.refused = {}
 
@@ -150,97 +149,85 @@ class Tracker:
         time = float(as_finite("time", time, (), "Give seconds."))
         if not issubclass(kind := type(observations), Mapping):
             raise InvalidInputError("observations", kind.__name__, _MAPPING)
-        seen_by, plane = calibrated("camera", Camera.of(camera)), as_ground(ground)
+        used, plane = calibrated("camera", Camera.of(camera)), as_ground(ground)
         place = None if world_T_camera is None else gtsam.Pose3(as_camera_pose(world_T_camera))
         moved = None if motion_covariance is None else as_motion_covariance(motion_covariance)
         with self._one_call:
-            return self._update(time, observations, seen_by, place, plane, moved)
+            cameras = self._cameras_at(time, used, place)
+            # Noise that grows with time must not vanish: frames of one time are a microsecond apart.
+            clock = max(time, self._clock + ROAD.shortest_s)
+            frame = CameraFrame(clock, used, plane, place, moved, self._drift.moved(place, moved))
+            found = self._update(frame, time, observations)
+            self._time, self._clock, self._cameras, self._drift = time, clock, cameras, frame.drift
+            return found
 
     def _update(
-        self,
-        time: float,
-        observations: Mapping[int, KeypointsLike],
-        seen_by: Camera,
-        place: gtsam.Pose3 | None,
-        plane: Ground | None,
-        moved: Array | None,
+        self, frame: CameraFrame, time: float, observations: Mapping[int, KeypointsLike]
     ) -> dict[int, VehicleEstimate]:
-        clock = self._go_on(time, seen_by, place)
-        self._way.go(place, moved)
-        refused: dict[int, FgreconError] = {}
+        """The estimates of a frame's vehicles; whatever is raised, the tracker is what it was."""
+        seen, refused = self._observe(observations, frame.camera)
 
-        def problem(observation: Observation, ground: Ground | None) -> Problem:
-            return Problem.of(observation, seen_by, self._setup.model, ground, self._setup.options)
+        def look(ground: Ground | None) -> FrameVehicles:
+            return look_at_vehicles(seen, frame, ground, self._tracks, self._setup, self._model)
 
-        seen = self._seen(observations, seen_by, refused)
-        vehicles = FrameVehicles(clock, place, self._way, seen, problem, self._track, refused)
-        known: KnownGround | None = None
-        if self._shared:
-            known = self._road.later(clock, plane, seen_by, place, vehicles, motion_covariance=moved)
-            plane = plane if known is None else known.ground
+        road, known, ground = self._road, None, frame.ground
+        if road is None:
+            vehicles = look(ground)
         else:
-            vehicles.look(plane)
-        found: dict[int, VehicleEstimate] = {}
-        for name, (track, frame) in vehicles.looked.items():
+            road, known, vehicles = road.later(frame, look)
+            ground = ground if known is None else known.ground
+        refused |= vehicles.refused
+        grounded = None if "ground" in self._setup.options.disabled_terms else known
+        tracks: dict[int, VehicleTrack] = {}
+        for name, sighting in vehicles.sightings.items():
             try:
-                track.followed.take(frame, plane)
+                vehicle = sighting.taken(ground)
             except FgreconError as error:
                 refused[name] = error
                 continue
-            self._tracks[name] = track
-            track.time, track.world_T_camera, track.milestone = clock, place, self._way.here
-            stands_on = known if "ground" not in self._setup.options.disabled_terms else None
-            track.past.append(PastFrame(frame, time, place, stands_on))
-            if self._past is not None:
-                del track.past[: -self._past]
-            found[name] = self._estimate(name, track)
-        self.refused = refused
+            before = self._tracks.get(name)
+            context = FrameContext(time, frame.world_T_camera, grounded)
+            contexts = (context,) if before is None else (*before.contexts, context)
+            tracks[name] = VehicleTrack(vehicle, frame, contexts[-len(vehicle.past) :])
+        found = {name: self._estimate(name, track) for name, track in tracks.items()}
+        self._tracks, self._road, self.refused = self._tracks | tracks, road, refused
         return found
 
-    def _go_on(self, time: float, camera: Camera, place: gtsam.Pose3 | None) -> float:
-        """Go on to a frame; returns its time by a clock on which frames of one time are a microsecond apart.
-
-        Noise that grows with time must not vanish.
+    def _cameras_at(
+        self, time: float, camera: Camera, place: gtsam.Pose3 | None
+    ) -> list[tuple[Camera, gtsam.Pose3 | None]]:
+        """The cameras of a frame's time, with their places.
 
         Raises:
             InvalidInputError: It is not later, nor of another camera at a known place.
         """
-        if abs(time - self._time) < _SHORTEST and place is not None and self._are_others(camera, place):
-            self._cameras.append((camera, place))
-        elif time - self._time >= _SHORTEST:
-            self._cameras = [(camera, place)]
-        else:
-            fix = f"Give frames in order, a microsecond apart at least: the last one was at {self._time:.10g} s."
-            fix += " Different cameras may have frames at the same time, if all of these have `world_T_camera`."
-            raise InvalidInputError("time", time, fix)
-        self._time, self._clock = time, max(time, self._clock + _SHORTEST)
-        return self._clock
-
-    def _are_others(self, camera: Camera, place: gtsam.Pose3) -> bool:
-        """Whether the cameras of the last time have places as well, and none of them is this one."""
-        return all(
-            there is not None and not (there.equals(place, 0.0) and np.array_equal(other.matrix, camera.matrix))
+        if time - self._time >= ROAD.shortest_s:
+            return [(camera, place)]
+        others = all(
+            there is not None
+            and place is not None
+            and not (there.equals(place, 0.0) and np.array_equal(other.matrix, camera.matrix))
             for other, there in self._cameras
         )
+        if abs(time - self._time) < ROAD.shortest_s and place is not None and others:
+            return [*self._cameras, (camera, place)]
+        fix = f"Give frames in order, a microsecond apart at least: the last one was at {self._time:.10g} s."
+        fix += " Different cameras may have frames at the same time, if all of these have `world_T_camera`."
+        raise InvalidInputError("time", time, fix)
 
-    def _track(self, name: int) -> VehicleTrack:
-        """The track of a vehicle; a new one is among those that are kept once it is solved."""
-        return self._tracks.get(name) or VehicleTrack(
-            Followed(self._setup.prior.category.motion, self._window, self._own)
-        )
-
-    def _seen(
-        self, observations: Mapping[int, KeypointsLike], camera: Camera, refused: dict[int, FgreconError]
-    ) -> dict[int, Observation]:
-        """The observations as they are solved from; those that cannot be used go to `refused`."""
+    def _observe(
+        self, observations: Mapping[int, KeypointsLike], camera: Camera
+    ) -> tuple[dict[int, Observation], dict[int, FgreconError]]:
+        """The observations as they are solved from, and why others cannot be used."""
         found: dict[int, Observation] = {}
+        refused: dict[int, FgreconError] = {}
         for name, given in observations.items():
             try:
                 found[name] = observe(given, camera, self._setup.prior.category, self._setup.options)
             except FgreconError as error:
                 refused[name] = error
-        together = couple_facings([*found.values()], camera, self._setup.prior, self._setup.options, rows=False)
-        return dict(zip(found, together, strict=True))
+        coupled = couple_facings([*found.values()], camera, self._setup.prior, self._setup.options, rows=False)
+        return dict(zip(found, coupled, strict=True)), refused
 
     @single_threaded
     def smooth(self) -> dict[int, list[VehicleEstimate]]:
@@ -249,11 +236,11 @@ class Tracker:
             return self._smooth()
 
     def _smooth(self) -> dict[int, list[VehicleEstimate]]:
-        pasts = {name: [past.frame for past in track.past] for name, track in self._tracks.items()}
+        pasts = {name: [*track.vehicle.past] for name, track in self._tracks.items()}
         for frames in pasts.values():
             frames[0] = replace(frames[0], step=None)
-        told = with_neighbours(pasts)
-        return {name: self._smoothed(name, track, told[name]) for name, track in self._tracks.items()}
+        coupled = beliefs_with_neighbours(pasts)
+        return {name: self._smoothed(name, track, coupled[name]) for name, track in self._tracks.items()}
 
     def boxes_off(self) -> float | None:
         """By how much 2D boxes are larger than their vehicles look, as a fraction; negative where smaller.
@@ -277,9 +264,9 @@ class Tracker:
         """
         with self._one_call:
             track = self._tracks.get(vehicle)
-            if track is None or track.followed.solved.failed:
+            if track is None or track.vehicle.solved.failed:
                 return ()
-            adjusted = track.followed.solved.adjusted
+            adjusted = track.vehicle.solved.adjusted
             return tuple(
                 replace(factor, variables=tuple(name.replace("v=0", f"v={vehicle}", 1) for name in factor.variables))
                 for factor in graph_factors(adjusted.graph, adjusted.optimum.state.weights)
@@ -293,60 +280,78 @@ class Tracker:
 
     def _estimate(self, name: int, track: VehicleTrack) -> VehicleEstimate:
         """Of the last frame."""
-        followed, past = track.followed, track.past[-1]
-        last = len(followed.solved.seen) - 1
-        return _estimates(name, {last: past}, followed.solved, last + 1)[0]
+        vehicle = track.vehicle
+        last = len(vehicle.solved.seen) - 1
+        return _estimates(name, {last: (vehicle.past[-1], track.contexts[-1])}, vehicle.solved, last + 1)[0]
 
     def _smoothed(self, name: int, track: VehicleTrack, frames: Sequence[Frame]) -> list[VehicleEstimate]:
-        pasts = {past.frame.number: past for past in track.past}
+        contexts = {frame.number: context for frame, context in zip(track.vehicle.past, track.contexts, strict=True)}
         found = []
-        for solved, some, given in smooth(frames, track.followed.shape, track.followed.motion, self._own):
-            wanted = {index: replace(pasts[some[index].number], frame=some[index]) for index in given}
-            found += _estimates(name, wanted, solved, len(frames))
+        for solved, some, given in smooth(frames, track.vehicle.shape, self._model.motion, self._model.extra):
+            selected = {index: (some[index], contexts[some[index].number]) for index in given}
+            found += _estimates(name, selected, solved, len(frames))
         return found
 
 
 def _box_excess(track: VehicleTrack) -> float:
-    shape, frames = track.followed.shape[0], [past.frame for past in track.past]
-    found = np.array([box_excess(f.problem, f.pose.matrix(), shape, f.problem.camera) for f in frames])
-    told = found[np.isfinite(found)]
-    return float(np.median(told)) if len(told) else float("nan")
+    shape, frames = track.vehicle.shape[0], track.vehicle.past
+    excess = np.array([box_excess(f.problem, f.pose.matrix(), shape, f.problem.camera) for f in frames])
+    known = excess[np.isfinite(excess)]
+    return float(np.median(known)) if len(known) else float("nan")
 
 
-def _estimates(name: int, pasts: Mapping[int, PastFrame], solved: WindowSolve, total: int) -> list[VehicleEstimate]:
+def _estimates(
+    name: int, frames: Mapping[int, tuple[Frame, FrameContext]], solved: WindowSolve, total: int
+) -> list[VehicleEstimate]:
     """Of some frames that were solved together, by their places there."""
-    frames = [past.frame for past in pasts.values()]
-    alone = len(solved.seen) == 1
-    facings = [frame.believed.facing(rotation_y(frame.pose.matrix())) for frame in frames]
-    adjusted = solved.adjusted if alone else _with_alternatives(solved.adjusted, pasts, facings)
-    counted = None if alone else count(adjusted.graph, adjusted.optimum, at_once=pasts)
-    told = results(solved.seen, solved.starts, adjusted, {}, solved.extra, only=pasts, counted=counted)
+    single = len(solved.seen) == 1
+    selected = [frame for frame, _ in frames.values()]
+    facings = [frame.believed.facing(rotation_y(frame.pose.matrix())) for frame in selected]
+    adjusted, known = solved.adjusted, None
+    spreads: Sequence[Array | None] = [None] * len(selected)
+    if not single:
+        alternatives, shape = [*adjusted.alternatives], adjusted.optimum.state.shapes[0][0]
+        for index, frame, facing in zip(frames, selected, facings, strict=True):  # as improbable as by the track
+            flipped = turned_alternative(frame.pose.matrix(), shape, facing)
+            alternatives[index] = flipped or alternatives[index]
+        adjusted = replace(adjusted, alternatives=tuple(alternatives))
+        known = marginalise(adjusted.graph, adjusted.optimum, at_once=frames)
+        spreads = velocity_covariances(solved, selected)
+    reconstructions = results(solved.seen, solved.starts, adjusted, {}, solved.extra, only=frames, marginalised=known)
     found = []
-    spreads = [None] * len(frames) if alone else velocity_covariances(solved, frames)
-    for (index, past), result, facing, spread in zip(pasts.items(), told, facings, spreads, strict=True):
+    for (index, (frame, context)), result, facing, spread in zip(
+        frames.items(), reconstructions, facings, spreads, strict=True
+    ):
         # The world's velocity is not known where the camera has come to its place in an unknown way.
-        moving = not alone and solved.over_world[index] == (past.world_T_camera is not None)
-        found.append(_estimate(name, past, result, facing, total, spread if moving else None, moving=moving))
+        moving = not single and solved.over_world[index] == (context.world_T_camera is not None)
+        found.append(_estimate(name, frame, context, result, facing, total, (spread,) if moving else None))
     return found
 
 
 def _estimate(
-    name: int, past: PastFrame, result: Reconstruction, facing: float, total: int, spread: Array | None, *, moving: bool
+    name: int,
+    frame: Frame,
+    context: FrameContext,
+    result: Reconstruction,
+    facing: float,
+    total: int,
+    moving: tuple[Array | None] | None,
 ) -> VehicleEstimate:
-    frame, place = past.frame, past.world_T_camera
-    pose = frame.pose.matrix()
-    if past.known is not None and result.pose_covariance is not None:
-        result = replace(result, pose_covariance=past.known.considered(pose, result.pose_covariance))
+    """Of one frame; `moving` is the velocity's covariance, which may be unknown, or None where it has no velocity."""
+    place, pose = context.world_T_camera, frame.pose.matrix()
+    if context.known is not None and result.pose_covariance is not None:
+        result = replace(result, pose_covariance=context.known.considered(pose, result.pose_covariance))
     velocity: Array | None = None
     turn_rate: float | None = None
-    if moving:
+    spread: Array | None = None
+    if moving is not None:
         axes = pose[:3, :3] if place is None else place.rotation().matrix() @ pose[:3, :3]
         forward, left, turn_rate = frame.velocity.tolist()
         velocity = axes @ np.array([forward, 0.0, left])
-        spread = None if spread is None else axes @ spread @ axes.T
+        spread = None if moving[0] is None else axes @ moving[0] @ axes.T
     return VehicleEstimate(
         id=name,
-        time=past.time,
+        time=context.time,
         reconstruction=result,
         velocity=velocity,
         turn_rate=turn_rate,
@@ -355,13 +360,3 @@ def _estimate(
         frames=total,
         velocity_covariance=spread,
     )
-
-
-def _with_alternatives(
-    adjusted: MultiStartResult, pasts: Mapping[int, PastFrame], facings: Sequence[float]
-) -> MultiStartResult:
-    """With the vehicle turned round as an alternative of frames, as improbable as it is by the track."""
-    told, shape = list(adjusted.alternatives), adjusted.optimum.state.shapes[0][0]
-    for (index, past), facing in zip(pasts.items(), facings, strict=True):
-        told[index] = turned_alternative(past.frame.pose.matrix(), shape, facing) or told[index]
-    return replace(adjusted, alternatives=tuple(told))

@@ -1,4 +1,4 @@
-"""Why a result that converged is weak: little carries it, or it lies at the edge of what was said beforehand.
+"""Why a result that converged is weak: little carries it, or it is at the edge of what was said beforehand.
 
 Chosen on five drives of KITTI's video and tested on two others (`docs/result.md`). What is said of a focal length that
 was found holds for all vehicles that tell it.
@@ -17,21 +17,11 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.geometry import transform
 from fgrecon.core.observation import Observation
 from fgrecon.core.status import Status
+from fgrecon.solve.solve_settings import STATUS
 
 __all__ = ["off_ground", "unknown_focal", "weaknesses"]
 
 Array = NDArray[np.float64]
-
-_CARRYING = 5.5  # keypoints' weight: with two equations each, fewer than pose and shape have unknowns
-_PROBABLE = 0.25  # of the measured keypoints; where no confidences are given it is a half
-_OFF_GROUND = 2.0  # standard deviations
-_OUTSIDE = 0.5  # of the vehicle's 2D box
-_EDGE = 3.0  # standard deviations of a shape coefficient
-_FOCAL_ROUGH = 0.1
-"""Standard deviation of a focal length's logarithm: beyond, distances are off by more than the 20 % that count as wrong
-more often than those of other results that converged (`docs/result.md`)."""
-_FOCAL_OPEN = 0.3
-"""Beyond, half of the distances are wrong."""
 
 
 def weaknesses(
@@ -52,19 +42,19 @@ def weaknesses(
         camera_T_object: (4, 4) pose.
         coefficients: (N,) shape coefficients.
         box_size: (3,) length, width and height, metres.
-        ground: The plane that was told, or None.
+        ground: The plane that is given, or None.
     """
     found = []
-    if weights.sum() < _CARRYING:
+    if weights.sum() < STATUS.carrying_keypoints:
         found.append(f"keypoints of weight {weights.sum():.1f} of {len(weights)} carry it")
     probable = float(observation.right[observation.measured].mean())
-    if probable < _PROBABLE:
+    if probable < STATUS.right_keypoints:
         found.append(f"the detector holds {100 * probable:.0f} % of its keypoints right")
     if camera.image_size is not None:
         outside = _outside(camera, camera_T_object, box_size)
-        if outside > _OUTSIDE:
+        if outside > STATUS.outside_image:
             found.append(f"{100 * outside:.0f} % of its box lie outside of the image")
-    if len(coefficients) and (largest := float(np.abs(coefficients).max())) > _EDGE:
+    if len(coefficients) and (largest := float(np.abs(coefficients).max())) > STATUS.shape_sigmas:
         found.append(f"its shape is {largest:.1f} standard deviations from the mean")
     if ground is not None:
         sigma = ground.height_sigma_at_depth(float(camera_T_object[2, 3]))
@@ -74,7 +64,7 @@ def weaknesses(
 
 def off_ground(below: float, sigma: float) -> list[str]:
     """The clause of a vehicle whose origin lies so many metres below the ground, known to `sigma` metres there."""
-    if abs(below) <= _OFF_GROUND * sigma:
+    if abs(below) <= STATUS.off_ground_sigmas * sigma:
         return []
     side = "below" if below > 0.0 else "above"
     return [f"it lies {abs(below):.2f} m {side} the ground, {abs(below) / sigma:.1f} standard deviations"]
@@ -92,13 +82,13 @@ def unknown_focal(
     """
     found = []
     best = lengths[0][0] if lengths else math.nan
-    others = [o for o in lengths[1:] if o[1] <= margin and abs(math.log(o[0] / best)) > _FOCAL_ROUGH]
+    others = [o for o in lengths[1:] if o[1] <= margin and abs(math.log(o[0] / best)) > STATUS.rough_focal_log]
     if others:
         (other, excess), *_ = others
         found.append(f"focal lengths of {best:.0f} and {other:.0f} px explain the image, {excess:.1f} nats apart")
-    if sigma > _FOCAL_ROUGH:
+    if sigma > STATUS.rough_focal_log:
         found.append(f"the focal length is known to {100 * sigma:.0f} % only, and distances no better")
-    return Status.AMBIGUOUS if others or sigma > _FOCAL_OPEN else Status.WEAK, tuple(found)
+    return Status.AMBIGUOUS if others or sigma > STATUS.open_focal_log else Status.WEAK, tuple(found)
 
 
 def _outside(camera: Camera, camera_T_object: Array, box_size: Array) -> float:

@@ -18,7 +18,7 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.simulation.detected_boxes import disturbed_boxes
 from fgrecon.solve.refine import refined
 from fgrecon.solve.scene import reconstruct_scene
-from fgrecon.solve.time.heading import Belief, box_says
+from fgrecon.solve.time.heading import Belief, box_evidence
 from fgrecon.solve.vehicle.model import prepare, sized
 from tests.cars import CAMERA, observe, yaw_pose
 from tests.solve.test_scene import on_the_road
@@ -156,7 +156,7 @@ def test_a_model_of_a_size_is_the_prepared_one_but_for_what_hides_what():
 
 @pytest.mark.parametrize("turned", [0.05, 0.4])
 def test_what_a_box_says_of_the_heading(turned):
-    belief = Belief.none().told(box_says(0.7, np.radians(10), turned))
+    belief = Belief.none().updated(box_evidence(0.7, np.radians(10), turned))
     assert belief.facing(0.7) == pytest.approx(1.0 - turned, abs=0.04)
     assert belief.heading == pytest.approx(0.7, abs=0.1)
 

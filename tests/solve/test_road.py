@@ -10,7 +10,7 @@ from factors.keys import G
 from factors.marginals import Marginal
 from fgrecon.core.camera import Ground
 from fgrecon.solve.ground_evidence import GroundEvidence
-from fgrecon.solve.road import Road
+from fgrecon.solve.road import CameraFrame, Road
 from tests.solve.time.streets import CAMERA, PRIOR, seen, upright
 
 GROUND = 1.65
@@ -29,11 +29,12 @@ class Saying:
 
     def look(self, ground):
         self.looked_at.append(ground)
+        return self
 
     def poses(self):
         return self.seen
 
-    def say(self, known, plane):
+    def ground_evidence(self, known, plane):
         del known, plane
         values = gtsam.Values()
         values.insert(G(0), self.change)
@@ -47,12 +48,22 @@ class Silent(Saying):
     def __init__(self, poses=()):
         super().__init__(np.zeros(3), poses=poses)
 
-    def say(self, known, plane):
+    def ground_evidence(self, known, plane):
         del known, plane
 
 
-def later(road, time, told, place, vehicles, camera=CAMERA, **more):
-    return road.later(time, told, camera, place, vehicles, **more)
+class Video:
+    """A road, frame by frame."""
+
+    def __init__(self):
+        self.road = Road()
+
+
+def later(video, time, given, place, vehicles, camera=CAMERA, **more):
+    frame = CameraFrame(time, camera, given, place, **more)
+    video.road, known, looked = video.road.later(frame, vehicles.look)
+    assert looked is vehicles
+    return known
 
 
 def slope_of(known):
@@ -61,7 +72,7 @@ def slope_of(known):
 
 
 def test_the_first_frame_is_what_is_told_and_what_vehicles_say():
-    known = later(Road(), 0.0, TOLD, None, Saying(SLOPE))
+    known = later(Video(), 0.0, TOLD, None, Saying(SLOPE))
     ground = known.ground
     prior = np.array([TOLD.height_sigma, TOLD.slope_sigma, TOLD.slope_sigma])
     expected = SLOPE * prior**2 / (prior**2 + SURE**2)
@@ -72,14 +83,14 @@ def test_the_first_frame_is_what_is_told_and_what_vehicles_say():
 
 
 def test_without_vehicles_it_is_what_is_told():
-    ground = later(Road(), 0.0, TOLD, None, Silent()).ground
+    ground = later(Video(), 0.0, TOLD, None, Silent()).ground
     np.testing.assert_allclose(ground.normal, TOLD.normal, atol=1e-12)
     assert ground.distance == pytest.approx(GROUND)
     assert (ground.height_sigma, ground.slope_sigma) == pytest.approx((TOLD.height_sigma, TOLD.slope_sigma))
 
 
 def test_it_stays_known_and_is_forgotten_slowly():
-    road = Road()
+    road = Video()
     first = later(road, 0.0, TOLD, None, Saying(SLOPE))
     grounds = [later(road, time, TOLD, None, Silent()) for time in (0.5, 5.0, 300.0)]
     slopes = [slope_of(first), *map(slope_of, grounds)]
@@ -97,7 +108,7 @@ def test_vehicles_that_are_seen_again_count_by_the_time_that_passed():
     """Eleven frames within 0.3 s say what two do, and less than ten that are as far apart as those two."""
 
     def slope_after(times):
-        road = Road()
+        road = Video()
         for time in times:
             ground = later(road, time, TOLD, None, Saying(SLOPE, sigma=10.0 * SURE))
         return slope_of(ground)
@@ -112,7 +123,7 @@ def test_it_turns_with_the_camera():
     nod = gtsam.Pose3(gtsam.Rot3.Rx(SLOPE[1]), np.zeros(3))  # its axis goes up with the road
     seen_by, slopes = [None, gtsam.Pose3()], []
     for first in seen_by:
-        road = Road()
+        road = Video()
         before = later(road, 0.0, TOLD, first, Saying(SLOPE))
         slopes.append(slope_of(later(road, 0.1, TOLD, None if first is None else nod, Silent())))
     assert slopes[0] == pytest.approx(slope_of(before), rel=0.01)
@@ -120,7 +131,7 @@ def test_it_turns_with_the_camera():
 
 
 def test_where_the_ground_before_tells_nothing_it_begins_anew():
-    road = Road()
+    road = Video()
     later(road, 0.0, TOLD, gtsam.Pose3(), Saying(SLOPE))
     away = gtsam.Pose3(upright(0.3, [1e6, 0.0, 1e6]))
     known = later(road, 0.01, TOLD, away, Silent())
@@ -131,7 +142,7 @@ def test_where_the_ground_before_tells_nothing_it_begins_anew():
 def test_a_motion_that_is_not_exact_leaves_the_ground_less_sure():
     sigmas = []
     for turn in (0.0, 0.01):
-        road = Road()
+        road = Video()
         later(road, 0.0, TOLD, gtsam.Pose3(), Saying(SLOPE))
         covariance = np.diag([turn**2] * 3 + [0.0] * 3)
         known = later(road, 0.1, TOLD, gtsam.Pose3(), Silent(), motion_covariance=covariance)
@@ -143,7 +154,7 @@ def test_a_motion_that_is_not_exact_leaves_the_ground_less_sure():
 def test_of_the_cameras_way_only_what_goes_up_and_down_matters(axis, matters):
     sigmas = []
     for way in (0.0, 0.3):
-        road = Road()
+        road = Video()
         later(road, 0.0, TOLD, gtsam.Pose3(), Saying(SLOPE))
         covariance = np.zeros((6, 6))
         covariance[3 + axis, 3 + axis] = way**2
@@ -154,7 +165,7 @@ def test_of_the_cameras_way_only_what_goes_up_and_down_matters(axis, matters):
 
 def test_a_pose_is_as_unsure_as_the_ground_that_decides_it():
     """A pose that only the ground's height decides has the ground's variance and its own; one that is known, none."""
-    known = later(Road(), 0.0, TOLD, None, Saying(SLOPE, sigma=3.0 * SURE))
+    known = later(Video(), 0.0, TOLD, None, Saying(SLOPE, sigma=3.0 * SURE))
     pose = upright(0.7, [2.0, GROUND, 20.0])
     down = pose[:3, :3].T @ known.ground.normal
     used = known.ground.height_sigma_at_depth(20.0) ** 2
@@ -169,7 +180,7 @@ def test_a_pose_is_as_unsure_as_the_ground_that_decides_it():
 
 
 def test_vehicles_whose_errors_go_together_leave_the_ground_less_sure_and_in_place():
-    pairs = [(Road(), 1.0), (Road(), 4.0)]
+    pairs = [(Video(), 1.0), (Video(), 4.0)]
     for time in (0.0, 0.1, 0.2):
         known = [later(road, time, TOLD, None, Saying(SLOPE, 3.0 * SURE, f)) for road, f in pairs]
     np.testing.assert_array_equal(known[0].ground.normal, known[1].ground.normal)
@@ -188,7 +199,7 @@ def test_vehicles_tell_the_road(slope):
     for t in range(5):
         given = {i: seen(pose, rng) for i, pose in enumerate(poses)}
         tracker.update(0.1 * t, given, camera=CAMERA, ground=GROUND)
-    ground = tracker._tracks[1].past[-1].frame.problem.ground
+    ground = tracker._tracks[1].vehicle.past[-1].problem.ground
     assert (ground.distance - 20.0 * ground.normal[2]) / ground.normal[1] == pytest.approx(
         GROUND + 20.0 * slope, abs=0.15
     )
@@ -216,12 +227,12 @@ def standing(height, *, lean=0.0):
 @pytest.mark.parametrize("seen_poses", [(), standing(2.0)[:1]])
 def test_where_nothing_is_told_one_vehicle_tells_no_ground(seen_poses):
     vehicles = Silent(seen_poses)
-    assert later(Road(), 0.0, None, None, vehicles) is None
+    assert later(Video(), 0.0, None, None, vehicles) is None
     assert vehicles.looked_at == [None]
 
 
 def test_where_nothing_is_told_vehicles_tell_where_it_is():
-    road, first = Road(), Saying([0.1, 0.0, 0.0], poses=standing(2.0))
+    road, first = Video(), Saying([0.1, 0.0, 0.0], poses=standing(2.0))
     known = later(road, 0.0, None, None, first)
     assert first.looked_at == [None], "once"
     assert known.ground.distance == pytest.approx(2.1, abs=1e-3)
@@ -236,7 +247,7 @@ def test_a_ground_that_nobody_told_may_change_fast():
     """A camera in a hand nods by three degrees; a mount of which somebody told would not."""
     slopes = []
     for told in (None, TOLD):
-        road = Road()
+        road = Video()
         later(road, 0.0, told, None, Saying(np.zeros(3), poses=standing(GROUND)))
         slopes.append(slope_of(later(road, 0.1, told, None, Saying([0.0, 0.05, 0.0]))))
     assert slopes[0] == pytest.approx(0.05, rel=0.05)
@@ -244,7 +255,7 @@ def test_a_ground_that_nobody_told_may_change_fast():
 
 
 def test_what_is_told_later_counts_at_once():
-    road = Road()
+    road = Video()
     later(road, 0.0, None, None, Saying(np.zeros(3), poses=standing(3.0)))
     assert later(road, 0.1, TOLD, None, Silent()).ground.distance == pytest.approx(GROUND)
     untold = later(road, 0.2, None, None, Silent()).ground
@@ -252,7 +263,7 @@ def test_what_is_told_later_counts_at_once():
 
 
 def test_another_camera_begins_anew_and_one_that_moved_sees_it_move():
-    road = Road()
+    road = Video()
     later(road, 0.0, None, gtsam.Pose3(), Saying(np.zeros(3), poses=standing(2.0)))
     higher = gtsam.Pose3(gtsam.Rot3.Rx(0.2), np.array([0.0, -1.0, 0.0]))
     moved = later(road, 0.1, None, higher, Silent()).ground

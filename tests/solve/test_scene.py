@@ -13,7 +13,7 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options, ShapeOptions
 from fgrecon.core.reconstruction import Status
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.independent import each_alone
+from fgrecon.solve.independent import solve_independently
 from fgrecon.solve.inputs import SolveSetup
 from fgrecon.solve.scene import reconstruct_scene, reconstruct_scenes
 from fgrecon.solve.standing import own_deviations
@@ -187,8 +187,8 @@ def test_vehicles_of_other_images_do_not_say_which_way_one_faces():
         ahead = np.exp((np.cos(bins - towards) - 1.0) / 0.1)
         azimuth = (sure * ahead + (1.0 - sure) * np.roll(ahead, 18)) / ahead.sum()
         seen.append(replace(observe(prior, pose, np.zeros(5), noise=1.0, seed=3), azimuth=azimuth))
-    apart = each_alone(seen, CAMERA, setup, image_of=[0, 1])
-    together = each_alone(seen, CAMERA, setup)
+    apart = solve_independently(seen, CAMERA, setup, image_of=[0, 1])
+    together = solve_independently(seen, CAMERA, setup)
     for number, one in enumerate(seen):
         np.testing.assert_array_equal(apart.vehicles[number].problem.observation.azimuth, one.azimuth)
     assert not np.allclose(together.vehicles[0].problem.observation.azimuth, seen[0].azimuth)

@@ -8,7 +8,7 @@ What a frame says is a density over headings (`rotation_y` in its camera): a bum
 by its energy; smaller bumps half a turn away, since a network that takes a front for a rear does so with all keypoints;
 the network's directions; and where the vehicle has gone, if the world is known. Neither is ever certain, and frames
 that follow each other closely err alike: the logarithms count by the time between them. From frame to frame a vehicle
-turns little, and next to never faces elsewhere altogether: frames of another vehicle begin anew (`vehicle`).
+turns little, and next to never faces elsewhere altogether: frames of another vehicle begin anew (`vehicle_filter`).
 """
 
 from __future__ import annotations
@@ -22,18 +22,20 @@ from numpy.typing import NDArray
 from fgrecon.core.detection import at_direction, facing_probability, half_around
 from fgrecon.core.geometry import view_azimuth, yaw_rotation
 from fgrecon.core.metrics import wrap_angle
+from fgrecon.solve.time.time_settings import SETTINGS
 
 __all__ = [
     "HEADINGS",
     "Belief",
     "another_side",
     "backward",
-    "box_says",
+    "box_evidence",
     "carried",
     "combined",
-    "directions_say",
-    "motion_says",
-    "poses_say",
+    "direction_evidence",
+    "evidence_weight",
+    "path_evidence",
+    "pose_evidence",
 ]
 
 Array = NDArray[np.float64]
@@ -41,21 +43,6 @@ Array = NDArray[np.float64]
 _BINS = 72
 HEADINGS = 2.0 * np.pi * np.arange(_BINS) / _BINS
 """(B,) headings of the grid, `rotation_y` in radians."""
-
-_SPREAD = np.deg2rad(8.0)  # of a pose's heading
-_TOLD = 0.3  # share of a difference of energies that says which pose is right: outlines and points err together
-_TURNED_ROUND, _TURNED_ALONE = 0.4, 0.1
-"""Probability that keypoints are turned round as a whole: beside directions of the same network, which say all that it
-knows of front and rear, and without them."""
-_ANYTHING = 0.05  # that they say nothing
-_SAYS_NOTHING = 0.05  # that the network's directions do
-_REVERSE = 0.03  # that a vehicle that moves drives backwards
-_TALL = 60.0  # pixels: of lower vehicles less can be told, and frames err alike the more
-_ALIKE = 0.3  # seconds: what frames of so much time say together is what one of them says
-_TURN = 0.3  # radians that a vehicle turns in a second (1 sigma)
-_ELSEWHERE = 1e-7  # probability in a second that it faces elsewhere: frames of another vehicle begin anew
-
-_SIDE = np.deg2rad(60.0)  # headings further apart are of different poses
 
 _HALVES = np.array([half_around(heading, _BINS) for heading in HEADINGS])
 
@@ -71,12 +58,12 @@ class Belief:
         """Every heading alike."""
         return cls(np.full(_BINS, 1.0 / _BINS))
 
-    def told(self, evidence: Array) -> Belief:
+    def updated(self, evidence: Array) -> Belief:
         """With a frame's evidence (B,), logarithms."""
         posterior = self.probability * np.exp(evidence - evidence.max())
         return Belief(posterior / posterior.sum())
 
-    def later(self, seconds: float, camera_turn: float) -> Belief:
+    def predicted(self, seconds: float, camera_turn: float) -> Belief:
         """After some time; by `camera_turn` the `rotation_y` of a thing at rest changes meanwhile."""
         return Belief(_kernel_product(self.probability, seconds, camera_turn))
 
@@ -94,20 +81,21 @@ class Belief:
 
 def another_side(first: float, second: float) -> bool:
     """Whether two headings are so far apart that they are of different poses."""
-    return bool(np.abs(wrap_angle(first - second)) > _SIDE)
+    return bool(np.abs(wrap_angle(first - second)) > SETTINGS.same_side_rad)
 
 
-def weight_of(seconds: float | None, height: float) -> float:
+def evidence_weight(seconds: float | None, height: float) -> float:
     """How much a frame's evidence counts.
 
     Args:
         seconds: Since the frame before; None for the first.
         height: Of the vehicle in the image, pixels.
     """
-    return (1.0 if seconds is None else min(seconds / _ALIKE, 1.0)) * min(height / _TALL, 1.0)
+    by_time = 1.0 if seconds is None else min(seconds / SETTINGS.correlation_s, 1.0)
+    return by_time * min(height / SETTINGS.full_height_px, 1.0)
 
 
-def poses_say(headings: Sequence[float], energies: Sequence[float], *, alone: bool) -> Array:
+def pose_evidence(headings: Sequence[float], energies: Sequence[float], *, alone: bool) -> Array:
     """(B,) logarithms of what poses say, of which one is right or none.
 
     Args:
@@ -115,50 +103,47 @@ def poses_say(headings: Sequence[float], energies: Sequence[float], *, alone: bo
         energies: Of them, nats.
         alone: Whether no directions are given beside them.
     """
-    turned = _TURNED_ALONE if alone else _TURNED_ROUND
+    flipped = SETTINGS.flip_probability if alone else SETTINGS.flip_probability_beside_directions
     energy = np.asarray(energies, dtype=np.float64)
-    share = np.exp(_TOLD * (energy.min() - energy))
+    share = np.exp(SETTINGS.energy_temper * (energy.min() - energy))
     share /= share.sum()
     off = wrap_angle(HEADINGS[:, None] - np.asarray(headings, dtype=np.float64))
     here, there = _bump(off) @ share, _bump(wrap_angle(off + np.pi)) @ share
-    flat = 1.0 / (2.0 * np.pi)
-    density = (1.0 - turned - _ANYTHING) * here + turned * there + _ANYTHING * flat
-    said: Array = np.log(density)
-    return said
+    nothing = SETTINGS.uninformative_probability
+    density = (1.0 - flipped - nothing) * here + flipped * there + nothing * (1.0 / (2.0 * np.pi))
+    return np.asarray(np.log(density))
 
 
-def directions_say(azimuth: Array | None, location: Array) -> Array:
+def direction_evidence(azimuth: Array | None, location: Array) -> Array:
     """(B,) logarithms of what the network's directions (A,) say of a vehicle at a place (3,) in the camera's frame."""
     if azimuth is None:
         return np.zeros(_BINS)
     seen = view_azimuth(yaw_rotation(HEADINGS), np.broadcast_to(location, (_BINS, 3)))
-    density = at_direction(azimuth, seen) * len(azimuth)
-    said: Array = np.log((1.0 - _SAYS_NOTHING) * density + _SAYS_NOTHING)
-    return said
+    density, nothing = at_direction(azimuth, seen) * len(azimuth), SETTINGS.uninformative_directions_probability
+    return np.asarray(np.log((1.0 - nothing) * density + nothing))
 
 
-def motion_says(moved: Array, sigma: float) -> Array:
-    """(B,) logarithms of what a way (3,) over the world says, known to `sigma` metres: vehicles seldom reverse."""
+def path_evidence(moved: Array, sigma: float) -> Array:
+    """(B,) logarithms of what a path (3,) over the world says, known to `sigma` metres: vehicles seldom reverse."""
     distance = float(np.hypot(moved[0], moved[2]))
     heading = float(np.arctan2(-moved[2], moved[0]))
-    spread = float(np.hypot(_SPREAD, np.arctan2(sigma, distance)))
-    off = np.abs(wrap_angle(HEADINGS - heading))
+    spread = float(np.hypot(SETTINGS.pose_heading_sigma_rad, np.arctan2(sigma, distance)))
     sure = float(np.clip(distance / (3.0 * sigma) - 1.0, 0.0, 1.0))
-    ahead, behind = (np.exp(-0.5 * np.square(one / spread)) for one in (off, np.pi - off))
-    bump = ((1.0 - _REVERSE) * ahead + _REVERSE * behind) / (np.sqrt(2.0 * np.pi) * spread)
-    density = (1.0 - _ANYTHING) * bump + _ANYTHING / (2.0 * np.pi)
-    said: Array = sure * np.log(density)
-    return said
+    return np.asarray(sure * _either_way(heading, spread, SETTINGS.reverse_probability))
 
 
-def box_says(heading: float, sigma: float, turned: float) -> Array:
-    """(B,) logarithms of what another detector's box of a heading says, 1 sigma, some of which are turned round."""
-    spread = float(np.hypot(_SPREAD, sigma))
+def box_evidence(heading: float, sigma: float, flipped: float) -> Array:
+    """(B,) logarithms of what another detector's box of a heading says, 1 sigma; so many boxes are flipped."""
+    return _either_way(heading, float(np.hypot(SETTINGS.pose_heading_sigma_rad, sigma)), flipped)
+
+
+def _either_way(heading: float, spread: float, flipped: float) -> Array:
+    """(B,) logarithms of a heading that is right, opposite with a probability, or says nothing."""
     off = np.abs(wrap_angle(HEADINGS - heading))
     here, there = (np.exp(-0.5 * np.square(one / spread)) for one in (off, np.pi - off))
-    bump = ((1.0 - turned) * here + turned * there) / (np.sqrt(2.0 * np.pi) * spread)
-    said: Array = np.log((1.0 - _ANYTHING) * bump + _ANYTHING / (2.0 * np.pi))
-    return said
+    bump = ((1.0 - flipped) * here + flipped * there) / (np.sqrt(2.0 * np.pi) * spread)
+    nothing = SETTINGS.uninformative_probability
+    return np.asarray(np.log((1.0 - nothing) * bump + nothing / (2.0 * np.pi)))
 
 
 def carried(evidence: Array, seconds: float, camera_turn: float) -> Array:
@@ -190,16 +175,16 @@ def combined(belief: Belief, later: Array) -> Belief:
 
 
 def _bump(off: Array) -> Array:
-    density: Array = np.exp(-0.5 * np.square(off / _SPREAD)) / (np.sqrt(2.0 * np.pi) * _SPREAD)
-    return density
+    spread = SETTINGS.pose_heading_sigma_rad
+    return np.asarray(np.exp(-0.5 * np.square(off / spread)) / (np.sqrt(2.0 * np.pi) * spread))
 
 
 def _kernel_product(probability: Array, seconds: float, turn: float) -> Array:
     """Turned, blurred, and with a little of everything; done in Fourier series, exact on the circle."""
     order = np.arange(_BINS // 2 + 1)
-    spread = _TURN * np.sqrt(seconds)
+    spread = SETTINGS.turn_rate_sigma_rad * np.sqrt(seconds)
     factor = np.exp(-1j * order * turn - 0.5 * np.square(order * spread))
     smooth = np.maximum(np.fft.irfft(np.fft.rfft(probability) * factor, _BINS), 0.0)
-    elsewhere = min(_ELSEWHERE * seconds, 0.5)
+    elsewhere = min(SETTINGS.jump_probability_per_s * seconds, 0.5)
     result: Array = (1.0 - elsewhere) * smooth / smooth.sum() + elsewhere / _BINS
     return result

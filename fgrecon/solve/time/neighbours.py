@@ -11,27 +11,23 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.detection import half_around
 from fgrecon.core.rows import leanings, ties
+from fgrecon.solve.time.frame import Frame
 from fgrecon.solve.time.heading import HEADINGS, Belief
 from fgrecon.solve.time.smooth import beliefs, pieces
-from fgrecon.solve.time.window import Frame
+from fgrecon.solve.time.time_settings import SETTINGS
 
-__all__ = ["neighbours_say", "with_neighbours"]
+__all__ = ["beliefs_with_neighbours", "neighbour_evidence"]
 
 Array = NDArray[np.float64]
 
-_COUNTS, _NEAR = 0.5, 30.0
-"""Share of what two vehicles say of one another that counts, since a row's say much the same; metres up to which."""
-_LEAST = 1e-6  # probability that a belief is wrong
 
-
-def neighbours_say(frames: Sequence[Frame], own: Sequence[Belief]) -> list[Array]:
+def neighbour_evidence(frames: Sequence[Frame], own: Sequence[Belief]) -> list[Array]:
     """(B,) logarithms of what the others say of the heading of each; those without directions say and hear nothing.
 
     Args:
@@ -39,43 +35,45 @@ def neighbours_say(frames: Sequence[Frame], own: Sequence[Belief]) -> list[Array
         own: What each believes by itself.
     """
     says = [np.zeros(len(HEADINGS)) for _ in frames]
-    told = [i for i, frame in enumerate(frames) if _directed(frame)]
-    if len(told) < 2:
+    directed = [i for i, frame in enumerate(frames) if frame.problem.observation.azimuth is not None]
+    if len(directed) < 2:
         return says
-    headings = np.array([own[i].heading for i in told])
-    right = np.array([own[i].facing(heading) for i, heading in zip(told, headings, strict=True)])
-    right = np.clip(right, _LEAST, 1.0 - _LEAST)
-    places = np.array([frames[i].pose.translation() for i in told])
-    between = _COUNTS * ties(headings, places, _NEAR)
+    headings = np.array([own[i].heading for i in directed])
+    right = np.array([own[i].facing(heading) for i, heading in zip(directed, headings, strict=True)])
+    least = SETTINGS.belief_error_probability
+    right = np.clip(right, least, 1.0 - least)
+    places = np.array([frames[i].pose.translation() for i in directed])
+    between = SETTINGS.neighbour_share * ties(headings, places, SETTINGS.neighbour_distance_m)
     odds = 2.0 * between @ leanings(np.log(right / (1.0 - right)), between)
-    for i, heading, one in zip(told, headings, odds, strict=True):
+    for i, heading, one in zip(directed, headings, odds, strict=True):
         says[i] = one * half_around(heading, len(HEADINGS))
     return says
 
 
-def with_neighbours(pasts: Mapping[int, Sequence[Frame]]) -> dict[int, list[Frame]]:
+def beliefs_with_neighbours(pasts: Mapping[int, Sequence[Frame]]) -> dict[int, list[Frame]]:
     """The pasts of several vehicles, with beliefs that know of one another.
 
     Args:
-        pasts: The frames of each, in order, with beliefs by those before; they stay as they are.
+        pasts: The frames of each, in order, with beliefs by those before.
     """
-    found = {name: [replace(f, neighbours=np.zeros(len(HEADINGS))) for f in past] for name, past in pasts.items()}
-    parts = [piece for frames in found.values() for piece in pieces(frames)]
-    together: dict[float, list[tuple[Frame, Belief, int]]] = defaultdict(list)
-    for piece in parts:
-        for frame, own in zip(piece, beliefs(piece), strict=True):
-            together[frame.time].append((frame, own, len(piece)))
+    names, parts = [], []
+    for name, past in pasts.items():
+        for piece in pieces([replace(frame, neighbours=np.zeros(len(HEADINGS))) for frame in past]):
+            names.append(name)
+            parts.append([*piece])
+    together: dict[float, list[tuple[int, int, Belief]]] = defaultdict(list)
+    for number, part in enumerate(parts):
+        for index, (frame, own) in enumerate(zip(part, beliefs(part), strict=True)):
+            together[frame.time].append((number, index, own))
     for at_once in together.values():
-        says = neighbours_say([frame for frame, _, _ in at_once], [own for _, own, _ in at_once])
-        for (frame, _, count), said in zip(at_once, says, strict=True):
-            frame.evidence = frame.evidence + said / count
-            frame.belief = frame.belief.told(said / count)
-    for piece in parts:  # the first has its belief; the others follow it once more
-        for before, frame in pairwise(piece):
-            frame.believe(before)
+        says = neighbour_evidence([parts[n][i] for n, i, _ in at_once], [own for _, _, own in at_once])
+        for (number, index, _), said in zip(at_once, says, strict=True):
+            frame, share = parts[number][index], said / len(parts[number])
+            evidence, belief = frame.evidence + share, frame.belief.updated(share)
+            parts[number][index] = replace(frame, evidence=evidence, belief=belief)
+    found: dict[int, list[Frame]] = {name: [] for name in pasts}
+    for name, part in zip(names, parts, strict=True):
+        for index in range(1, len(part)):  # the first has its belief; the others follow it once more
+            part[index] = part[index].following(part[index - 1])
+        found[name] += part
     return found
-
-
-def _directed(frame: Frame) -> bool:
-    problem = frame.problem
-    return problem.observation.azimuth is not None

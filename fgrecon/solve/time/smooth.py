@@ -10,47 +10,42 @@ from dataclasses import replace
 
 from fgrecon.core.motion import MotionModel
 from fgrecon.solve.graph.vehicle_part import ShapeValues
+from fgrecon.solve.time.frame import Frame
 from fgrecon.solve.time.heading import Belief, backward, combined
-from fgrecon.solve.time.vehicle import face
-from fgrecon.solve.time.window import Frame, OwnFactors, WindowSolve, solve_alone, solve_window
+from fgrecon.solve.time.heading_choice import choose_headings
+from fgrecon.solve.time.time_settings import SETTINGS
+from fgrecon.solve.time.window import MotionFactors, WindowSolve, solve_single, solve_window
 
 __all__ = ["Smoothed", "beliefs", "pieces", "smooth"]
-
-_STRETCH, _OVERLAP = 100, 20  # frames
-
 
 Smoothed = tuple[WindowSolve, Sequence[Frame], range]
 """A stretch: what was solved, its frames, and those of them that it gives, by index."""
 
 
 def smooth(
-    past: Sequence[Frame], shape: ShapeValues, model: MotionModel, own: OwnFactors | None = None
+    past: Sequence[Frame], shape: ShapeValues, model: MotionModel, extra: MotionFactors | None = None
 ) -> Iterator[Smoothed]:
     """Solve all frames of a vehicle.
 
     Args:
-        past: The frames, in order, each with a belief by those before; they stay as they are. Those without a step
-            begin anew.
+        past: The frames, in order, each with a belief by those before. Those without a step begin anew.
         shape: Where the shape begins.
         model: How such vehicles move.
-        own: Makes factors of the caller's own for each step; or None.
+        extra: Makes factors of the caller's own for each step; or None.
     """
     for piece in pieces(past):
-        frames = [replace(frame) for frame in piece]
-        face(frames, shape)
-        for frame, belief in zip(frames, beliefs(frames), strict=True):
-            frame.belief = belief
+        chosen = choose_headings(piece, shape)
+        frames = [replace(f, belief=belief) for f, belief in zip(chosen, beliefs(chosen), strict=True)]
         if len(frames) == 1:
             yield _by_itself(frames[0])
             continue
         for low, high, first, last in _stretches(len(frames)):
-            some = [replace(frame) for frame in frames[low:high]]
-            solved = solve_window(some, shape, model, own=own)
+            some = frames[low:high]
+            solved = solve_window(some, shape, model, extra=extra)
             if solved.failed:
                 yield from map(_by_itself, some[first - low : last - low])
                 continue
-            solved.bring(some)
-            yield solved, some, range(first - low, last - low)
+            yield solved, solved.moved(some), range(first - low, last - low)
 
 
 def pieces(past: Sequence[Frame]) -> list[Sequence[Frame]]:
@@ -67,18 +62,19 @@ def beliefs(frames: Sequence[Frame]) -> list[Belief]:
 
 
 def _by_itself(frame: Frame) -> Smoothed:
-    return solve_alone(frame.problem, frame.start, frame.number), [frame], range(1)
+    return solve_single(frame.problem, frame.start, frame.number), [frame], range(1)
 
 
 def _stretches(count: int) -> Iterator[tuple[int, int, int, int]]:
     """Beginning and end of each stretch, and of the part that it gives."""
-    if count <= _STRETCH + _OVERLAP:
+    stretch, overlap = SETTINGS.stretch_frames, SETTINGS.overlap_frames
+    if count <= stretch + overlap:
         yield 0, count, 0, count
         return
     first = 0
-    for low in range(0, count - _OVERLAP, _STRETCH - _OVERLAP):
-        high = min(low + _STRETCH, count)
-        last = count if high == count else high - _OVERLAP // 2
+    for low in range(0, count - overlap, stretch - overlap):
+        high = min(low + stretch, count)
+        last = count if high == count else high - overlap // 2
         yield low, high, first, last
         if high == count:
             return

@@ -8,7 +8,7 @@ import pytest
 import fgrecon
 from fgrecon.core.turned import half_a_turn
 from fgrecon.solve.time.heading import Belief
-from fgrecon.solve.time.neighbours import neighbours_say, with_neighbours
+from fgrecon.solve.time.neighbours import beliefs_with_neighbours, neighbour_evidence
 from tests.solve.time.streets import CAMERA, off, seen, upright
 
 AHEAD = -np.pi / 2.0  # of a vehicle that faces as the camera looks
@@ -61,14 +61,14 @@ def test_without_directions_or_their_term_nobody_says_anything():
     assert np.array_equal(alone.reconstruction.camera_T_object, together.reconstruction.camera_T_object)
 
 
-def test_what_neighbours_say_is_said_once():
+def test_what_neighbour_evidence_is_said_once():
     """Followed for longer they say no more, and a past is not changed by being smoothed."""
     said = []
     for frames in (4, 12):
         _, tracker, _ = followed({0, 1, 2, 3}, frames)
-        pasts = {i: [past.frame for past in track.past] for i, track in tracker._tracks.items()}
+        pasts = {i: track.vehicle.past for i, track in tracker._tracks.items()}
         before = [frame.belief.probability.copy() for frame in pasts[2]]
-        told = with_neighbours(pasts)
+        told = beliefs_with_neighbours(pasts)
         for frame, kept in zip(pasts[2], before, strict=True):
             assert np.array_equal(frame.belief.probability, kept)
         said.append(sum(np.ptp(one.evidence - own.evidence) for one, own in zip(told[2], pasts[2], strict=True)))
@@ -79,10 +79,10 @@ def test_what_neighbours_say_is_said_once():
 
 def test_the_order_does_not_matter_and_who_is_far_away_says_nothing():
     _, tracker, _ = followed({0, 1, 2, 3})
-    frames = [track.past[-1].frame for track in tracker._tracks.values()]
+    frames = [track.vehicle.past[-1] for track in tracker._tracks.values()]
     own = [frame.belief for frame in frames]
-    says = neighbours_say(frames, own)
-    for one, other in zip(says, neighbours_say(frames[::-1], own[::-1])[::-1], strict=True):
+    says = neighbour_evidence(frames, own)
+    for one, other in zip(says, neighbour_evidence(frames[::-1], own[::-1])[::-1], strict=True):
         np.testing.assert_allclose(one, other, atol=1e-12)
-    assert not neighbours_say(frames[:1], own[:1])[0].any()
-    assert not any(one.any() for one in neighbours_say(frames, [Belief.none()] * len(frames)))
+    assert not neighbour_evidence(frames[:1], own[:1])[0].any()
+    assert not any(one.any() for one in neighbour_evidence(frames, [Belief.none()] * len(frames)))

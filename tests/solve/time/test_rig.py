@@ -6,7 +6,7 @@ import pytest
 import fgrecon
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.solve.time.window import FrameStep
+from fgrecon.solve.time.frame import FrameStep
 from tests.solve.time.streets import PRIOR, seen, upright
 
 FRONT = Camera(np.array([[721.5, 0.0, 609.6], [0.0, 721.5, 172.9], [0.0, 0.0, 1.0]]), image_size=(1242, 375))
@@ -136,7 +136,7 @@ def test_how_cameras_of_a_rig_lie_to_each_other_is_no_motion_that_goes_on():
     """Where the next frame has no place, its vehicle is sought where it was in the last one."""
     tracker, car = fgrecon.Tracker(options=OWN_FLEET), on_road(-14.0, 22.0)
     drive(tracker, [0.0, 0.1], 0.0, lambda _: {3: car}, np.random.default_rng(7))
-    foreseen = tracker._tracks[3].followed._foreseen(FrameStep(0.1, None, np.zeros((6, 6))))
+    foreseen = tracker._tracks[3].vehicle.foreseen(FrameStep(0.1, None, np.zeros((6, 6))))
     truth = np.linalg.inv(RIG["side"][1]) @ car
     assert np.linalg.norm(foreseen[:3, 3] - truth[:3, 3]) < 2.0
 

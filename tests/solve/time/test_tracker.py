@@ -10,7 +10,6 @@ import pytest
 import fgrecon
 from factors.native import native
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.solve.time.vehicle import Followed
 from tests.solve.time.streets import CAMERA, off, seen, upright
 
 GROUND = 1.65
@@ -191,7 +190,7 @@ def test_what_is_kept_does_not_grow():
     tracker = fgrecon.Tracker(size_prior="kitti", past=7, window=3)
     for t in range(20):
         tracker.update(0.1 * t, {1: seen(pose, rng)}, camera=CAMERA, ground=GROUND)
-        assert len(tracker._tracks[1].followed.frames) <= 3
+        assert len(tracker._tracks[1].vehicle.frames) <= 3
     assert [round(one.time, 1) for one in tracker.smooth()[1]] == [1.3, 1.4, 1.5, 1.6, 1.7, 1.8, 1.9]
     tracker.forget(1)
     assert tracker.smooth() == {}
@@ -210,17 +209,15 @@ def test_vehicles_that_cannot_be_solved_are_refused():
     assert len(tracker.smooth()[1]) == 2
 
 
-def test_a_vehicle_that_was_missing_counts_all_motions_since(monkeypatch):
+def test_a_vehicle_that_was_missing_counts_all_motions_since():
     """How the camera moved meanwhile is as unsure as all those motions together."""
-    steps = []
-    look = Followed.look
-    monkeypatch.setattr(Followed, "look", lambda self, *given: (steps.append(given[2]), look(self, *given))[1])
     tracker, rng = fgrecon.Tracker(size_prior="kitti"), np.random.default_rng(3)
     for t, pose in enumerate(approaching(4)):
         given = {3: seen(pose, rng)} if t in (0, 3) else {}
         place = {"world_T_camera": upright(0.3 * t, [0.0, 0.0, 2.0 * t])}
         place["motion_covariance"] = np.diag([1e-4] * 3 + [0.01 * t**2] * 3)
         tracker.update(0.1 * t, given, camera=CAMERA, ground=GROUND, **place)
+    steps = [frame.step for frame in tracker._tracks[3].vehicle.past]
     assert steps[0] is None
     alike, turned = np.diag(steps[1].covariance)[:3], np.diag(steps[1].covariance)[3:]
     assert alike == pytest.approx([3e-4] * 3)
@@ -326,11 +323,8 @@ def test_a_camera_that_was_lost_for_long_is_known_again_afterwards():
     assert found[3].speed < 1.0
 
 
-def test_a_frame_that_is_refused_is_no_part_of_the_way(monkeypatch):
+def test_a_frame_that_is_refused_is_no_part_of_the_way():
     """The camera's motion up to it is counted with the next one, once."""
-    ways = []
-    take = Followed.take
-    monkeypatch.setattr(Followed, "take", lambda self, *given: (take(self, *given), ways.append(self._way))[0])
     rng, empty = np.random.default_rng(0), fgrecon.Observation(np.full((14, 2), np.nan), np.zeros(14))
     few = np.full((14, 2), np.nan)
     few[:2] = [[500.0, 200.0], [560.0, 210.0]]
@@ -339,8 +333,9 @@ def test_a_frame_that_is_refused_is_no_part_of_the_way(monkeypatch):
         place, pose = parked(t)
         observation = seen(pose, rng) if given is None else given
         tracker.update(0.1 * t, {3: observation}, camera=CAMERA, ground=GROUND, world_T_camera=place)
-    assert len(ways) == 3
-    np.testing.assert_allclose(ways[-1].camera.translation(), [0.0, 0.0, 6.0], atol=1e-9)
+    vehicle = tracker._tracks[3].vehicle
+    assert vehicle.count == 3
+    np.testing.assert_allclose(vehicle.path.camera.translation(), [0.0, 0.0, 6.0], atol=1e-9)
 
 
 @pytest.mark.parametrize("step", [5e-324, 1e-17, 1e-9])
@@ -377,7 +372,7 @@ def test_it_is_not_copied_and_says_so():
     for copied in (pickle.dumps, copy.copy, copy.deepcopy):
         with pytest.raises(TypeError, match="cannot be copied or pickled"):
             copied(tracker)
-    problem = tracker._tracks[3].past[0].frame.problem
+    problem = tracker._tracks[3].vehicle.past[0].problem
     assert problem.energy.compiled is not None or native("factors._observation") is None
     again = pickle.loads(pickle.dumps(problem.energy))
     assert (again.compiled is None) == (problem.energy.compiled is None)

@@ -8,9 +8,9 @@ import pytest
 
 import fgrecon
 from factors.noise import full_noise
-from fgrecon.solve.time.camera_way import CameraWay
-from fgrecon.solve.time.heading import HEADINGS, Belief, backward, carried, combined, poses_say
-from fgrecon.solve.time.window import FrameStep
+from fgrecon.solve.time.camera_drift import CameraDrift
+from fgrecon.solve.time.frame import FrameStep
+from fgrecon.solve.time.heading import HEADINGS, Belief, backward, carried, combined, pose_evidence
 from tests.solve.time.streets import CAMERA, seen, upright
 
 
@@ -32,45 +32,44 @@ def test_a_pose_is_as_unsure_as_the_motion_that_carries_it():
 
 def test_two_steps_are_one():
     """Against the camera's way, which adds up its motions in the axes of its beginning."""
-    rng, way, before, steps = np.random.default_rng(1), CameraWay(), gtsam.Pose3(), []
-    way.go(before, None)
-    begun = way.here
+    rng, before, steps = np.random.default_rng(1), gtsam.Pose3(), []
+    drift = begun = CameraDrift().moved(before, None)
     for _ in range(2):
         moved = gtsam.Pose3.Expmap(rng.normal(scale=[0.1, 0.3, 0.1, 0.2, 0.1, 1.5]))
         covariance = np.diag(rng.uniform(1e-6, 1e-2, 6))
         steps.append(FrameStep(0.1, moved, covariance))
         before = before.compose(moved)
-        way.go(before, covariance)
+        drift = drift.moved(before, covariance)
     both = steps[0].then(steps[1])
     assert both.seconds == pytest.approx(0.2)
     assert both.camera.equals(before, 1e-12)
-    np.testing.assert_allclose(both.covariance, way.since(begun, before), rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(both.covariance, drift.since(begun, before), rtol=1e-9, atol=1e-15)
     assert steps[0].then(FrameStep(0.1, None, np.zeros((6, 6)))).camera is None
 
 
 def test_a_cameras_way_of_many_kilometres_leaves_covariances_what_they_are():
     """What is known of a step is a small difference of large sums: it stays a covariance."""
-    rng, way, place = np.random.default_rng(3), CameraWay(), gtsam.Pose3()
+    rng, place = np.random.default_rng(3), gtsam.Pose3()
     root = np.diag([1e-3] * 3 + [0.05] * 3) @ rng.normal(size=(6, 6))
     covariance = root @ root.T
-    way.go(place, None)
+    drift = CameraDrift().moved(place, None)
     for number in range(12_000):
-        before = way.here
+        before = drift
         place = place.compose(gtsam.Pose3(gtsam.Rot3.Ry(2e-4 * np.sin(1e-3 * number)), np.array([0.0, 0.0, 1.0])))
-        way.go(place, covariance)
-        found = way.since(before, place)
+        drift = drift.moved(place, covariance)
+        found = drift.since(before, place)
         full_noise("motion", found + 1e-6 * np.eye(6))
     np.testing.assert_allclose(found, covariance, atol=0.05 * np.abs(covariance).max())
 
 
 def test_what_a_frame_that_leaves_said_of_the_heading_stays():
     """Earlier frames are told by the next one of it, turned as the camera turns."""
-    evidence = [poses_say([h], [0.0], alone=True) for h in (0.3, 0.4 + np.pi, 0.2)]
+    evidence = [pose_evidence([h], [0.0], alone=True) for h in (0.3, 0.4 + np.pi, 0.2)]
     steps = [(0.1, -0.05), (0.2, 0.1)]
-    expected = combined(Belief.none().told(evidence[0]), backward(evidence, steps)[0])
+    expected = combined(Belief.none().updated(evidence[0]), backward(evidence, steps)[0])
     merged = [evidence[0], evidence[2] + carried(evidence[1], *steps[1])]
-    found = combined(Belief.none().told(evidence[0]), backward(merged, [(0.3, 0.05)])[0])
-    without = combined(Belief.none().told(evidence[0]), backward([evidence[0], evidence[2]], [(0.3, 0.05)])[0])
+    found = combined(Belief.none().updated(evidence[0]), backward(merged, [(0.3, 0.05)])[0])
+    without = combined(Belief.none().updated(evidence[0]), backward([evidence[0], evidence[2]], [(0.3, 0.05)])[0])
     assert found.facing(0.3) == pytest.approx(expected.facing(0.3), abs=1e-3)
     assert abs(without.facing(0.3) - expected.facing(0.3)) > 0.02
     turned = carried(evidence[0], 0.01, 10 * (HEADINGS[1] - HEADINGS[0]))
@@ -84,9 +83,9 @@ def test_a_window_is_the_last_two_frames_and_some_of_seconds(window):
         place = upright(0.002 * t, [0.0, 0.0, 0.05 * t])
         pose = np.linalg.inv(place) @ upright(0.8, [1.0, 1.65, 20.0])
         tracker.update(0.1 * t, {1: seen(pose, rng)}, camera=CAMERA, ground=1.65, world_T_camera=place)
-        followed = tracker._tracks[1].followed
-        known.append([one.image for one in followed.solved.seen])
-        for before, frame in zip(followed.frames, followed.frames[1:], strict=False):
+        vehicle = tracker._tracks[1].vehicle
+        known.append([one.image for one in vehicle.solved.seen])
+        for before, frame in zip(vehicle.frames, vehicle.frames[1:], strict=False):
             assert frame.step.seconds == pytest.approx(frame.time - before.time)
             moved = upright(0.002 * before.number, [0.0, 0.0, 0.05 * before.number])
             moved = np.linalg.inv(moved) @ upright(0.002 * frame.number, [0.0, 0.0, 0.05 * frame.number])

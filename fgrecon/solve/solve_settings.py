@@ -1,0 +1,106 @@
+"""The tuned numbers of the stages that are in `solve` itself: which way vehicles face, scenes, the road, and status."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["FACING", "ROAD", "SCENE", "STATUS", "FacingSettings", "RoadSettings", "SceneSettings", "StatusSettings"]
+
+
+@dataclass(frozen=True)
+class FacingSettings:
+    """Which way the vehicles of one image face; not tuned beyond the pairs of cars that `fgrecon.core.rows` counted."""
+
+    neighbour_share: float = 0.3  # of what two vehicles say of one another, since a row's say much the same
+    neighbour_distance_m: float = 20.0
+    detector_error_probability: float = 1e-4  # that a detector takes the front for the rear, however sure
+
+
+@dataclass(frozen=True)
+class SceneSettings:
+    """Vehicles of one image that are solved together."""
+
+    single_visibility_step: float = 1e-2
+    """Where vehicles that are about to be solved together end alone, as `optimise` has it: near enough for the same
+    basins. Where visibility swings another one may be held then, which moves one box in a hundred by more than a
+    centimetre, as often closer to the truth as further away."""
+    joint_visibility_step: float = 5e-4
+    """The same of the scene: half a millimetre, where a result is known to some centimetres at best."""
+    # The ground; chosen on KITTI's video (docs/method.md)
+    own_height_share: float = 0.35
+    """Share of a given ground's deviation that is each vehicle's own. Of a ground that is given more vaguely than
+    `Ground` is by itself it is that of what `Ground` has: vehicles are as near to their road, whatever is known."""
+    own_slope_share: float = 0.15
+    own_tilt_share: float = 0.5
+    least_camera_height_m: float = 0.2  # above the road
+    least_normal_down: float = 0.1
+    """Of the normal of a ground: cameras look along it rather than at it, and none is rolled by a quarter turn."""
+    estimated_ground_sigma: tuple[float, ...] = (0.5, 0.3, 0.1)
+    """Metres, radians, radians: prior of height, pitch and roll where no ground is given; not tuned."""
+    contact_loss_sigmas: float = 3.0  # from which on a contact counts less; not tuned
+    # The focal length
+    focal_candidates: int = 9  # that are tried; not tuned
+    focal_reach_sigmas: float = 2.0  # of the prior that are tried
+    focal_start_excess_nats: float = 5.0  # a minimum over the candidates that is worse by more is no start
+    focal_starts: int = 2
+    same_focal_log: float = 0.02  # logarithms that differ by less are of one focal length
+    # Another detector's 3D boxes
+    box_keypoint_inflation: float = 8.0
+    """Keypoints of one image err together, and beside another opinion they count with so many times their variance. Of
+    1, 2, 4, 8 and 16 the best on 186 cars of six drives of KITTI's video with disturbed boxes; 16 is as good."""
+    box_definition_m: float = 0.05  # where people and detectors put a box differs by so much however near it is
+    refined_keypoints: int = 3  # that must be trusted: a pose needs as many
+    refined_contradiction_sigmas: float = 4.0  # of the box's errors: further off is another vehicle, or wrong
+
+
+@dataclass(frozen=True)
+class RoadSettings:
+    """The ground over time; on what these were chosen is not recorded."""
+
+    correlation_s: float = 0.3  # after which what vehicles say of the ground counts whole again
+    deviation_s: float = 12.0  # after which a deviation from what is given has fallen to a third, and another has come
+    estimated_change_s: float = 0.1
+    """In which a ground that nobody gave may change by as much as it is unsure: the camera may be in a hand."""
+    near_m: float = 10.0  # the depths at which the uncertainty is that of the ground's
+    far_m: float = 40.0
+    least_kept: float = 1e-6  # of what was known
+    iterations: int = 3  # of a solve that is nearly linear
+    ground_iterations: int = 1  # Newton's, of the vehicles together: each begins near its minimum
+    farthest_camera_m: float = 1e6  # a camera that is further away has come there in an unknown way
+    shortest_s: float = 1e-6  # from frame to frame: noise that grows with time must not vanish
+    largest_window: int = 100  # frames
+
+
+@dataclass(frozen=True)
+class StatusSettings:
+    """How far results are to be trusted; chosen on five drives of KITTI's video, tested on two (`docs/result.md`)."""
+
+    ambiguous_facing: float = 0.8  # less is ambiguous: 80 % of the cars that are flipped, and 6 % of the others
+    size_ratio: float = 5.0  # times longer, wider or higher than the prior's mean, or as many times less: no vehicle
+    rotation_sigma_rad: float = float(np.deg2rad(30.0))  # a rotation known no better than this is not determined
+    small_turn_deg: int = 10  # of an alternative that is turned by less it is said how far away it is
+    # Weak results
+    carrying_keypoints: float = 5.5  # weight: with two equations each, fewer than pose and shape have unknowns
+    right_keypoints: float = 0.25  # of the measured ones by the detector; a half where it gives no confidences
+    off_ground_sigmas: float = 2.0
+    outside_image: float = 0.5  # of the vehicle's 2D box
+    shape_sigmas: float = 3.0  # of a shape coefficient
+    rough_focal_log: float = 0.1
+    """Standard deviation of a focal length's logarithm: beyond, distances are off by more than the 20 % that count as
+    wrong more often than those of other results that converged."""
+    open_focal_log: float = 0.3  # beyond, half of the distances are wrong
+    # 2D boxes of several vehicles
+    box_vehicles: int = 5  # that it takes to say something
+    box_excess: float = 0.05  # that is usual: the package's own sources have -3 to 2 % on KITTI's video
+    box_excess_sigmas: float = 3.0  # standard errors of the median
+    # Probabilities of poses
+    energy_temper: float = 0.15  # of a nat's worth: makes poses of one facing as probable as they are on KITTI's video
+    facing_log_odds: float = 1.05  # where energies alone tell: fitted to 4,200 simulated vehicles
+    facing_log_odds_per_nat: float = 0.128
+    facing_margin_nats: float = 35.0  # beyond, more margin made no facing surer
+    facing_probability: float = 0.01  # a facing that is less probable need not have a pose
+
+
+FACING, SCENE, ROAD, STATUS = FacingSettings(), SceneSettings(), RoadSettings(), StatusSettings()

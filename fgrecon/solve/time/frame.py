@@ -1,0 +1,137 @@
+"""A vehicle in one image, and in one frame of a video: values, of which a solve makes new ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.reconstruction import Alternative
+from fgrecon.solve.graph.observation_part import Weights
+from fgrecon.solve.proposals.pose_search import PoseEstimate
+from fgrecon.solve.proposals.problem import Problem
+from fgrecon.solve.time.heading import HEADINGS, Belief, carried
+from fgrecon.solve.time.time_settings import SETTINGS
+
+__all__ = ["Frame", "FrameStep", "PosedImage"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FrameStep:
+    """From a frame to the next.
+
+    Attributes:
+        seconds: Time.
+        camera: camera_first_T_camera_second; None where it is unknown.
+        covariance: (6, 6) of the camera's motion, rotation and translation in the second camera's frame.
+    """
+
+    seconds: float
+    camera: gtsam.Pose3 | None
+    covariance: Array
+
+    def carried(self, pose: gtsam.Pose3) -> Array:
+        """(6, 6) covariance by the camera's motion of a pose in the second frame, in the vehicle's own."""
+        by_motion = pose.inverse().AdjointMap()
+        return np.asarray(by_motion @ self.covariance @ by_motion.T)
+
+    def then(self, later: FrameStep) -> FrameStep:
+        """From this step's first frame to the second one of a later step, which begins where this one ends."""
+        seconds = self.seconds + later.seconds
+        if self.camera is None or later.camera is None:
+            return FrameStep(seconds, None, np.zeros((6, 6)))
+        by_later = later.camera.inverse().AdjointMap()
+        covariance = by_later @ self.covariance @ by_later.T + later.covariance
+        return FrameStep(seconds, self.camera.compose(later.camera), covariance)
+
+    @property
+    def simultaneous(self) -> bool:
+        """Whether both frames are of one moment, by two cameras."""
+        return self.seconds < SETTINGS.simultaneous_s
+
+    @property
+    def turn(self) -> float:
+        """By how much `rotation_y` of a thing at rest changes, radians."""
+        if self.camera is None:
+            return 0.0
+        axis = self.camera.rotation().matrix().T[:, 0]  # the first camera's x, in the second
+        return float(np.arctan2(-axis[2], axis[0]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PosedImage:
+    """A vehicle in an image, at one of the poses that its keypoints allow.
+
+    Attributes:
+        given: What is to be solved, as it was given; the poses are of it.
+        flipped: The same with its keypoints flipped, where that is how they are taken; else None.
+        start: Its proposals.
+        poses: The poses that its keypoints allow, best first, with energies of the whole.
+        pose: Where it is now.
+        weights: Weights there.
+    """
+
+    given: Problem
+    flipped: Problem | None = None
+    start: PoseEstimate
+    poses: tuple[Alternative, ...]
+    pose: gtsam.Pose3
+    weights: Weights
+
+    @property
+    def problem(self) -> Problem:
+        """What is to be solved, as it is taken."""
+        return self.given if self.flipped is None else self.flipped
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame(PosedImage):
+    """One frame of a vehicle.
+
+    Attributes:
+        number: In the keys.
+        time: Seconds.
+        step: From the frame before; None for the first.
+        since: Seconds since the frames of an earlier moment; None where there are none.
+        evidence: (B,) what it says of the heading, logarithms.
+        belief: Of the heading, by this frame and those before.
+        neighbours: (B,) what the other vehicles say of the heading, logarithms; no part of the belief.
+        velocity: (3,) where it is now.
+        merged: Whether it stands for frames before it as well, which left the window.
+    """
+
+    number: int
+    time: float
+    step: FrameStep | None
+    since: float | None = None
+    evidence: Array
+    belief: Belief = field(default_factory=Belief.none)
+    neighbours: Array = field(default_factory=lambda: np.zeros(len(HEADINGS)))
+    velocity: Array = field(default_factory=lambda: np.zeros(3))
+    merged: bool = False
+
+    def following(self, before: Frame) -> Frame:
+        """The frame with the belief of the one before it, and what this one says."""
+        assert self.step is not None
+        return replace(self, belief=before.belief.predicted(self.step.seconds, self.step.turn).updated(self.evidence))
+
+    def without(self, before: Frame) -> Frame:
+        """The frame after the one before that, whose motion and evidence it takes over."""
+        assert before.step is not None
+        assert self.step is not None
+        evidence = self.evidence + carried(before.evidence, self.step.seconds, self.step.turn)
+        return replace(self, step=before.step.then(self.step), evidence=evidence, merged=True)
+
+    @property
+    def believed(self) -> Belief:
+        """Of the heading, by all."""
+        return self.belief.updated(self.neighbours)
+
+    @property
+    def camera_known(self) -> bool:
+        """Whether the camera's motion from the frame before is known."""
+        return self.step is not None and self.step.camera is not None

@@ -1,0 +1,81 @@
+"""The tuned numbers of following vehicles over time.
+
+Those that say so were chosen on KITTI's video; of the others it is not recorded on what.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["SETTINGS", "TimeSettings"]
+
+
+@dataclass(frozen=True)
+class TimeSettings:
+    """Settings of the heading's filter, of a vehicle's window, of its motion and of smoothing."""
+
+    # The heading by one frame
+    pose_heading_sigma_rad: float = float(np.deg2rad(8.0))  # of the heading of a pose
+    energy_temper: float = 0.3  # share of a difference of energies that counts: outlines and points err together
+    flip_probability_beside_directions: float = 0.4  # of keypoints as a whole; directions say all of front and rear
+    flip_probability: float = 0.1  # the same where no directions are given
+    uninformative_probability: float = 0.05  # that poses, a path or a box say nothing of the heading
+    uninformative_directions_probability: float = 0.05  # that a network's directions say nothing
+    reverse_probability: float = 0.03  # that a vehicle that moves drives backwards
+    full_height_px: float = 60.0  # of lower vehicles less can be told, and frames err alike the more
+    unscored_pose_excess_nats: float = 3.0  # of other poses by a strategy without an energy; not tuned
+    # The heading over time
+    correlation_s: float = 0.3  # what frames of so much time say together is what one of them says
+    turn_rate_sigma_rad: float = 0.3  # that a vehicle turns in a second
+    jump_probability_per_s: float = 1e-7  # that it faces elsewhere: frames of another vehicle begin anew
+    same_side_rad: float = float(np.deg2rad(60.0))  # headings further apart are of different poses
+    pose_excess_nats: float = 12.0  # a pose that is worse by more is none that the keypoints allow
+    flip_gain_nats: float = 3.0  # by which flipped keypoints must explain a pose better: one time in twenty
+    # The heading by the path of a vehicle
+    path_m: float = 2.0  # that it must have gone
+    place_sigma_m: float = 0.3  # how exactly its place is known, beside what grows with depth
+    place_sigma_per_m: float = 0.05
+    # Neighbours in one row or lane
+    neighbour_share: float = 0.5  # of what two say of one another, since a row's say much the same
+    neighbour_distance_m: float = 30.0
+    belief_error_probability: float = 1e-6  # that a belief is wrong, at least
+    # The window
+    window_iterations: int = 4  # most of a window was solved with the frame before
+    window_span_s: float = 4.0  # older frames leave, but for the last two
+    contradiction_nats: float = 25.0  # against the motion before: up to 18 on KITTI where it is right, from 87 else
+    agreement_nats: float = 8.0  # of a frame after an odd one with those before: 99 % on KITTI are below 6
+    explained_share: float = 0.2  # of its keypoints' weights by itself: with less a frame contradicts those before
+    simultaneous_s: float = 1e-4  # nothing moves between frames that are no further apart: they are of two cameras
+    highest_speed_m_per_s: float = 60.0  # that a vehicle is taken to have when it is observed for the second time
+    # Whether a vehicle stands
+    driving_gain_nats: float = 7.0
+    """By which driving must explain the frames better than standing: the logarithm of the thousand speeds that there
+    are, as exactly as frames tell one. On KITTI's video parked vehicles stay at 6.6 or below, by two networks, and
+    those that drive begin at 10.5."""
+    driving_doubt_nats: float = 3.0  # more or less than that: what leaves open which it is
+    driving_evidence_s: float = 0.5  # frames of less time do not say which it is
+    driving_recheck_s: float = 0.3  # after which it is decided anew, where there was no doubt
+    # Motion, 1 sigma in a second: rotations (3,) and translations (3,), along the vehicle's axes
+    motion_sigma: tuple[float, ...] = (0.02, 0.05, 0.02, 0.2, 0.1, 0.1)  # that constant velocity and turn rate miss
+    unknown_camera_sigma: tuple[float, ...] = (
+        0.1,
+        0.1,
+        0.1,
+        0.5,
+        0.5,
+        0.5,
+    )  # where the camera moves unknown: it pitches
+    relative_velocity_walk: tuple[float, ...] = (4.0, 4.0, 0.5)  # of a velocity relative to a moving camera
+    velocity_sigma: tuple[float, ...] = (30.0, 30.0, 1.0)  # of any velocity: metres per second, and radians per second
+    standing_turn_rate_rad_per_s: float = 0.02  # how fast what stands seems to turn
+    standing_loss_sigmas: float = 2.0  # from which on a vehicle drives; scaled as its noise is
+    longest_velocity_s: float = 1.0  # that one velocity stands for
+    # The camera, and smoothing
+    camera_drift_m2: float = 1e9  # of a way that is less sure rounding hides what comes next
+    stretch_frames: int = 100  # that are smoothed together
+    overlap_frames: int = 20
+
+
+SETTINGS = TimeSettings()
