@@ -23,7 +23,7 @@ from fgrecon.solve.road import CameraFrame, KnownGround
 from fgrecon.solve.solve_settings import ROAD
 from fgrecon.solve.time.frame import Frame, FrameStep
 from fgrecon.solve.time.neighbours import neighbour_evidence
-from fgrecon.solve.time.vehicle_filter import FilterModel, Sighting, VehicleFilter, first_observed
+from fgrecon.solve.time.vehicle_filter import FilterModel, VehicleFilter, VehicleUpdate, first_observed
 
 __all__ = ["FrameContext", "FrameVehicles", "VehicleTrack", "look_at_vehicles"]
 
@@ -59,21 +59,21 @@ class FrameVehicles:
     """The vehicles of a frame, looked at but not taken yet.
 
     Attributes:
-        sightings: By id.
+        updates: By id.
         refused: Why others could not be looked at, by id.
     """
 
-    sightings: Mapping[int, Sighting]
+    updates: Mapping[int, VehicleUpdate]
     refused: Mapping[int, FgreconError]
 
     def poses(self) -> list[Array]:
         """Pose (4, 4) of each that was looked at."""
-        return [sighting.frame.pose.matrix() for sighting in self.sightings.values()]
+        return [update.frame.pose.matrix() for update in self.updates.values()]
 
     def ground_evidence(self, known: Marginal, plane: Ground) -> GroundEvidence | None:
         """What those that were looked at say of the ground; see `ground_evidence`."""
-        sightings = self.sightings.values()
-        return ground_evidence([one.frame for one in sightings], [one.shape for one in sightings], plane, known)
+        updates = self.updates.values()
+        return ground_evidence([one.frame for one in updates], [one.shape for one in updates], plane, known)
 
 
 def look_at_vehicles(
@@ -94,30 +94,30 @@ def look_at_vehicles(
         setup: What holds for all of them.
         model: How they are followed.
     """
-    sightings: dict[int, Sighting] = {}
+    updates: dict[int, VehicleUpdate] = {}
     refused: dict[int, FgreconError] = {}
     for name, observation in observations.items():
         try:
             problem = Problem.of(observation, frame.camera, setup.model, ground, setup.options)
             track = tracks.get(name)
             if track is None:
-                sightings[name] = first_observed(model, problem, frame.time)
+                updates[name] = first_observed(model, problem, frame.time)
             else:
-                sightings[name] = track.vehicle.observed(problem, frame.time, _step(track.last, frame))
+                updates[name] = track.vehicle.observed(problem, frame.time, _step(track.last, frame))
         except FgreconError as error:
             refused[name] = error
-    frames = [sighting.frame for sighting in sightings.values()]
+    frames = [update.frame for update in updates.values()]
     says = neighbour_evidence(frames, [one.belief for one in frames])
-    for (name, sighting), said in zip([*sightings.items()], says, strict=True):
+    for (name, update), said in zip([*updates.items()], says, strict=True):
         try:
-            settled = sighting.settled(said)
+            settled = update.settled(said)
             if settled.vehicle is None and (other := _facing_otherwise(settled.frame)) is not None:
                 settled = settled.restarted(*other)
-            sightings[name] = settled
+            updates[name] = settled
         except FgreconError as error:
             refused[name] = error
-            del sightings[name]
-    return FrameVehicles(sightings, refused)
+            del updates[name]
+    return FrameVehicles(updates, refused)
 
 
 def _step(before: CameraFrame, now: CameraFrame) -> FrameStep:

@@ -179,9 +179,9 @@ class Tracker:
         refused |= vehicles.refused
         grounded = None if "ground" in self._setup.options.disabled_terms else known
         tracks: dict[int, VehicleTrack] = {}
-        for name, sighting in vehicles.sightings.items():
+        for name, update in vehicles.updates.items():
             try:
-                vehicle = sighting.taken(ground)
+                vehicle = update.taken(ground)
             except FgreconError as error:
                 refused[name] = error
                 continue

@@ -10,7 +10,7 @@ closely err alike and tell little of the way; a wide base line measures it. A fr
 solved alone, and the next one decides: it goes on from those before, and the odd one is left out, or from the odd one,
 and another vehicle has got the id.
 
-All of these are values: `VehicleFilter.observed` gives a `Sighting`, and `Sighting.taken` the next `VehicleFilter`.
+All of these are values: `VehicleFilter.observed` gives a `VehicleUpdate`, and `VehicleUpdate.taken` the next `VehicleFilter`.
 Whatever is raised on the way, the vehicle is what it was.
 """
 
@@ -38,7 +38,7 @@ from fgrecon.solve.time.heading_choice import choose_headings, image_evidence
 from fgrecon.solve.time.time_settings import SETTINGS
 from fgrecon.solve.time.window import MotionFactors, WindowSolve, solve_single, solve_window, thinned
 
-__all__ = ["FilterModel", "Sighting", "VehicleFilter", "first_observed"]
+__all__ = ["FilterModel", "VehicleFilter", "VehicleUpdate", "first_observed"]
 
 Array = NDArray[np.float64]
 
@@ -86,7 +86,7 @@ class VehicleFilter:
     asked: float = -np.inf
     odd: bool = False
 
-    def observed(self, problem: Problem, time: float, step: FrameStep) -> Sighting:
+    def observed(self, problem: Problem, time: float, step: FrameStep) -> VehicleUpdate:
         """The vehicle in its next frame, by itself.
 
         Args:
@@ -103,7 +103,7 @@ class VehicleFilter:
         frame = _frame(self.count, time, problem, start, step, _since(before, step))
         evidence = _own_evidence(frame) if said is None else _own_evidence(frame) + said
         frame = replace(frame, evidence=evidence)
-        return Sighting(self.model, self, frame.following(before), self.shape, self.solved, path)
+        return VehicleUpdate(self.model, self, frame.following(before), self.shape, self.solved, path)
 
     def foreseen(self, step: FrameStep) -> Array:
         """(4, 4) where the vehicle should be if it goes on as it did, and so does a camera of unknown motion."""
@@ -181,7 +181,7 @@ def _with_odd_frame(vehicle: VehicleFilter) -> VehicleFilter:
 
 
 @dataclass(frozen=True)
-class Sighting:
+class VehicleUpdate:
     """A vehicle in a frame that is not taken yet.
 
     Attributes:
@@ -200,8 +200,8 @@ class Sighting:
     solved: WindowSolve
     path: VehiclePath
 
-    def settled(self, neighbours: Array) -> Sighting:
-        """The sighting on the side where the vehicle faces, as are the frames of its window.
+    def settled(self, neighbours: Array) -> VehicleUpdate:
+        """The update on the side where the vehicle faces, as are the frames of its window.
 
         Args:
             neighbours: (B,) what the other vehicles say of its heading, logarithms.
@@ -212,7 +212,7 @@ class Sighting:
         *earlier, frame = choose_headings([*self.vehicle.frames, frame], self.shape)
         return replace(self, frame=frame, vehicle=self.vehicle.with_frames(earlier))
 
-    def restarted(self, problem: Problem, start: PoseEstimate) -> Sighting:
+    def restarted(self, problem: Problem, start: PoseEstimate) -> VehicleUpdate:
         """A vehicle's first frame solved once more, taken for another problem: its keypoints are flipped."""
         frame, solved = _solved_alone(replace(self.frame, given=problem, flipped=None, start=start), start)
         return replace(self, frame=frame, shape=solved.shape, solved=solved)
@@ -223,14 +223,14 @@ class Sighting:
         Raises:
             FgreconError: It cannot be solved there.
         """
-        sighting = self if self.frame.problem.ground is ground else self._on(ground)
-        frame = sighting.frame
-        if sighting.vehicle is not None:
-            return sighting.vehicle.extended(frame, self.path)
-        return VehicleFilter(self.model, (frame,), (frame,), 1, sighting.shape, sighting.solved, self.path)
+        update = self if self.frame.problem.ground is ground else self._on(ground)
+        frame = update.frame
+        if update.vehicle is not None:
+            return update.vehicle.extended(frame, self.path)
+        return VehicleFilter(self.model, (frame,), (frame,), 1, update.shape, update.solved, self.path)
 
-    def _on(self, ground: Ground | None) -> Sighting:
-        """The sighting on another ground."""
+    def _on(self, ground: Ground | None) -> VehicleUpdate:
+        """The update on another ground."""
         frame = self.frame
         flipped = None if frame.flipped is None else frame.flipped.on(ground)
         frame = replace(frame, given=frame.given.on(ground), flipped=flipped)
@@ -249,7 +249,7 @@ class Sighting:
         return replace(self, frame=frame, shape=solved.shape, solved=solved)
 
 
-def first_observed(model: FilterModel, problem: Problem, time: float) -> Sighting:
+def first_observed(model: FilterModel, problem: Problem, time: float) -> VehicleUpdate:
     """A vehicle in its first frame, which is solved as a single image.
 
     Raises:
@@ -259,7 +259,7 @@ def first_observed(model: FilterModel, problem: Problem, time: float) -> Sightin
     frame, solved = _solved_alone(_frame(0, time, problem, start), start)
     frame = replace(frame, evidence=_own_evidence(frame))
     frame = replace(frame, belief=Belief.none().updated(frame.evidence))
-    return Sighting(model, None, frame, solved.shape, solved, VehiclePath())
+    return VehicleUpdate(model, None, frame, solved.shape, solved, VehiclePath())
 
 
 def _frame(
