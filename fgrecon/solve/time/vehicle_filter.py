@@ -10,7 +10,7 @@ closely err alike and tell little of the way; a wide base line measures it. A fr
 solved alone, and the next one decides: it goes on from those before, and the odd one is left out, or from the odd one,
 and another vehicle has got the id.
 
-All of these are values: `VehicleFilter.observed` gives a `VehicleUpdate`, and `VehicleUpdate.taken` the next `VehicleFilter`.
+All of these are values: `VehicleFilter.observed` gives a `VehicleUpdate`, and that, `taken`, the next `VehicleFilter`.
 Whatever is raised on the way, the vehicle is what it was.
 """
 
