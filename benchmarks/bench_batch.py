@@ -34,7 +34,8 @@ from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.files import replacing
 from fgrecon.simulation.keypoint_noise import HOURGLASS
-from fgrecon.simulation.vehicles import KITTI_CAMERA, simulate_many
+from fgrecon.simulation.vehicles import KITTI_CAMERA
+from fgrecon_research.simulation import simulate_many
 
 SETTINGS = ("--size-prior", "kitti", "--camera-height", "1.65")
 """What the cars are solved with: the fleet's size and the ground, as they are simulated."""

@@ -30,8 +30,8 @@ from fgrecon.core.reconstruction import Alternative, Status
 from fgrecon.core.size_prior import size_prior
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.files import write_text
-from fgrecon.simulation.keypoint_noise import HARD, HOURGLASS
-from fgrecon.simulation.vehicles import KITTI_CAMERA, simulate_many
+from fgrecon.simulation.keypoint_noise import HOURGLASS
+from fgrecon.simulation.vehicles import KITTI_CAMERA
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
 from fgrecon.solve.inputs import observe
@@ -42,6 +42,7 @@ from fgrecon.solve.proposals.starts import at_azimuths, view_box
 from fgrecon.solve.proposals.terms import Hypotheses
 from fgrecon.solve.result import results
 from fgrecon.solve.vehicle.model import prepare
+from fgrecon_research.simulation import HARD, simulate_many
 
 POINTS = (14, 10, 7, 5)
 TOLD: dict[str, dict[str, Any]] = {

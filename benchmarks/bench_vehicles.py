@@ -1,9 +1,8 @@
-"""How many cars the detectors find on KITTI's images and drives and on photographs, how many boxes are none, and time.
+"""How many cars the detector finds on KITTI's images and drives and on photographs, how many boxes are none, and time.
 
 Run from the repository root:
-    OMP_NUM_THREADS=2 python -m benchmarks.bench_vehicles --data DATA [--yolo FILE] [--every 1] [--threads 2]
-DATA holds kitti_object, kitti_video and posed_cars; --yolo is a file by `fgrecon vehicles convert --cfg --weights`, to
-be measured beside the shipped detector, in turns. A box counts for a label that it overlaps by more than 0.5 (0.7),
+    OMP_NUM_THREADS=2 python -m benchmarks.bench_vehicles --data DATA [--every 1] [--threads 2]
+DATA holds kitti_object, kitti_video and posed_cars. A box counts for a label that it overlaps by more than 0.5 (0.7),
 each label for one box. Precision is that of boxes of at least 25 pixels' height; vans are no mistakes, and boxes in
 areas that were not labelled, or on cars that are drawn over, are left out. By size: the cars of the regime Hard and the
 boxes by their height, pixels.
@@ -13,7 +12,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -24,8 +23,7 @@ from fgrecon.calibration.matching import box_overlap, match_detections
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_drives import DriveFrame, read_images
 from fgrecon.io.kitti_files import Objects
-from fgrecon.perception.vehicles import NanodetVehicleDetector, Vehicles, YoloVehicleDetector
-from fgrecon.perception.vehicles.detect import NetworkDetector
+from fgrecon.perception.vehicles import NanodetVehicleDetector, Vehicles
 from fgrecon_research.evaluation.kitti_devkit import REGIMES, regime_members
 from fgrecon_research.training.keypoints.posed_cars import read_posed_cars
 
@@ -61,8 +59,8 @@ def precision(frame: DriveFrame, found: Objects, least: float) -> np.ndarray:
     return np.array([[(right & group).sum(), group.sum()] for group in groups])
 
 
-def report(name: str, frames: list[tuple[DriveFrame, Vehicles]]) -> None:
-    """Print a detector's line for each overlap."""
+def report(frames: list[tuple[DriveFrame, Vehicles]]) -> None:
+    """Print a line for each overlap."""
     for least in OVERLAPS:
         cars, boxes = np.zeros((6, 2), dtype=int), np.zeros((4, 2), dtype=int)
         for frame, vehicles in frames:
@@ -74,9 +72,7 @@ def report(name: str, frames: list[tuple[DriveFrame, Vehicles]]) -> None:
             f"{low:.0f}-{high:.0f} {part(found)} | {part(right)}"
             for low, high, found, right in zip(HEIGHTS, HEIGHTS[1:], cars[3:], boxes[1:], strict=False)
         )
-        print(
-            f"  {name:8s} {least}: {regimes}; {part(boxes[0])} boxes right; found | right by size: {sizes}", flush=True
-        )
+        print(f"  {least}: {regimes}; {part(boxes[0])} boxes right; found | right by size: {sizes}", flush=True)
 
 
 def part(count: np.ndarray) -> str:
@@ -93,65 +89,45 @@ def photographs(data: Path, enlarged: float) -> Iterator[tuple[np.ndarray, np.nd
         yield larger, (car.box[None] + 0.5) * enlarged - 0.5
 
 
-def close_ups(detectors: Mapping[str, NetworkDetector], data: Path) -> None:
+def close_ups(detector: NanodetVehicleDetector, data: Path) -> None:
     """Print how many cars that fill an image are found."""
     for enlarged in (1.0, ENLARGED):
-        best: dict[str, list[float]] = {name: [] for name in detectors}
-        for image, box in photographs(data, enlarged):
-            for name, detector in detectors.items():
-                best[name].append(box_overlap(detector(image).boxes, box).max(initial=0.0))
-        for name, overlaps in best.items():
-            counts = ", ".join(f"{np.mean(np.array(overlaps) > least):.1%} above {least}" for least in OVERLAPS)
-            print(f"  {name:8s} {len(overlaps)} photographs, enlarged {enlarged:.0f} times: {counts}", flush=True)
+        best = np.array(
+            [box_overlap(detector(i).boxes, box).max(initial=0.0) for i, box in photographs(data, enlarged)]
+        )
+        counts = ", ".join(f"{np.mean(best > least):.1%} above {least}" for least in OVERLAPS)
+        print(f"  {len(best)} photographs, enlarged {enlarged:.0f} times: {counts}", flush=True)
 
 
 def main() -> None:
     """Measure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, required=True)
-    parser.add_argument("--yolo", type=Path)
     parser.add_argument("--every", type=int, default=1, help="one of so many frames of the drives")
     parser.add_argument("--threads", type=int, default=2)
     arguments = parser.parse_args()
     cv2.setNumThreads(arguments.threads)
-    runs: dict[str, dict[str, NetworkDetector]] = {}
-    for runtime in ("onnx", "opencv"):
-        runs[runtime] = {"nanodet": NanodetVehicleDetector(runtime=runtime)}
-        if arguments.yolo is not None:
-            runs[runtime]["yolo"] = YoloVehicleDetector(arguments.yolo, runtime=runtime)
-    detectors = runs["onnx"]
+    detector = NanodetVehicleDetector()
     images = read_images(arguments.data / "kitti_object" / "training").frames
     drives = [read_images(folder) for folder in sorted((arguments.data / "kitti_video").iterdir()) if folder.is_dir()]
     film = {drive.name: [frame for frame in drive.frames if frame.labelled][:: arguments.every] for drive in drives}
-    everywhere: dict[str, list[tuple[DriveFrame, Vehicles]]] = {name: [] for name in detectors}
+    everywhere: list[tuple[DriveFrame, Vehicles]] = []
     for place, frames in {"images": list(images), **film}.items():
         print(f"{place}, {len(frames)} frames")
-        seen: dict[str, list[tuple[DriveFrame, Vehicles]]] = {name: [] for name in detectors}
-        for frame in frames:
-            image = read_image(frame.image)
-            for name, detector in detectors.items():
-                seen[name].append((frame, detector(image)))
-        for name, found in seen.items():
-            report(name, found)
-            everywhere[name] += found if place in film else []
+        found = [(frame, detector(read_image(frame.image))) for frame in frames]
+        report(found)
+        everywhere += found if place in film else []
     print("all drives")
-    for name, found in everywhere.items():
-        report(name, found)
-    close_ups(detectors, arguments.data)
-    for runtime, some in runs.items():
-        times: dict[str, list[float]] = {name: [] for name in some}
+    report(everywhere)
+    close_ups(detector, arguments.data)
+    for runtime in ("onnx", "opencv"):
+        timed, times = NanodetVehicleDetector(runtime=runtime), []
         for frame in images:
             image = read_image(frame.image)
-            for name, detector in some.items():
-                started = time.perf_counter()
-                detector(image)
-                times[name].append(1e3 * (time.perf_counter() - started))
-        for name, spent in times.items():
-            ratio = np.median(np.divide(spent, times["nanodet"]))
-            print(
-                f"  {name:8s} {runtime}: {np.median(spent):.0f} ms per image (least {min(spent):.0f}), "
-                f"{ratio:.2f} of nanodet's, {arguments.threads} threads"
-            )
+            started = time.perf_counter()
+            timed(image)
+            times.append(1e3 * (time.perf_counter() - started))
+        print(f"  {runtime}: {np.median(times):.0f} ms per image (least {min(times):.0f}), {arguments.threads} threads")
 
 
 if __name__ == "__main__":

@@ -47,7 +47,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.perception.from_image import FromImage, reconstruct_image
     from fgrecon.perception.protocols import KeypointDetector, VehicleDetector
     from fgrecon.perception.refine import refine_boxes
-    from fgrecon.perception.vehicles.detect import Vehicles
+    from fgrecon.perception.vehicles import Vehicles
     from fgrecon.solve.pipeline import reconstruct
     from fgrecon.solve.scene import reconstruct_scene, reconstruct_scenes
     from fgrecon.solve.track import reconstruct_track

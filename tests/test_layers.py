@@ -22,9 +22,8 @@ ROOMS = {
     "solve/time": {"factors", "core", "solve/proposals", "solve/graph"},
     "solve": {"factors", "core", "io", "solve/vehicle", "solve/proposals", "solve/graph", "solve/time"},
     "perception/keypoints": {"core", "io"},
-    "perception/vehicles": {"core", "io", "perception/keypoints"},
     "perception": {
-        *("factors", "core", "io", "solve", "solve/proposals", "perception/keypoints", "perception/vehicles"),
+        *("factors", "core", "io", "solve", "solve/proposals", "perception/keypoints"),
     },
     "": {
         "factors",
@@ -33,7 +32,6 @@ ROOMS = {
         "io/keypoints",
         "solve",
         "perception",
-        "perception/vehicles",
     },  # the public face: fgrecon/__init__.py
     "batch": {
         "factors",
@@ -44,10 +42,9 @@ ROOMS = {
         "solve",
         "perception",
         "perception/keypoints",
-        "perception/vehicles",
     },
     "video": {
-        *("factors", "core", "io", "solve", "batch", "perception", "perception/keypoints", "perception/vehicles"),
+        *("factors", "core", "io", "solve", "batch", "perception", "perception/keypoints"),
     },
     "simulation": {"factors", "core", "solve/vehicle"},
     "viz": {"core", "io", "io/export", "perception/keypoints"},
@@ -56,27 +53,27 @@ ROOMS = {
     },
     "cli": {
         *("core", "io", "io/cameras", "io/export", "io/keypoints", "solve", "simulation", "perception"),
-        *("perception/keypoints", "perception/vehicles", "batch", "video", "viz", "calibration"),
+        *("perception/keypoints", "batch", "video", "viz", "calibration"),
     },
-    "research": set(),
+    "research": {"core", "simulation"},
     "research/annotation": {
         *("factors", "core", "io", "io/export", "solve", "solve/vehicle", "solve/proposals", "solve/graph"),
         *("perception", "perception/keypoints", "calibration"),
     },
     "research/evaluation": {
         *("core", "io", "io/export", "solve", "solve/vehicle", "solve/proposals", "perception", "perception/keypoints"),
-        *("simulation", "video", "calibration"),
+        *("simulation", "video", "calibration", "research"),
     },
     "research/training/priors": {"core", "io", "io/annotations", "io/keypoints", "solve/vehicle"},
     "research/training": {"factors", "research/training/priors"},
     "research/training/keypoints": {
         *("factors", "core", "io", "io/annotations", "io/export", "solve/vehicle", "simulation"),
-        *("perception/keypoints", "perception/vehicles", "research/training/priors"),
+        *("perception", "perception/keypoints", "research/training/priors"),
     },
     "research/paper": {
         *("core", "io", "io/annotations", "solve", "solve/vehicle", "solve/proposals", "solve/graph", "simulation"),
         *("perception", "perception/keypoints", "calibration"),
-        *("research/evaluation", "research/training/priors", "research/training/keypoints"),
+        *("research", "research/evaluation", "research/training/priors", "research/training/keypoints"),
     },
     "research/cli/evaluate": {
         *("core", "io", "io/export", "perception/keypoints", "simulation", "viz", "calibration", "cli"),
@@ -97,8 +94,8 @@ ROOMS = {
         *("research/annotation", "research/training/priors", "research/training/keypoints", "research/paper"),
     },
     "research/cli/paper": {
-        *("core", "io", "simulation", "viz", "cli", "research/evaluation", "research/training/priors"),
-        *("research/paper", "research/cli/evaluate"),
+        *("core", "io", "viz", "cli", "research/evaluation", "research/training/priors"),
+        *("research", "research/paper", "research/cli/evaluate"),
     },
     "research/cli": {"cli", "research/cli/evaluate", "research/cli/training", "research/cli/paper"},
 }

@@ -19,7 +19,6 @@ FACES = (
     "fgrecon.io.export",
     "fgrecon.perception",
     "fgrecon.perception.keypoints",
-    "fgrecon.perception.vehicles",
     "fgrecon.simulation",
     "fgrecon.solve",
     "fgrecon.video",

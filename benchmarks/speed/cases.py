@@ -17,8 +17,8 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.track_file import read_track
-from fgrecon.simulation.keypoint_noise import HARD
-from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate, simulate_many, yaw_pose
+from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate, yaw_pose
+from fgrecon_research.simulation import HARD, simulate_many
 from tests.conftest import data_root
 
 Array = NDArray[np.float64]

@@ -34,7 +34,7 @@ from fgrecon.perception.boxes import for_detected
 from fgrecon.perception.keypoints.detect import KeypointCascade, check_box, large_enough, shipped_cascade
 from fgrecon.perception.keypoints.sessions import at_most
 from fgrecon.perception.protocols import find_keypoints
-from fgrecon.perception.vehicles.detect import NanodetVehicleDetector, Vehicles
+from fgrecon.perception.vehicles import NanodetVehicleDetector, Vehicles
 
 __all__ = ["Reconstructor"]
 

@@ -35,7 +35,7 @@ from fgrecon.io.kitti_calibration import calibration_beside
 from fgrecon.io.poses import CameraPoses, read_poses
 from fgrecon.io.video import check_video
 from fgrecon.perception.keypoints.detect import KeypointCascade
-from fgrecon.perception.vehicles.detect import NanodetVehicleDetector
+from fgrecon.perception.vehicles import NanodetVehicleDetector
 from fgrecon.video import FrameDetector, read_given
 from fgrecon.video.focal import estimate_camera
 from fgrecon.video.given import Given

@@ -111,9 +111,8 @@ def _detections(street: SampleStreet, prior: ShapePrior, seed: int) -> str:
     from fgrecon.core.geometry import box_around
     from fgrecon.core.reconstruction import rotation_y
     from fgrecon.io.kitti_files import Objects, format_results
-    from fgrecon.simulation.detected_boxes import disturbed_boxes
     from fgrecon.simulation.keypoint_noise import HOURGLASS
-    from fgrecon.simulation.sample import LABEL_OFFSET
+    from fgrecon.simulation.sample import LABEL_OFFSET, disturbed_boxes
 
     operator = prior.category.dimension_operator
     true = [

@@ -17,7 +17,7 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.perception.from_image import FromImage, reconstruct_detection, reconstruct_image
     from fgrecon.perception.keypoints.detect import CascadeDetection, KeypointCascade, detect_keypoints
     from fgrecon.perception.protocols import KeypointDetector, VehicleDetector
-    from fgrecon.perception.vehicles.detect import NanodetVehicleDetector, Vehicles, YoloVehicleDetector
+    from fgrecon.perception.vehicles import NanodetVehicleDetector, Vehicles
 
 __all__ = [
     "CascadeDetection",
@@ -28,7 +28,6 @@ __all__ = [
     "NanodetVehicleDetector",
     "VehicleDetector",
     "Vehicles",
-    "YoloVehicleDetector",
     "detect_keypoints",
     "find_boxes",
     "reconstruct_detection",

@@ -17,7 +17,7 @@ from fgrecon.core.options import BoxModel, Options, checked_options
 from fgrecon.io.boxes import NamedBox, read_boxes
 from fgrecon.perception.keypoints.detect import large_enough
 from fgrecon.perception.protocols import VehicleDetector, find_vehicles
-from fgrecon.perception.vehicles.detect import NanodetVehicleDetector, Vehicles
+from fgrecon.perception.vehicles import NanodetVehicleDetector, Vehicles
 
 __all__ = ["boxes_of", "detected_boxes", "find_boxes", "for_detected", "large_vehicles"]
 

@@ -178,9 +178,14 @@ def reconstruct_image(
     """
     options = checked_options(options)
     shape_prior = load_prior(prior)
-    pixels, told = read_photograph(image) if isinstance(image, str | Path) else (as_rgb8(image), None)
-    sized = _camera(told if camera is None else camera, pixels)
-    corners = find_boxes(pixels, vehicle_detector) if boxes is None else _boxes(boxes)
+    pixels, from_exif = read_photograph(image) if isinstance(image, str | Path) else (as_rgb8(image), None)
+    known = from_exif if camera is None else Camera.of(camera)
+    sized = Camera.of_unknown(pixels.shape[1], pixels.shape[0]) if known is None else known.with_size_of(pixels)
+    corners = (
+        find_boxes(pixels, vehicle_detector)
+        if boxes is None
+        else as_finite("boxes", as_rows("boxes", boxes, 4), (None, 4))
+    )
     if boxes is None and vehicle_detector is None:
         options = for_detected(options)
     networks = shipped_cascade() if keypoint_detector is None else keypoint_detector
@@ -194,18 +199,10 @@ def reconstruct_image(
         options=options,
         together=together,
     )
-    if camera is None and told is None and vehicles and any(one.result is not None for one in vehicles):
+    if known is None and vehicles and any(one.result is not None for one in vehicles):
         assert vehicles[0].camera is not None
         _warn_of_camera(vehicles[0].camera)
     return vehicles
-
-
-def _camera(given: Camera | ArrayLike | None, image: NDArray[np.uint8]) -> Camera:
-    """The camera, which knows the size of its image."""
-    height, width = image.shape[:2]
-    if given is None:
-        return Camera.of_unknown(width, height)
-    return Camera.of(given).with_size_of(image)
 
 
 def _warn_of_camera(found: Camera) -> None:
@@ -214,7 +211,3 @@ def _warn_of_camera(found: Camera) -> None:
         f"{100 * found.focal_sigma:.0f} %, and distances are as rough. Give camera=."
     )
     warnings.warn(message, AssumedCameraWarning, stacklevel=3)
-
-
-def _boxes(given: ArrayLike) -> Array:
-    return as_finite("boxes", as_rows("boxes", given, 4), (None, 4))

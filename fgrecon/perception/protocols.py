@@ -17,7 +17,7 @@ from fgrecon.core.category import Category
 from fgrecon.core.detection import Detection
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
-from fgrecon.perception.vehicles.detect import Vehicles
+from fgrecon.perception.vehicles import Vehicles
 
 __all__ = ["KeypointDetector", "VehicleDetector", "check_category", "find_keypoints", "find_vehicles"]
 

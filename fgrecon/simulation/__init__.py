@@ -8,7 +8,7 @@ from factors.lazy import lazy_names
 
 if TYPE_CHECKING:  # imported when used
     from fgrecon.simulation.demo import DemoScene, demo_scene
-    from fgrecon.simulation.keypoint_noise import HARD, HOURGLASS, NoiseModel
+    from fgrecon.simulation.keypoint_noise import HOURGLASS, NoiseModel
     from fgrecon.simulation.sample import SampleStreet, sample_drive
     from fgrecon.simulation.vehicles import (
         KITTI_CAMERA,
@@ -16,13 +16,11 @@ if TYPE_CHECKING:  # imported when used
         Vehicle,
         kitti_like_pose,
         simulate,
-        simulate_many,
         simulate_track,
         yaw_pose,
     )
 
 __all__ = [
-    "HARD",
     "HOURGLASS",
     "KITTI_CAMERA",
     "DemoScene",
@@ -34,7 +32,6 @@ __all__ = [
     "kitti_like_pose",
     "sample_drive",
     "simulate",
-    "simulate_many",
     "simulate_track",
     "yaw_pose",
 ]

@@ -1,13 +1,13 @@
 """What a keypoint network does to the truth: localisation noise, confidences, lost points and coherent confusions.
 
 `HOURGLASS` holds the numbers that `fgrecon_research.paper.keypoint_noise_fit` measured on 76 frames of KITTI tracking
-whose keypoints a stacked-hourglass network really found; `NoiseModel.harder` worsens them. Everything is relative to
+whose keypoints a stacked-hourglass network really found. Everything is relative to
 the extent of the 2D box (the larger of its width and height), as a network that looks at a resized crop sees it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["HARD", "HOURGLASS", "OUTLIER", "NoiseModel", "Twins"]
+__all__ = ["HOURGLASS", "OUTLIER", "NoiseModel", "Twins"]
 
 OUTLIER = 0.1
 """A measurement farther from the truth than this fraction of the box extent is an outlier (the APK threshold)."""
@@ -108,42 +108,6 @@ class NoiseModel:
         for name in ("confidence_visible", "confidence_hidden", "confidence_lost"):
             if min(getattr(self, name)) <= 0:
                 raise InvalidInputError(f"noise.{name}", getattr(self, name), "Give two positive numbers.")
-
-    def harder(self, severity: float) -> NoiseModel:
-        """The same network on worse images: noisier points, confident outliers, less confidence altogether.
-
-        OpenCV's SQPnP on the keypoints of confidence > 0.3, with the mean shape, on 2,000 simulated cars of the prior
-        `car14` scaled to KITTI's fleet, at `kitti_like_pose`s:
-
-        | severity | mean error, degrees | AOP at 5 / 15 / 30 degrees, % | median translation error, m | outliers, % |
-        |---|---|---|---|---|
-        | 0 | 5.5 | 86 / 95 / 97 | 1.2 | 1 |
-        | 0.5 | 14 | 63 / 78 / 90 | 1.8 | 7 |
-        | 1 | 22 | 44 / 68 / 84 | 2.7 | 14 |
-        | 1.5 | 30 | 34 / 59 / 78 | 3.9 | 20 |
-        | 2 | 35 | 27 / 54 / 73 | 4.6 | 26 |
-
-        (Outliers: of the keypoints used.) Difficult tracks of the real network are known to give 17 degrees,
-        46 / 58 / 87 % and 2.9 m, the 76 frames that `HOURGLASS` is fitted to 1.5 degrees, 99 / 100 / 100 % and 1.0 m.
-
-        Args:
-            severity: 0 changes nothing, 1 is `HARD`.
-        """
-        if not 0.0 <= severity < np.inf:
-            raise InvalidInputError("severity", severity, "Give a number >= 0.")
-
-        def raised(share: float, by: float) -> float:
-            return float(share + (1.0 - share) * (1.0 - (1.0 - by) ** severity))
-
-        return replace(
-            self,
-            sigma_visible=self.sigma_visible * (1.0 + 0.35 * severity),
-            sigma_hidden=self.sigma_hidden * (1.0 + 0.35 * severity),
-            confident_lost=raised(self.confident_lost, 0.17),
-            confusion=raised(self.confusion, 0.02),
-            covered=raised(self.covered, 0.05),
-            fade=self.fade + 0.2 * severity,
-        )
 
     def measure(
         self,
@@ -240,6 +204,3 @@ HOURGLASS = NoiseModel(
 Fitted by `fgrecon_research.paper.keypoint_noise_fit.fit_noise_model` to the three tracks (76 frames, 1,064 keypoints)
 of KITTI tracking in `kitti_tracking_keypoints14`. Of the 479 keypoints more confident than 0.3 there, 1 % are outliers.
 """
-
-HARD = HOURGLASS.harder(1.0)
-"""Keypoints about as bad as on difficult tracks: see `NoiseModel.harder`."""

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.observation import Observation
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.simulation.keypoint_noise import HOURGLASS
@@ -16,7 +18,16 @@ from fgrecon.simulation.render import Body, render
 from fgrecon.simulation.scenery import BODY_COLOURS, car_paint, road, with_shadow
 from fgrecon.simulation.vehicles import KITTI_CAMERA, SimulatedTruth, Vehicle, simulate, yaw_pose
 
-__all__ = ["GROUND", "LABEL_OFFSET", "SampleStreet", "SeenCar", "sample_drive", "sample_street", "sample_track"]
+__all__ = [
+    "GROUND",
+    "LABEL_OFFSET",
+    "SampleStreet",
+    "SeenCar",
+    "disturbed_boxes",
+    "sample_drive",
+    "sample_street",
+    "sample_track",
+]
 
 GROUND = Ground.level(1.65)
 """The road under KITTI's camera."""
@@ -116,6 +127,31 @@ def sample_drive(prior: ShapePrior, frames: int = 8, seed: int = 0) -> list[Samp
         )
         for c in sample_track(prior, frames, seed)
     ]
+
+
+def disturbed_boxes(boxes: Sequence[Box3D], camera: Camera, errors: BoxErrors, rng: np.random.Generator) -> list[Box3D]:
+    """True boxes, disturbed: farther or nearer on their rays, seen some pixels aside, turned, some of them round.
+
+    Args:
+        boxes: The true boxes.
+        camera: The camera.
+        errors: How far a detector's are off.
+        rng: Source of the errors.
+    """
+    found = []
+
+    def draw(count: int) -> NDArray[np.float64]:
+        """Standard deviations, within 3: where errors are large a box would be behind the camera."""
+        return np.clip(rng.standard_normal(count), -3.0, 3.0)
+
+    for box in boxes:
+        ray = box.location / box.location[2]
+        ray[:2] += errors.bearing * rng.standard_normal(2) / camera.matrix.diagonal()[:2]
+        depth = box.location[2] * (1.0 + errors.depth * draw(1)[0])
+        turn = errors.yaw * rng.standard_normal() + np.pi * (rng.random() < errors.turned)
+        size = None if box.size is None else box.size * (1.0 + errors.size * draw(3))
+        found.append(Box3D(ray * depth, float(wrap_angle(box.rotation_y + turn)), size))
+    return found
 
 
 def _vehicle(prior: ShapePrior, rng: np.random.Generator) -> Vehicle:

@@ -5,7 +5,6 @@ Whatever is shown from here is to be called simulated.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +26,6 @@ __all__ = [
     "Vehicle",
     "kitti_like_pose",
     "simulate",
-    "simulate_many",
     "simulate_track",
     "yaw_pose",
 ]
@@ -37,7 +35,6 @@ KITTI_CAMERA = Camera(
 )
 """The colour camera of KITTI's training drives."""
 _KITTI_HEIGHT = 1.65
-_TRIES = 100
 
 
 @dataclass(frozen=True)
@@ -150,31 +147,6 @@ def simulate(
     return Observation(pixels, confidence, measured_box), truth
 
 
-def simulate_many(
-    vehicles: Sequence[Vehicle] | ShapePrior,
-    count: int,
-    rng: np.random.Generator,
-    noise: NoiseModel = HOURGLASS,
-    camera: Camera = KITTI_CAMERA,
-    poses: NDArray[np.float64] | None = None,
-) -> list[tuple[Observation, SimulatedTruth]]:
-    """Observe vehicles one by one, independently of one another.
-
-    Args:
-        vehicles: Shapes to draw from, or a prior to sample.
-        count: How many.
-        rng: Source of randomness.
-        noise: The network's mistakes.
-        camera: The camera.
-        poses: (P, 4, 4) poses to draw from, such as labelled ones; those that put a vehicle outside the image
-            are drawn again. None for `kitti_like_pose`.
-
-    Raises:
-        InvalidInputError: None of the poses drawn puts the vehicle into the image.
-    """
-    return [_observe_one(vehicles, rng, noise, camera, poses) for _ in range(count)]
-
-
 def simulate_track(
     vehicle: Vehicle,
     frames: int,
@@ -199,26 +171,6 @@ def simulate_track(
             break
         pose = pose @ step
     return track
-
-
-def _observe_one(
-    vehicles: Sequence[Vehicle] | ShapePrior,
-    rng: np.random.Generator,
-    noise: NoiseModel,
-    camera: Camera,
-    poses: NDArray[np.float64] | None,
-) -> tuple[Observation, SimulatedTruth]:
-    if isinstance(vehicles, ShapePrior):
-        vehicle = Vehicle.sample(vehicles, rng)
-    else:
-        vehicle = vehicles[int(rng.integers(len(vehicles)))]
-    for _ in range(_TRIES):
-        pose = kitti_like_pose(rng, camera) if poses is None else poses[rng.integers(len(poses))]
-        try:
-            return simulate(vehicle, camera, pose, rng, noise)
-        except InvalidInputError:
-            continue
-    raise InvalidInputError("poses", f"{_TRIES} drawn", "Give poses that put the vehicle into the image.")
 
 
 def _covered(u: NDArray[np.float64], box: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.bool_]:

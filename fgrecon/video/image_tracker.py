@@ -24,7 +24,7 @@ from fgrecon.io.poses import CameraPoses
 from fgrecon.perception.boxes import for_detected
 from fgrecon.perception.keypoints.detect import as_rgb8, shipped_cascade
 from fgrecon.perception.protocols import KeypointDetector, VehicleDetector, check_category
-from fgrecon.perception.vehicles.detect import NanodetVehicleDetector
+from fgrecon.perception.vehicles import NanodetVehicleDetector
 from fgrecon.solve.inputs import as_camera_pose, as_ground, calibrated
 from fgrecon.solve.tracker import Tracker
 from fgrecon.video.association import Association, GatedAssociation

@@ -54,15 +54,13 @@ def weights(tmp_path_factory):
     """File of a network that has learnt nothing; torch has one thread meanwhile."""
     torch = pytest.importorskip("torch")
     from fgrecon.perception.keypoints.decode import ConfidenceCalibration
-    from fgrecon.perception.keypoints.knet import KNet, KNetSettings
-    from fgrecon.perception.keypoints.weights import Stored, save_weights
+    from fgrecon.perception.keypoints.layout import KNetSettings
+    from fgrecon.perception.keypoints.weights import save_weights
+    from tests.perception.untrained import untrained
 
-    torch.manual_seed(0)
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     sizes = KNetSettings(crop=32, width=8)
     path = tmp_path_factory.mktemp("weights") / "w.safetensors"
-    yield save_weights(
-        path, Stored(KNet(sizes).state_dict(), sizes.to_dict(), ConfidenceCalibration(bias=1.0), {"data": "none"})
-    )
+    yield save_weights(path, untrained(sizes, calibration=ConfidenceCalibration(bias=1.0), provenance={"data": "none"}))
     torch.set_num_threads(threads)

@@ -6,25 +6,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from safetensors import safe_open
-from safetensors.torch import load, save
+from safetensors.numpy import load, save
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import KeypointCascade, as_rgb8
-from fgrecon.perception.keypoints.weights import Stored, load_weights, save_weights
-
-torch = pytest.importorskip("torch")
-
-from fgrecon.perception.keypoints.knet import KNet, KNetSettings  # noqa: E402
+from fgrecon.perception.keypoints.layout import KNetSettings
+from fgrecon.perception.keypoints.weights import load_weights, save_weights
+from tests.perception.untrained import untrained
 
 SMALL = KNetSettings(crop=32, width=8)
 
 
 @pytest.fixture(scope="module")
 def detector(tmp_path_factory):
-    torch.manual_seed(0)
     path = tmp_path_factory.mktemp("weights") / "w.safetensors"
-    save_weights(path, Stored(KNet(SMALL).state_dict(), SMALL.to_dict(), ConfidenceCalibration(), {}))
+    save_weights(path, untrained(SMALL))
     return KeypointCascade(path)
 
 
@@ -87,9 +83,8 @@ def test_no_network_is_a_clear_error(tmp_path):
 
 
 def test_the_same_network_gives_the_same_bytes(tmp_path):
-    torch.manual_seed(0)
     about = {name: name for name in "edcba"} | {"ä": "°"}
-    stored = Stored(KNet(SMALL).state_dict(), SMALL.to_dict(), ConfidenceCalibration(), about)
+    stored = untrained(SMALL, provenance=about)
     first, again = (save_weights(tmp_path / f"{i}.safetensors", stored).read_bytes() for i in range(2))
     length = int.from_bytes(first[:8], "little")
     named = list(json.loads(first[8 : 8 + length])["__metadata__"])
@@ -99,12 +94,11 @@ def test_the_same_network_gives_the_same_bytes(tmp_path):
     back = load_weights(tmp_path / "0.safetensors")
     assert back.provenance == about
     for name, value in back.state.items():
-        torch.testing.assert_close(value, stored.state[name].half().float())
+        np.testing.assert_array_equal(value, stored.state[name].astype(np.float16))
 
 
 def test_the_category_is_stored_with_the_weights(tmp_path):
-    network = KNet(SMALL).state_dict()
-    stored = Stored(network, SMALL.to_dict(), ConfidenceCalibration(), {}, category="car36")
+    stored = untrained(SMALL, category="car36")
     path = save_weights(tmp_path / "w.safetensors", stored)
     assert load_weights(path).category == "car36"
     with pytest.raises(InvalidInputError, match=r"14 keypoints in .*Category car36 has 36"):
@@ -113,10 +107,8 @@ def test_the_category_is_stored_with_the_weights(tmp_path):
 
 
 def test_a_file_that_names_no_category_is_of_cars(tmp_path):
-    path = save_weights(
-        tmp_path / "w.safetensors", Stored(KNet(SMALL).state_dict(), SMALL.to_dict(), ConfidenceCalibration(), {})
-    )
-    with safe_open(str(path), framework="pt") as file:
+    path = save_weights(tmp_path / "w.safetensors", untrained(SMALL))
+    with safe_open(str(path), framework="np") as file:
         about = {key: value for key, value in file.metadata().items() if key != "category"}
     path.write_bytes(save(load(path.read_bytes()), about))
     assert load_weights(path).category == "car14"

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fgrecon.perception.vehicles.nanodet import decode
+from fgrecon.perception.vehicles import decode
 
 NOTHING, SURE = -50.0, 50.0
 

@@ -1,6 +1,5 @@
 """Detectors of one's own plug in by their call signature; what does not fit is refused by name."""
 
-import importlib
 import warnings
 from dataclasses import replace
 from types import SimpleNamespace
@@ -108,17 +107,6 @@ def test_the_focal_length_of_the_file_is_taken(seen, tmp_path):
     assert car.camera.focal_sigma <= 0.05
 
 
-def test_the_order_and_name_of_the_first_release_work_with_a_warning(seen):
-    with pytest.warns(DeprecationWarning, match=r"\(image, boxes, camera\) is now") as caught:
-        (old,) = reconstruct_image(IMAGE, [seen.box], CAMERA, keypoint_detector=Own(seen), options=FAST)
-    assert caught[0].filename == __file__
-    with pytest.warns(DeprecationWarning, match="detector= is now keypoint_detector="):
-        (named,) = reconstruct_image(IMAGE, boxes=[seen.box], camera=CAMERA, detector=Own(seen), options=FAST)
-    (new,) = solve(Own(seen), [seen.box])
-    for car in (old, named):
-        np.testing.assert_array_equal(car.result.camera_T_object, new.result.camera_T_object)
-
-
 def test_one_that_is_refused_has_its_error_and_the_others_go_on(seen):
     nothing = Observation(np.full((14, 2), np.nan), np.zeros(14), seen.box)
     refused, solved = solve(Own(nothing, Detection(seen)), [seen.box, seen.box])
@@ -205,19 +193,3 @@ def test_the_detectors_of_the_package_fit_their_protocols():
     assert isinstance(cascade, KeypointDetector)
     assert cascade.category == "car14"
     assert issubclass(CascadeDetection, Detection)
-
-
-@pytest.mark.parametrize(
-    ("module", "old", "new"),
-    [
-        ("fgrecon.perception.keypoints", "Detector", KeypointCascade),
-        ("fgrecon.perception.keypoints.detect", "Detector", KeypointCascade),
-        ("fgrecon.perception.vehicles", "VehicleDetector", NanodetVehicleDetector),
-        ("fgrecon.perception.vehicles.detect", "VehicleDetector", NanodetVehicleDetector),
-    ],
-)
-def test_old_names_work_with_a_warning(module, old, new):
-    with pytest.warns(DeprecationWarning, match=f"{module}.{old} is now {new.__name__}"):
-        assert getattr(importlib.import_module(module), old) is new
-    with pytest.raises(AttributeError, match="nonsense"):
-        importlib.import_module(module).nonsense  # noqa: B018

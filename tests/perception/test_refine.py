@@ -1,64 +1,16 @@
-"""The refinement networks' geometry: patches, fusion with KNet's likelihood, training that runs and resumes."""
+"""The refinement networks' geometry: patches, and fusion with KNet's likelihood."""
 
 import numpy as np
 import pytest
 
-from fgrecon.io.catalogue import load_category
-from fgrecon.perception.keypoints.decode import ConfidenceCalibration, decode
+from fgrecon.perception.keypoints.decode import decode
 from fgrecon.perception.keypoints.detect import KeypointCascade
-from fgrecon.perception.keypoints.weights import Stored, load_weights, save_weights
+from fgrecon.perception.keypoints.layout import PATCH, KNetSettings, RefineLayout, RefineSettings
+from fgrecon.perception.keypoints.patches import cut_patches, fuse, patch_offsets, run_networks, window_of
+from fgrecon.perception.keypoints.weights import load_weights, save_weights
+from tests.perception.untrained import untrained, untrained_arrays
 
-torch = pytest.importorskip("torch")
-
-from fgrecon.perception.keypoints.fold import refinement_on_torch  # noqa: E402
-from fgrecon.perception.keypoints.knet import KNet, KNetSettings  # noqa: E402
-from fgrecon.perception.keypoints.refine import (  # noqa: E402
-    PATCH,
-    RefineNet,
-    RefineSettings,
-    cut_patches,
-    fuse,
-    patch_offsets,
-    run_networks,
-    window_of,
-)
-from fgrecon_research.training.keypoints.augment import Street  # noqa: E402
-from fgrecon_research.training.keypoints.train_refine import RefineTraining, train_refinement  # noqa: E402
-from research.tests.training.keypoints.test_augment import made_up_view  # noqa: E402
-
-MIRROR = load_category("car14").mirror
 SMALL = RefineSettings(crop=64, width=2)
-
-
-class OneView:
-    """Photographs of which each is the same."""
-
-    def __init__(self):
-        self.view = made_up_view(np.random.default_rng(0))
-
-    def draw(self, street, partner, seed):
-        return street.sample(self.view, lambda _: self.view, partner, np.random.default_rng(list(seed)))
-
-
-class PartlyKnown(OneView):
-    """Photographs in which only the first keypoint's place is known."""
-
-    def draw(self, street, partner, seed):
-        sample = super().draw(street, partner, seed)
-        sample.keypoints[1:] = np.nan
-        return sample
-
-
-def test_keypoints_of_unknown_place_teach_nothing(tmp_path):
-    torch.manual_seed(0)
-    how = RefineTraining(steps=3, batch=2, network=SMALL, street=Street(size=64), average=0.0)
-    begun = RefineNet(SMALL).state_dict()
-    trained = train_refinement(PartlyKnown(), MIRROR, tmp_path / "a.pt", how, start=begun)
-    weight, before = trained.head.weight.detach().reshape(14, -1), begun["head.weight"].reshape(14, -1)
-    assert torch.isfinite(weight).all()
-    moved = (weight / before - 1.0).abs().amax(dim=1)
-    assert moved[0] > 1e-2
-    assert moved[1:].max() < 1e-3  # the decay of weights alone
 
 
 def test_patches_are_cut_where_asked_and_repeat_the_edge():
@@ -111,10 +63,12 @@ def test_a_window_beyond_the_border_repeats_it_on_maps_of_any_size():
 
 
 def test_each_keypoint_has_a_network_of_its_own():
-    torch.manual_seed(0)
-    network = RefineNet(SMALL).eval()
+    pytest.importorskip("torch")
+    from fgrecon.perception.keypoints.on_torch import refinement_on_torch
+
+    layout = RefineLayout.of(SMALL)
     patches = np.random.default_rng(0).integers(0, 255, (1, 1, 14, 3, PATCH, PATCH)).astype(np.uint8)
-    runner = refinement_on_torch(network, "cpu")
+    runner = refinement_on_torch(layout, untrained_arrays(layout), "cpu")
     before = run_networks(runner, patches)
     np.testing.assert_allclose(np.exp(before).sum(axis=(-1, -2)), 1.0, atol=1e-5)
     patches[0, 0, 3] = 0
@@ -122,30 +76,8 @@ def test_each_keypoint_has_a_network_of_its_own():
     assert changed.nonzero()[0].tolist() == [3]
 
 
-def test_training_resumes(tmp_path):
-    how = RefineTraining(steps=2, batch=2, network=SMALL, save_every=1, street=Street(size=64))
-    arguments = (OneView(), MIRROR)
-    reports = []
-    whole = train_refinement(*arguments, tmp_path / "a.pt", how, report=reports.append)
-    train_refinement(*arguments, tmp_path / "b.pt", RefineTraining(**{**how.__dict__, "steps": 1, "decay": 0.0}))
-    assert [report.step for report in reports] == [1, 2]
-    resumed = train_refinement(*arguments, tmp_path / "b.pt", how)
-    for name, value in whole.state_dict().items():
-        assert value.shape == resumed.state_dict()[name].shape
-
-
 def test_a_cascade_from_a_file_moves_points_only_within_the_patches(tmp_path):
-    torch.manual_seed(0)
-    sizes = KNetSettings(crop=32, width=8)
-    stored = Stored(
-        KNet(sizes).state_dict(),
-        sizes.to_dict(),
-        ConfidenceCalibration(),
-        {},
-        RefineNet(SMALL).state_dict(),
-        SMALL.to_dict(),
-        1.0,
-    )
+    stored = untrained(KNetSettings(crop=32, width=8), SMALL, trust=1.0)
     path = save_weights(tmp_path / "w.safetensors", stored)
     assert load_weights(path).refine_settings == SMALL.to_dict()
     image = np.random.default_rng(0).integers(0, 255, (90, 140, 3)).astype(np.uint8)

@@ -3,6 +3,7 @@
 import os
 import pickle
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,19 +12,16 @@ from safetensors import safe_open
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior
 from fgrecon.perception.keypoints import sessions
-from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import KeypointCascade
-from fgrecon.perception.keypoints.layout import KNetLayout, RefineLayout
+from fgrecon.perception.keypoints.layout import KNetSettings, RefineSettings
 from fgrecon.perception.keypoints.sessions import at_most, chosen_runtime, open_session, threads_of_torch
-from fgrecon.perception.keypoints.weights import Stored, save_weights
+from fgrecon.perception.keypoints.weights import save_weights
 from fgrecon.simulation.demo import demo_scene
+from tests.perception.untrained import untrained
 
 torch = pytest.importorskip("torch")
 
 from safetensors.torch import save  # noqa: E402
-
-from fgrecon.perception.keypoints.knet import KNet, KNetSettings  # noqa: E402
-from fgrecon.perception.keypoints.refine import RefineNet, RefineSettings  # noqa: E402
 
 NEEDS = ("onnx", "onnxruntime")
 
@@ -61,10 +59,7 @@ def test_cascades_find_the_same_points(runtime, scenes, refine):
 
 
 def test_networks_of_other_sizes(runtime, scenes, tmp_path):
-    torch.manual_seed(0)
-    sizes, finer = KNetSettings(crop=64, width=8), RefineSettings(crop=96, width=4)
-    parts = (KNet(sizes).state_dict(), RefineNet(finer).state_dict())
-    stored = Stored(parts[0], sizes.to_dict(), ConfidenceCalibration(), {}, parts[1], finer.to_dict())
+    stored = untrained(KNetSettings(crop=64, width=8), RefineSettings(crop=96, width=4))
     path = save_weights(tmp_path / "w.safetensors", stored)
     image, box = scenes[0].picture.image, scenes[0].observation.box
     found, expected = (KeypointCascade(path, runtime=name)(image, [box], maps=True) for name in ("onnx", "torch"))
@@ -105,7 +100,7 @@ def test_what_is_no_network_is_refused(runtime):
 def test_no_more_threads_than_torch_has(runtime, monkeypatch):
     asked = []
     monkeypatch.setattr(
-        "fgrecon.perception.keypoints.detect.open_session", lambda model, threads: asked.append(threads)
+        "fgrecon.perception.keypoints.on_onnx.open_session", lambda model, threads: asked.append(threads)
     )
     KeypointCascade(runtime="onnx")
     assert asked == [torch.get_num_threads()] * 2
@@ -179,10 +174,12 @@ ODD = {
 @pytest.mark.parametrize("name", ["onnx", "torch"])
 @pytest.mark.parametrize("odd", ODD)
 def test_weights_of_no_network_are_refused_alike(runtime, tmp_path, name, odd):
-    sizes, finer = KNetSettings(crop=32, width=8), RefineSettings(crop=64, width=2)
-    parts = {"knet": KNet(sizes).state_dict(), "refine": RefineNet(finer).state_dict()}
+    stored = untrained(KNetSettings(crop=32, width=8), RefineSettings(crop=64, width=2))
     path = tmp_path / "w.safetensors"
-    stored = Stored(parts["knet"], sizes.to_dict(), ConfidenceCalibration(), {}, parts["refine"], finer.to_dict())
+    parts = {
+        part: {name: torch.from_numpy(array) for name, array in arrays.items()}
+        for part, arrays in (("knet", stored.state), ("refine", stored.refinement))
+    }
     KeypointCascade(save_weights(path, stored), runtime=name)
     *how, told = ODD[odd]
     change(parts, *how)
@@ -210,21 +207,11 @@ def test_weights_of_no_network_are_refused_alike(runtime, tmp_path, name, odd):
 )
 def test_sizes_of_another_network_are_refused_alike(runtime, tmp_path, name, sizes, finer, field):
     made, near = KNetSettings(crop=32, width=8), RefineSettings(crop=64, width=2)
-    states = KNet(made).state_dict(), RefineNet(near).state_dict()
     sizes, finer = {**made.to_dict(), **sizes}, {**near.to_dict(), **finer}
     path = tmp_path / "w.safetensors"
-    save_weights(path, Stored(states[0], sizes, ConfidenceCalibration(), {}, states[1], finer))
+    save_weights(path, replace(untrained(made, near), settings=sizes, refine_settings=finer))
     with pytest.raises(InvalidInputError, match=field):
         KeypointCascade(path, runtime=name)
-
-
-@pytest.mark.parametrize("sizes", [KNetSettings(), KNetSettings(keypoints=5, crop=64, width=24)])
-def test_the_layout_names_the_arrays_of_the_modules(sizes):
-    finer = RefineSettings(keypoints=sizes.keypoints, width=sizes.width)
-    pairs = ((KNet(sizes), KNetLayout.of(sizes)), (RefineNet(finer), RefineLayout.of(finer)))
-    for network, layout in pairs:
-        state = {name: tuple(value.shape) for name, value in network.state_dict().items() if "num_batches" not in name}
-        assert layout.shapes == state
 
 
 @pytest.mark.parametrize("name", ["onnx", "torch"])

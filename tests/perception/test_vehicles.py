@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from functools import partial
 
 import cv2
 import numpy as np
@@ -12,16 +13,9 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_files import Objects, read_labels
+from fgrecon.perception import vehicles
 from fgrecon.perception.keypoints import sessions
-from fgrecon.perception.vehicles.detect import (
-    DetectorSettings,
-    Look,
-    NanodetVehicleDetector,
-    NetworkDetector,
-    YoloVehicleDetector,
-    shipped,
-    suppress,
-)
+from fgrecon.perception.vehicles import DetectionSettings, Look, NanodetVehicleDetector, shipped, suppress
 from fgrecon.simulation.demo import demo_scene
 from fgrecon_research.evaluation.kitti_devkit import REGIMES, regime_members
 
@@ -120,41 +114,46 @@ def test_without_onnx_runtime_the_detector_runs_on_opencv(monkeypatch):
 def test_no_more_threads_than_opencv_has(monkeypatch):
     pytest.importorskip("onnxruntime")
     asked = []
-    maps = [np.zeros((1, channels, 2, 2), np.float32) for channels in NanodetVehicleDetector.settings.channels]
+    maps = [np.zeros((1, vehicles.CHANNELS, 2, 2), np.float32) for _ in vehicles.STRIDES]
 
     def opened(model, threads):
         asked.append(threads)
         return lambda blob: maps
 
-    monkeypatch.setattr("fgrecon.perception.vehicles.detect.open_session", opened)
+    monkeypatch.setattr("fgrecon.perception.vehicles.open_session", opened)
     NanodetVehicleDetector(runtime="onnx")
     assert asked == [cv2.getNumThreads()]
 
 
 @pytest.mark.parametrize("runtime", ["opencv", "onnx"])
-def test_a_network_of_another_kind_is_refused(runtime):
+def test_a_network_of_another_kind_is_refused(monkeypatch, runtime):
     if runtime == "onnx":
         pytest.importorskip("onnxruntime")
-    with pytest.raises(InvalidInputError, match=r"weights.*YoloVehicleDetector.*124"):
-        YoloVehicleDetector(shipped(), runtime=runtime)
+    monkeypatch.setattr(vehicles, "CHANNELS", 255)
+    with pytest.raises(InvalidInputError, match=r"weights.*maps of \[124, 124, 124\] numbers"):
+        NanodetVehicleDetector(shipped(), runtime=runtime)
 
 
-def sizes_seen(image, looks, boxes):
+@pytest.fixture
+def sizes_seen(monkeypatch):
+    return partial(_sizes_seen, monkeypatch)
+
+
+def _sizes_seen(monkeypatch, image, looks, boxes):
     """What a detector finds in whose every look the network sees these boxes, as shares; and the input's sizes."""
     inputs = []
 
     def decode(maps, width, least_score):
         return np.array(boxes)[:, :4] * np.tile(inputs[-1][::-1], 2), np.linspace(0.9, 0.8, len(boxes))
 
-    class Made(NetworkDetector):
-        settings = DetectorSettings((0.0, 0.0, 0.0), looks, 0.5, 0.5, (124,) * 3, decode)
-
-    detector = Made(shipped(), runtime="opencv")
+    monkeypatch.setattr(vehicles, "SETTINGS", DetectionSettings(looks, 0.5, 0.5))
+    monkeypatch.setattr(vehicles, "decode", decode)
+    detector = NanodetVehicleDetector(runtime="opencv")
     detector._network = lambda blob: inputs.append(blob.shape[2:])
     return detector(image), inputs
 
 
-def test_each_look_has_its_area_and_its_size_of_boxes():
+def test_each_look_has_its_area_and_its_size_of_boxes(sizes_seen):
     image = np.zeros((375, 1242, 3), np.uint8)
     boxes = [[0.1, 0.1, 0.2, 0.3], [0.3, 0.1, 0.69, 0.9], [0.55, 0.2, 0.96, 0.8]]
     found, inputs = sizes_seen(image, (Look(928 * 288), Look(256 * 80, 0.4)), boxes)
@@ -167,7 +166,7 @@ def test_each_look_has_its_area_and_its_size_of_boxes():
     assert len(tall) == 0  # what is beyond the border does not count
 
 
-def test_small_and_narrow_images_are_made_large_enough():
+def test_small_and_narrow_images_are_made_large_enough(sizes_seen):
     for shape, expected in (((1, 1, 3), (64, 64)), ((3, 900, 3), (64, 896)), ((500, 40, 3), (512, 64))):
         _, inputs = sizes_seen(np.zeros(shape, np.uint8), (Look(928 * 288),), [[0.0, 0.0, 1.0, 1.0]])
         assert inputs == [expected]

@@ -11,17 +11,9 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.io.catalogue import load_prior
-from fgrecon.simulation.keypoint_noise import HARD, HOURGLASS, OUTLIER, Twins
-from fgrecon.simulation.vehicles import (
-    KITTI_CAMERA,
-    Vehicle,
-    kitti_like_pose,
-    simulate,
-    simulate_many,
-    simulate_track,
-    yaw_pose,
-)
-from fgrecon_research.paper.keypoint_noise_fit import fit_noise_model, read_vehicle
+from fgrecon.simulation.keypoint_noise import HOURGLASS, OUTLIER, Twins
+from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, kitti_like_pose, simulate, simulate_track, yaw_pose
+from fgrecon_research.simulation import HARD
 
 PRIOR = load_prior("car14")
 POSE = yaw_pose(0.7, np.array([2.0, 1.65, 15.0]))
@@ -108,18 +100,6 @@ def test_statistics_are_the_models():
     assert np.sqrt(np.mean(narrow**2) / 2) == pytest.approx(HOURGLASS.sigma_visible, rel=0.15)
 
 
-def test_harder_is_worse():
-    assert HOURGLASS.harder(0.0) == HOURGLASS
-    shares = []
-    for noise in (HOURGLASS, HOURGLASS.harder(0.5), HARD):
-        observations, truths = draw(noise, 200)
-        trusted = np.array([o.confidence for o in observations]) > 0.3
-        shares.append((errors(observations, truths) > OUTLIER)[trusted].mean())
-    assert shares[0] < shares[1] < shares[2]
-    with pytest.raises(InvalidInputError, match="severity"):
-        HOURGLASS.harder(-1.0)
-
-
 def test_a_confused_end_names_hidden_keypoints_where_their_twins_are():
     noise = replace(SILENT, confusion=1.0, confusion_share=1.0)
     vehicle = Vehicle.of_prior(PRIOR, np.zeros(PRIOR.dimension))
@@ -176,30 +156,6 @@ def test_a_vehicle_behind_or_beside_the_camera_is_refused():
             simulate(vehicle, KITTI_CAMERA, yaw_pose(0.0, np.array(location)), rng)
     with pytest.raises(InvalidInputError, match="surface"):
         Vehicle.of_prior(replace(PRIOR, surface=None), np.zeros(PRIOR.dimension))
-
-
-@pytest.mark.data
-def test_the_constants_are_what_the_fit_gives(data):
-    paths = sorted((data / "kitti_tracking_keypoints14").glob("*.json"))
-    fitted = fit_noise_model([read_vehicle(path, PRIOR.category) for path in paths], PRIOR)
-    for name in ("found_visible", "found_hidden", "sigma_visible", "sigma_hidden", "confident_lost"):
-        assert getattr(fitted, name) == pytest.approx(getattr(HOURGLASS, name), rel=0.02)
-    for name in ("lost_to", "confidence_visible", "confidence_hidden", "confidence_lost"):
-        assert getattr(fitted, name) == pytest.approx(getattr(HOURGLASS, name), rel=0.05, abs=0.01)
-
-
-def test_many_draws_shapes_and_poses():
-    rng = np.random.default_rng(0)
-    vehicles = [Vehicle.sample(PRIOR, rng) for _ in range(3)]
-    poses = np.array([POSE, yaw_pose(0.0, np.array([500.0, 1.65, 20.0]))])  # the second is outside the image
-    drawn = simulate_many(vehicles, 30, rng, poses=poses)
-    assert len(drawn) == 30
-    assert {id(t.vehicle) for _, t in drawn} == {id(v) for v in vehicles}
-    assert all((t.camera_T_object == POSE).all() for _, t in drawn)
-    with pytest.raises(InvalidInputError, match="poses"):
-        simulate_many(vehicles, 1, rng, poses=poses[1:])
-    sampled = simulate_many(PRIOR, 5, np.random.default_rng(1))
-    assert len({t.camera_T_object[2, 3] for _, t in sampled}) == 5
 
 
 def test_hidden_keypoints_are_not_visible():

@@ -15,7 +15,7 @@ from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Regions, Status, rotation_y
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.catalogue import load_prior
-from fgrecon.simulation.detected_boxes import disturbed_boxes
+from fgrecon.simulation.sample import disturbed_boxes
 from fgrecon.solve.refine import refined
 from fgrecon.solve.scene import reconstruct_scene
 from fgrecon.solve.time.heading import Belief, box_evidence

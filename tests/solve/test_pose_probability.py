@@ -10,9 +10,9 @@ from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.reconstruction import Alternative, Status
 from fgrecon.core.reliability import reliability
 from fgrecon.io.catalogue import load_prior
-from fgrecon.simulation.keypoint_noise import HARD
-from fgrecon.simulation.vehicles import KITTI_CAMERA, simulate_many, yaw_pose
+from fgrecon.simulation.vehicles import KITTI_CAMERA, yaw_pose
 from fgrecon.solve.pose_probability import facing_by_energies, with_probabilities
+from fgrecon_research.simulation import HARD, simulate_many
 
 POSE = yaw_pose(0.3, np.array([1.0, 1.65, 12.0]))
 SHAPE = np.zeros(5)

@@ -125,7 +125,7 @@ def test_a_folder_is_for_one_run(drive, tmp_path):
 def test_kittis_frames_from_pixels(data, tmp_path):
     """Detector, networks, association and ego-motion on six frames; stopped after two, it goes on to the same rows."""
     from fgrecon.perception.keypoints.detect import shipped_cascade
-    from fgrecon.perception.vehicles.detect import NanodetVehicleDetector
+    from fgrecon.perception.vehicles import NanodetVehicleDetector
 
     folder = data / "kitti_video" / "kitti_tracking_0010"
     camera = read_drive(folder).calibration.camera

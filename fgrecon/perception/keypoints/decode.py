@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +26,7 @@ Array = NDArray[np.float64]
 
 _WINDOW = 3  # cells around the peak over which position and covariance are taken
 _TINY = 1e-6
-_SHARPNESS = 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.15, 1.3, 1.5, 1.75, 2.0
 _SMEARED = 4.0  # power; chosen on street cars of drives that networks had not learnt from
-_DOUBTS = 0.0, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.06, 0.08, 0.12
 
 
 @dataclass(frozen=True)
@@ -85,44 +83,9 @@ class ConfidenceCalibration:
         v, m = np.clip(visible, -6.0, 6.0), np.clip(odds, -6.0, 6.0)
         return np.stack([np.ones_like(v), v, m, v * m / 6.0], axis=-1)
 
-    @classmethod
-    def fit(cls, visible: Array, mass: Array, right: NDArray[np.bool_], ridge: float = 1e-3) -> ConfidenceCalibration:
-        """Maximum likelihood on examples (any shape): `right` where the point was visible and near enough."""
-        x = cls.features(visible, mass).reshape(-1, 4)
-        y, w = right.ravel().astype(np.float64), np.zeros(4)
-        for _ in range(50):  # Newton's method
-            p = sigmoid(x @ w)
-            gradient = x.T @ (p - y) + ridge * len(y) * w * [0.0, 1.0, 1.0, 1.0]
-            curvature = (x * (p * (1 - p))[:, None]).T @ x + ridge * len(y) * np.diag([1e-6, 1.0, 1.0, 1.0])
-            step = np.linalg.solve(curvature, gradient)
-            w = w - step
-            if np.abs(step).max() < 1e-9:
-                break
-        return cls(*(float(value) for value in w))
-
     def covariance(self, likelihood: Array, extent: float) -> Array:
         """Covariances (..., 2, 2) from those of the likelihood, for a box of that longer side in the same unit."""
         return self.scale**2 * likelihood + (self.floor * extent) ** 2 * np.eye(2)
-
-    def with_spread(self, likelihood: Array, error: Array) -> ConfidenceCalibration:
-        """The scale and floor under which errors of right points are most probable (Laplace-like tails).
-
-        Args:
-            likelihood: (M, 2, 2) covariances of the likelihood, in units of the box's longer side.
-            error: (M, 2) errors in the same unit.
-        """
-        if not len(error):
-            return self
-        best, least = (self.scale, self.floor), np.inf
-        for scale in (0.5, 0.7, 1.0, 1.4, 2.0):
-            for floor in (0.0, 0.005, 0.01, 0.015, 0.02, 0.025, 0.03, 0.04):
-                covariance = scale**2 * likelihood + (floor**2 + 1e-9) * np.eye(2)
-                squared = np.einsum("mi,mij,mj->m", error, np.linalg.inv(covariance), error)
-                # A bivariate t distribution of four degrees of freedom: a few bad points do not decide.
-                cost = float(np.mean(0.5 * np.log(np.linalg.det(covariance)) + 3.0 * np.log1p(squared / 4.0)))
-                if cost < least:
-                    best, least = (scale, floor), cost
-        return replace(self, scale=best[0], floor=best[1])
 
     def direction(self, azimuth: Array) -> Array:
         """(B, A) probabilities of the directions from what the network says of them (B, A)."""
@@ -131,23 +94,6 @@ class ConfidenceCalibration:
         power = np.clip(azimuth, _TINY**2, None) ** self.sharpness
         probability: Array = (1.0 - self.doubt) * power / power.sum(axis=1, keepdims=True) + self.doubt / power.shape[1]
         return probability
-
-    def with_direction(self, azimuth: Array, truth: Array) -> ConfidenceCalibration:
-        """The sharpness and doubt under which the true sides are most probable: the half circle around the truth.
-
-        The probability of the very direction would not do: what a network is trained on is smeared over some bins.
-
-        Args:
-            azimuth: (M, A) probabilities of the directions as the network says them.
-            truth: (M,) true directions, radians.
-        """
-        if not len(truth):
-            return self
-        centres = 2.0 * np.pi * np.arange(azimuth.shape[1]) / azimuth.shape[1]
-        side = 0.5 * (1.0 + np.sign(np.round(np.cos(centres - truth[:, None]), 9)))  # a bin on the border counts half
-        tried = [replace(self, sharpness=power, doubt=doubt) for power in _SHARPNESS for doubt in _DOUBTS]
-        cost = [-float(np.log((one.direction(azimuth) * side).sum(axis=1) + _TINY).mean()) for one in tried]
-        return tried[int(np.argmin(cost))]
 
     def to_dict(self) -> dict[str, float]:
         """Plain numbers for a file."""

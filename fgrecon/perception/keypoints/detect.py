@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -27,8 +27,8 @@ from fgrecon.perception.keypoints.decode import (
 )
 from fgrecon.perception.keypoints.layout import PATCH, KNetLayout, KNetSettings, RefineLayout, RefineSettings
 from fgrecon.perception.keypoints.patches import cut_patches, fuse, patch_offsets, run_networks, window_of
-from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, open_session, threads_of_torch
-from fgrecon.perception.keypoints.weights import WITHOUT_STREET, check_arrays, fill, load_arrays, shipped
+from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, threads_of_torch
+from fgrecon.perception.keypoints.weights import WITHOUT_STREET, check_arrays, load_weights, shipped
 
 __all__ = [
     "REACH",
@@ -42,7 +42,6 @@ __all__ = [
     "large_enough",
     "shipped_cascade",
 ]
-
 
 Array = NDArray[np.float64]
 S = TypeVar("S", KNetSettings, RefineSettings)
@@ -121,7 +120,7 @@ class KeypointCascade:
         """
         named = None if weights is None else str(weights)
         path = shipped(named) if named in (None, WITHOUT_STREET) else Path(str(named))
-        stored = load_arrays(path)
+        stored = load_weights(path)
         self.provenance = dict(stored.provenance)
         self.calibration: ConfidenceCalibration = stored.calibration
         self.device = device
@@ -131,58 +130,35 @@ class KeypointCascade:
         category = load_category(stored.category)
         self._partner = category.mirror
         self.trust = stored.trust
-        self._path, self._arrays, self._finer = path, stored.state, None
+        self._arrays, self._finer = stored.state, None
         self._settings = _of_file(path, KNetSettings, stored.settings)
-        shapes = KNetLayout.of(self._settings).shapes
+        self._layout = KNetLayout.of(self._settings)
         if self._settings.keypoints != category.size:
             value = f"{self._settings.keypoints} keypoints in {path}"
             raise InvalidInputError("weights", value, f"Category {category.name} has {category.size}.")
-        check_arrays(stored.state, shapes, path)
+        check_arrays(stored.state, self._layout.shapes, path)
         if stored.refinement is not None and stored.refine_settings is not None and refine:
             self._finer, self._finer_arrays = _of_file(path, RefineSettings, stored.refine_settings), stored.refinement
             check_arrays(stored.refinement, RefineLayout.of(self._finer).shapes, path)
         self._find, self._refine_patches = self._running()
 
-    @cached_property
-    def network(self) -> Any:
-        """KNet on PyTorch, as `fold` makes it for inference."""
-        from fgrecon.perception.keypoints.fold import folded
-        from fgrecon.perception.keypoints.knet import KNet
-
-        network = KNet(self._settings)
-        fill(network, self._arrays, self._path)
-        return folded(network).to(self.device)
-
-    @cached_property
-    def refinement(self) -> Any:
-        """The refinement networks likewise, or None without them."""
-        if self._finer is None:
-            return None
-        from fgrecon.perception.keypoints.fold import folded
-        from fgrecon.perception.keypoints.refine import RefineNet
-
-        refinement = RefineNet(self._finer)
-        fill(refinement, self._finer_arrays, self._path)
-        return folded(refinement).to(self.device)
-
     def _running(self) -> tuple[Network, Network | None]:
-        """KNet, and the refinement networks if there are any, as `fold` and `export` have them."""
+        """KNet, and the refinement networks if there are any, on the runtime."""
+        finer = None if self._finer is None else RefineLayout.of(self._finer)
         if self.runtime == "onnx":
-            from fgrecon.perception.keypoints.export import knet_model, refinement_model
+            from fgrecon.perception.keypoints.on_onnx import knet_on_onnx, refinement_on_onnx
 
             threads = threads_of_torch()
-            knet = open_session(knet_model(self._settings, self._arrays), threads)
-            if self._finer is None:
-                return knet, None
-            return knet, open_session(refinement_model(self._finer, self._finer_arrays), threads)
-        from fgrecon.perception.keypoints.fold import knet_on_torch, refinement_on_torch
+            first = knet_on_onnx(self._layout, self._arrays, threads)
+            return first, None if finer is None else refinement_on_onnx(finer, self._finer_arrays, threads)
+        from fgrecon.perception.keypoints.on_torch import knet_on_torch, refinement_on_torch
 
-        knet = knet_on_torch(self.network, self.device)
-        return knet, self.refinement and refinement_on_torch(self.refinement, self.device)
+        first = knet_on_torch(self._layout, self._arrays, self.device)
+        return first, None if finer is None else refinement_on_torch(finer, self._finer_arrays, self.device)
 
     def __getstate__(self) -> dict[str, Any]:
         """What other processes get: the networks are made of their arrays there again."""
-        made = ("_find", "_refine_patches", "network", "refinement")
+        made = ("_find", "_refine_patches")
         return {name: value for name, value in vars(self).items() if name not in made}
 
     def __setstate__(self, state: dict[str, Any]) -> None:

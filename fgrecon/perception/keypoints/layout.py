@@ -1,6 +1,6 @@
 """What the networks are made of: their sizes, and their layers by the names that files have for them.
 
-`knet` and `refine` make them on PyTorch, which training needs; `export` makes ONNX files of them without it.
+`networks` says what is computed with them, `on_torch` and `on_onnx` on what.
 """
 
 from __future__ import annotations
@@ -150,6 +150,7 @@ class KNetLayout:
     """The layers of KNet.
 
     Attributes:
+        settings: Its sizes.
         stem: The first.
         stages: Those of the encoder, in blocks.
         lateral: From each level of the pyramid's stages to its width.
@@ -159,6 +160,7 @@ class KNetLayout:
         others: Shapes of the arrays that are no convolution's.
     """
 
+    settings: KNetSettings
     stem: Layer
     stages: tuple[tuple[Block, ...], ...]
     lateral: tuple[Layer, ...]
@@ -190,6 +192,7 @@ class KNetLayout:
         for name, shape in linear.items():
             others |= {f"{name}.weight": shape, f"{name}.bias": shape[:1]}
         return cls(
+            settings=settings,
             stem=same("stem", 3, _STEM, 3, 2),
             stages=tuple(stages),
             lateral=tuple(Layer(f"lateral.{level}", _STAGES[s][4], width) for level, s in enumerate(PYRAMID)),
@@ -200,11 +203,15 @@ class KNetLayout:
         )
 
     @property
+    def layers(self) -> tuple[Layer, ...]:
+        """All of them."""
+        blocks = [*(block for stage in self.stages for block in stage), *self.smooth, self.last]
+        return (self.stem, *(layer for block in blocks for layer in block.layers), *self.lateral, self.head)
+
+    @property
     def shapes(self) -> Shapes:
         """Of all arrays, by name."""
-        blocks = [*(block for stage in self.stages for block in stage), *self.smooth, self.last]
-        inner = (layer for block in blocks for layer in block.layers)
-        return _shapes([self.stem, *inner, *self.lateral, self.head]) | self.others
+        return _shapes(self.layers) | self.others
 
 
 @dataclass(frozen=True)

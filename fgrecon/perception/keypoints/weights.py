@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -18,18 +18,7 @@ from fgrecon.io.files import write_bytes
 from fgrecon.io.hashes import check_hash
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 
-__all__ = [
-    "FORMAT",
-    "WITHOUT_STREET",
-    "Stored",
-    "check_arrays",
-    "fill",
-    "load_arrays",
-    "load_weights",
-    "mean_state",
-    "save_weights",
-    "shipped",
-]
+__all__ = ["FORMAT", "WITHOUT_STREET", "Stored", "check_arrays", "load_weights", "save_weights", "shipped"]
 
 FORMAT = "fgrecon.keypoints/1"
 
@@ -48,7 +37,7 @@ class Stored:
     """A network as it is kept.
 
     Attributes:
-        state: Tensors by name, or arrays.
+        state: Arrays by name, or tensors.
         settings: Sizes of the network.
         calibration: From its outputs to confidences.
         provenance: Learnt from what (plain strings).
@@ -66,25 +55,6 @@ class Stored:
     refine_settings: Mapping[str, int] | None = None
     trust: float = 0.5
     category: str = _CATEGORY
-
-
-def mean_state(first: Mapping[str, Any], second: Mapping[str, Any], share: float) -> dict[str, Any]:
-    """`second` with `share` of `first` in its weights; what only `second` has is taken over.
-
-    The mean of a network and of what further training made of it does better on other images than either
-    (Wortsman et al., Robust fine-tuning of zero-shot models, CVPR 2022).
-
-    Args:
-        first: Tensors by name.
-        second: The same, trained on from them.
-        share: From 0 to 1.
-    """
-    return {
-        name: share * first[name].to(value) + (1.0 - share) * value
-        if name in first and value.dtype.is_floating_point
-        else value
-        for name, value in second.items()
-    }
 
 
 def shipped(name: str | None = None) -> Path:
@@ -109,16 +79,16 @@ def save_weights(path: Path, stored: Stored) -> Path:
 
     The same network gives the same bytes.
     """
-    import torch
-    from safetensors.torch import save
+    from safetensors.numpy import save
 
     tensors = {}
     parts = {_KNET: stored.state, _REFINEMENT: stored.refinement or {}}
     for name, value in ((part + name, value) for part, state in parts.items() for name, value in state.items()):
-        if value.dtype.is_floating_point:
-            value = value.clamp(-6e4, 6e4).to(torch.float16)
+        array = np.asarray(value.detach().cpu() if hasattr(value, "detach") else value)
+        if array.dtype.kind == "f":
+            array = np.clip(array, -6e4, 6e4).astype(np.float16)
         if not name.endswith("num_batches_tracked"):
-            tensors[name] = value.cpu().contiguous().clone()
+            tensors[name] = np.ascontiguousarray(array)
     about = {
         "format": FORMAT,
         "category": stored.category,
@@ -142,18 +112,7 @@ def _in_order(content: bytes) -> bytes:
 
 
 def load_weights(path: Path) -> Stored:
-    """Read a network, in tensors; one that comes with the package must be what it was.
-
-    Raises:
-        InvalidInputError: The file cannot be read or is no network of ours, or has been changed.
-    """
-    stored = load_arrays(path)
-    refinement = None if stored.refinement is None else _tensors(stored.refinement)
-    return replace(stored, state=_tensors(stored.state), refinement=refinement)
-
-
-def load_arrays(path: Path) -> Stored:
-    """The same in arrays of single precision, which does without PyTorch.
+    """Read a network, in arrays of single precision; one that comes with the package must be what it was.
 
     Raises:
         InvalidInputError: The file cannot be read or is no network of ours, or has been changed.
@@ -213,28 +172,11 @@ def check_arrays(arrays: Mapping[str, NDArray[Any]], shapes: Mapping[str, tuple[
             raise InvalidInputError("weights", f"{name} that is not finite in {path}", _OTHER)
 
 
-def fill(network: Any, arrays: Mapping[str, NDArray[Any]], path: Path) -> None:
-    """Give a network of PyTorch its arrays.
-
-    Raises:
-        InvalidInputError: Some are missing, too many, of another size, or not finite.
-    """
-    state = network.state_dict().items()
-    check_arrays(arrays, {name: tuple(v.shape) for name, v in state if not name.endswith("num_batches_tracked")}, path)
-    network.load_state_dict(_tensors(arrays), strict=False)
-
-
 def _single(name: str, array: NDArray[Any]) -> NDArray[np.float32]:
     if array.dtype.kind not in "fiub":
         raise ValueError(f"{name} has numbers of the kind {array.dtype}")
     with np.errstate(over="ignore"):  # what becomes infinite is refused with its network
         return array.astype(np.float32)
-
-
-def _tensors(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    from torch import from_numpy
-
-    return {name: from_numpy(array) for name, array in arrays.items()}
 
 
 def _sizes(name: str, value: Any) -> dict[str, int]:

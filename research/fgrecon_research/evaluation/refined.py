@@ -30,7 +30,7 @@ from fgrecon.io.kitti_drives import Drive, DriveFrame
 from fgrecon.io.kitti_files import Objects
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.refine import refine_boxes
-from fgrecon.simulation.detected_boxes import disturbed_boxes
+from fgrecon.simulation.sample import disturbed_boxes
 
 __all__ = ["BoxError", "Comparison", "RefinedVehicle", "Refinement", "compare", "document", "refine_drive"]
 

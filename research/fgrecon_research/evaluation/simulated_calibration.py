@@ -18,10 +18,11 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.track_file import GroundTruth
 from fgrecon.simulation.keypoint_noise import HOURGLASS, NoiseModel
-from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate_many
+from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.vehicle.model import prepare
 from fgrecon_research.evaluation.calibration import Judged, judged
+from fgrecon_research.simulation import simulate_many
 
 __all__ = ["judge_known", "judge_simulated", "keypoint_regions"]
 

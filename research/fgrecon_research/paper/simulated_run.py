@@ -32,6 +32,7 @@ from fgrecon_research.paper.simulated_scores import (
     row_solvers,
     score_instances,
 )
+from fgrecon_research.simulation import harder
 from fgrecon_research.training.priors.apollo79 import Apollo79
 
 __all__ = [
@@ -154,7 +155,7 @@ class _Worker:
         name = job.condition.name
         if name not in self.solvers:
             self.solvers[name] = row_solvers(job.condition.rows, self.scene, self.seed)
-        fleet = Fleet(self.vehicles, self.sizes, HOURGLASS.harder(job.condition.severity), self.seed)
+        fleet = Fleet(self.vehicles, self.sizes, harder(HOURGLASS, job.condition.severity), self.seed)
         instances = [instance for frame in job.frames for instance in simulate_frame(frame, fleet)]
         score_instances(instances, job.condition.rows, self.solvers[name], self.mean).write(job.path)
         return len(instances)
@@ -221,7 +222,7 @@ def _digest(condition: Condition, scene: SceneKnowledge, models: Apollo79, seed:
     """Changes with everything but the frames that a result depends on, save for unreleased changes of the code."""
     ground = scene.ground
     plane = (ground.normal.tolist(), ground.distance, ground.height_sigma, ground.slope_sigma, ground.tilt_sigma)
-    noise = HOURGLASS.harder(condition.severity)
+    noise = harder(HOURGLASS, condition.severity)
     plain = (metadata.version("fgrecon"), condition.rows, seed, noise, scene.prior.name, plane)
     arrays = [scene.prior.mean, scene.prior.basis, scene.size.mean, scene.size.sigma, models.keypoints, models.vertices]
     digest = hashlib.sha256(repr(plain).encode())

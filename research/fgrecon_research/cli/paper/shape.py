@@ -56,8 +56,8 @@ def shape_command(
     and the prior's own sizes are used, except that the ablation adds the fleet's as well. --verbose names the cars.
     """
     from fgrecon.core.camera import Ground
-    from fgrecon.simulation.keypoint_noise import HARD
     from fgrecon_research.paper import shape
+    from fgrecon_research.simulation import HARD
     from fgrecon_research.training.priors.apollo79 import apollo79_prior, load_apollo79
 
     check_outputs(json_out, markdown)

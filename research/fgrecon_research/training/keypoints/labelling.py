@@ -15,6 +15,7 @@ from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.arrays import read_arrays
+from fgrecon.io.catalogue import load_category
 from fgrecon.io.files import write_bytes
 from fgrecon.io.stored import MADE_AGAIN, stored
 from fgrecon.perception.keypoints.detect import KeypointCascade
@@ -302,7 +303,7 @@ def _outlines(silhouettes: Path | None, cars: Sequence[PosedCar]) -> list[Outlin
 
 def _find(cars: Sequence[PosedCar], detector: KeypointCascade, photographs: Photographs, progress: Progress) -> Found:
     """Keypoints in all prepared photographs, in pixels of the files."""
-    keypoints = np.zeros((len(cars), detector.network.settings.keypoints, 2))
+    keypoints = np.zeros((len(cars), load_category(detector.category).size, 2))
     confidence, covariance = np.zeros(keypoints.shape[:2]), np.zeros((*keypoints.shape, 2))
     for start in progress(range(0, len(cars), _BATCH), "Keypoints in all photographs"):
         rows = range(start, min(start + _BATCH, len(cars)))

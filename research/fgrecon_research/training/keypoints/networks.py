@@ -12,7 +12,7 @@ from fgrecon.core.settings import check_settings, count, number
 from fgrecon.io.stored import stored as taken_over
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import KeypointCascade
-from fgrecon.perception.keypoints.weights import Stored, load_weights, mean_state, save_weights
+from fgrecon.perception.keypoints.weights import Stored, save_weights
 from fgrecon_research.training.keypoints.augment import Street
 from fgrecon_research.training.keypoints.began import begin_alike, file_hash, source_hash
 from fgrecon_research.training.keypoints.calibrate import SCORED, calibrate
@@ -26,6 +26,7 @@ from fgrecon_research.training.keypoints.street_cars import (
     learning,
     prepare_street_cars,
 )
+from fgrecon_research.training.keypoints.tensors import load_tensors, mean_state
 from fgrecon_research.training.keypoints.train import Training
 from fgrecon_research.training.keypoints.train_refine import RefineTraining, train_refinement
 from fgrecon_research.training.keypoints.trainer import TrainingProgress
@@ -152,7 +153,7 @@ def train_networks(
     source = read_source(data, beginning.marks)
     partner = source.prior.category.mirror
     imagenet = beginning.imagenet
-    begun = None if beginning.start is None else load_weights(beginning.start)
+    begun = None if beginning.start is None else load_tensors(beginning.start)
     street = _street(beginning, work / "street", display)
     how = Training(
         steps=plan.steps,

@@ -19,12 +19,13 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.export.coco_keypoints import read_coco_keypoints
 from fgrecon.io.files import write_bytes, write_text
 from fgrecon.io.json_fields import read_json
-from fgrecon.perception.keypoints.weights import WITHOUT_STREET, load_weights
+from fgrecon.perception.keypoints.weights import WITHOUT_STREET
 from fgrecon_research.training.keypoints.began import different, file_hash, files_hash, text_hash
 from fgrecon_research.training.keypoints.networks import Beginning, Display, photographs_hash, train_networks
 from fgrecon_research.training.keypoints.progress import Progress
 from fgrecon_research.training.keypoints.settings import Phase, TrainingSettings
 from fgrecon_research.training.keypoints.street_cars import check_drives
+from fgrecon_research.training.keypoints.tensors import load_tensors
 from fgrecon_research.training.keypoints.trainer import TrainingProgress
 
 __all__ = ["Labeller", "train_phases"]
@@ -251,7 +252,7 @@ def _check(settings: TrainingSettings, phases: Sequence[Phase], data: Path) -> N
             _check_there(name, path, folder=name == "silhouettes")
     first = phases[0]
     if first.trained is not None:
-        load_weights(first.trained)
+        load_tensors(first.trained)
         seen = settings.phases[: settings.phases.index(first) + 1]
         if settings.without and any(phase.on_street for phase in seen):
             fix = "Leave no drive out, or train that phase: nothing tells which drives the file has learnt from."

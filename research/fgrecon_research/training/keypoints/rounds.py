@@ -20,7 +20,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.stored import stored
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import KeypointCascade
-from fgrecon.perception.keypoints.weights import Stored, load_weights, save_weights
+from fgrecon.perception.keypoints.weights import Stored, save_weights
 from fgrecon_research.training.keypoints.began import begin_alike, file_hash, files_hash, source_hash, state_hash
 from fgrecon_research.training.keypoints.checkpoint import load_checkpoint
 from fgrecon_research.training.keypoints.dataset import Photographs
@@ -33,6 +33,7 @@ from fgrecon_research.training.keypoints.labelling import (
 )
 from fgrecon_research.training.keypoints.progress import Progress, no_progress
 from fgrecon_research.training.keypoints.street_cars import StreetShare, learning
+from fgrecon_research.training.keypoints.tensors import load_tensors
 from fgrecon_research.training.keypoints.train import Training, train_knet
 from fgrecon_research.training.keypoints.trainer import TrainingProgress
 from fgrecon_research.training.keypoints.validate import HeldOut
@@ -91,7 +92,7 @@ def train_in_rounds(
     stops = [*(step for step in relabel_at if step < how.steps), how.steps]
     begin_alike(folder / "began.json", _named(source, how, stops, imagenet, start, silhouettes, street))
     first = _first(source, common / "labels-first.npz", silhouettes, log, progress)
-    begun = None if start is None else load_weights(start)
+    begun = None if start is None else load_tensors(start)
     stored(checkpoint, load_checkpoint)  # puts a damaged one aside: all steps are made again
     network: Any = None
     labelling: Labelling | None = None

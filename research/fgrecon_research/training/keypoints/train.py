@@ -13,8 +13,9 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import DataLoader, Dataset
 
-from fgrecon.perception.keypoints.knet import KNet, KNetSettings, load_imagenet
+from fgrecon.perception.keypoints.layout import KNetSettings
 from fgrecon_research.training.keypoints.augment import Street
+from fgrecon_research.training.keypoints.knet import KNet, load_imagenet
 from fgrecon_research.training.keypoints.losses import knet_loss
 from fgrecon_research.training.keypoints.trainer import Schedule, Trainer, TrainingProgress
 from fgrecon_research.training.keypoints.validate import HeldOut

@@ -12,9 +12,11 @@ import torch
 from numpy.typing import NDArray
 
 from fgrecon.perception.keypoints.crops import MARGIN
-from fgrecon.perception.keypoints.refine import PATCH, RefineNet, RefineSettings, cut_patches
+from fgrecon.perception.keypoints.layout import PATCH, RefineSettings
+from fgrecon.perception.keypoints.patches import cut_patches
 from fgrecon_research.training.keypoints.augment import Sample, Street
 from fgrecon_research.training.keypoints.losses import HIDDEN_WEIGHT, map_loss
+from fgrecon_research.training.keypoints.refine_net import RefineNet
 from fgrecon_research.training.keypoints.trainer import Schedule, Trainer, TrainingProgress
 from fgrecon_research.training.keypoints.views import TrainingSet
 

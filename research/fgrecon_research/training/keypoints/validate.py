@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fgrecon.perception.keypoints.crops import MARGIN
 from fgrecon.perception.keypoints.detect import REACH
-from fgrecon.perception.keypoints.knet import STRIDE
+from fgrecon.perception.keypoints.layout import STRIDE
 from fgrecon_research.training.keypoints.augment import Sample, Street
 from fgrecon_research.training.keypoints.dataset import Photographs
 from fgrecon_research.training.keypoints.labels import SEEN

@@ -48,8 +48,7 @@ def made_up_cars(prior, coefficients, count, rng, folder="nowhere"):
 
 def make_small(source, monkeypatch):
     """Trainings of small networks on given photographs."""
-    from fgrecon.perception.keypoints.knet import KNetSettings
-    from fgrecon.perception.keypoints.refine import RefineSettings
+    from fgrecon.perception.keypoints.layout import KNetSettings, RefineSettings
     from fgrecon_research.training.keypoints import networks
     from fgrecon_research.training.keypoints.augment import Street
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.perception.vehicles.nanodet import MEAN
+from fgrecon.perception.vehicles import MEAN
 from fgrecon_research.training.keypoints import nanodet
 from fgrecon_research.training.keypoints.nanodet import convert, read_package
 

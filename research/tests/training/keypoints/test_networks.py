@@ -9,16 +9,18 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.images import write_png
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
-from fgrecon.perception.keypoints.weights import Stored, load_weights, mean_state, save_weights
+from fgrecon.perception.keypoints.weights import Stored, save_weights
 from fgrecon_research.training.keypoints.augment import Street
 from fgrecon_research.training.keypoints.dataset import Photographs, prepare_photographs
 from fgrecon_research.training.keypoints.labels import fit_shape, project_labels
+from fgrecon_research.training.keypoints.tensors import load_tensors, mean_state
 from research.tests.training.keypoints.support import made_up_cars, unit_car_prior
 
 torch = pytest.importorskip("torch")
 
-from fgrecon.perception.keypoints.knet import KNet, KNetSettings, load_imagenet  # noqa: E402
+from fgrecon.perception.keypoints.layout import KNetSettings  # noqa: E402
 from fgrecon_research.training.keypoints.checkpoint import load_checkpoint  # noqa: E402
+from fgrecon_research.training.keypoints.knet import KNet, load_imagenet  # noqa: E402
 from fgrecon_research.training.keypoints.losses import gaussian_maps, knet_loss  # noqa: E402
 from fgrecon_research.training.keypoints.train import Training, train_knet  # noqa: E402
 from fgrecon_research.training.keypoints.views import TrainingSet, azimuth_weights  # noqa: E402
@@ -174,7 +176,7 @@ def test_weights_survive_the_file(tmp_path):
     torch.manual_seed(0)
     network = KNet(SMALL).eval()
     stored = Stored(network.state_dict(), SMALL.to_dict(), ConfidenceCalibration(0.1, 0.2, 0.3, 0.4), {"data": "none"})
-    back = load_weights(save_weights(tmp_path / "w.safetensors", stored))
+    back = load_tensors(save_weights(tmp_path / "w.safetensors", stored))
     assert back.settings == SMALL.to_dict()
     assert back.calibration == stored.calibration
     assert back.provenance == {"data": "none"}
@@ -183,7 +185,7 @@ def test_weights_survive_the_file(tmp_path):
     for content in (b"nothing", b""):
         (tmp_path / "bad.safetensors").write_bytes(content)
         with pytest.raises(InvalidInputError, match="weights"):
-            load_weights(tmp_path / "bad.safetensors")
+            load_tensors(tmp_path / "bad.safetensors")
 
 
 def test_the_mean_of_two_networks():

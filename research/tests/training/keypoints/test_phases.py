@@ -9,7 +9,7 @@ from fgrecon.cli.main import app
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io import files
 from fgrecon.io.catalogue import load_prior
-from fgrecon.perception.keypoints.weights import load_weights
+from fgrecon_research.training.keypoints.tensors import load_tensors
 from research.tests.annotation.streets import Car, Told, write_drive
 from research.tests.training.keypoints.support import make_small
 from research.tests.training.keypoints.test_rounds import source  # noqa: F401 - a fixture
@@ -55,7 +55,7 @@ class Network(Told):
     provenance = {"data": "made up"}  # noqa: RUF012 - what a network has
 
     def __init__(self, weights):
-        assert load_weights(weights).refinement is not None
+        assert load_tensors(weights).refinement is not None
         super().__init__(FRAMES, PRIOR)
 
 
@@ -98,7 +98,7 @@ def test_one_command_makes_both_networks(place, unbroken):
     for line in ("alone: Training to step 2", "street: Labels of street cars", "street: Calibration"):
         assert line in lines
     assert [line for line in lines if line.endswith("Labels from the boxes")] == ["alone: Labels from the boxes"]
-    whole, alone = (load_weights(place / f"whole{end}.safetensors") for end in ("", "-photographs"))
+    whole, alone = (load_tensors(place / f"whole{end}.safetensors") for end in ("", "-photographs"))
     assert "street cars" in whole.provenance["data"]
     assert "street cars" not in alone.provenance["data"]
     assert whole.provenance["start"].startswith("alone.safetensors (of which 0.25 is left in the weights)")
@@ -167,7 +167,7 @@ def test_folds_share_what_has_seen_no_street(place, unbroken):
     fold, whole = contents(place, "fold"), contents(place, "whole")
     assert fold[1] == whole[1]
     assert fold[0] != whole[0]
-    provenance = load_weights(place / "fold.safetensors").provenance
+    provenance = load_tensors(place / "fold.safetensors").provenance
     assert provenance["data"].endswith("; 1 street cars in 0.75 of the samples, without far")
     assert json.loads(provenance["settings"])[1]["without"] == ["far"]
 
@@ -178,7 +178,7 @@ def test_a_network_takes_the_place_of_a_phase(place, unbroken):
     assert done.exit_code == 0, done.output
     assert not (place / "apart" / "alone").exists()
     assert contents(place, "apart")[1] == alone.read_bytes()
-    first, second = json.loads(load_weights(place / "apart.safetensors").provenance["settings"])
+    first, second = json.loads(load_tensors(place / "apart.safetensors").provenance["settings"])
     assert (first["trained"], second["name"]) == (alone.name, "street")
 
 
@@ -206,7 +206,7 @@ def test_street_cars_of_a_file_take_the_place_of_drives(place, unbroken):
     done = run(place, "filed", "filed.safetensors", "--street", labels, "--trained", f"alone={alone}")
     assert done.exit_code == 0, done.output
     assert "Labels of street cars" not in done.stderr
-    second = json.loads(load_weights(place / "filed.safetensors").provenance["settings"])[1]
+    second = json.loads(load_tensors(place / "filed.safetensors").provenance["settings"])[1]
     assert second["street"] == labels.name
 
 

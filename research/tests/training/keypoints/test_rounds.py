@@ -10,18 +10,19 @@ from fgrecon.core.errors import DamagedFileWarning, InvalidInputError
 from fgrecon.io.images import write_png
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import KeypointCascade
-from fgrecon.perception.keypoints.weights import Stored, load_weights, save_weights
+from fgrecon.perception.keypoints.weights import Stored, save_weights
 from fgrecon_research.training.keypoints.calibrate import calibrate, reliability
 from fgrecon_research.training.keypoints.checkpoint import load_checkpoint
 from fgrecon_research.training.keypoints.evaluate import azimuth_errors, localisation, marks_reliability, score_marks
 from fgrecon_research.training.keypoints.marks import Mark
+from fgrecon_research.training.keypoints.tensors import load_tensors
 from research.tests.training.keypoints.support import made_up_cars, unit_car_prior
 
 torch = pytest.importorskip("torch")
 
-from fgrecon.perception.keypoints.knet import KNet, KNetSettings  # noqa: E402
-from fgrecon.perception.keypoints.refine import RefineNet, RefineSettings  # noqa: E402
+from fgrecon.perception.keypoints.layout import KNetSettings, RefineSettings  # noqa: E402
 from fgrecon_research.training.keypoints.augment import Street  # noqa: E402
+from fgrecon_research.training.keypoints.knet import KNet  # noqa: E402
 from fgrecon_research.training.keypoints.labelling import (  # noqa: E402
     Labelling,
     Source,
@@ -29,6 +30,7 @@ from fgrecon_research.training.keypoints.labelling import (  # noqa: E402
     first_labelling,
     open_photographs,
 )
+from fgrecon_research.training.keypoints.refine_net import RefineNet  # noqa: E402
 from fgrecon_research.training.keypoints.rounds import _as_detector, train_in_rounds  # noqa: E402
 from fgrecon_research.training.keypoints.train import Training  # noqa: E402
 from fgrecon_research.training.keypoints.validate import HeldOut  # noqa: E402
@@ -175,13 +177,13 @@ def test_networks_between_rounds_keep_the_refinement_that_they_began_with(traine
     )
     content = load_checkpoint(trained[0] / "knet.pt")
     detector = _as_detector(content, begun, tmp_path, "cpu")
-    between = load_weights(tmp_path / "round.safetensors")
+    between = load_tensors(tmp_path / "round.safetensors")
     assert between.calibration == calibration
     assert between.refine_settings == sizes.to_dict()
-    assert detector.refinement is not None
+    assert detector._refine_patches is not None
     for name, value in between.refinement.items():
         torch.testing.assert_close(value.float(), begun.refinement[name].float(), atol=1e-3, rtol=1e-3)
-    torch.testing.assert_close(detector.network.head.weight, content["average"]["head.weight"], atol=1e-3, rtol=1e-3)
+    torch.testing.assert_close(between.state["head.weight"], content["average"]["head.weight"], atol=1e-3, rtol=1e-3)
 
 
 def test_a_network_whose_points_agree_with_no_shape_is_refused(source, tmp_path):

@@ -8,10 +8,11 @@ from fgrecon.core.errors import InvalidInputError
 
 pytest.importorskip("torch")
 
-from fgrecon.perception.keypoints.weights import WITHOUT_STREET, load_weights, shipped
+from fgrecon.perception.keypoints.weights import WITHOUT_STREET, shipped
 from fgrecon_research.training.keypoints.augment import Street
 from fgrecon_research.training.keypoints.networks import Plan
 from fgrecon_research.training.keypoints.settings import Phase, TrainingSettings, read_settings, shipped_settings
+from fgrecon_research.training.keypoints.tensors import load_tensors
 
 SHIPPED = "keypoints-car14"
 ONE = '[[phase]]\nname = "one"\n'
@@ -118,7 +119,7 @@ def test_the_shipped_settings_are_how_the_shipped_networks_were_made():
     assert found.needs == ("imagenet", "silhouettes")
     assert [phase.on_street for phase in found.phases] == [False] * 7 + [True]
     for phase, network in ((found.phases[-1], None), (found.phases[-2], WITHOUT_STREET)):
-        provenance, plan = load_weights(shipped(network)).provenance, phase.plan
+        provenance, plan = load_tensors(shipped(network)).provenance, phase.plan
         stops = [stop for stop in plan.relabel_at if stop < plan.steps]
         words = f"{plan.steps} steps of {plan.batch}, labels corrected at {stops}, seed {plan.seed}"
         assert provenance["training"] == words
@@ -126,7 +127,7 @@ def test_the_shipped_settings_are_how_the_shipped_networks_were_made():
         before = found.phases[1 : found.phases.index(phase) + 1]
         assert shares == [f"{each.start_share:g}" for each in reversed(before)]
     street = found.phases[-1]
-    assert f"street cars in {street.street_share:g} of the samples" in load_weights(shipped()).provenance["data"]
+    assert f"street cars in {street.street_share:g} of the samples" in load_tensors(shipped()).provenance["data"]
     assert len(street.drives) == 7
 
 

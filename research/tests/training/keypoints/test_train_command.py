@@ -13,18 +13,20 @@ from fgrecon.io.catalogue import load_prior
 from fgrecon.io.export import write_coco_keypoints
 from fgrecon.io.kitti_drives import read_drive
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
-from fgrecon.perception.keypoints.weights import Stored, load_weights, save_weights
+from fgrecon.perception.keypoints.weights import Stored, save_weights
 from fgrecon_research.annotation.annotate import annotate
 from fgrecon_research.annotation.labels import vehicle_labels
+from fgrecon_research.training.keypoints.tensors import load_tensors
 from research.tests.annotation.streets import Car, Told, write_drive
 from research.tests.training.keypoints.support import make_small
 from research.tests.training.keypoints.test_rounds import SMALL, source  # noqa: F401 - a fixture
 
 torch = pytest.importorskip("torch")
 
-from fgrecon.perception.keypoints.knet import KNet  # noqa: E402
-from fgrecon.perception.keypoints.refine import RefineNet, RefineSettings  # noqa: E402
+from fgrecon.perception.keypoints.layout import RefineSettings  # noqa: E402
 from fgrecon_research.training.keypoints import networks, rounds  # noqa: E402
+from fgrecon_research.training.keypoints.knet import KNet  # noqa: E402
+from fgrecon_research.training.keypoints.refine_net import RefineNet  # noqa: E402
 
 
 @pytest.fixture
@@ -46,7 +48,7 @@ def test_networks_are_trained_shown_and_written(train, tmp_path):
     for line in ("Training to step 2", "Refinement networks", "Calibration"):
         assert line in done.stderr.splitlines()
     assert "step 2 of 2: " in done.stderr
-    first = load_weights(tmp_path / "first.safetensors")
+    first = load_tensors(tmp_path / "first.safetensors")
     assert first.refinement is not None
     assert first.provenance["training"] == "2 steps of 2, labels corrected at [1], seed 0"
     assert first.provenance["start"] == "random weights"
@@ -60,7 +62,7 @@ def test_a_trained_network_can_go_on_and_be_kept(train, tmp_path):
     )
     done = train("on.safetensors", "--start", start, "--start-share", 1, "--relabel-at", 9, "--refine-steps", 0)
     assert done.exit_code == 0, done.output
-    before, after = load_weights(start), load_weights(tmp_path / "on.safetensors")
+    before, after = load_tensors(start), load_tensors(tmp_path / "on.safetensors")
     told = "start.safetensors (of which 1 is left in the weights), itself from: nothing"
     assert after.provenance["start"] == told
     assert after.refinement is None
@@ -109,7 +111,7 @@ def test_street_cars_are_learnt_from_beside_the_photographs(train, street, begun
     done = train("street.safetensors", *told, "--without", "far", "--relabel-at", 9, "--refine-steps", 0)
     assert done.exit_code == 0, done.output
     assert "Street cars" in done.stderr
-    before, trained = load_weights(begun), load_weights(tmp_path / "street.safetensors")
+    before, trained = load_tensors(begun), load_tensors(tmp_path / "street.safetensors")
     assert trained.provenance["data"].endswith("; 1 street cars in 0.75 of the samples, without far")
     assert (trained.trust, trained.refine_settings) == (0.3, before.refine_settings)
     for name, value in trained.refinement.items():  # kept, since no step was made on them
@@ -130,7 +132,7 @@ def test_refinement_networks_learn_from_the_street_as_well(train, street, begun,
     options = ("--start", begun, "--start-share", 0, "--street", street, "--street-share", 1, "--relabel-at", 9)
     done = train("s.safetensors", "--work", tmp_path / "other", *options)
     assert done.exit_code == 0, done.output
-    before, after = load_weights(begun).refinement, load_weights(tmp_path / "s.safetensors").refinement
+    before, after = load_tensors(begun).refinement, load_tensors(tmp_path / "s.safetensors").refinement
     assert before.keys() == after.keys()
     moved = [name for name, value in after.items() if (value - before[name]).abs().max() > 1e-4]
     assert moved
@@ -161,7 +163,7 @@ def test_a_network_that_is_there_is_calibrated(train, tmp_path, monkeypatch):
             train("n.safetensors")
     assert not (tmp_path / "n.safetensors").exists()
     assert train("n.safetensors").exit_code == 0
-    assert load_weights(tmp_path / "n.safetensors").calibration != ConfidenceCalibration()
+    assert load_tensors(tmp_path / "n.safetensors").calibration != ConfidenceCalibration()
 
 
 def test_a_training_goes_on_with_the_same_plan_network_and_data(train, source, begun, tmp_path, monkeypatch):  # noqa: F811
@@ -181,6 +183,6 @@ def test_a_training_goes_on_with_the_same_plan_network_and_data(train, source, b
     with monkeypatch.context() as patch:
         patch.setattr(networks, "read_source", lambda data, marks: other)
         refused("photographs: ")
-    stored = load_weights(begun)
+    stored = load_tensors(begun)
     save_weights(begun, replace(stored, trust=0.9))  # another network under the same name
     refused("start: ")

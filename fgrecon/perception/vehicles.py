@@ -1,8 +1,8 @@
-"""Boxes of the cars in an image, by a network on ONNX Runtime or on OpenCV's network module."""
+"""Boxes of the cars in an image by NanoDet-g, on ONNX Runtime or on OpenCV's network module."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib import resources
@@ -17,76 +17,92 @@ from fgrecon.core.checks import as_finite, one_word, own
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.hashes import check_hash, listed
 from fgrecon.io.isolated import Isolated
+from fgrecon.perception.keypoints.decode import sigmoid
 from fgrecon.perception.keypoints.detect import as_rgb8
 from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, open_session
-from fgrecon.perception.vehicles import nanodet, yolo
 
 __all__ = [
+    "CHANNELS",
+    "CLASSES",
+    "DISTANCES",
     "INPUT",
-    "DetectorSettings",
+    "MEAN",
+    "STRIDES",
+    "DetectionSettings",
     "Look",
     "NanodetVehicleDetector",
-    "NetworkDetector",
     "Vehicles",
-    "YoloVehicleDetector",
+    "decode",
     "shipped",
     "suppress",
 ]
 
-
 Array = NDArray[np.float64]
 
-
 INPUT = "image"
-"""Name of the networks' input: (1, 3, H, W) RGB from 0 to 1, less a mean; H and W are multiples of 32, from 64."""
+"""Name of the network's input: (1, 3, H, W) RGB from 0 to 1, less a mean; H and W are multiples of 32, from 64."""
+
+STRIDES = (8, 16, 32)
+"""Pixels of the input from one cell to the next, of each of its outputs."""
+
+CLASSES, DISTANCES = 80, 11
+"""Of COCO; and of a box's edge from the cell's centre, 0 to 10 cells."""
+
+CHANNELS = CLASSES + 4 * DISTANCES
+"""Of each output: classes, then distances to the left, upper, right and lower edge."""
+
+MEAN = (123.675, 116.28, 103.53)
+"""Red, green and blue that it takes for nothing, from 0 to 255."""
 
 _NAME = "vehicles-nanodet-g.onnx"
+_CAR = 2
 _MULTIPLE = 32
 _LEAST_SIDE = 64  # OpenCV 5.0 enlarges a map of one column to garbage
 
 
 @dataclass(frozen=True)
 class Look:
-    """One run of a network over the image.
+    """One run of the network over the image.
 
     Attributes:
-        area: Of the input, pixels. Images are not enlarged.
-        least_side: Boxes whose longer side is a smaller share of the image's are left to another look.
+        area_px: Of the input. Images are not enlarged.
+        min_side: Boxes whose longer side is a smaller share of the image's are left to another look.
     """
 
-    area: int
-    least_side: float = 0.0
+    area_px: int
+    min_side: float = 0.0
 
 
 @dataclass(frozen=True)
-class DetectorSettings:
-    """How a kind of network is asked, and how its answer is read.
+class DetectionSettings:
+    """How the network is used.
 
     Attributes:
-        mean: Red, green and blue from 0 to 255 that are taken off.
         looks: One for cars in a street, one for those that fill the image, which the first does not see as a whole.
-        least_score: Boxes below this are left out.
-        overlap: Of two boxes from which on they are one car, intersection over union.
-        channels: Of each of the network's maps.
-        decode: Boxes and scores from the maps, the input's width and the least score.
+        min_score: Boxes below this are left out.
+        max_overlap: Of two boxes from which on they are one car, intersection over union.
+        score_slope: Of the logistic regression from the class's number to the score, fitted on KITTI's 19 images.
+        score_offset: Its constant, likewise.
     """
 
-    mean: tuple[float, float, float]
-    looks: tuple[Look, ...]
-    least_score: float
-    overlap: float
-    channels: tuple[int, ...]
-    decode: Callable[[Sequence[NDArray[np.floating]], int, float], tuple[Array, Array]]
+    looks: tuple[Look, ...] = (Look(928 * 288), Look(256 * 80, 0.4))
+    min_score: float = 0.35
+    max_overlap: float = 0.5
+    score_slope: float = 3.4
+    score_offset: float = 1.25
+
+
+SETTINGS = DetectionSettings()
 
 
 @dataclass(frozen=True, eq=False)
 class Vehicles:
-    """What was found in an image, by falling score.
+    """What was detected in an image, by falling score.
 
     Attributes:
         boxes: (N, 4) x1, y1, x2, y2 of the cars' outlines, as far as they are in the image, pixels.
-        scores: (N,) from 0 to 1; whether they are probabilities is said by what found them.
-        kinds: What each is, one word such as `Van`, which results of videos repeat; empty where that is not told.
+        scores: (N,) from 0 to 1; whether they are probabilities is said by what detected them.
+        kinds: What each is, one word such as `Van`, which results of videos repeat; empty where that is not known.
     """
 
     boxes: Array
@@ -118,21 +134,20 @@ class Vehicles:
         return len(self.boxes)
 
 
-class NetworkDetector:
-    """A network, loaded once. One thread at a time may use it.
+class NanodetVehicleDetector:
+    """NanoDet-g, the detector that comes with the package, loaded once. One thread at a time may use it.
+
+    Scores are the probability that the box overlaps a car's by more than half, as on KITTI's images.
 
     Attributes:
-        settings: How it is asked.
         runtime: What runs it: "opencv" or "onnx". Boxes are the same to 0.01 pixels.
     """
 
-    settings: DetectorSettings
-
-    def __init__(self, weights: str | Path, *, runtime: str = "auto") -> None:
+    def __init__(self, weights: str | Path | None = None, *, runtime: str = "auto") -> None:
         """Load it.
 
         Args:
-            weights: ONNX file by `fgrecon vehicles convert`.
+            weights: ONNX file by `fgrecon vehicles convert`; None for the one that comes with fgrecon.
             runtime: What runs the network: "opencv"; "onnx", which is ONNX Runtime, with as many threads as OpenCV has
                 now; or "auto", "onnx" where it is installed.
 
@@ -142,7 +157,7 @@ class NetworkDetector:
         import cv2
 
         self.runtime = chosen_runtime(runtime, "opencv", packages=["onnxruntime"])
-        self._path = path = Path(weights)
+        self._path = path = shipped() if weights is None else Path(weights)
         fix = "Give an ONNX file that `fgrecon vehicles convert` wrote."
         if not path.is_file():
             raise InvalidInputError("weights", str(path), fix)
@@ -153,14 +168,12 @@ class NetworkDetector:
                 with Isolated() as child:  # a damaged one can end the process that runs it
                     child("weights", _try, model, self.runtime)
             self._network = _network_of(model, self.runtime)
+            maps = self._network(np.zeros((1, 3, _LEAST_SIDE, _LEAST_SIDE), np.float32))
         except (OSError, InvalidInputError, cv2.error) as error:
             raise InvalidInputError("weights", str(path), fix) from error
-        channels = tuple(
-            found.shape[1] for found in self._network(np.zeros((1, 3, _LEAST_SIDE, _LEAST_SIDE), np.float32))
-        )
-        if channels != self.settings.channels:
-            fix = f"Give {type(self).__name__} its own: these have maps of {channels} numbers."
-            raise InvalidInputError("weights", str(path), fix)
+        channels = [found.shape[1] for found in maps]
+        if channels != [CHANNELS] * len(STRIDES):
+            raise InvalidInputError("weights", f"maps of {channels} numbers in {path}", fix)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """How another process makes it: from the file, which must still be there."""
@@ -176,15 +189,15 @@ class NetworkDetector:
         Raises:
             InvalidInputError: The image is none, or the score is not between 0 and 1.
         """
-        least = self.settings.least_score if least_score is None else least_score
+        least = SETTINGS.min_score if least_score is None else least_score
         if not 0.0 < least <= 1.0:
             raise InvalidInputError("least_score", least_score, "Give a number above 0 and up to 1.")
         pixels = as_rgb8(image)
         height, width = pixels.shape[:2]
-        looks = [self._look(pixels, look, least) for look in self.settings.looks]
+        looks = [self._look(pixels, look, least) for look in SETTINGS.looks]
         boxes = np.concatenate([boxes for boxes, _ in looks])
         scores = np.concatenate([scores for _, scores in looks])
-        kept = suppress(boxes, scores, self.settings.overlap)
+        kept = suppress(boxes, scores, SETTINGS.max_overlap)
         inside = np.clip(boxes[kept], 0.0, [width - 1.0, height - 1.0] * 2)
         seen = (inside[:, 2:] > inside[:, :2]).all(axis=1)  # not beyond the border as a whole
         return Vehicles(inside[seen], scores[kept][seen])
@@ -194,46 +207,44 @@ class NetworkDetector:
         import cv2
 
         height, width = pixels.shape[:2]
-        scale = np.sqrt(min(look.area, width * height) / (width * height))
+        scale = np.sqrt(min(look.area_px, width * height) / (width * height))
         size = tuple(max(_LEAST_SIDE, _MULTIPLE * round(side * scale / _MULTIPLE)) for side in (width, height))
         scaled = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR)
-        maps = self._network(cv2.dnn.blobFromImage(scaled, 1.0 / 255.0, mean=self.settings.mean))
-        boxes, scores = self.settings.decode(maps, size[0], least_score)
+        maps = self._network(cv2.dnn.blobFromImage(scaled, 1.0 / 255.0, mean=MEAN))
+        boxes, scores = decode(maps, size[0], least_score)
         boxes = boxes * np.tile([width / size[0], height / size[1]], 2) - 0.5  # pixel centres are at integers
         inside = np.clip(boxes, 0.0, [width, height] * 2)
-        large = (inside[:, 2:] - inside[:, :2]).max(axis=1) >= look.least_side * max(width, height)
+        large = (inside[:, 2:] - inside[:, :2]).max(axis=1) >= look.min_side * max(width, height)
         return boxes[large], scores[large]
 
 
-class NanodetVehicleDetector(NetworkDetector):
-    """NanoDet-g, the detector that comes with the package.
+def decode(maps: Sequence[NDArray[np.floating]], width: int, least_score: float) -> tuple[Array, Array]:
+    """Boxes (M, 4) of cars and their scores (M,) from the network's raw maps, one car in many boxes.
 
-    Scores are the probability that the box overlaps a car's by more than half, as on KITTI's images.
+    The distance of each edge from its cell's centre is the mean of a distribution over 0 to 10 cells. The class's
+    number tells both, whether it is a car and how well the box fits; the score is a logistic regression on it.
+
+    Args:
+        maps: (1, 80 + 4 * 11, h, w) of every stride, in any order.
+        width: Of the network's input, which tells the strides apart, pixels.
+        least_score: Boxes below this are left out.
+
+    Returns:
+        Boxes as x1, y1, x2, y2 in pixels of the input, its left and upper edge at 0.
     """
-
-    settings = DetectorSettings(
-        nanodet.MEAN, (Look(928 * 288), Look(256 * 80, 0.4)), 0.35, 0.5, nanodet.CHANNELS, nanodet.decode
-    )
-
-    def __init__(self, weights: str | Path | None = None, *, runtime: str = "auto") -> None:
-        """Load it.
-
-        Args:
-            weights: ONNX file by `fgrecon vehicles convert --package`; None for the one that comes with fgrecon.
-            runtime: As for `NetworkDetector`.
-
-        Raises:
-            InvalidInputError: There is no such file, no network in it, or the runtime is not installed.
-        """
-        super().__init__(shipped() if weights is None else weights, runtime=runtime)
-
-
-class YoloVehicleDetector(NetworkDetector):
-    """YOLOv4-tiny, from a file that `fgrecon vehicles convert --cfg --weights` wrote. Scores are no probabilities."""
-
-    settings = DetectorSettings(
-        (0.0, 0.0, 0.0), (Look(1024 * 320), Look(256 * 80)), 0.3, 0.45, yolo.CHANNELS, yolo.decode
-    )
+    boxes, scores = [], []
+    for numbers in maps:
+        stride = width // numbers.shape[3]
+        car = np.asarray(numbers[0, _CAR], dtype=np.float64)
+        score = sigmoid(SETTINGS.score_slope * car + SETTINGS.score_offset)
+        row, column = np.nonzero(score >= least_score)
+        logits = np.asarray(numbers[0, CLASSES:, row, column], dtype=np.float64).reshape(-1, 4, DISTANCES)
+        share = np.exp(logits - logits.max(axis=2, keepdims=True))
+        left_up, right_down = np.split(share @ np.arange(DISTANCES) / share.sum(axis=2), 2, axis=1)
+        centre = np.stack([column, row], axis=1) + 0.5
+        boxes.append(stride * np.hstack([centre - left_up, centre + right_down]))
+        scores.append(score[row, column])
+    return np.concatenate(boxes), np.concatenate(scores)
 
 
 def _network_of(model: bytes, runtime: str) -> Network:
@@ -259,7 +270,6 @@ def _try(model: bytes, runtime: str) -> None:
 
 
 def _on_opencv(model: bytes) -> Network:
-    """The network of an ONNX file on OpenCV."""
     import cv2
 
     network = cv2.dnn.readNetFromONNX(np.frombuffer(model, np.uint8))

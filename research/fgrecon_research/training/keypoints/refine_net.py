@@ -1,21 +1,13 @@
-"""The second half of the cascade: one small network per keypoint looks at patches around KNet's estimate.
-
-    crop at twice KNet's resolution -- N patches of 32 x 32 around each of K estimates
-        (B N, 3 K, 32, 32) -- grouped convolutions, K groups --> (B N, K, 32, 32) likelihoods over the patches
-            -- averaged where patches overlap, times KNet's own likelihood --> position, covariance
-
-All K x N patches of all vehicles run in one batch: a convolution with K groups is K networks side by side.
-"""
+"""The refinement networks as they are trained, on PyTorch: one small network for each keypoint, side by side."""
 
 from __future__ import annotations
 
 from torch import Tensor, nn
 from torch.nn import functional
 
-from fgrecon.perception.keypoints.layout import MEAN, PATCH, SPREAD, Layer, RefineLayout, RefineSettings
-from fgrecon.perception.keypoints.patches import cut_patches, fuse, patch_offsets, run_networks, window_of
+from fgrecon.perception.keypoints.layout import MEAN, SPREAD, Layer, RefineLayout, RefineSettings
 
-__all__ = ["PATCH", "RefineNet", "RefineSettings", "cut_patches", "fuse", "patch_offsets", "run_networks", "window_of"]
+__all__ = ["RefineNet"]
 
 
 class _Grouped(nn.Module):  # type: ignore[misc]
@@ -36,7 +28,7 @@ class _Grouped(nn.Module):  # type: ignore[misc]
 
 
 class RefineNet(nn.Module):  # type: ignore[misc]
-    """K small networks side by side; see the module's docstring."""
+    """K small networks side by side: a convolution with K groups."""
 
     def __init__(self, settings: RefineSettings | None = None) -> None:
         """Build with random weights."""

@@ -1,12 +1,4 @@
-"""KNet: from the crop of a car to K likelihood maps, visibilities and the direction it is seen from.
-
-    image (3, S, S) -- EfficientNet-lite0 up to stride 32 --+-- mean -- azimuth: logits over directions
-                        | 4    | 8    | 16    | 32          |
-                        +------+------+-------+--> feature pyramid, top down, to stride 4
-                                                   |
-                             K likelihood maps (2 x 2 cells each: softmax over S/2 x S/2 cells)
-                                                   | likelihood-weighted mean of the features
-                                                   +-- K visibilities
+"""KNet as it is trained, on PyTorch: `fgrecon.perception.keypoints.networks` has what it computes, for inference.
 
 The maps are logits: their softmax is the distribution of the keypoint's position that the paper trains against a
 Gaussian around the true one.
@@ -27,14 +19,13 @@ from fgrecon.perception.keypoints.layout import (
     MEAN,
     PYRAMID,
     SPREAD,
-    STRIDE,
     Block,
     KNetLayout,
     KNetSettings,
     Layer,
 )
 
-__all__ = ["AZIMUTH_BINS", "PYRAMID", "STRIDE", "KNet", "KNetOutput", "KNetSettings", "load_imagenet"]
+__all__ = ["KNet", "KNetOutput", "load_imagenet"]
 
 
 @dataclass(frozen=True)

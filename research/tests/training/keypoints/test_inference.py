@@ -1,0 +1,71 @@
+"""The networks that look at images say what those say that were trained."""
+
+import numpy as np
+import pytest
+
+from fgrecon.perception.keypoints.layout import KNetLayout, KNetSettings, RefineLayout, RefineSettings, same
+from fgrecon.perception.keypoints.networks import folded_arrays
+from fgrecon.perception.keypoints.weights import load_weights, shipped
+
+torch = pytest.importorskip("torch")
+
+from fgrecon.perception.keypoints.on_torch import knet_on_torch, refinement_on_torch  # noqa: E402
+from fgrecon_research.training.keypoints.knet import KNet, _Same  # noqa: E402
+from fgrecon_research.training.keypoints.refine_net import RefineNet  # noqa: E402
+from fgrecon_research.training.keypoints.tensors import load_tensors  # noqa: E402
+
+
+def bytes_of(*shape):
+    return np.random.default_rng(0).integers(0, 256, shape, dtype=np.uint8)
+
+
+def test_knet_says_the_same_without_normalisations_and_padding_by_hand():
+    arrays, stored = load_weights(shipped()), load_tensors(shipped())
+    sizes = KNetSettings(**stored.settings)
+    knet = KNet(sizes).eval()
+    knet.load_state_dict(stored.state, strict=False)
+    crops = bytes_of(2, 96, 96, 3)
+    with torch.inference_mode():
+        expected = knet(torch.from_numpy(crops).permute(0, 3, 1, 2).float())
+        likelihood = torch.softmax(expected.maps.flatten(2), dim=2).view(expected.maps.shape)
+    found = knet_on_torch(KNetLayout.of(sizes), arrays.state, "cpu")(crops)
+    np.testing.assert_allclose(np.log(found[0]), np.log(likelihood.numpy()), atol=1e-4)
+    np.testing.assert_allclose(found[1], expected.visible, atol=5e-5)
+    np.testing.assert_allclose(found[2], expected.azimuth, atol=5e-5)
+
+
+def test_the_refinement_networks_say_the_same():
+    arrays, stored = load_weights(shipped()), load_tensors(shipped())
+    finer = RefineSettings(**stored.refine_settings)
+    refinement = RefineNet(finer).eval()
+    refinement.load_state_dict(stored.refinement, strict=False)
+    patches = bytes_of(2, 42, 32, 32)
+    with torch.inference_mode():
+        logits = refinement(torch.from_numpy(patches).unflatten(1, (14, 3)).float())
+        expected = torch.log_softmax(logits.flatten(2), dim=2)
+    (found,) = refinement_on_torch(RefineLayout.of(finer), arrays.refinement, "cpu")(patches)
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
+@pytest.mark.parametrize(("kernel", "side"), [(3, 32), (5, 32), (3, 33), (5, 31)])
+def test_padding_on_one_side_goes_into_the_kernel(kernel, side):
+    torch.manual_seed(0)
+    layer = same("part", 4, 4, kernel, 2, groups=4)
+    part = _Same(layer).eval()
+    part.norm.running_mean.normal_()
+    part.norm.weight.data.uniform_(0.5, 2.0)
+    arrays = {f"part.{name}": value.numpy() for name, value in part.state_dict().items()}
+    weight, bias = (torch.from_numpy(array) for array in folded_arrays(layer, arrays))
+    image = torch.randn(1, 4, side, side)
+    with torch.inference_mode():
+        found = torch.nn.functional.relu6(torch.nn.functional.conv2d(image, weight, bias, 2, layer.padding[1], 1, 4))
+        torch.testing.assert_close(found, part(image), atol=1e-5, rtol=0.0)
+
+
+@pytest.mark.parametrize("sizes", [KNetSettings(), KNetSettings(keypoints=5, crop=64, width=24)])
+def test_the_layout_names_the_arrays_of_the_modules(sizes):
+    finer = RefineSettings(keypoints=sizes.keypoints, width=sizes.width)
+    pairs = ((KNet(sizes), KNetLayout.of(sizes)), (RefineNet(finer), RefineLayout.of(finer)))
+    for network, layout in pairs:
+        state = {name: tuple(value.shape) for name, value in network.state_dict().items() if "num_batches" not in name}
+        assert layout.shapes == state
