@@ -60,16 +60,12 @@ if TYPE_CHECKING:  # imported when used
         reprojection_factor,
         term_factor,
     )
-    from factors.planarity import (
-        ground_parallel_factor,
-        penalty_ground_parallel_factor,
-        penalty_planarity_factor,
-        planarity_factor,
-    )
+    from factors.planarity import ground_parallel_factor, planarity_factor
     from factors.planes import fit_plane, make_plane
     from factors.rectangularity import rectangularity_factor
     from factors.road import road_factor
     from factors.shape import LinearShape
+    from factors.shape_factor import ShapeContext, ShapeTerm, shape_factor
     from factors.shape_prior import coefficients_prior, offsets_prior
     from factors.symmetry import symmetry_factor
 
@@ -99,6 +95,8 @@ __all__ = [
     "ProjectionKernel",
     "RobustLoss",
     "S",
+    "ShapeContext",
+    "ShapeTerm",
     "V",
     "X",
     "as_noise",
@@ -124,12 +122,11 @@ __all__ = [
     "motion_factor",
     "observation_factor",
     "offsets_prior",
-    "penalty_ground_parallel_factor",
-    "penalty_planarity_factor",
     "planarity_factor",
     "rectangularity_factor",
     "reprojection_factor",
     "road_factor",
+    "shape_factor",
     "symmetry_factor",
     "term_factor",
     "whiteners",

@@ -2,24 +2,39 @@
 
     r = D X(lambda, offsets) - (l, w, h)
 
-D is linear (differences of keypoint groups divided by their ratio to the vehicle's box), so that the Jacobian is a
-constant. mu_l, mu_w and mu_h of the paper are 1 / sigma^2 of the noise model.
+D is linear (differences of keypoint groups divided by their ratio to the vehicle's box). mu_l, mu_w and mu_h of the
+paper are 1 / sigma^2 of the noise model.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from factors.checks import finite_array
-from factors.guard import Evaluation, guarded_factor
 from factors.noise import diagonal_noise
 from factors.shape import LinearShape
+from factors.shape_factor import ShapeContext, ShapeTerm, shape_factor
 
-__all__ = ["dimensions_factor"]
+__all__ = ["DimensionsTerm", "dimensions_factor"]
+
+Array = NDArray[np.float64]
+
+
+class DimensionsTerm(ShapeTerm):
+    """Where the size of the fleet is known."""
+
+    name = "dimensions"
+
+    def applies(self, about: ShapeContext) -> bool:
+        """Whether a size is known."""
+        return about.size is not None
+
+    def factors(self, about: ShapeContext) -> list[gtsam.NonlinearFactor]:
+        """One factor."""
+        assert about.size is not None
+        return [dimensions_factor(about.shape, about.dimension_operator, *about.size)]
 
 
 def dimensions_factor(
@@ -36,19 +51,10 @@ def dimensions_factor(
     Raises:
         InvalidInputError: An array has the wrong shape or is not finite, or the shape is a constant.
     """
-    matrix = finite_array("operator", operator, (3, shape.size, 3)).reshape(3, -1)
-    callback = _Dimensions(shape, matrix, finite_array("size", size, (3,)), shape.chain(matrix))
+    linear, mean = finite_array("operator", operator, (3, shape.size, 3)), finite_array("size", size, (3,))
+
+    def rows(points: Array, _plane: Array, want: bool) -> tuple[Array, Array | None, None]:
+        return np.tensordot(linear, points, axes=2) - mean, linear if want else None, None
+
     noise = diagonal_noise("sigmas", finite_array("sigmas", sigmas, (3,)))
-    return guarded_factor("dimensions", noise, shape.keys, shape.dims, 3, callback)
-
-
-@dataclass(frozen=True, slots=True)
-class _Dimensions:
-    shape: LinearShape
-    operator: NDArray[np.float64]
-    size: NDArray[np.float64]
-    jacobian: NDArray[np.float64]
-
-    def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
-        residual = self.operator @ self.shape.points(values).ravel() - self.size
-        return residual, self.jacobian if want_jacobian else None
+    return shape_factor("dimensions", noise, shape, 3, rows)

@@ -26,11 +26,28 @@ from numpy.typing import NDArray
 
 from factors.checks import index_array
 from factors.errors import InvalidInputError
-from factors.guard import Evaluation, guarded_factor
 from factors.noise import Noise
 from factors.shape import LinearShape
+from factors.shape_factor import ShapeContext, ShapeTerm, shape_factor
 
-__all__ = ["laplacian_factor"]
+__all__ = ["LaplacianTerm", "laplacian_factor"]
+
+Array = NDArray[np.float64]
+
+
+class LaplacianTerm(ShapeTerm):
+    """One factor; the paper's own form on request."""
+
+    name = "laplacian"
+
+    def applies(self, about: ShapeContext) -> bool:
+        """Whether keypoints have neighbours."""
+        return any(about.neighbours)
+
+    def factors(self, about: ShapeContext) -> list[gtsam.NonlinearFactor]:
+        """One factor."""
+        sigma, ours = about.settings.laplacian_sigma, not about.settings.literal_laplacian
+        return [laplacian_factor(about.shape, about.neighbours, sigma, normalised=ours, relative_to_mean=ours)]
 
 
 def laplacian_factor(
@@ -73,8 +90,13 @@ def laplacian_factor(
         normalised=normalised,
     )
     reference = edges.coordinates(shape.mean)[0] if relative_to_mean else np.zeros((len(centres), 3))
-    callback = _Laplacian(shape, edges, reference)
-    return guarded_factor("Laplacian", noise, shape.keys, shape.dims, 3 * len(centres), callback)
+
+    def rows(points: Array, _plane: Array, want: bool) -> tuple[Array, Array | None, None]:
+        delta, *rest = edges.coordinates(points)
+        residual = (delta - reference).ravel()
+        return residual, edges.gradient(points, *rest) if want else None, None
+
+    return shape_factor("Laplacian", noise, shape, 3 * len(centres), rows)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,9 +117,7 @@ class _Edges:
     starts: NDArray[np.intp]
     normalised: bool
 
-    def coordinates(
-        self, points: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def coordinates(self, points: Array) -> tuple[Array, Array, Array, Array]:
         """Differential coordinates delta (M, 3), weights a (E,), edges X_i - X_j (E, 3) and centroids (M, 3)."""
         ends = points[self.ends]
         edges = points[self.centres[self.rows]] - ends
@@ -112,12 +132,12 @@ class _Edges:
 
     def gradient(
         self,
-        points: NDArray[np.float64],
-        weights: NDArray[np.float64],
-        edges: NDArray[np.float64],
-        centroids: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
-        """(3M, 3K) derivative of delta with respect to X.
+        points: Array,
+        weights: Array,
+        edges: Array,
+        centroids: Array,
+    ) -> Array:
+        """(3M, K, 3) derivative of delta with respect to X.
 
         With y_ij = X_j - centroid_i (normalised) or X_j (literal), the derivative of the weighted sum is
         a_ij (I + 2 y_ij (X_i - X_j)') with respect to X_j, and -2 sum_j a_ij y_ij (X_i - X_j)' with respect to X_i.
@@ -129,19 +149,4 @@ class _Edges:
         # Indices on both sides of a slice bring the indexed axis to the front: (E, 3, 3) and (M, 3, 3) as wanted.
         gradient[self.rows, :, self.ends] = -(weights[:, None, None] * eye + moved)
         gradient[np.arange(len(self.centres)), :, self.centres] = eye + np.add.reduceat(moved, self.starts)
-        return gradient.reshape(3 * len(self.centres), -1)
-
-
-@dataclass(frozen=True, slots=True)
-class _Laplacian:
-    shape: LinearShape
-    edges: _Edges
-    reference: NDArray[np.float64]
-
-    def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
-        points = self.shape.points(values)
-        delta, weights, edges, centroids = self.edges.coordinates(points)
-        residual = (delta - self.reference).ravel()
-        if not want_jacobian:
-            return residual, None
-        return residual, self.shape.chain(self.edges.gradient(points, weights, edges, centroids))
+        return gradient.reshape(3 * len(self.centres), len(points), 3)

@@ -13,6 +13,7 @@ planarity and its symmetry energy; here planes are n'X + d = 0 everywhere.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import gtsam
@@ -22,56 +23,95 @@ from numpy.typing import ArrayLike, NDArray
 from factors.checks import index_array, unit_vector
 from factors.errors import InvalidInputError
 from factors.guard import Evaluation, guarded_factor
+from factors.keys import P
 from factors.noise import Noise
-from factors.planes import tangent_basis
 from factors.shape import LinearShape
+from factors.shape_factor import Face, ShapeContext, ShapeTerm, shape_factor
 
-__all__ = ["ground_parallel_factor", "penalty_ground_parallel_factor", "penalty_planarity_factor", "planarity_factor"]
+__all__ = ["PlanarityTerm", "ground_parallel_factor", "planarity_factor"]
+
+Array = NDArray[np.float64]
 
 _UP = (0.0, -1.0, 0.0)
 
 
-def planarity_factor(shape: LinearShape, face: ArrayLike, plane_key: int, noise: Noise) -> gtsam.CustomFactor:
+class PlanarityTerm(ShapeTerm):
+    """A factor for each face, and one for its direction where it is parallel to the ground."""
+
+    name = "planarity"
+
+    def applies(self, about: ShapeContext) -> bool:
+        """Whether a face's planarity or direction says something."""
+        return bool(self._faces(about))
+
+    def planes(self, about: ShapeContext) -> Mapping[int, NDArray[np.intp] | None]:
+        """One for each face."""
+        return {P(about.number, i): np.array(face.keypoints) for i, face in self._faces(about).items()}
+
+    def factors(self, about: ShapeContext) -> list[gtsam.NonlinearFactor]:
+        """Face by face."""
+        settings, mu = about.settings, about.settings.plane_penalty
+        result: list[gtsam.NonlinearFactor] = []
+        for i, face in self._faces(about).items():
+            key = P(about.number, i)
+            result.append(planarity_factor(about.shape, face.keypoints, key, settings.planarity_sigma, mu=mu))
+            if face.ground_parallel:
+                result.append(ground_parallel_factor(key, settings.parallel_sigma, free=mu is not None))
+        return result
+
+    def _faces(self, about: ShapeContext) -> dict[int, Face]:
+        """Faces by number: not those of two mirrored pairs, which are planar in every symmetric shape."""
+        return {
+            i: face
+            for i, face in enumerate(about.faces)
+            if not about.always_symmetric or face.ground_parallel or not _is_mirrored(face, about.mirror)
+        }
+
+
+def _is_mirrored(face: Face, mirror: NDArray[np.intp]) -> bool:
+    return len(face.keypoints) == 4 and {int(mirror[i]) for i in face.keypoints} == set(face.keypoints)
+
+
+def planarity_factor(
+    shape: LinearShape, face: ArrayLike, plane_key: int, noise: Noise, *, mu: float | None = None
+) -> gtsam.CustomFactor:
     """The keypoints of a face lie in a plane of unit normal: one row per keypoint, metres.
 
     Args:
         shape: The keypoints.
         face: (F,) indices of the face's keypoints, at least three.
-        plane_key: Key of an `OrientedPlane3`.
-        noise: Noise model of dimension F, or sigma in metres.
-
-    Raises:
-        InvalidInputError: The face has fewer than three keypoints or an index out of range.
-    """
-    indices = index_array("face", face, shape.size, at_least=3)
-    callback = _Planarity(shape, indices, _axes_first(shape, indices), plane_key)
-    return guarded_factor("planarity", noise, (*shape.keys, plane_key), (*shape.dims, 3), len(indices), callback)
-
-
-def penalty_planarity_factor(
-    shape: LinearShape, face: ArrayLike, plane_key: int, noise: Noise, *, mu: float = 1.0
-) -> gtsam.CustomFactor:
-    """The same with a free plane vector (n, d) and a penalty on its length: F + 1 rows.
-
-    Args:
-        shape: The keypoints.
-        face: (F,) indices of the face's keypoints, at least three.
-        plane_key: Key of a vector (4,) holding n and d.
-        noise: Noise model of dimension F + 1, or sigma in metres.
-        mu: Weight of the penalty (1 - n'n)^2 relative to the distances, square metres.
+        plane_key: Key of an `OrientedPlane3`; with a penalty that of a vector (4,) holding n and d.
+        noise: Noise model of dimension F, with a penalty F + 1, or sigma in metres.
+        mu: Weight of the penalty (1 - n'n)^2 relative to the distances, square metres, which adds a row; None for unit
+            normals by construction.
 
     Raises:
         InvalidInputError: The face has fewer than three keypoints or an index out of range, or mu is not positive.
     """
-    if not (np.isfinite(mu) and mu > 0):
+    if mu is not None and not (np.isfinite(mu) and mu > 0):
         raise InvalidInputError("mu", mu, "Give a positive weight: without it n = 0 solves everything.")
-    indices = index_array("face", face, shape.size, at_least=3)
-    callback = _PenaltyPlanarity(shape, indices, _axes_first(shape, indices), plane_key, float(np.sqrt(mu)))
-    keys, dims = (*shape.keys, plane_key), (*shape.dims, 4)
-    return guarded_factor("planarity with penalty", noise, keys, dims, len(indices) + 1, callback)
+    indices, penalised = index_array("face", face, shape.size, at_least=3), mu is not None
+    root, size = float(np.sqrt(mu or 0.0)), len(indices)
+
+    def rows(points: Array, plane: Array, want: bool) -> tuple[Array, Array | None, Array | None]:
+        normal = plane[:3]
+        residual = points[indices] @ normal + plane[3]
+        if penalised:
+            residual = np.append(residual, root * (1.0 - normal @ normal))
+        if not want:
+            return residual, None, None
+        by_points, by_plane = np.zeros((len(residual), len(points), 3)), np.zeros((len(residual), 4))
+        by_points[np.arange(size), indices] = normal
+        by_plane[:size, :3], by_plane[:size, 3] = points[indices], 1.0
+        by_plane[size:, :3] = -2.0 * root * normal
+        return residual, by_points, by_plane
+
+    return shape_factor("planarity", noise, shape, size + penalised, rows, plane_key, free_plane=penalised)
 
 
-def ground_parallel_factor(plane_key: int, noise: Noise, up: ArrayLike = _UP) -> gtsam.CustomFactor:
+def ground_parallel_factor(
+    plane_key: int, noise: Noise, up: ArrayLike = _UP, *, free: bool = False
+) -> gtsam.CustomFactor:
     """A face's normal points along the object's up axis, either way: r = B_up'n, 2 rows.
 
     B_up is a basis of the plane orthogonal to the axis, so that ||r|| is the sine of the angle between the two.
@@ -80,104 +120,27 @@ def ground_parallel_factor(plane_key: int, noise: Noise, up: ArrayLike = _UP) ->
         plane_key: Key of an `OrientedPlane3`.
         noise: Noise model of dimension 2, or sigma in radians.
         up: (3,) up axis in the object frame; scaled to length 1.
+        free: Whether the plane is a vector (4,) holding n and d, whose length its own penalty keeps near 1.
 
     Raises:
         InvalidInputError: The axis has no length.
     """
-    callback = _GroundParallel(plane_key, _across(up))
-    return guarded_factor("ground-parallel face", noise, (plane_key,), (3,), 2, callback)
-
-
-def penalty_ground_parallel_factor(plane_key: int, noise: Noise, up: ArrayLike = _UP) -> gtsam.CustomFactor:
-    """The same for a free plane vector (n, d), whose length its own penalty keeps near 1: 2 rows.
-
-    Args:
-        plane_key: Key of a vector (4,) holding n and d.
-        noise: Noise model of dimension 2, or sigma in radians.
-        up: (3,) up axis in the object frame; scaled to length 1.
-
-    Raises:
-        InvalidInputError: The axis has no length.
-    """
-    callback = _PenaltyGroundParallel(plane_key, np.hstack([_across(up), np.zeros((2, 1))]))
-    return guarded_factor("ground-parallel face", noise, (plane_key,), (4,), 2, callback)
-
-
-def _axes_first(shape: LinearShape, face: NDArray[np.intp]) -> NDArray[np.float64]:
-    """(3, F D) derivative of the face's keypoints, so that one product with a normal covers the whole face."""
-    return np.ascontiguousarray(shape.derivative[face].transpose(1, 0, 2)).reshape(3, -1)
-
-
-def _across(up: ArrayLike) -> NDArray[np.float64]:
-    """(2, 3) rows that span the plane orthogonal to the axis."""
-    basis: NDArray[np.float64] = gtsam.Unit3(unit_vector("up", up)).basis()
-    return np.ascontiguousarray(basis.T)
-
-
-@dataclass(frozen=True, slots=True)
-class _Planarity:
-    shape: LinearShape
-    face: NDArray[np.intp]
-    derivative: NDArray[np.float64]
-    plane_key: int
-
-    def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
-        points = self.shape.points(values)[self.face]
-        plane = values.atOrientedPlane3(self.plane_key)
-        coefficients = plane.planeCoefficients()
-        normal = coefficients[:3]
-        residual = points @ normal + coefficients[3]
-        if not want_jacobian:
-            return residual, None
-        jacobian = np.ones((len(points), self.derivative.shape[1] // len(points) + 3))
-        jacobian[:, :-3] = (normal @ self.derivative).reshape(len(points), -1)
-        jacobian[:, -3:-1] = points @ tangent_basis(plane)
-        return residual, jacobian
-
-
-@dataclass(frozen=True, slots=True)
-class _PenaltyPlanarity:
-    shape: LinearShape
-    face: NDArray[np.intp]
-    derivative: NDArray[np.float64]
-    plane_key: int
-    root_mu: float
-
-    def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
-        points = self.shape.points(values)[self.face]
-        plane = values.atVector(self.plane_key)
-        normal = plane[:3]
-        residual = np.append(points @ normal + plane[3], self.root_mu * (1.0 - normal @ normal))
-        if not want_jacobian:
-            return residual, None
-        count, columns = len(points), self.derivative.shape[1] // len(points)
-        jacobian = np.zeros((count + 1, columns + 4))
-        jacobian[:count, :columns] = (normal @ self.derivative).reshape(count, columns)
-        jacobian[:count, columns:-1] = points
-        jacobian[:count, -1] = 1.0
-        jacobian[count, columns:-1] = -2.0 * self.root_mu * normal
-        return residual, jacobian
+    across = np.ascontiguousarray(gtsam.Unit3(unit_vector("up", up)).basis().T)
+    callback = _GroundParallel(plane_key, across, free)
+    return guarded_factor("ground-parallel face", noise, (plane_key,), (4 if free else 3,), 2, callback)
 
 
 @dataclass(frozen=True, slots=True)
 class _GroundParallel:
     plane_key: int
-    across: NDArray[np.float64]
+    across: Array
+    free: bool
 
     def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
-        plane = values.atOrientedPlane3(self.plane_key)
-        residual = self.across @ plane.planeCoefficients()[:3]
-        if not want_jacobian:
-            return residual, None
-        jacobian = np.zeros((2, 3))
-        jacobian[:, :2] = self.across @ tangent_basis(plane)
-        return residual, jacobian
-
-
-@dataclass(frozen=True, slots=True)
-class _PenaltyGroundParallel:
-    plane_key: int
-    operator: NDArray[np.float64]
-
-    def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
-        return self.operator @ values.atVector(self.plane_key), self.operator if want_jacobian else None
+        if self.free:
+            normal, basis = values.atVector(self.plane_key)[:3], np.eye(3)
+        else:
+            plane = values.atOrientedPlane3(self.plane_key)
+            normal, basis = plane.planeCoefficients()[:3], plane.normal().basis()
+        jacobian = np.hstack([self.across @ basis, np.zeros((2, 1))]) if want_jacobian else None
+        return self.across @ normal, jacobian

@@ -12,7 +12,6 @@ have one unit and a short edge is not weighed like a long one.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import gtsam
 import numpy as np
@@ -20,17 +19,36 @@ from numpy.typing import ArrayLike, NDArray
 
 from factors.checks import index_array
 from factors.errors import InvalidInputError
-from factors.guard import Evaluation, guarded_factor
 from factors.noise import Noise
 from factors.shape import LinearShape
+from factors.shape_factor import ShapeContext, ShapeTerm, shape_factor
 
-__all__ = ["SHORTEST_DIAGONAL", "rectangularity_factor"]
+__all__ = ["SHORTEST_DIAGONAL", "RectangularityTerm", "is_always_rectangular", "rectangularity_factor"]
+
+Array = NDArray[np.float64]
 
 SHORTEST_DIAGONAL = 1e-9
 """Metres; a diagonal of no more has no direction, and its derivative is taken as zero."""
 
-# Rows: a - b + c - d, and the diagonals a - c and b - d.
-_DIFFERENCES = np.array([[1.0, -1.0, 1.0, -1.0], [1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
+VANISHING = 1e-9
+"""Metres: a residual that never exceeds this is none."""
+
+_SIGNS = np.array([1.0, -1.0, 1.0, -1.0])
+
+
+class RectangularityTerm(ShapeTerm):
+    """One factor for each rectangular face."""
+
+    name = "rectangularity"
+
+    def applies(self, about: ShapeContext) -> bool:
+        """Whether a face is a rectangle, and not for every shape anyway."""
+        return bool(about.rectangles)
+
+    def factors(self, about: ShapeContext) -> list[gtsam.NonlinearFactor]:
+        """One for each face."""
+        sigma = about.settings.rectangularity_sigma
+        return [rectangularity_factor(about.shape, face, sigma) for face in about.rectangles]
 
 
 def rectangularity_factor(shape: LinearShape, quad: ArrayLike, noise: Noise) -> gtsam.CustomFactor:
@@ -47,32 +65,31 @@ def rectangularity_factor(shape: LinearShape, quad: ArrayLike, noise: Noise) -> 
     indices = index_array("quad", quad, shape.size, at_least=4)
     if len(indices) != 4:
         raise InvalidInputError("quad", indices.tolist(), "Give four keypoints in order around the face.")
-    parallelogram, first, second = np.tensordot(_DIFFERENCES, shape.derivative[indices], axes=1)
-    callback = _Rectangularity(shape, indices, parallelogram, first, second)
-    return guarded_factor("rectangularity", noise, shape.keys, shape.dims, 4, callback)
 
-
-@dataclass(frozen=True, slots=True)
-class _Rectangularity:
-    """Holds the derivatives (3, D) of the parallelogram and of the two diagonals, which are constant."""
-
-    shape: LinearShape
-    quad: NDArray[np.intp]
-    parallelogram: NDArray[np.float64]
-    first: NDArray[np.float64]
-    second: NDArray[np.float64]
-
-    def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
-        differences = _DIFFERENCES @ self.shape.points(values)[self.quad]
-        first, second = differences[1], differences[2]
+    def rows(points: Array, _plane: Array, want: bool) -> tuple[Array, Array | None, None]:
+        a, b, c, d = points[indices]
+        first, second = a - c, b - d
         length = max(math.sqrt(first @ first), SHORTEST_DIAGONAL)
         other = max(math.sqrt(second @ second), SHORTEST_DIAGONAL)
-        residual = np.empty(4)
-        residual[:3] = differences[0]
-        residual[3] = length - other
-        if not want_jacobian:
-            return residual, None
-        jacobian = np.empty((4, self.parallelogram.shape[1]))
-        jacobian[:3] = self.parallelogram
-        jacobian[3] = (first / length) @ self.first - (second / other) @ self.second
-        return residual, jacobian
+        residual = np.append(a - b + c - d, length - other)
+        if not want:
+            return residual, None, None
+        by_points = np.zeros((4, len(points), 3))
+        by_points[np.arange(3), indices[:, None], np.arange(3)] = _SIGNS[:, None]
+        by_points[3, indices] = first / length, -second / other, -first / length, second / other
+        return residual, by_points, None
+
+    return shape_factor("rectangularity", noise, shape, 4, rows)
+
+
+def is_always_rectangular(shape: LinearShape, face: tuple[int, ...]) -> bool:
+    """Whether a face is a rectangle for every lambda, as wheels that the prior has in one."""
+    if shape.coefficients_key is None or shape.offsets_key is not None:
+        return False
+    factor = rectangularity_factor(shape, face, 1.0)
+    for coefficients in np.vstack([np.zeros(shape.dims[0]), 3.0 * np.eye(shape.dims[0])]):
+        values = gtsam.Values()
+        values.insert(shape.coefficients_key, coefficients)
+        if np.abs(factor.unwhitenedError(values)).max() > VANISHING:
+            return False
+    return True

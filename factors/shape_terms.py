@@ -6,7 +6,7 @@ There is no numpy version of the stack: without the compiled kernel those factor
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator
 from types import ModuleType
 
 import gtsam
@@ -14,12 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from factors.guard import Evaluation, guarded_factor
+from factors.keys import M
 from factors.planes import tangent_basis
-from factors.shape import LinearShape
+from factors.shape_factor import ShapeContext
 
-__all__ = ["ShapeTerms"]
+__all__ = ["STACKED", "ShapeTerms"]
 
 Array = NDArray[np.float64]
+
+STACKED = ("symmetry", "rectangularity", "dimensions")
+"""Terms that the kernel has."""
 
 _MEDIAL = np.array([0.0, 0.0, 1.0, 0.0])
 _NO_TANGENT = np.zeros((3, 2))
@@ -34,50 +38,32 @@ class ShapeTerms:
         slices: Rows of each term that there is.
     """
 
-    def __init__(
-        self,
-        kernel: ModuleType,
-        shape: LinearShape,
-        *,
-        pairs: Sequence[tuple[int, int]] = (),
-        middle: Sequence[int] | NDArray[np.intp] = (),
-        plane_key: int | None = None,
-        pair_sigma: float = 1.0,
-        quads: Sequence[Sequence[int]] = (),
-        quad_sigma: float = 1.0,
-        operator: Array | None = None,
-        size: Array | None = None,
-        size_sigma: Array | None = None,
-    ) -> None:
+    def __init__(self, kernel: ModuleType, about: ShapeContext, names: Collection[str]) -> None:
         """Bind the terms.
 
         Args:
             kernel: The compiled module (`factors.native.native`).
-            shape: The keypoints.
-            pairs: Pairs (left, right) of mirror images; none leaves symmetry out.
-            middle: Keypoints that are their own mirror image.
-            plane_key: Key of the medial plane, an `OrientedPlane3`, where there are pairs.
-            pair_sigma: Standard deviation of symmetry's rows, metres.
-            quads: Rectangles, in order around each.
-            quad_sigma: Standard deviation of rectangularity's rows, metres.
-            operator: (3, K, 3) linear map from keypoints to length, width and height; None leaves dimensions out.
-            size: (3,) their mean, metres.
-            size_sigma: (3,) their standard deviation, metres.
+            about: The vehicle.
+            names: Terms of `STACKED` that it has.
         """
-        count = shape.size
-        matrix = np.zeros((0, 3 * count)) if operator is None else np.ascontiguousarray(operator).reshape(3, -1)
-        none = np.zeros(0)
+        shape, settings, count = about.shape, about.settings, about.shape.size
+        pairs, middle = (about.pairs, about.middle) if "symmetry" in names else ((), ())
+        quads = about.rectangles if "rectangularity" in names else ()
+        plane_key = M(about.number) if "symmetry" in names else None
+        matrix, (size, sigma) = np.zeros((0, 3 * count)), (np.zeros(0), np.zeros(0))
+        if "dimensions" in names and about.size is not None:
+            matrix, (size, sigma) = np.ascontiguousarray(about.dimension_operator).reshape(3, -1), about.size
         self._compiled = kernel.Shape(
             np.ascontiguousarray(shape.mean),
             np.ascontiguousarray(shape.basis).reshape(len(shape.basis), 3 * count),
             np.array(pairs, dtype=np.intc).reshape(-1, 2),
             np.array(middle, dtype=np.intc),
-            pair_sigma,
+            settings.symmetry_sigma,
             np.array(quads, dtype=np.intc).reshape(-1, 4),
-            quad_sigma,
+            settings.rectangularity_sigma,
             matrix,
-            none if size is None else np.array(size, dtype=np.float64),
-            none if size_sigma is None else np.array(size_sigma, dtype=np.float64),
+            np.array(size, dtype=np.float64),
+            np.array(sigma, dtype=np.float64),
         )
         self._shape, self._plane_key = shape, plane_key
         lengths = {

@@ -9,8 +9,7 @@ a prior that is exactly symmetric and without free offsets the term vanishes for
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 
 import gtsam
 import numpy as np
@@ -18,12 +17,33 @@ from numpy.typing import ArrayLike, NDArray
 
 from factors.checks import index_array
 from factors.errors import InvalidInputError
-from factors.guard import Evaluation, guarded_factor
+from factors.keys import M
 from factors.noise import Noise
-from factors.planes import tangent_basis
 from factors.shape import LinearShape
+from factors.shape_factor import ShapeContext, ShapeTerm, shape_factor
 
-__all__ = ["symmetry_factor"]
+__all__ = ["SymmetryTerm", "symmetry_factor"]
+
+Array = NDArray[np.float64]
+
+
+class SymmetryTerm(ShapeTerm):
+    """One factor on the medial plane."""
+
+    name = "symmetry"
+
+    def applies(self, about: ShapeContext) -> bool:
+        """Whether there are pairs, and the shape may be without symmetry."""
+        return bool(about.pairs) and not about.always_symmetric
+
+    def planes(self, about: ShapeContext) -> Mapping[int, NDArray[np.intp] | None]:
+        """The medial plane."""
+        return {M(about.number): None}
+
+    def factors(self, about: ShapeContext) -> list[gtsam.NonlinearFactor]:
+        """One factor."""
+        key, sigma = M(about.number), about.settings.symmetry_sigma
+        return [symmetry_factor(about.shape, about.pairs, key, sigma, on_plane=about.middle)]
 
 
 def symmetry_factor(
@@ -51,61 +71,27 @@ def symmetry_factor(
         raise InvalidInputError("pairs", pairs, "Give at least one pair (left, right).")
     middle = np.asarray(on_plane, dtype=np.intp if not np.size(on_plane) else None)
     index_array("pairs", np.concatenate([array.ravel(), middle]), shape.size)
-    left, right = array.T
-    difference = shape.derivative[right] - shape.derivative[left]
-    along = np.concatenate([right, middle])
-    axes_first = np.ascontiguousarray(shape.derivative[along].transpose(1, 0, 2)).reshape(3, -1)
-    callback = _Symmetry(shape, left, along, difference, axes_first, plane_key)
-    rows = 3 * len(left) + len(middle)
-    return guarded_factor("symmetry", noise, (*shape.keys, plane_key), (*shape.dims, 3), rows, callback)
+    (left, right), P, Q = array.T, len(array), len(middle)
 
+    def rows(points: Array, plane: Array, want: bool) -> tuple[Array, Array | None, Array | None]:
+        normal, off = plane[:3], points[right] @ plane[:3] + plane[3]
+        residual = np.concatenate(
+            [
+                (points[right] - 2.0 * off[:, None] * normal - points[left]).ravel(),
+                points[middle] @ normal + plane[3],
+            ]
+        )
+        if not want:
+            return residual, None, None
+        by_points, by_plane = np.zeros((3 * P + Q, len(points), 3)), np.empty((3 * P + Q, 4))
+        of_pairs = by_points[: 3 * P].reshape(P, 3, len(points), 3)
+        of_pairs[np.arange(P), :, right] = np.eye(3) - 2.0 * np.outer(normal, normal)
+        of_pairs[np.arange(P), :, left] = -np.eye(3)
+        by_points[3 * P + np.arange(Q), middle] = normal
+        mirrored = by_plane[: 3 * P].reshape(P, 3, 4)
+        mirrored[:, :, :3] = -2.0 * (off[:, None, None] * np.eye(3) + normal[:, None] * points[right][:, None])
+        mirrored[:, :, 3] = -2.0 * normal
+        by_plane[3 * P :, :3], by_plane[3 * P :, 3] = points[middle], 1.0
+        return residual, by_points, by_plane
 
-@dataclass(frozen=True, slots=True)
-class _Symmetry:
-    """P pairs and Q keypoints in the middle.
-
-    Attributes:
-        shape: The keypoints.
-        left: (P,) indices of the left keypoints.
-        along: (P + Q,) indices of the right keypoints, then those in the middle: all whose n'X + d is needed.
-        difference: (P, 3, D) derivative of X_r - X_l.
-        derivative: (3, (P + Q) D) derivative of the keypoints of `along`, axes first, so that one product with the
-            normal covers them all.
-        plane_key: Key of the medial plane.
-    """
-
-    shape: LinearShape
-    left: NDArray[np.intp]
-    along: NDArray[np.intp]
-    difference: NDArray[np.float64]
-    derivative: NDArray[np.float64]
-    plane_key: int
-
-    def __call__(self, values: gtsam.Values, want_jacobian: bool) -> Evaluation:
-        points = self.shape.points(values)
-        plane = values.atOrientedPlane3(self.plane_key)
-        coefficients = plane.planeCoefficients()
-        normal, count = coefficients[:3], len(self.left)
-        along = points[self.along]
-        distances = along @ normal + coefficients[3]
-        residual = np.empty(2 * count + len(along))
-        mirrored = along[:count] - (2.0 * distances[:count, None]) * normal
-        residual[: 3 * count] = (mirrored - points[self.left]).ravel()
-        residual[3 * count :] = distances[count:]
-        if not want_jacobian:
-            return residual, None
-        columns = self.difference.shape[2]
-        jacobian = np.empty((len(residual), columns + 3))
-        pairs, middle = jacobian[: 3 * count].reshape(count, 3, columns + 3), jacobian[3 * count :]
-        # (I - 2 n n') dX_r - dX_l, and with s = n'X_r + d: d/dn [-2 s n] B = -2 [s B + n (X_r'B)], d/dd = -2 n.
-        moved = (normal @ self.derivative).reshape(len(along), columns)
-        tangent = tangent_basis(plane)
-        slides = along @ tangent
-        twice = (-2.0 * normal)[:, None]
-        pairs[:, :, :columns] = self.difference + twice * moved[:count, None]
-        pairs[:, :, columns:-1] = twice * slides[:count, None] - (2.0 * distances[:count, None, None]) * tangent
-        pairs[:, :, -1] = twice[:, 0]
-        middle[:, :columns] = moved[count:]
-        middle[:, columns:-1] = slides[count:]
-        middle[:, -1] = 1.0
-        return residual, jacobian
+    return shape_factor("symmetry", noise, shape, 3 * P + Q, rows, plane_key)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import Any, ClassVar
 
+from factors.shape_factor import SHAPE_TERMS
 from fgrecon.core.choices import BoxModel, StrategyName, TrafficSide
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.robust import RobustStrategy
@@ -203,11 +204,7 @@ class Options:
     confidence_midpoint: float | None = number(None, least=1e-6)
 
     TERMS: ClassVar[tuple[str, ...]] = (
-        "planarity",
-        "symmetry",
-        "rectangularity",
-        "dimensions",
-        "laplacian",
+        *(name for name in SHAPE_TERMS if name not in {"coefficients", "offsets"}),
         "box",
         "ground",
         "direction",

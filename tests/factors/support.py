@@ -1,10 +1,13 @@
 """Random problems and numeric Jacobians for the tests of factors."""
 
+from types import SimpleNamespace
+
 import gtsam
 import numpy as np
 
 from factors.keys import L, O
 from factors.shape import LinearShape
+from factors.shape_factor import ShapeContext
 
 CAMERA = np.array([[721.5, 1.7, 609.6], [0.0, 718.9, 172.9], [0.0, 0.0, 1.0]])
 
@@ -30,6 +33,28 @@ def bound_shape(rng, keypoints=14, vectors=5, with_offsets=False):
     if with_offsets:
         values.insert(O(), 0.05 * rng.normal(size=3 * keypoints))
     return shape, values
+
+
+def context_of(shape, pairs=(), middle=(), quads=(), operator=None, size=None):
+    """A vehicle as the shape's terms see it, with symmetry of 2 cm and rectangles of 5 cm."""
+    mirror = (np.arange(shape.size) + 1) % shape.size
+    mirror[list(middle)] = middle
+    return ShapeContext(
+        shape=shape,
+        number=0,
+        faces=[SimpleNamespace(keypoints=quad, rectangular=True, ground_parallel=False) for quad in quads],
+        pairs=pairs,
+        mirror=mirror,
+        neighbours=[()] * shape.size,
+        mirrored_prior=False,
+        dimension_operator=np.zeros((3, shape.size, 3)) if operator is None else operator,
+        size=size,
+        offset_sigma=np.full(shape.size, 0.03),
+        spread=None,
+        by_size=None,
+        settings=SimpleNamespace(symmetry_sigma=0.02, rectangularity_sigma=0.05),
+        disabled=(),
+    )
 
 
 def random_plane(rng):

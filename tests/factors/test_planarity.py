@@ -8,12 +8,7 @@ from hypothesis import strategies as st
 
 from factors.errors import InvalidInputError
 from factors.keys import L, O, P
-from factors.planarity import (
-    ground_parallel_factor,
-    penalty_ground_parallel_factor,
-    penalty_planarity_factor,
-    planarity_factor,
-)
+from factors.planarity import ground_parallel_factor, planarity_factor
 from factors.planes import fit_plane
 from factors.shape_prior import coefficients_prior, offsets_prior
 from tests.factors.support import assert_jacobian, bound_shape, graph_of, optimize, quad_at, random_plane
@@ -29,10 +24,10 @@ def test_jacobians(seed, with_offsets):
     values.insert(P(), random_plane(rng))
     values.insert(P(0, 1), rng.normal(size=4))
     assert_jacobian(planarity_factor(shape, FACE, P(), 1.0), values)
-    assert_jacobian(penalty_planarity_factor(shape, FACE, P(0, 1), 1.0, mu=2.5), values)
+    assert_jacobian(planarity_factor(shape, FACE, P(0, 1), 1.0, mu=2.5), values)
     assert_jacobian(ground_parallel_factor(P(), 1.0), values)
     assert_jacobian(ground_parallel_factor(P(), 1.0, rng.normal(size=3)), values)
-    assert_jacobian(penalty_ground_parallel_factor(P(0, 1), 1.0), values)
+    assert_jacobian(ground_parallel_factor(P(0, 1), 1.0, free=True), values)
 
 
 def test_residual_is_the_distance():
@@ -48,7 +43,7 @@ def test_ground_parallel_is_the_sine_and_knows_no_sign(angle):
     normal = [np.sin(angle), np.cos(angle), 0.0]
     values.insert(P(), gtsam.OrientedPlane3(np.array([*normal, 1.0])))
     values.insert(P(0, 1), np.array([*normal, 1.0]))
-    for factor in (ground_parallel_factor(P(), 1.0), penalty_ground_parallel_factor(P(0, 1), 1.0)):
+    for factor in (ground_parallel_factor(P(), 1.0), ground_parallel_factor(P(0, 1), 1.0, free=True)):
         assert np.linalg.norm(factor.unwhitenedError(values)) == pytest.approx(abs(np.sin(angle)), abs=1e-12)
 
 
@@ -66,7 +61,7 @@ def test_flattens_a_warped_face_with_either_form():
     values.insert(P(), start)
     values.insert(P(0, 1), start.planeCoefficients())
     unit = optimize(graph_of(planarity_factor(shape, quad, P(), 1e-4), *priors), values)
-    penalty = optimize(graph_of(penalty_planarity_factor(shape, quad, P(0, 1), 1e-4), *priors), values)
+    penalty = optimize(graph_of(planarity_factor(shape, quad, P(0, 1), 1e-4, mu=1.0), *priors), values)
     plane = unit.atOrientedPlane3(P()).planeCoefficients()
     np.testing.assert_allclose(shape.points(unit)[:4] @ plane[:3] + plane[3], 0, atol=1e-6)
     free = penalty.atVector(P(0, 1))
@@ -95,7 +90,7 @@ def test_ground_parallel_levels_the_face():
         lambda s: planarity_factor(s, [0, 1], P(), 1.0),
         lambda s: planarity_factor(s, [0, 1, 14], P(), 1.0),
         lambda s: planarity_factor(s, [0, 1, 1], P(), 1.0),
-        lambda s: penalty_planarity_factor(s, [0, 1, 2], P(), 1.0, mu=0.0),
+        lambda s: planarity_factor(s, [0, 1, 2], P(), 1.0, mu=0.0),
         lambda s: ground_parallel_factor(P(), 1.0, up=np.zeros(3)),
     ],
 )

@@ -7,7 +7,7 @@ import pytest
 from factors import L, M, dimensions_factor, rectangularity_factor, symmetry_factor
 from factors.native import native
 from factors.shape_terms import ShapeTerms
-from tests.factors.support import assert_jacobian, bound_shape, graph_of, random_plane
+from tests.factors.support import assert_jacobian, bound_shape, context_of, graph_of, random_plane
 
 KERNEL = native("factors._shape")
 pytestmark = pytest.mark.skipif(KERNEL is None, reason="no compiled kernel")
@@ -19,18 +19,19 @@ def case(seed, *, offsets, symmetric=True, rectangles=True, sized=True):
     rng = np.random.default_rng(seed)
     shape, values = bound_shape(rng, with_offsets=offsets)
     operator, size, sigma = rng.normal(size=(3, 14, 3)), rng.normal(size=3), rng.uniform(0.1, 0.4, 3)
-    told, alone = {}, []
+    names, alone = set(), []
+    about = context_of(shape, PAIRS, MIDDLE, QUADS, operator=operator, size=(size, sigma))
     if symmetric:
         values.insert(M(), random_plane(rng))
-        told |= {"pairs": PAIRS, "middle": MIDDLE, "plane_key": M(), "pair_sigma": 0.02}
+        names.add("symmetry")
         alone.append(symmetry_factor(shape, PAIRS, M(), 0.02, on_plane=MIDDLE))
     if rectangles:
-        told |= {"quads": QUADS, "quad_sigma": 0.05}
+        names.add("rectangularity")
         alone += [rectangularity_factor(shape, quad, 0.05) for quad in QUADS]
     if sized:
-        told |= {"operator": operator, "size": size, "size_sigma": sigma}
+        names.add("dimensions")
         alone.append(dimensions_factor(shape, operator, size, sigma))
-    return ShapeTerms(KERNEL, shape, **told), alone, values
+    return ShapeTerms(KERNEL, about, names), alone, values
 
 
 @pytest.mark.parametrize("offsets", [False, True])
@@ -60,7 +61,9 @@ def test_a_diagonal_of_no_length_has_no_direction():
     shape, values = bound_shape(rng)
     shape.mean[8] = shape.mean[10]
     shape.basis[:, 8] = shape.basis[:, 10]
-    residual, jacobian = ShapeTerms(KERNEL, shape, quads=QUADS)(values, want_jacobian=True)
+    residual, jacobian = ShapeTerms(KERNEL, context_of(shape, quads=QUADS), {"rectangularity"})(
+        values, want_jacobian=True
+    )
     assert np.isfinite(residual).all()
     assert np.isfinite(jacobian).all()
 
@@ -68,5 +71,5 @@ def test_a_diagonal_of_no_length_has_no_direction():
 def test_an_index_out_of_range_is_refused_at_the_border():
     shape, _ = bound_shape(np.random.default_rng(0))
     with pytest.raises(ValueError, match="do not belong together"):
-        ShapeTerms(KERNEL, shape, quads=[(0, 1, 2, 14)])
+        ShapeTerms(KERNEL, context_of(shape, pairs=[(0, 14)]), {"symmetry"})
     assert L() in shape.keys

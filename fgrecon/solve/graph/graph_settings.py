@@ -100,10 +100,6 @@ class GraphSettings:
     """That an iteration gains: too few to tell one shape from another."""
     absolute_decrease_nats: float = 1e-12
     """At which Levenberg-Marquardt ends whatever the energy."""
-    vanishing_residual_metres: float = 1e-9
-    """A residual that never exceeds this is none."""
-    smallest_offset_sigma_metres: float = 1e-4
-    """A standard deviation of zero would make the system singular."""
     undetermined_share: float = 1e-12
     """Share of a vehicle's largest information below which a direction has none."""
     newton: NewtonSettings = NewtonSettings()
