@@ -23,7 +23,7 @@ from factors.noise import Noise
 from factors.shape import LinearShape
 from factors.shape_factor import ShapeContext, ShapeTerm, shape_factor
 
-__all__ = ["SHORTEST_DIAGONAL", "RectangularityTerm", "is_always_rectangular", "rectangularity_factor"]
+__all__ = ["SHORTEST_DIAGONAL", "RectangularityTerm", "rectangles", "rectangularity_factor"]
 
 Array = NDArray[np.float64]
 
@@ -43,12 +43,12 @@ class RectangularityTerm(ShapeTerm):
 
     def applies(self, about: ShapeContext) -> bool:
         """Whether a face is a rectangle, and not for every shape anyway."""
-        return bool(about.rectangles)
+        return bool(rectangles(about))
 
     def factors(self, about: ShapeContext) -> list[gtsam.NonlinearFactor]:
         """One for each face."""
         sigma = about.settings.rectangularity_sigma
-        return [rectangularity_factor(about.shape, face, sigma) for face in about.rectangles]
+        return [rectangularity_factor(about.shape, face, sigma) for face in rectangles(about)]
 
 
 def rectangularity_factor(shape: LinearShape, quad: ArrayLike, noise: Noise) -> gtsam.CustomFactor:
@@ -82,7 +82,13 @@ def rectangularity_factor(shape: LinearShape, quad: ArrayLike, noise: Noise) -> 
     return shape_factor("rectangularity", noise, shape, 4, rows)
 
 
-def is_always_rectangular(shape: LinearShape, face: tuple[int, ...]) -> bool:
+def rectangles(about: ShapeContext) -> list[tuple[int, ...]]:
+    """Faces that are rectangles, but not for every value of the shape's variables anyway."""
+    faces = [face.keypoints for face in about.faces if face.rectangular]
+    return [face for face in faces if not _is_always_rectangular(about.shape, face)]
+
+
+def _is_always_rectangular(shape: LinearShape, face: tuple[int, ...]) -> bool:
     """Whether a face is a rectangle for every lambda, as wheels that the prior has in one."""
     if shape.coefficients_key is None or shape.offsets_key is not None:
         return False

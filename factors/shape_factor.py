@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
@@ -105,14 +105,6 @@ class ShapeContext:
     def middle(self) -> NDArray[np.intp]:
         """Keypoints that are their own mirror image."""
         return np.flatnonzero(self.mirror == np.arange(len(self.mirror)))
-
-    @cached_property
-    def rectangles(self) -> list[tuple[int, ...]]:
-        """Faces that are rectangles, but not for every value of the shape's variables anyway."""
-        from factors.rectangularity import is_always_rectangular
-
-        faces = [face.keypoints for face in self.faces if face.rectangular]
-        return [face for face in faces if not is_always_rectangular(self.shape, face)]
 
 
 class ShapeTerm:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from factors.guard import Evaluation, guarded_factor
 from factors.keys import M
 from factors.planes import tangent_basis
+from factors.rectangularity import rectangles
 from factors.shape_factor import ShapeContext
 
 __all__ = ["STACKED", "ShapeTerms"]
@@ -48,7 +49,7 @@ class ShapeTerms:
         """
         shape, settings, count = about.shape, about.settings, about.shape.size
         pairs, middle = (about.pairs, about.middle) if "symmetry" in names else ((), ())
-        quads = about.rectangles if "rectangularity" in names else ()
+        quads = rectangles(about) if "rectangularity" in names else ()
         plane_key = M(about.number) if "symmetry" in names else None
         matrix, (size, sigma) = np.zeros((0, 3 * count)), (np.zeros(0), np.zeros(0))
         if "dimensions" in names and about.size is not None:
