@@ -26,7 +26,7 @@ from factors.guard import Evaluation, guarded_factor
 from factors.keys import P
 from factors.noise import Noise
 from factors.shape import LinearShape
-from factors.shape_factor import Face, ShapeContext, ShapeTerm, shape_factor
+from factors.shape_factor import FaceLike, ShapeContext, ShapeTerm, shape_factor
 
 __all__ = ["PlanarityTerm", "ground_parallel_factor", "planarity_factor"]
 
@@ -49,7 +49,7 @@ class PlanarityTerm(ShapeTerm):
         return {P(about.number, i): np.array(face.keypoints) for i, face in self._faces(about).items()}
 
     def factors(self, about: ShapeContext) -> list[gtsam.NonlinearFactor]:
-        """Face by face."""
+        """FaceLike by face."""
         settings, mu = about.settings, about.settings.plane_penalty
         result: list[gtsam.NonlinearFactor] = []
         for i, face in self._faces(about).items():
@@ -59,7 +59,7 @@ class PlanarityTerm(ShapeTerm):
                 result.append(ground_parallel_factor(key, settings.parallel_sigma, free=mu is not None))
         return result
 
-    def _faces(self, about: ShapeContext) -> dict[int, Face]:
+    def _faces(self, about: ShapeContext) -> dict[int, FaceLike]:
         """Faces by number: not those of two mirrored pairs, which are planar in every symmetric shape."""
         return {
             i: face
@@ -68,7 +68,7 @@ class PlanarityTerm(ShapeTerm):
         }
 
 
-def _is_mirrored(face: Face, mirror: NDArray[np.intp]) -> bool:
+def _is_mirrored(face: FaceLike, mirror: NDArray[np.intp]) -> bool:
     return len(face.keypoints) == 4 and {int(mirror[i]) for i in face.keypoints} == set(face.keypoints)
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # on use: names need nothing
     from factors.noise import Noise
     from factors.shape import LinearShape
 
-__all__ = ["SHAPE_TERMS", "Face", "PointRows", "ShapeContext", "ShapeTerm", "shape_factor", "shape_terms"]
+__all__ = ["SHAPE_TERMS", "FaceLike", "PointRows", "ShapeContext", "ShapeTerm", "shape_factor", "shape_terms"]
 
 Array = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ PointRows = Callable[[Array, Array, bool], tuple[Array, Array | None, Array | No
 (R, K, 3) and by the plane (R, 4); the latter None without a plane."""
 
 
-class Face(Protocol):
+class FaceLike(Protocol):
     """A face of a vehicle's category."""
 
     @property
@@ -83,7 +83,7 @@ class ShapeContext:
 
     shape: LinearShape
     number: int
-    faces: Sequence[Face]
+    faces: Sequence[FaceLike]
     pairs: Sequence[tuple[int, int]]
     mirror: NDArray[np.intp]
     neighbours: Sequence[Sequence[int]]

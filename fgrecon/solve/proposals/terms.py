@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -234,7 +235,7 @@ class GroundTerm:
     ground: Ground
     name: ClassVar[str] = "ground"
 
-    @property
+    @cached_property
     def rows(self) -> GroundRows:
         """What has the residuals."""
         return GroundRows(self.ground.normal, self.ground.distance, self.ground.tilt_sigma)
