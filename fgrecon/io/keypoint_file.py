@@ -43,6 +43,7 @@ from fgrecon.core.checks import one_word
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.io.json_fields import Fields, numbers, read_json
+from fgrecon.io.lens_fields import check_unused, read_distortion, read_size
 from fgrecon.io.other_inputs import refuse_results
 
 __all__ = ["Instance", "KeypointFile", "parse_camera", "parse_keypoints", "read_keypoints"]
@@ -285,15 +286,8 @@ def parse_camera(fields: Fields) -> Camera | None:
     field = matrices[0]
     value = fields.data[field]
     short = field == "intrinsics" and isinstance(value, list) and not any(isinstance(row, list) for row in value)
-    distortion, size = fields.data.get("distortion"), None
-    if distortion is not None:
-        length = len(distortion) if isinstance(distortion, list) else 5
-        distortion = fields.numbers("distortion", (length,))
-    if "image_size" in fields:
-        width, height = fields.numbers("image_size", (2,))
-        size = (int(width), int(height))
-        if size != (width, height) or min(size) < 1:
-            raise InvalidInputError(f"{fields.where}image_size", [width, height], "Give width and height in pixels.")
+    check_unused(fields, _INSTANCE_FIELDS | _TOLD_FIELDS)
+    distortion, size = read_distortion(fields), read_size(fields)
     try:
         pinhole = Camera.of(fields.numbers(field, (4,) if short else (3, 3)), distortion)
         return Camera(pinhole.matrix, pinhole.distortion, size)

@@ -275,3 +275,52 @@ def test_no_content_ends_in_another_exception(tmp_path_factory, content, name):
 def test_no_text_ends_in_another_exception(tmp_path_factory, text, ending):
     with contextlib.suppress(FgreconError):
         read_camera(write(tmp_path_factory.getbasetemp() / f"g.{ending}", text))
+
+
+COEFFICIENTS = [-0.31, 0.09, 0.001, -0.0005, 0.0]
+NESTED = [[610.0, 0, 478.0], [0, 612.0, 305.0], [0, 0, 1]]
+
+
+@pytest.mark.parametrize(
+    "name", ["dist_coeff", "dist_coefs", "distCoef", "distCoeffs", "distortion", "D", "distortion_coefficients"]
+)
+@pytest.mark.parametrize(
+    "size", [{"width": 960, "height": 600}, {"image_width": 960, "image_height": 600}, {"image_size": [960, 600]}]
+)
+def test_the_lens_by_any_usual_name_beside_a_nested_matrix(tmp_path, name, size):
+    (tmp_path / "c.json").write_text(json.dumps({"K": NESTED, name: COEFFICIENTS, **size}))
+    camera = read_camera(tmp_path / "c.json").camera
+    assert camera.distortion.tolist() == COEFFICIENTS
+    assert camera.image_size == (960, 600)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("distortion_coefficents", COEFFICIENTS),
+        ("distorsion", COEFFICIENTS),
+        ("camera_model", "fisheye"),
+        ("model_distortion", "equidistant"),
+        ("lens", {"k1": -0.31}),
+        ("k1", -0.31),
+        ("img_resolution", [960, 600]),
+        ("image_widht", 960),
+    ],
+)
+def test_a_field_that_looks_like_a_lens_or_a_size_and_is_not_read_is_refused_by_name(tmp_path, field, value):
+    for matrix in ("camera_matrix", "intrinsics"):
+        (tmp_path / "c.json").write_text(json.dumps({matrix: NESTED, field: value}))
+        with pytest.raises(InvalidInputError) as error:
+            read_camera(tmp_path / "c.json")
+        assert error.value.field == f"{tmp_path / 'c.json'}: {field}"
+
+
+def test_messages_as_ros2_topic_echo_ends_them(tmp_path):
+    matrix = np.ravel(NESTED).tolist()
+    message = f"header: {{stamp: {{sec: 1}}}}\nheight: 600\nwidth: 960\nd: {COEFFICIENTS}\nk: {matrix}\n---\n"
+    (tmp_path / "c.yaml").write_text(message + message.replace("sec: 1", "sec: 2"))
+    camera = read_camera(tmp_path / "c.yaml").camera
+    assert (camera.image_size, camera.distortion.tolist()) == ((960, 600), COEFFICIENTS)
+    (tmp_path / "c.yaml").write_text(message + message.replace("610.0", "611.0"))
+    with pytest.raises(InvalidInputError, match="2 messages that differ"):
+        read_camera(tmp_path / "c.yaml")

@@ -14,18 +14,12 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.json_fields import Fields, numbers
+from fgrecon.io.lens_fields import as_number, check_unused, read_distortion, read_size
 
 __all__ = ["read_storage", "storage_camera"]
 
 _MATRIX = "camera_matrix", "Camera_Matrix", "cameraMatrix", "K", "k", "intrinsic_matrix"
-_DISTORTION = "distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "dist_coeffs", "D", "d"
 _PROJECTION = "projection_matrix", "P", "p"
-_SIZE = ("image_width", "image_height"), ("image_Width", "image_Height"), ("width", "height")
-_PINHOLE = "plumb_bob", "rational_polynomial", "radtan", "none", ""
-_FISHEYE = "fisheye_model", "is_fisheye", "fisheye"
-_UNDISTORT = (
-    "Only the pinhole models of OpenCV are solved. Undistort points and image (cv2.fisheye) and give that camera."
-)
 _MOST = 100_000
 _BAD_YAML = yaml.YAMLError, ValueError, TypeError, AttributeError, KeyError, IndexError, RecursionError
 
@@ -64,9 +58,14 @@ def read_storage(path: Path) -> Any:
     # OpenCV's first line is no YAML, and its matrices have a type of their own.
     text = text.partition("\n")[2] if text.startswith("%YAML:") else text
     try:
-        return _bounded(yaml.load(text, Loader=_Loader), _MOST)  # noqa: S506  # a SafeLoader
+        messages = [_bounded(m, _MOST) for m in yaml.load_all(text, Loader=_Loader) if m is not None]
     except _BAD_YAML as error:
         raise InvalidInputError(str(path), str(error), "Give a YAML file of ROS or OpenCV.") from error
+    # `ros2 topic echo` ends each message with `---`: the camera is that of all of them.
+    calibrations = [{k: v for k, v in m.items() if k != "header"} if isinstance(m, dict) else m for m in messages]
+    if any(other != calibrations[0] for other in calibrations[1:]):
+        raise InvalidInputError(str(path), f"{len(messages)} messages that differ", "Give the message of one camera.")
+    return messages[0] if messages else None
 
 
 def storage_camera(data: Mapping[str, Any], where: str, name: str | None = None) -> Camera:
@@ -87,9 +86,10 @@ def storage_camera(data: Mapping[str, Any], where: str, name: str | None = None)
         fix = f"Give {_PROJECTION[0]} for the rectified image, or nothing for the image as it was taken."
         raise InvalidInputError(f"{where}camera", name, fix)
     matrix = _matrix(fields, _PROJECTION if rectified else _MATRIX, (3, 4) if rectified else (3, 3))[:, :3]
-    distortion = None if rectified else _distortion(fields)
+    check_unused(fields, (*_MATRIX, *_PROJECTION))
+    distortion, size = read_distortion(fields), read_size(fields)
     try:
-        return Camera(matrix, distortion, _size(fields))
+        return Camera(matrix, None if rectified else distortion, size)
     except InvalidInputError as error:
         raise InvalidInputError(f"{where}{error.field}", error.value, error.fix) from error
 
@@ -146,45 +146,7 @@ def _values(fields: Fields, field: str) -> tuple[list[Any], str]:
         value = [value]
     if not isinstance(value, list):
         raise InvalidInputError(place, "nothing" if value is None else value, "Give a list of numbers.")
-    return [_number(item) for item in value], place
-
-
-def _number(value: Any) -> Any:
-    """A number that YAML takes for a text: 1e-05 has no dot."""
-    if isinstance(value, str):
-        try:
-            return float(value)
-        except ValueError:
-            return value
-    return value
-
-
-def _distortion(fields: Fields) -> NDArray[np.float64] | None:
-    model = str(fields.data.get("distortion_model") or "").lower()
-    fisheye = _first(fields, _FISHEYE)
-    if fisheye is not None and fields.data[fisheye] not in (0, False, "0", "false"):
-        raise InvalidInputError(f"{fields.where}{fisheye}", fields.data[fisheye], _UNDISTORT)
-    if model not in _PINHOLE:
-        raise InvalidInputError(f"{fields.where}distortion_model", model, _UNDISTORT)
-    field = _first(fields, _DISTORTION)
-    if field is None:
-        return None
-    values, place = _values(fields, field)
-    flat = [_number(x) for value in values for x in (value if isinstance(value, list) else [value])]
-    return numbers(flat, (len(flat),), place) if flat else None
-
-
-def _size(fields: Fields) -> tuple[int, int] | None:
-    for pair in _SIZE:
-        if all(name in fields for name in pair):
-            width, height = (numbers(_number(fields.data[name]), (), f"{fields.where}{name}") for name in pair)
-            if width == height == 0.0:  # ROS's for "not known"
-                return None
-            if min(width, height) < 1 or width % 1 or height % 1:
-                fix = "Give width and height in pixels."
-                raise InvalidInputError(f"{fields.where}{pair[0]}", [float(width), float(height)], fix)
-            return int(width), int(height)
-    return None
+    return [as_number(item) for item in value], place
 
 
 def _check_whole_image(fields: Fields) -> None:

@@ -1,0 +1,168 @@
+"""The lens and the image's size beside a camera matrix, by the names that calibration files have for them.
+
+A field that looks like one of them and is none of these names is refused: a lens that is passed over without a word
+costs degrees and metres.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.json_fields import Fields, numbers
+
+__all__ = ["as_number", "check_unused", "read_distortion", "read_size"]
+
+DISTORTION = frozenset(
+    [
+        "distortioncoefficients",
+        "distortioncoefficient",
+        "distortioncoeffs",
+        "distortioncoeff",
+        "distortioncoefs",
+        "distortioncoef",
+        "distcoeffs",
+        "distcoeff",
+        "distcoefs",
+        "distcoef",
+        "distortion",
+        "dist",
+        "d",
+    ]
+)
+"""Names of the coefficients in OpenCV's order, in small letters and without underscores."""
+
+WIDTHS = frozenset(["imagewidth", "imgwidth", "width"])
+HEIGHTS = frozenset(["imageheight", "imgheight", "height"])
+SIZES = frozenset(["imagesize", "imgsize", "resolution", "size"])
+"""Names of both as one list (width, height)."""
+
+MODELS = frozenset(["distortionmodel", "distortiontype", "cameramodel", "cameratype", "projectionmodel", "lensmodel"])
+FISHEYES = frozenset(["fisheyemodel", "isfisheye", "fisheye"])
+PINHOLE = frozenset(
+    [
+        "plumbbob",
+        "rationalpolynomial",
+        "radtan",
+        "radialtangential",
+        "pinhole",
+        "perspective",
+        "opencv",
+        "brownconrady",
+        "none",
+    ]
+)
+"""Lens models that OpenCV's coefficients describe."""
+
+_SOLVED = "Only the pinhole models of OpenCV are solved. Undistort points and image (cv2.fisheye) and give that camera."
+_SINGLE = frozenset(["k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"])  # a coefficient by itself
+_PARTS = "distort", "fisheye", "lens", "coef", "resolution", "imagesize"
+_LIKE = 0.84  # share of letters in common (difflib) from which on a name is taken for a misspelt one; not tuned
+
+
+def _bare(name: object) -> str:
+    return "".join(letter for letter in str(name).lower() if letter.isalnum())
+
+
+def _named(data: Mapping[str, Any], names: frozenset[str]) -> list[str]:
+    """The fields that have one of these names and a value, in the file's order."""
+    return [field for field, value in data.items() if _bare(field) in names and value is not None]
+
+
+def read_distortion(fields: Fields) -> NDArray[np.float64] | None:
+    """OpenCV's coefficients (N,), or None where no field has any.
+
+    Raises:
+        InvalidInputError: The lens is none that OpenCV's coefficients describe, two fields have some, or they are no
+            numbers; names the field.
+    """
+    for field in _named(fields.data, FISHEYES):
+        if fields.data[field] not in (0, False, "0", "false"):
+            raise InvalidInputError(f"{fields.where}{field}", fields.data[field], _SOLVED)
+    for field in _named(fields.data, MODELS):
+        if _bare(fields.data[field]) not in PINHOLE | {""}:
+            raise InvalidInputError(f"{fields.where}{field}", fields.data[field], _SOLVED)
+    found = _named(fields.data, DISTORTION)
+    if not found:
+        return None
+    if len(found) > 1:
+        raise InvalidInputError(f"{fields.where}{found[1]}", "a second lens", f"Give it or {found[0]}.")
+    values, place = fields.data[found[0]], f"{fields.where}{found[0]}"
+    if isinstance(values, Mapping):
+        values, place = values.get("data"), f"{place}.data"
+    if isinstance(values, int | float) and not isinstance(values, bool):
+        values = [values]
+    if not isinstance(values, list):
+        raise InvalidInputError(place, "nothing" if values is None else values, "Give a list of numbers.")
+    flat = [as_number(x) for value in values for x in (value if isinstance(value, list) else [value])]
+    return numbers(flat, (len(flat),), place) if flat else None
+
+
+def read_size(fields: Fields) -> tuple[int, int] | None:
+    """Width and height of the image in pixels, or None where no field has them.
+
+    Raises:
+        InvalidInputError: They are no whole numbers from 1, or one is missing; names the field.
+    """
+    both = _named(fields.data, SIZES)
+    if both:
+        values = fields.data[both[0]]
+        rows = values.get("data") if isinstance(values, Mapping) else values
+        pair = numbers([as_number(x) for x in rows] if isinstance(rows, list) else rows, (2,), fields.where + both[0])
+        width, height, name = float(pair[0]), float(pair[1]), both[0]
+    else:
+        wide, high = _named(fields.data, WIDTHS), _named(fields.data, HEIGHTS)
+        if not wide and not high:
+            return None
+        if not wide or not high:
+            field = (wide or high)[0]
+            raise InvalidInputError(f"{fields.where}{field}", fields.data[field], "Give width and height.")
+        width, height = (
+            float(numbers(as_number(fields.data[field]), (), f"{fields.where}{field}")) for field in (wide[0], high[0])
+        )
+        name = wide[0]
+    if width == height == 0.0:  # ROS's for "not known"
+        return None
+    if min(width, height) < 1 or width % 1 or height % 1:
+        raise InvalidInputError(f"{fields.where}{name}", [width, height], "Give width and height in pixels.")
+    return int(width), int(height)
+
+
+def check_unused(fields: Fields, used: Iterable[str] = ()) -> None:
+    """Refuse a field that looks like a lens, a size or a lens model and is not read as one.
+
+    Args:
+        fields: The calibration.
+        used: Names of fields that are read, or known to be of no matter.
+
+    Raises:
+        InvalidInputError: There is such a field; names it.
+    """
+    known = DISTORTION | WIDTHS | HEIGHTS | SIZES | MODELS | FISHEYES
+    passed = {_bare(name) for name in used} | known
+    for field, value in fields.data.items():
+        bare = _bare(field)
+        if value is None or bare in passed:
+            continue
+        like = difflib.get_close_matches(bare, [name for name in known if len(name) > len("width")], 1, _LIKE)
+        if bare in _SINGLE or like or any(part in bare for part in _PARTS):
+            fix = (
+                "It looks like a lens or a size of the image, and no such name is read. Give distortion_coefficients "
+                "(OpenCV's order), image_width and image_height, or take it out."
+            )
+            raise InvalidInputError(f"{fields.where}{field}", value, fix)
+
+
+def as_number(value: Any) -> Any:
+    """A number that YAML takes for a text: 1e-05 has no dot."""
+    if isinstance(value, str):
+        try:
+            return float(value)
+        except ValueError:
+            return value
+    return value
