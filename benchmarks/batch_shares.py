@@ -27,7 +27,7 @@ _WARM = 1  # tables before the clock starts: libraries, prior and networks are l
 _REPEATS = 3  # of which the least counts, which a busy machine disturbs least
 _KEYPOINTS = {
     (fgrecon.batch.reconstructor, "parse_any_keypoints"): "read keypoints",
-    (fgrecon.solve.pipeline, "estimate_pose"): "solve: proposals",
+    (fgrecon.solve.pipeline, "single_pose"): "solve: proposals",
     (fgrecon.solve.pipeline, "minimise_from_proposals"): "solve: graph",
     (fgrecon.solve.pipeline, "results"): "solve: covariances and result",
     (fgrecon.solve.pipeline, "reconstruct"): "solve: the rest",

@@ -30,11 +30,12 @@ from fgrecon.core.rows import leanings, ties
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.traffic import traffic_directions
 from fgrecon.core.turned import half_a_turn, turned_round
+from fgrecon.solve.inputs import SolveSetup
 from fgrecon.solve.proposals.pose_search import PoseEstimate, search_pose
 from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.solve_settings import FACING
 
-__all__ = ["couple_facings", "estimate_pose", "estimate_pose_facing"]
+__all__ = ["couple_facings", "estimate_pose", "estimate_pose_facing", "single_pose"]
 
 Array = NDArray[np.float64]
 
@@ -73,20 +74,44 @@ def couple_facings(
     return coupled
 
 
-def estimate_pose(
-    problem: Problem, detected: Observation, initial: Box3D | float | None = None
+def single_pose(
+    observation: Observation, camera: Camera, setup: SolveSetup, initial: Box3D | float | None = None
 ) -> tuple[Problem, PoseEstimate]:
+    """The pose stage of an observation whose neighbours are not known; see `estimate_pose`.
+
+    Args:
+        observation: Without lens distortion.
+        camera: The camera that took the image.
+        setup: What holds for all vehicles of the call.
+        initial: As `search_pose` takes it; where it is given, which way the vehicle faces is said already.
+
+    Raises:
+        DegenerateProblemError: No pose is found.
+    """
+    coupled = observation
+    if initial is None:
+        (coupled,) = couple_facings([observation], camera, setup.prior, setup.options)
+    problem = Problem.of(coupled, camera, setup.model, setup.ground, setup.options)
+    start = search_pose(problem, initial)
+    return (problem, start) if coupled is observation else _agreeing(problem, start, observation)
+
+
+def estimate_pose(problem: Problem, detected: Observation) -> tuple[Problem, PoseEstimate]:
     """The pose stage of an observation whose directions know the rest, its keypoints flipped if need be.
 
     Args:
         problem: Of the observation.
         detected: It as its detector gave it.
-        initial: As `search_pose` takes it.
 
     Raises:
         DegenerateProblemError: No pose is found.
     """
-    observation, start = problem.observation, search_pose(problem, initial)
+    return _agreeing(problem, search_pose(problem), detected)
+
+
+def _agreeing(problem: Problem, start: PoseEstimate, detected: Observation) -> tuple[Problem, PoseEstimate]:
+    """The problem and its pose, or those of flipped keypoints where only these agree with the directions of others."""
+    observation = problem.observation
     azimuth = observation.azimuth
     if azimuth is None or azimuth is detected.azimuth:
         return problem, start

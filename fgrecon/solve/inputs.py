@@ -110,18 +110,17 @@ def observe(
     """
     if isinstance(keypoints, Mapping):
         keypoints, confidence = _by_name(keypoints, category, confidence)
-    shape = category.size, 2
     fix = f"Give {category.size} pixels (u, v) in the order of category {category.name}; NaN where not detected."
     if isinstance(keypoints, Observation):
         for field, value in (("confidence", confidence), ("box", box), ("covariance", covariance)):
             if value is not None:
                 raise InvalidInputError(field, "given twice", "The observation has it: give it there.")
-        as_shape("keypoints", keypoints.keypoints, shape, fix)
+        as_shape("keypoints", keypoints.keypoints, (category.size, 2), fix)
         observation = keypoints
         if options.confidence_midpoint is not None:
             observation = replace(observation, confidence_midpoint=options.confidence_midpoint)
     else:
-        pixels = as_shape("keypoints", keypoints, shape, fix)
+        pixels = as_shape("keypoints", keypoints, (category.size, 2), fix)
         observation = Observation.of(pixels, confidence, box, covariance, options.confidence_midpoint)
     if observation.box is not None and camera.image_size is not None:
         (left, top, right, bottom), (width, height) = observation.box, camera.image_size

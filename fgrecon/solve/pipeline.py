@@ -16,11 +16,10 @@ from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
-from fgrecon.solve.facing import couple_facings, estimate_pose
+from fgrecon.solve.facing import single_pose
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
 from fgrecon.solve.inputs import SolveSetup, as_extra_factors, as_initial, calibrated, observe
-from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import results
 from fgrecon.solve.threads import single_threaded
 
@@ -80,11 +79,7 @@ def reconstruct(
     observation = observe(keypoints, camera, setup.prior.category, setup.options, **given)
 
     started = perf_counter()
-    coupled = observation  # where a start is given, which way the vehicle faces is said already
-    if start is None:
-        (coupled,) = couple_facings([observation], camera, setup.prior, setup.options)
-    problem = Problem.of(coupled, camera, setup.model, setup.ground, setup.options)
-    problem, pose = estimate_pose(problem, observation, start)
+    problem, pose = single_pose(observation, camera, setup, start)
     posed = perf_counter()
     seen = [GraphObservation(problem)]
     adjusted = minimise_from_proposals(seen, [pose], factors)

@@ -33,14 +33,13 @@ from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.track_reconstruction import JointStep, TrackReconstruction
-from fgrecon.solve.facing import couple_facings, estimate_pose
+from fgrecon.solve.facing import single_pose
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.history import joint_steps
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
 from fgrecon.solve.graph.structure import graph_factors
 from fgrecon.solve.inputs import SolveSetup, as_cameras, as_extra_factors, observe
 from fgrecon.solve.proposals.pose_search import PoseEstimate
-from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.result import results
 from fgrecon.solve.threads import single_threaded
 
@@ -100,9 +99,7 @@ def reconstruct_track(
             continue
         try:
             observation = observe(given, camera, setup.prior.category, setup.options)
-            (coupled,) = couple_facings([observation], camera, setup.prior, setup.options)
-            problem = Problem.of(coupled, camera, setup.model, setup.ground, setup.options)
-            problem, start = estimate_pose(problem, observation)
+            problem, start = single_pose(observation, camera, setup)
             starts.append(start)
         except (DegenerateProblemError, InvalidInputError) as error:
             bad = error if bad is None and isinstance(error, InvalidInputError) else bad
