@@ -67,18 +67,6 @@ class ProjectionKernel:
         dims: Their dimensions: 6 (rotation in radians, translation in metres, `Pose3`'s local coordinates), N, 3K, 1.
     """
 
-    __slots__ = (
-        "_basis",
-        "_last",
-        "_pose",
-        "camera_matrix",
-        "dims",
-        "focal_key",
-        "keys",
-        "pose_key",
-        "shape",
-    )
-
     def __init__(
         self, shape: LinearShape, camera_matrix: ArrayLike, pose: int | gtsam.Pose3, focal: int | None = None
     ) -> None:

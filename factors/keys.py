@@ -19,6 +19,8 @@ key        type in `Values`    meaning                                         u
 ``S()``    vector (3,)         how far the mean length, width and height of    metres
                                the vehicles' fleet are from the prior's
 =========  ==================  ==============================================  ======================
+
+The functions raise `InvalidInputError` where a number is negative or too large.
 """
 
 from __future__ import annotations
@@ -51,74 +53,42 @@ class DecodedKey(NamedTuple):
 
 
 def X(vehicle: int = 0, t: int = 0) -> int:
-    """Key of the pose camera_T_object of a vehicle in frame t.
-
-    Raises:
-        InvalidInputError: A number is negative or too large.
-    """
+    """Key of the pose camera_T_object of a vehicle in frame t."""
     return _key("X", vehicle, t, "t")
 
 
 def L(vehicle: int = 0) -> int:
-    """Key of a vehicle's shape coefficients lambda (N,).
-
-    Raises:
-        InvalidInputError: The number is negative or too large.
-    """
+    """Key of a vehicle's shape coefficients lambda (N,)."""
     return _key("L", vehicle, 0, "")
 
 
 def O(vehicle: int = 0) -> int:  # noqa: E743  # the letter of the variable
-    """Key of a vehicle's free offsets, one vector of 3K numbers.
-
-    Raises:
-        InvalidInputError: The number is negative or too large.
-    """
+    """Key of a vehicle's free offsets, one vector of 3K numbers."""
     return _key("O", vehicle, 0, "")
 
 
 def P(vehicle: int = 0, face: int = 0) -> int:
-    """Key of the plane of a vehicle's face.
-
-    Raises:
-        InvalidInputError: A number is negative or too large.
-    """
+    """Key of the plane of a vehicle's face."""
     return _key("P", vehicle, face, "face")
 
 
 def M(vehicle: int = 0) -> int:
-    """Key of a vehicle's medial plane.
-
-    Raises:
-        InvalidInputError: The number is negative or too large.
-    """
+    """Key of a vehicle's medial plane."""
     return _key("M", vehicle, 0, "")
 
 
 def G(t: int = 0) -> int:
-    """Key of the ground of frame t: its plane's difference (h, a, b) from the nominal one (`factors.contact`).
-
-    Raises:
-        InvalidInputError: The number is negative or too large.
-    """
+    """Key of the ground of frame t: its plane's difference (h, a, b) from the nominal one (`factors.contact`)."""
     return _key("G", 0, t, "t")
 
 
 def V(vehicle: int = 0, t: int = 0) -> int:
-    """Key of a vehicle's velocity in frame t: forward, left and turn rate (`factors.motion`).
-
-    Raises:
-        InvalidInputError: A number is negative or too large.
-    """
+    """Key of a vehicle's velocity in frame t: forward, left and turn rate (`factors.motion`)."""
     return _key("V", vehicle, t, "t")
 
 
 def F(t: int = 0) -> int:
-    """Key of the focal length of frame t (1,): the logarithm of its ratio to the nominal one (`factors.kernel`).
-
-    Raises:
-        InvalidInputError: The number is negative or too large.
-    """
+    """Key of the focal length of frame t (1,): the logarithm of its ratio to the nominal one (`factors.kernel`)."""
     return _key("F", 0, t, "t")
 
 

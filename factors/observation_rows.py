@@ -49,7 +49,7 @@ class ObservationRows:
         box: The box, or None.
         outline: Projects the points whose extents the box encloses; of the same pose and lambda.
         ground: The ground, or None.
-        compiled: The same as `factors._observation.Observation`, or None; it knows one focal length.
+        compiled: The same as `factors._energy.Observation`, or None; it knows one focal length.
         share: Factor on the energy of all rows.
         form: How the mixtures are handed to the solver.
         right: (K,) densities of right points, or their weights (`Form.WEIGHTED`); 0 for points that were not measured.

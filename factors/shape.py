@@ -35,21 +35,6 @@ class LinearShape:
         derivative: (K, 3, D) constant derivative of X with respect to all variables, D = sum(dims).
     """
 
-    __slots__ = (
-        "_coefficients",
-        "_constant",
-        "_last",
-        "_linear",
-        "_offsets",
-        "basis",
-        "coefficients_key",
-        "derivative",
-        "dims",
-        "keys",
-        "mean",
-        "offsets_key",
-    )
-
     def __init__(
         self,
         mean: ArrayLike,

@@ -22,7 +22,7 @@ from factors.native import native
 from factors.observation_rows import ObservationRows, observation_factor
 from tests.factors.support import CAMERA, assert_jacobian, car_like, graph_of, project, random_pose
 
-KERNEL = native("factors._observation")
+KERNEL = native("factors._energy")
 BOTH = pytest.mark.parametrize(
     "compiled", [False, pytest.param(True, marks=pytest.mark.skipif(KERNEL is None, reason="no compiled kernel"))]
 )

@@ -130,7 +130,7 @@ def test_visibility_from_a_pose_is_the_tables():
 
 
 def test_the_kernel_is_left_alone_where_it_is_not_wanted():
-    code = "from factors.native import native; print(native('factors._observation'))"
+    code = "from factors.native import native; print(native('factors._energy'))"
     environment = {**os.environ, "FGRECON_KERNEL": "numpy"}
     child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True)
     assert child.stdout.strip() == "None"

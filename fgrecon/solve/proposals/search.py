@@ -60,7 +60,7 @@ class PoseEnergy:
 
     @cached_property
     def compiled(self) -> Any:
-        """The same energy compiled (`factors._observation.Observation`); None where that cannot evaluate it."""
+        """The same energy compiled (`factors._energy.Observation`); None where that cannot evaluate it."""
         return _compile(self)
 
     def visible_from(self, camera_T_object: Array) -> Array:
@@ -112,7 +112,7 @@ class PoseEnergy:
 
 
 def _compile(energy: PoseEnergy) -> Any:
-    kernel, keypoints = native("factors._observation"), energy.keypoints
+    kernel, keypoints = native("factors._energy"), energy.keypoints
     table = getattr(energy.visibility, "__self__", None)  # a function of the caller's own is not known there
     strategy, evidence = keypoints.strategy, keypoints.evidence
     if kernel is None or strategy.name is not StrategyName.MIXTURE or not isinstance(table, VisibilityTable):
@@ -205,7 +205,7 @@ def _compiled_search(compiled: Any, starts: Hypotheses, iterations: int, keep: M
     kept = np.zeros(iterations, dtype=np.intc)
     for iteration, count in keep.items():
         kept[iteration : iteration + 1] = count  # beyond the last iteration there is none
-    kernel = native("factors._search")
+    kernel = native("factors._energy")
     assert kernel is not None
     final, energy, path = kernel.search(
         compiled,

@@ -373,6 +373,6 @@ def test_it_is_not_copied_and_says_so():
         with pytest.raises(TypeError, match="cannot be copied or pickled"):
             copied(tracker)
     problem = tracker._tracks[3].vehicle.past[0].problem
-    assert problem.energy.compiled is not None or native("factors._observation") is None
+    assert problem.energy.compiled is not None or native("factors._energy") is None
     again = pickle.loads(pickle.dumps(problem.energy))
     assert (again.compiled is None) == (problem.energy.compiled is None)
