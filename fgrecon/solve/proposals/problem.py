@@ -131,22 +131,23 @@ def _energy(
     if extent < 1.0:
         raise DegenerateProblemError("keypoints", f"extent {extent:.3g} px", "Give keypoints that are not all one.")
     covariance = keypoint_covariances(observation, options.keypoints)
+    evidence, off = _evidence(observation, covariance), options.disabled_terms
+    box = None if "box" in off else box_term(observation, camera, model, options.box)
     keypoints = KeypointTerm(
         mean=model.prior.mean,
         basis=model.prior.basis,
         matrix=camera.matrix,
         rows=KeypointRows(np.where(observation.measured[:, None], observation.keypoints, 0.0), whiteners(covariance)),
-        evidence=_evidence(observation, covariance),
+        evidence=evidence,
         strategy=options.strategy,
     )
-    off = options.disabled_terms
     size = None
     if model.size is not None and "dimensions" not in off:
         size = SizeTerm(model.dimension_mean, model.dimension_basis, model.size)
     return PoseEnergy(
         keypoints=keypoints,
         visibility=model.visibility.lookup,
-        box=None if "box" in off else box_term(observation, camera, model, options.box),
+        box=box,
         size=size,
         ground=None if ground is None or "ground" in off else GroundTerm(ground),
         direction=None if observation.azimuth is None else DirectionTerm(observation.azimuth),

@@ -125,16 +125,16 @@ def _compile(energy: PoseEnergy) -> Any:
         np.ascontiguousarray(keypoints.basis).reshape(count, 3 * len(keypoints.mean)),
         np.ascontiguousarray(keypoints.rows.pixels),
         np.ascontiguousarray(keypoints.rows.whitener),
-        None if box is None else box.packed(),
-        None if ground is None else ground.packed(),
+        None if box is None else box.packed,
+        None if ground is None else ground.packed,
     )
     compiled.search_by(
         np.ascontiguousarray(evidence.right, dtype=np.float64),
         np.ascontiguousarray(evidence.outlier, dtype=np.float64),
         np.ascontiguousarray(evidence.measured).view(np.uint8),
         (strategy.gross, strategy.missed, strategy.false_alarm),
-        *table.packed(),
-        None if size is None else size.packed(),
+        *table.packed,
+        None if size is None else size.packed,
         None if energy.direction is None else energy.direction.probability,
     )
     return compiled
@@ -157,6 +157,11 @@ class SearchResult:
     weights: Array
     path: Hypotheses
     path_weights: Array
+
+    @property
+    def poses(self) -> Array:
+        """(H, 4, 4) camera_T_object of the survivors."""
+        return self.hypotheses.matrices()
 
 
 def search(energy: PoseEnergy, starts: Hypotheses, iterations: int, keep: Mapping[int, int]) -> SearchResult:

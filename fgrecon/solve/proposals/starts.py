@@ -11,12 +11,59 @@ from fgrecon.core.camera import MIN_DEPTH, Camera, Ground
 from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.geometry import yaw_rotation
 from fgrecon.core.observation import Observation
+from fgrecon.solve.proposals.aspnp import aspnp
+from fgrecon.solve.proposals.problem import Problem
+from fgrecon.solve.proposals.search_settings import SETTINGS
 from fgrecon.solve.proposals.terms import Hypotheses
 from fgrecon.solve.vehicle.model import VehicleModel
 
-__all__ = ["at_azimuths", "from_box3d", "from_pose", "view_box"]
+__all__ = ["all_starts", "at_azimuths", "from_box3d", "view_box"]
 
 Array = NDArray[np.float64]
+
+
+def all_starts(problem: Problem, initial: Box3D | float | Array | None = None) -> Hypotheses:
+    """Where the search of a problem begins: in the 2D box at azimuths all around, and what PnP or `initial` says.
+
+    Args:
+        problem: What is to be solved.
+        initial: As `fgrecon.solve.proposals.pose_search.search_pose` takes it.
+
+    Raises:
+        DegenerateProblemError: There is neither a box nor enough points for one.
+    """
+    camera, model, ground = problem.camera, problem.model, problem.ground
+    box = view_box(problem.observation)
+    if isinstance(initial, int | float):
+        azimuths = float(initial) + np.array(SETTINGS.heading_guess_radians)
+        return at_azimuths(box, camera, model, ground, azimuths, relative=False)
+    foreseen = initial if isinstance(initial, np.ndarray) else None
+    count = max(problem.options.search.azimuths // (1 if foreseen is None else SETTINGS.foreseen_azimuth_divisor), 1)
+    clock = 2.0 * np.pi * np.arange(count) / count
+    parts = [at_azimuths(box, camera, model, ground, clock, relative=True)]
+    if isinstance(initial, Box3D):
+        parts.append(from_box3d(initial, model, ground))
+    if foreseen is not None:
+        parts.append(Hypotheses.at_poses(foreseen, model.prior.dimension))
+    else:
+        parts.append(_from_aspnp(problem))
+    return Hypotheses.joined(parts)
+
+
+def _from_aspnp(problem: Problem) -> Hypotheses:
+    """The minima of ASPnP with the confidences as weights; none where it finds the points degenerate."""
+    prior = problem.model.prior
+    none = np.zeros((0, 4, 4))
+    weights = problem.energy.keypoints.evidence.right
+    used = np.flatnonzero(weights > SETTINGS.pnp_least_right_probability)
+    if len(used) < SETTINGS.pnp_least_keypoints:
+        return Hypotheses.at_poses(none, prior.dimension)
+    rays = problem.camera.rays(problem.observation.keypoints[used])[:, :2]
+    try:
+        found = aspnp(prior.mean[used], rays, weights[used], every=False)
+    except DegenerateProblemError:
+        return Hypotheses.at_poses(none, prior.dimension)
+    return Hypotheses.at_poses(np.array([solution.camera_T_object for solution in found]), prior.dimension)
 
 
 def view_box(observation: Observation) -> Array:
@@ -94,9 +141,3 @@ def from_box3d(box: Box3D, model: VehicleModel, ground: Ground | None) -> Hypoth
         gain = basis.T @ np.linalg.inv(basis @ basis.T + 0.05**2 * np.eye(3))
         coefficients = gain @ (box.size - model.dimension_mean)
     return Hypotheses(rotation, box.location[None], coefficients[None])
-
-
-def from_pose(camera_T_object: ArrayLike, dimension: int) -> Hypotheses:
-    """Starts at known poses (H, 4, 4) with the mean shape."""
-    poses = np.asarray(camera_T_object, dtype=np.float64).reshape(-1, 4, 4)
-    return Hypotheses(poses[:, :3, :3].copy(), poses[:, :3, 3].copy(), np.zeros((len(poses), dimension)))

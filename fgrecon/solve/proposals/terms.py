@@ -52,6 +52,12 @@ class Hypotheses:
     coefficients: Array
 
     @classmethod
+    def at_poses(cls, camera_T_object: ArrayLike, dimension: int) -> Hypotheses:
+        """Known poses (H, 4, 4) with the mean shape of a prior of so many coefficients."""
+        poses = np.asarray(camera_T_object, dtype=np.float64).reshape(-1, 4, 4)
+        return cls(poses[:, :3, :3].copy(), poses[:, :3, 3].copy(), np.zeros((len(poses), dimension)))
+
+    @classmethod
     def joined(cls, parts: Sequence[Hypotheses]) -> Hypotheses:
         """Those of all parts, one after the other."""
         return cls(
@@ -169,6 +175,7 @@ class BoxTerm:
     rows: BoxRows
     name: ClassVar[str] = "box"
 
+    @property
     def packed(self) -> tuple[Any, ...]:
         """Arguments of the compiled kernel."""
         rows = self.rows
@@ -216,6 +223,7 @@ class SizeTerm:
     prior: SizePrior
     name: ClassVar[str] = "dimensions"
 
+    @property
     def packed(self) -> tuple[Array, Array, Array]:
         """Arguments of the compiled kernel."""
         return self.mean - self.prior.mean, np.ascontiguousarray(self.jacobian), self.prior.told
@@ -240,6 +248,7 @@ class GroundTerm:
         """What has the residuals."""
         return GroundRows(self.ground.normal, self.ground.distance, self.ground.tilt_sigma)
 
+    @property
     def packed(self) -> tuple[Any, ...]:
         """Arguments of the compiled kernel."""
         ground = self.ground

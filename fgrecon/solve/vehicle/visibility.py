@@ -25,6 +25,7 @@ marks its log loss is 0.25 (posed) and 0.21 (KITTI) where the hard cast's, with 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -182,6 +183,7 @@ class VisibilityTable:
             values[:, done:] = values[:, :1]
         return cls(keypoints, values)
 
+    @cached_property
     def packed(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Arguments of the compiled kernel: values, keypoints, elevations."""
         return np.ascontiguousarray(self.values), np.ascontiguousarray(self.keypoints), _ELEVATIONS

@@ -9,7 +9,7 @@ from fgrecon.core.options import Options
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.proposals.search import search
-from fgrecon.solve.proposals.starts import at_azimuths, from_pose, view_box
+from fgrecon.solve.proposals.starts import at_azimuths, view_box
 from fgrecon.solve.proposals.terms import CoefficientTerm, Hypotheses, Quadratic
 from tests.cars import CAMERA, observe, pose_energy, rotation_angle, yaw_pose
 from tests.settings import options
@@ -130,7 +130,7 @@ def test_starts_behind_the_camera_lose(prior):
     truth = yaw_pose(0.3)
     observation = observe(prior, truth)
     problem, model = pose_energy(prior, observation)
-    behind = from_pose(np.array([yaw_pose(0.3, (0.0, 1.65, -5.0)), yaw_pose(0.3, (0.0, 1.0, 0.0))]), 5)
+    behind = Hypotheses.at_poses(np.array([yaw_pose(0.3, (0.0, 1.65, -5.0)), yaw_pose(0.3, (0.0, 1.0, 0.0))]), 5)
     good = starts_of(observation, model)
     both = Hypotheses(
         np.concatenate([behind.rotation, good.rotation]),

@@ -9,7 +9,8 @@ from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import rotation_y
 from fgrecon.io.catalogue import load_prior
-from fgrecon.solve.proposals.starts import at_azimuths, from_box3d, from_pose, view_box
+from fgrecon.solve.proposals.starts import at_azimuths, from_box3d, view_box
+from fgrecon.solve.proposals.terms import Hypotheses
 from fgrecon.solve.vehicle.model import prepare
 from tests.cars import CAMERA, MATRIX, observe, project, yaw_pose
 
@@ -103,11 +104,11 @@ def test_unusable_3d_boxes_are_named(field, arguments):
 
 def test_known_poses_are_copied():
     poses = np.array([yaw_pose(0.1), yaw_pose(0.2)])
-    starts = from_pose(poses, 3)
+    starts = Hypotheses.at_poses(poses, 3)
     np.testing.assert_array_equal(starts.matrices(), poses)
     starts.rotation[:] = 0
     assert poses[0, 0, 0] != 0
-    assert from_pose(np.zeros((0, 4, 4)), 3).coefficients.shape == (0, 3)
+    assert Hypotheses.at_poses(np.zeros((0, 4, 4)), 3).coefficients.shape == (0, 3)
 
 
 def test_the_view_box(model):
