@@ -3,26 +3,24 @@
 Nothing that computes imports this package, so a solve that is not drawn pays nothing for it, and importing it loads
 neither rerun nor matplotlib: they are imported on use.
 
-- `record` writes a rerun recording: `fgrecon.viz.recording`, laid out by `fgrecon.viz.blueprint` under the names of
-  `fgrecon.viz.entities`; `fgrecon.viz.replay` reads it back. `record_scene` does the same for all vehicles of an image,
-  `record_track` for a whole track, and a `Recording` can also be sent to a viewer.
-- `scene_picture` draws all vehicles of an image and the scene from above: `fgrecon.viz.scene_picture`. `picture`,
-  `contact_sheet` and `save_picture` draw without a viewer too: `fgrecon.viz.picture`; `animate` writes the optimisation
-  as GIF or MP4.
-- Both share colours (`fgrecon.viz.style`), geometry (`fgrecon.viz.geometry`), words (`fgrecon.viz.describe`) and
-  `Truth`.
+- What is drawn is in `fgrecon.viz.sight`: a `Sight` for a vehicle, a `TrackSight` for a track, a `Shown` for each
+  vehicle of a scene; and `Truth`.
+- `recording_of`, `scene_recording_of` and `track_recording_of` give a `Recording`, which can be written to a file, sent
+  to a viewer or shown in a notebook. Entities have the names of `fgrecon.viz.entities`, `fgrecon.viz.blueprint` lays
+  them out, and `fgrecon.viz.replay` reads a file back.
+- `scene_picture` draws all vehicles of an image and the scene from above; `picture` and `contact_sheet` draw single
+  ones; `save_picture` writes what they drew. `animate` writes an optimisation as GIF or MP4.
+- All share colours (`fgrecon.viz.style`), geometry (`fgrecon.viz.geometry`) and words (`fgrecon.viz.describe`).
 """
 
 from fgrecon.viz.animation import animate
-from fgrecon.viz.overlay import Shown
-from fgrecon.viz.photograph import Photograph
-from fgrecon.viz.picture import Sight, as_rgb, contact_sheet, picture, save_picture
-from fgrecon.viz.recording import record, recording_of
+from fgrecon.viz.picture import as_rgb, contact_sheet, picture, save_picture
+from fgrecon.viz.recording import recording_of
 from fgrecon.viz.scene_picture import scene_picture
-from fgrecon.viz.scene_recording import record_scene, scene_recording_of
+from fgrecon.viz.scene_recording import scene_recording_of
+from fgrecon.viz.sight import Photograph, Shown, Sight, TrackSight
 from fgrecon.viz.sinks import Recording
-from fgrecon.viz.track_recording import record_track, track_recording_of
-from fgrecon.viz.track_sight import TrackSight
+from fgrecon.viz.track_recording import track_recording_of
 from fgrecon.viz.truth import Truth
 
 __all__ = [
@@ -36,9 +34,6 @@ __all__ = [
     "as_rgb",
     "contact_sheet",
     "picture",
-    "record",
-    "record_scene",
-    "record_track",
     "recording_of",
     "save_picture",
     "scene_picture",

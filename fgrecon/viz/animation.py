@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
-from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Iteration, Reconstruction
 from fgrecon.io.files import check_ending, write_bytes
 from fgrecon.io.video import check_video, write_video
 from fgrecon.viz import style
 from fgrecon.viz.describe import describe_errors, total_energy
-from fgrecon.viz.geometry import BOX_EDGES, as_image, crop_around, image_points, outline_corners
+from fgrecon.viz.geometry import BOX_EDGES, crop_around, image_points, outline_corners
 from fgrecon.viz.marks import draw_box, draw_crop, draw_edges, draw_keypoints, draw_true_box, unit
-from fgrecon.viz.picture import as_rgb, new_figure, place_axes, split_edges
-from fgrecon.viz.style import Side
+from fgrecon.viz.picture import as_rgb, new_figure, place_axes
+from fgrecon.viz.sight import Sight
 from fgrecon.viz.truth import Truth
 
 __all__ = ["FORMATS", "animate", "check_format"]
@@ -36,8 +34,6 @@ _ASPECT = 1.5
 _PER_SECOND = 6
 _START, _HOLD = 5, 12  # frames that the start and the result stay
 _REACH, _FARTHEST = 3.4, 12.0  # metres around the result that the view from above shows; and as many as the start asks
-
-Edges = Mapping[Side, NDArray[np.int64]]
 
 
 def check_format(path: str | Path) -> str:
@@ -53,24 +49,12 @@ def check_format(path: str | Path) -> str:
     return kind
 
 
-def animate(
-    path: str | Path,
-    reconstruction: Reconstruction,
-    observation: Observation,
-    camera: Camera,
-    *,
-    image: NDArray[np.uint8] | None = None,
-    truth: Truth | None = None,
-) -> Path:
-    """Write an animation of the optimisation, whole or not at all.
+def animate(path: str | Path, sight: Sight) -> Path:
+    """Write an animation of an optimisation, whole or not at all.
 
     Args:
         path: `.gif` or `.mp4` file to write.
-        reconstruction: The result; its history is what is shown.
-        observation: The keypoints that it was solved from.
-        camera: The camera that saw them.
-        image: (H, W, 3) RGB photograph, or None.
-        truth: What is known to be true, drawn in green.
+        sight: The vehicle; the history of its result is what is shown, a truth is drawn in green.
 
     Returns:
         The path written to.
@@ -81,37 +65,31 @@ def animate(
         MissingPackageError: It is an MP4, and PyAV is not installed.
     """
     kind = check_format(path)
-    if not reconstruction.history:
+    if not sight.reconstruction.history:
         raise InvalidInputError("history", "empty", "Reconstruct with keep_history=True.")
-    photograph = None if image is None else as_image(image)
-    frames = list(_frames(reconstruction, observation, camera, photograph, truth))
+    frames = list(_frames(sight))
     return write_bytes(path, _gif(frames)) if kind == "gif" else _mp4(path, frames)
 
 
-def _frames(
-    result: Reconstruction,
-    observation: Observation,
-    camera: Camera,
-    image: NDArray[np.uint8] | None,
-    truth: Truth | None,
-) -> Iterator[NDArray[np.uint8]]:
+def _frames(sight: Sight) -> Iterator[NDArray[np.uint8]]:
     """One picture per step. What does not move is drawn once."""
+    result, observation, truth = sight.reconstruction, sight.observation, sight.truth
     figure = new_figure(_WIDTH, _HEIGHT)
     photo = place_axes(figure, 0.08, _LOW, _PANEL * _ASPECT, _PANEL)
-    draw_crop(photo, image, camera, crop_around(observation, result.wireframe_uv, aspect=_ASPECT))
+    draw_crop(photo, sight.pixels, sight.camera, crop_around(observation, result.wireframe_uv, aspect=_ASPECT))
     if observation.box is not None:
         draw_box(photo, observation.box)
     above = place_axes(figure, 4.72, 0.5, 2.0, _PANEL - 0.4)
     _draw_ground(above, result, truth)
     if truth is not None:
-        draw_true_box(photo, truth, camera)
+        draw_true_box(photo, truth, sight.camera)
     energy = place_axes(figure, 7.25, 0.5, 1.65, _PANEL - 0.4)
     totals = _prepare_energy(energy, result)
     heading = figure.text(0.1 / _WIDTH, 1 - 0.2 / _HEIGHT, "", fontsize=9, va="center", parse_math=False)
-    edges = split_edges(result)
+    edges = style.edges_by_side(result)
     for row, step in enumerate(result.history):
         fixed = {axes: set(axes.get_children()) for axes in (photo, above, energy)}
-        projections = image_points(camera, step.camera_T_object, step.keypoints)
+        projections = image_points(sight.camera, step.camera_T_object, step.keypoints)
         draw_edges(photo, projections, edges)
         draw_keypoints(photo, observation, step.weights, projections)
         draw_edges(above, transform(step.camera_T_object, step.keypoints)[:, [0, 2]], edges)

@@ -1,73 +1,140 @@
-"""How the viewer lays out a recording: image and 3D scene above; plots, factor graph and words below."""
+"""How the viewer lays out each kind of recording."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.viz import entities, style
 from fgrecon.viz.factor_graph import Layout, lay_out
-from fgrecon.viz.geometry import Box, crop_around
-from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR, Truth
+from fgrecon.viz.geometry import Box, crop_around, image_points
+from fgrecon.viz.scene_recording import Member
+from fgrecon.viz.sight import Sight, TrackSight
+from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR
 
-__all__ = [
-    "blueprint",
-    "error_measures",
-    "error_views",
-    "eye",
-    "graph_view",
-    "image_view",
-    "look",
-    "page",
-    "plot_view",
-    "scene_view",
-    "word_views",
-]
+__all__ = ["scene_blueprint", "track_blueprint", "vehicle_blueprint", "video_blueprint"]
 
 _ASPECT = 1.6
 _STEPS_PER_SECOND = 8.0
 _GRAPH_MARGIN = (75.0, 30.0)  # half a label beyond the outermost nodes
+_TRACK_MARGIN = 0.08  # of the image's part that is shown
+_ALL = "$origin/**"
+_IMAGE_MARKS = (entities.BOX_2D, entities.KEYPOINTS_2D, entities.PREVIOUS_2D, entities.RESIDUALS, entities.TRUTH_2D)
+_BODY = (entities.SURFACE, entities.MODEL, entities.WIREFRAME_3D)
 _NEAR, _CLOSE_UP = 14.0, 8.0  # metres: how far a camera may be to stay in the view, and what is looked at without it
+_BEHIND_SCENE, _ABOVE_SCENE = 0.45, 0.35  # of the scene's reach: where the eye is, as the camera sees it
+_VIDEO_AHEAD, _VIDEO_ABOVE = 24.0, 62.0  # metres: what is looked at, and from how high
+_VIDEO_EYE = np.array([0.0, -10.0, -12.0])  # of the view from behind
+_VIDEO_UNITS = {"yaw": "degrees", "speed": "m/s", "distance": "m", **dict.fromkeys(entities.SIZES, "m")}
 
 
-def blueprint(
-    reconstruction: Reconstruction, observation: Observation, truth: Truth | None, *, model: bool = False
-) -> Any:
-    """The `rerun.blueprint.Blueprint` of a recording, zoomed to the vehicle in the image and in the scene.
+def vehicle_blueprint(sight: Sight) -> Any:
+    """The `rerun.blueprint.Blueprint` of a vehicle: image and scene above, zoomed to it; plots, graph and words below.
 
     With a car model the surface is not shown, which is where that is.
     """
-    crop = crop_around(observation, reconstruction.wireframe_uv, aspect=_ASPECT)
-    measures = () if truth is None else error_measures(shape=truth.keypoints is not None)
-    structure = graph_view(lay_out(reconstruction.graph)) if reconstruction.graph else None
-    return _whole(measures, image_view(crop), scene_view(eye(reconstruction), model=model), structure)
-
-
-def _whole(measures: tuple[tuple[str, str], ...], image: Any, scene: Any, structure: Any) -> Any:
-    """The `rerun.blueprint.Blueprint` of these views and the plots; without a factor graph `structure` is None."""
     import rerun.blueprint as rrb
 
-    plots = [
-        plot_view("Energy [nats]", entities.ENERGY),
-        plot_view("Weights", entities.WEIGHTS, low=-0.02, high=1.02),
-        plot_view("Shape", entities.COEFFICIENTS),
-    ]
-    if measures:
-        plots.append(error_views(entities.ERROR, measures))
-    return page(
-        [image, scene],
-        [rrb.Tabs(*plots), *([] if structure is None else [structure]), word_views()],
+    result, truth = sight.reconstruction, sight.truth
+    crop = crop_around(sight.observation, result.wireframe_uv, aspect=_ASPECT)
+    plots = [*_step_plots(), _plot_view("Shape", entities.COEFFICIENTS)]
+    if truth is not None:
+        plots.append(_error_views(entities.ERROR, shape=truth.keypoints is not None))
+    structure = [_graph_view(lay_out(result.graph))] if result.graph else []
+    return _page(
+        [_image_view(crop), _scene_view(_eye_beside(result), model=sight.model is not None)],
+        [rrb.Tabs(*plots), *structure, _word_views()],
         name="One vehicle: from keypoints to pose and shape",
         timeline=entities.STEP,
     )
 
 
-def page(above: Sequence[Any], below: Sequence[Any], *, name: str, timeline: str) -> Any:
+def scene_blueprint(members: Sequence[Member]) -> Any:
+    """Of a scene: image, space and view from above; below states, words, and a tab for each vehicle."""
+    import rerun.blueprint as rrb
+
+    logs = [f"/{member.place(entities.LOG)}" for member in members]
+    columns = rrb.TextLogColumns(text_log_columns=["LogLevel", "EntityPath", "Body"])
+    words = rrb.Tabs(
+        rrb.TextDocumentView(name="Result", origin=f"/{entities.SUMMARY}"),
+        rrb.TextLogView(name="Log", origin="/", contents=logs, columns=columns),
+    )
+    marks = [member.place(part) for member in members for part in _IMAGE_MARKS]  # which would hide small vehicles
+    return _page(
+        [_image_view(None, "Image: projected wireframes", [_ALL, *_without(marks)]), *_scene_views(members)],
+        [rrb.Tabs(*map(_details, members)), _state_view("Stage, then status, and side"), words],
+        name="All vehicles of an image",
+        timeline=entities.STEP,
+    )
+
+
+def track_blueprint(track: TrackReconstruction, sight: TrackSight) -> Any:
+    """Of a track, showing all of its path: what happens by frame on the left, the joint solve on the right."""
+    import rerun.blueprint as rrb
+
+    by_frame = list(_step_plots(f"{entities.FRAMES}/"))[::-1]
+    if sight.truths is not None and any(truth is not None for truth in sight.truths):
+        by_frame.insert(0, _error_views(f"{entities.FRAMES}/{entities.ERROR}", shape=False))
+    joint = [_graph_view(lay_out(track.graph), "Factor graph")] if track.graph else []
+    if track.history:
+        joint += [
+            _plot_view("Joint energy (by step)", entities.ENERGY),
+            _plot_view("Shape (by step)", entities.COEFFICIENTS),
+        ]
+    return _page(
+        [_image_view(_track_crop(track, sight)), _scene_view(_eye_above_path(track))],
+        [rrb.Tabs(*by_frame), *([rrb.Tabs(*joint)] if joint else []), _word_views()],
+        name="One vehicle in several images: a pose for each, one shape for all",
+        timeline=entities.FRAME,
+    )
+
+
+def video_blueprint() -> Any:
+    """Of a video: image, space and view from above; plots, a graph and words below.
+
+    Both views of the space go with the camera, whose frame they are in: x right, y down, z ahead, metres.
+    """
+    import rerun.blueprint as rrb
+
+    middle = np.array([0.0, 0.0, _VIDEO_AHEAD])
+    above = _look(np.array([0.0, -_VIDEO_ABOVE, _VIDEO_AHEAD]), middle, up=(0.0, 0.0, 1.0))
+    behind, world = _look(_VIDEO_EYE, middle), f"/{entities.WORLD}/**"
+    return rrb.Blueprint(
+        rrb.Vertical(
+            rrb.Horizontal(
+                rrb.Spatial2DView(origin=f"/{entities.VIDEO_IMAGE}", name="Image"),
+                _space_view("Space", entities.HERE, [world, *_without([entities.RINGS])], behind),
+                _space_view("From above: a circle every 10 m", entities.HERE, [world], above),
+                column_shares=[3, 2, 2],
+            ),
+            rrb.Horizontal(
+                rrb.Grid(*map(_video_plot, ("yaw", *entities.SIZES)), grid_columns=2),
+                rrb.Tabs(*map(_video_plot, ("speed", "distance", "facing_probability"))),
+                _graph_view(None, "Factor graph of a window"),
+                rrb.Vertical(_state_view("Status and side"), rrb.TextLogView(origin=f"/{entities.LOG}", name="Gaps")),
+                column_shares=[5, 3, 7, 4],
+            ),
+            row_shares=[3, 2],
+        ),
+        collapse_panels=True,
+    )
+
+
+def _video_plot(name: str) -> Any:
+    """One value of all vehicles, in their colours: without a legend, which would hide it."""
+    import rerun.blueprint as rrb
+
+    title = name.replace("_", " ") + (f" [{_VIDEO_UNITS[name]}]" if name in _VIDEO_UNITS else "")
+    legend = rrb.PlotLegend(visible=False)
+    return rrb.TimeSeriesView(origin=f"/{entities.PLOTS}/{name}", name=title, plot_legend=legend)
+
+
+def _page(above: Sequence[Any], below: Sequence[Any], *, name: str, timeline: str) -> Any:
     """Two rows of views, and no panels but the player; the last view below has words and a little more room."""
     import rerun.blueprint as rrb
 
@@ -84,10 +151,15 @@ def page(above: Sequence[Any], below: Sequence[Any], *, name: str, timeline: str
     )
 
 
-def image_view(
+def _without(names: Iterable[str]) -> list[str]:
+    """What leaves entities, and all below them, out of a view."""
+    return [f"- /{name}/**" for name in names]
+
+
+def _image_view(
     crop: Box | None,
     name: str = "Image: keypoints by weight, projected wireframe, residuals",
-    contents: Sequence[str] = ("$origin/**",),
+    contents: Sequence[str] = (_ALL,),
 ) -> Any:
     """The image, zoomed to a crop where one is given."""
     import rerun.blueprint as rrb
@@ -109,10 +181,22 @@ def _bounds(crop: Box) -> Any:
     return rrb.VisualBounds2D(x_range=(x1, x2), y_range=(y1, y2))
 
 
-def scene_view(controls: Any, *, model: bool = False) -> Any:
-    """The 3D scene without what the image alone shows, and with a car model without the surface."""
+def _space_view(name: str, origin: str, contents: Sequence[str], eye: Any) -> Any:
+    """A 3D view."""
     import rerun.blueprint as rrb
 
+    return rrb.Spatial3DView(
+        name=name,
+        origin=f"/{origin}",
+        contents=list(contents),
+        background=style.SCREEN_BACKGROUND,
+        eye_controls=eye,
+        line_grid=False,
+    )
+
+
+def _scene_view(eye: Any, *, model: bool = False) -> Any:
+    """The 3D scene without what the image alone shows, and with a car model without the surface."""
     hidden = (
         *((entities.SURFACE,) if model else ()),
         entities.BOX_2D,
@@ -122,48 +206,79 @@ def scene_view(controls: Any, *, model: bool = False) -> Any:
         entities.RESIDUALS,
         entities.TRUTH_2D,
     )
-    return rrb.Spatial3DView(
-        name="Scene: camera frame, metres",
-        origin=f"/{entities.SCENE}",
-        contents=["$origin/**", *(f"- /{entity}/**" for entity in hidden)],
-        background=style.SCREEN_BACKGROUND,
-        eye_controls=controls,
-        line_grid=False,
-    )
+    return _space_view("Scene: camera frame, metres", entities.SCENE, [_ALL, *_without(hidden)], eye)
 
 
-def plot_view(name: str, entity: str, *, low: float | None = None, high: float | None = None) -> Any:
+def _scene_views(members: Sequence[Member]) -> list[Any]:
+    """The space from behind the camera, and from above without the bodies, which hide how far positions are known."""
+    parts = (entities.KEYPOINTS_3D, entities.PLANES, entities.UNCERTAINTY, entities.PREVIOUS_3D)
+    hidden = [f"{entities.CAMERA}/{entities.IN_VEHICLES}", entities.BOXES_2D]
+    hidden += [member.place(part) for member in members for part in parts]
+    hidden += [member.place(entities.SURFACE) for member in members if member.sight.model is not None]
+    contents = [_ALL, *_without(hidden)]
+    without_bodies = [*contents, *_without(member.place(part) for member in members for part in _BODY)]
+    reach = np.array([*(m.sight.reconstruction.location for m in members), (0.0, 0.0, 0.0)])
+    low, high = np.nanmin(reach, axis=0), np.nanmax(reach, axis=0)
+    middle, span = (low + high) / 2, max(float(np.hypot(*(high - low)[[0, 2]])), 10.0)
+    behind = _look(np.array([middle[0], -_ABOVE_SCENE * span, low[2] - _BEHIND_SCENE * span]), middle)
+    above = _look(middle - np.array([0.0, 1.3 * span, 0.0]), middle, up=(0.0, 0.0, 1.0))
+    return [
+        _space_view("Scene: camera frame, metres", entities.SCENE, contents, behind),
+        _space_view("From above: box, heading, 95 % of position", entities.SCENE, without_bodies, above),
+    ]
+
+
+def _details(member: Member) -> Any:
+    """Image, plots and graph of one vehicle of a scene."""
+    import rerun.blueprint as rrb
+
+    result = member.sight.reconstruction
+    crop = crop_around(member.sight.observation, result.wireframe_uv, aspect=_ASPECT)
+    contents = (f"/{entities.CAMERA}", f"/{entities.IMAGE}", f"/{member.place(f'{entities.CAMERA}/')}**")
+    views = [_image_view(crop, "Keypoints by weight", contents), *_step_plots(member.place(""))]
+    if result.graph:
+        views.append(_graph_view(lay_out(result.graph), "Factor graph", member.place(entities.GRAPH)))
+    return rrb.Tabs(*views, name=member.title)
+
+
+def _step_plots(root: str = "") -> tuple[Any, Any]:
+    """Energy and weights below an entity."""
+    weights = _plot_view("Weights", f"{root}{entities.WEIGHTS}", (-0.02, 1.02))
+    return _plot_view("Energy [nats]", f"{root}{entities.ENERGY}"), weights
+
+
+def _plot_view(name: str, entity: str, span: tuple[float, float] | None = None) -> Any:
     """One plot; its range is that of the data where none is given."""
     import rerun.blueprint as rrb
 
     legend = rrb.PlotLegend(rrb.Corner2D.RightTop)
-    axis = None if low is None or high is None else rrb.ScalarAxis(range=(low, high))
+    axis = None if span is None else rrb.ScalarAxis(range=span)
     return rrb.TimeSeriesView(name=name, origin=f"/{entity}", plot_legend=legend, axis_y=axis)
 
 
-def error_measures(*, shape: bool) -> tuple[tuple[str, str], ...]:
-    """Titles and names of the distances from the truth, with that of the shape or without."""
-    pose = (("Orientation error [degrees]", ORIENTATION_ERROR), ("Translation error [m]", TRANSLATION_ERROR))
-    return (*pose, ("Error of the 3D keypoints [m]", SHAPE_ERROR)) if shape else pose
-
-
-def error_views(entity: str, measures: Sequence[tuple[str, str]]) -> Any:
-    """Distances from the truth, one plot above the other: they have different units."""
+def _error_views(entity: str, *, shape: bool) -> Any:
+    """Distances from the truth, with that of the shape or without, in plots of their own: they have different units."""
     import rerun.blueprint as rrb
 
-    return rrb.Vertical(*(plot_view(name, f"{entity}/{m}") for name, m in measures), name="Errors")
+    measures = {ORIENTATION_ERROR: "Orientation error [degrees]", TRANSLATION_ERROR: "Translation error [m]"}
+    measures |= {SHAPE_ERROR: "Error of the 3D keypoints [m]"} if shape else {}
+    return rrb.Vertical(*(_plot_view(name, f"{entity}/{m}") for m, name in measures.items()), name="Errors")
 
 
-def graph_view(
+def _graph_view(
     layout: Layout | None, name: str = "Factor graph: keypoints by weight", entity: str = entities.GRAPH
 ) -> Any:
     """The factor graph, with every node where it was put and, where a layout is given, all of them in the view."""
     import rerun.blueprint as rrb
     import rerun.blueprint.archetypes as forces
 
+    bounds = None
+    if layout is not None:
+        low, high = layout.positions.min(axis=0) - _GRAPH_MARGIN, layout.positions.max(axis=0) + _GRAPH_MARGIN
+        bounds = _bounds((low[0], low[1], high[0], high[1]))
     return rrb.GraphView(
         name=name,
-        visual_bounds=None if layout is None else _bounds(_reach(layout)),
+        visual_bounds=bounds,
         origin=f"/{entity}",
         force_link=forces.ForceLink(enabled=False),
         force_many_body=forces.ForceManyBody(enabled=False),
@@ -172,13 +287,14 @@ def graph_view(
     )
 
 
-def _reach(layout: Layout) -> Box:
-    """The part of a graph's view where its nodes and their labels are."""
-    low, high = layout.positions.min(axis=0) - _GRAPH_MARGIN, layout.positions.max(axis=0) + _GRAPH_MARGIN
-    return (low[0], low[1], high[0], high[1])
+def _state_view(name: str) -> Any:
+    """The states of all vehicles over time."""
+    import rerun.blueprint as rrb
+
+    return rrb.StateTimelineView(origin=f"/{entities.STATES}", name=name)
 
 
-def word_views() -> Any:
+def _word_views() -> Any:
     """The log and the summary. Every line of the log comes from one entity, whose name says nothing."""
     import rerun.blueprint as rrb
 
@@ -189,7 +305,34 @@ def word_views() -> Any:
     )
 
 
-def eye(reconstruction: Reconstruction) -> Any:
+def _track_crop(track: TrackReconstruction, sight: TrackSight) -> Box:
+    """The part of the image where boxes, keypoints and wireframes are in any frame."""
+    points = [np.zeros((0, 2))]
+    for index, result in zip(track.numbers, track.frames, strict=True):
+        frame = sight.at(index, result)
+        points.append(frame.observation.keypoints[frame.observation.measured])
+        if frame.observation.box is not None:
+            points.append(frame.observation.box.reshape(2, 2))
+        else:
+            points.append(image_points(frame.camera, result.camera_T_object, result.wireframe))
+    found = np.concatenate(points)
+    found = found[np.isfinite(found).all(axis=1)]
+    low, high = found.min(axis=0), found.max(axis=0)
+    (x, y), size = (low + high) / 2, (high - low) * (1 + 2 * _TRACK_MARGIN)
+    width, height = max(size[0], _ASPECT * size[1]), max(size[1], size[0] / _ASPECT)
+    return (float(x - width / 2), float(y - height / 2), float(x + width / 2), float(y + height / 2))
+
+
+def _eye_above_path(track: TrackReconstruction) -> Any:
+    """An eye above and beside the path and the camera."""
+    points = np.array([[0.0, 0.0, 0.0], *(result.location for result in track.frames)])
+    points = points[np.isfinite(points).all(axis=1)]
+    target = (points.min(axis=0) + points.max(axis=0)) / 2
+    span = max(float(np.ptp(points, axis=0).max()), 8.0)
+    return _look(target + np.array([0.5, -0.45, -0.25]) * span, target)
+
+
+def _eye_beside(reconstruction: Reconstruction) -> Any:
     """An eye beside the line of sight, on the side of the flank that the camera sees; None where there is no result.
 
     A camera nearby is in the view; one farther away is not, so that the vehicle keeps its size.
@@ -208,10 +351,10 @@ def eye(reconstruction: Reconstruction) -> Any:
     target = at - (0.32 * span if near else 0.0) * towards - (0.0, 0.6, 0.0)
     # In a close-up the eye stands a little towards the camera, or an end-on vehicle would show its other flank only.
     position = target + 0.75 * span * aside - (0.0, 0.3 * span, 0.0) - (0.0 if near else 0.4 * span) * towards
-    return look(position, target)
+    return _look(position, target)
 
 
-def look(
+def _look(
     position: NDArray[np.float64], target: NDArray[np.float64], up: tuple[float, float, float] = (0.0, -1.0, 0.0)
 ) -> Any:
     """An eye at a position that looks at a target, with what is to be up in its view; camera frame, metres."""

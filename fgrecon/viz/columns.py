@@ -20,7 +20,6 @@ __all__ = [
     "Outbox",
     "column",
     "exact_column",
-    "fixed",
     "fixed_columns",
     "made_columns",
     "strip_column",
@@ -71,12 +70,8 @@ class Outbox:
         self.chunks.append(Chunk.from_columns(self.place(entity), times, columns))
 
     def send_fixed(self, entity: str, archetype: Any, **fields: Any) -> None:
-        """Add what `fixed` makes."""
-        self.chunks.append(fixed(self.place(entity), archetype, **fields))
-
-    def send_chunks(self, chunk: Any) -> None:
-        """Add a chunk."""
-        self.chunks.append(chunk)
+        """Add fields of an archetype without a time, such as its style; their values must be hashable."""
+        self.chunks.append(_fixed(self.place(entity), archetype, tuple(fields.items())))
 
     def empty_into(self, stream: Any) -> None:
         """Send all of them and the name into a `rerun.RecordingStream`."""
@@ -96,19 +91,15 @@ def exact_column(archetype: str, fields: Mapping[str, Sequence[Any] | NDArray[An
     import pyarrow as pa
     import rerun as rr
 
-    arrays = [_exact(values) for values in fields.values()]
+    arrays = [
+        pa.ListArray.from_arrays(_even_ends(len(values), prod(values.shape[1:])), pa.array(values.ravel()))
+        if isinstance(values, np.ndarray) and values.ndim > 1
+        else pa.array(values)
+        for values in fields.values()
+    ]
     rows = pa.StructArray.from_arrays(arrays, names=list(fields))
     descriptor = rr.ComponentDescriptor(f"{archetype}:{FIELDS}", archetype=archetype)
     return Column(descriptor, pa.ListArray.from_arrays(_even_ends(len(rows), 1), rows))
-
-
-def _exact(values: Sequence[Any] | NDArray[Any]) -> Any:
-    """One number, text or list per row."""
-    import pyarrow as pa
-
-    if isinstance(values, np.ndarray) and values.ndim > 1:
-        return pa.ListArray.from_arrays(_even_ends(len(values), prod(values.shape[1:])), pa.array(values.ravel()))
-    return pa.array(values)
 
 
 def column(
@@ -119,24 +110,19 @@ def column(
     Args:
         archetype: Class of rerun, such as `rr.Points3D`.
         name: Its field, such as `positions`.
-        values: N values, row after row: numbers (N,), vectors (N, D), rotations (N, 3, 3), RGB bytes (N, 3), texts, or
-            pairs of texts.
+        values: N values, row after row: numbers (N,), vectors (N, D), rotations (N, 3, 3), RGB bytes (N, 3), or texts.
         counts: How many values each row has, or one number where all have as many; without it all are one row.
     """
     import pyarrow as pa
 
-    shape = values.shape[1:] if isinstance(values, np.ndarray) else None
-    descriptor, rows = _types(archetype, name, shape)
+    descriptor, rows = _types(archetype, name, values.shape[1:] if isinstance(values, np.ndarray) else None)
     item = rows.value_type
-    if pa.types.is_struct(item):
-        parts = zip(*values, strict=True) if len(values) else ((), ())
-        flat = pa.StructArray.from_arrays([pa.array(part, pa.string()) for part in parts], fields=list(item))
-    elif not isinstance(values, np.ndarray):
+    if not isinstance(values, np.ndarray):
         flat = pa.array(values, item)
     elif pa.types.is_fixed_size_list(item):
-        in_order = values.swapaxes(1, 2) if values.ndim == 3 else values  # rerun's matrices lie column by column
-        numbers = in_order.astype(item.value_type.to_pandas_dtype()).ravel()
-        flat = pa.FixedSizeListArray.from_arrays(pa.array(numbers), type=item)
+        in_order = values.swapaxes(1, 2) if values.ndim == 3 else values  # rerun's matrices are column by column
+        numbers = pa.array(in_order.astype(item.value_type.to_pandas_dtype()).ravel())
+        flat = pa.FixedSizeListArray.from_arrays(numbers, type=item)
     else:
         numbers = _packed(values) if values.ndim == 2 else values
         flat = pa.array(numbers.astype(item.to_pandas_dtype(), copy=False))
@@ -149,26 +135,21 @@ def column(
     return Column(descriptor, pa.ListArray.from_arrays(ends, flat, type=rows))
 
 
-def fixed(entity: str, archetype: Any, **fields: Any) -> Any:
-    """A chunk without a time that holds fields of an archetype, such as its style; made once for the same values.
-
-    Args:
-        entity: Where it belongs.
-        archetype: Class of rerun, such as `rr.Points3D`.
-        fields: Values of its fields, which must be hashable.
-    """
-    return _fixed(entity, archetype, tuple(fields.items()))
-
-
 @lru_cache(maxsize=512)
 def _fixed(entity: str, archetype: Any, fields: tuple[tuple[str, Any], ...]) -> Any:
+    """A chunk without a time, made once for the same values."""
     from rerun.chunk import Chunk
 
     return Chunk.from_columns(entity, [], fixed_columns(archetype, **dict(fields)))
 
 
 def fixed_columns(archetype: Any, **fields: Any) -> tuple[Any, ...]:
-    """The columns of `fixed`, to send with others of the entity: a chunk costs more than what is in it."""
+    """Columns of what stays the same, to send with others of the entity: a chunk costs more than what is in it.
+
+    Args:
+        archetype: Class of rerun, such as `rr.Points3D`.
+        fields: Values of its fields, which must be hashable: they are made once.
+    """
     return _fixed_columns(archetype, tuple(fields.items()))
 
 
@@ -225,8 +206,6 @@ def _packed(colours: NDArray[np.uint8]) -> NDArray[np.uint32]:
 
 @lru_cache(maxsize=64)
 def _types(archetype: Any, name: str, shape: tuple[int, ...] | None) -> tuple[Any, Any]:
-    """Descriptor and Arrow type of a field, as rerun itself makes them of one value of a shape, of a text or a pair."""
-    texts: list[Any] = [("from", "to")] if name == "edges" else ["text"]
-    sample = texts if shape is None else np.zeros((1, *shape))
-    (made,) = archetype.columns(**{name: sample})
+    """Descriptor and Arrow type of a field, as rerun itself makes them of one value of a shape, or of a text."""
+    (made,) = archetype.columns(**{name: ["text"] if shape is None else np.zeros((1, *shape))})
     return made.component_descriptor(), made.as_arrow_array().type

@@ -50,62 +50,26 @@ step 0. In addition it has
 | `scene/vehicles/<id>/position` | ellipsoid that holds the position with a probability of 95 % | at the result |
 | `states/<id>` | stage, then status, and whether the camera sees front or rear | where it changes |
 
-Timelines: `step` counts the steps across all stages (and, of a track, all frames), `stage` the stages, `irls` the
+The recording of a video (`fgrecon.viz.video_recording`) has the timelines `frame` and `time`, and no `step`, since of a
+frame only the end of its solve is known:
+
+| entity | what | when |
+|---|---|---|
+| `image` | the photograph; below it `boxes` with ids and words, and `wireframes` | each frame |
+| `world` | where the camera was first, or the world that its poses are in | once |
+| `world/camera`, `world/here` | the pinhole camera; its frame alone, with `rings` every 10 m | each frame |
+| `world/cars`, `world/headings`, `world/paths` | boxes and wireframes; arrows with ids; past places | each frame |
+| `plots/<value>/<id>` | a number; of yaw, length, width and height with its band of 95 % | each frame |
+| `graph` | factors of the window of one vehicle | each frame |
+| `states/<id>`, `log` | status and visible side; why a frame could not be read | where they change |
+
+Timelines of the others: `step` counts the steps across all stages (and, of a track, all frames), `stage` the stages, `irls` the
 weight updates across all stages, and `frame` is the number of the image. Drawn geometry is in single precision, as
 viewers want it; plots and `history` are in double, and `fgrecon.viz.replay` reads them back to the last bit. Each row
 of `history` and `track` is one struct, the component `fields` of an archetype of our own.
 """
 
 from __future__ import annotations
-
-__all__ = [
-    "BOXES_2D",
-    "BOX_2D",
-    "CAMERA",
-    "COEFFICIENTS",
-    "ENERGY",
-    "ERROR",
-    "FRAME",
-    "FRAMES",
-    "GRAPH",
-    "GROUND",
-    "HEADING",
-    "HISTORY",
-    "HISTORY_ARCHETYPE",
-    "IMAGE",
-    "IN_VEHICLES",
-    "IRLS",
-    "JOINT_ARCHETYPE",
-    "KEYPOINTS_2D",
-    "KEYPOINTS_3D",
-    "LOG",
-    "MEDIAL",
-    "MODEL",
-    "PATH",
-    "PLANES",
-    "POSITION",
-    "PREVIOUS_2D",
-    "PREVIOUS_3D",
-    "RESIDUALS",
-    "SCENE",
-    "STAGE",
-    "STEP",
-    "SUMMARY",
-    "SURFACE",
-    "TOTAL",
-    "TRACK",
-    "TRACK_3D",
-    "TRUE_PATH",
-    "TRUTH_2D",
-    "TRUTH_3D",
-    "UNCERTAINTY",
-    "VEHICLE",
-    "VEHICLE_BOX",
-    "WEIGHTS",
-    "WIREFRAME_2D",
-    "WIREFRAME_3D",
-    "of_vehicle",
-]
 
 STEP = "step"
 STAGE = "stage"
@@ -151,6 +115,7 @@ BOXES_2D = "scene/camera/boxes"
 HEADING = "scene/vehicle/heading"
 POSITION = "scene/position"
 IN_VEHICLES = "vehicles"
+STATES = "states"
 
 PATH = "scene/path"
 TRUE_PATH = "scene/path/truth"
@@ -158,6 +123,15 @@ TRACK_3D = "scene/track"
 FRAMES = "frames"
 TRACK = "track"
 JOINT_ARCHETYPE = "fgrecon.JointStep"
+
+VIDEO_IMAGE = "image"
+WORLD = "world"
+WORLD_CAMERA = "world/camera"
+HERE = "world/here"
+RINGS = "world/here/rings"
+PLOTS = "plots"
+SIZES = ("length", "width", "height")
+"""Plots of a vehicle's size."""
 
 
 def of_vehicle(entity: str, name: str) -> str:

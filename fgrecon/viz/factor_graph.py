@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from fgrecon.core.reconstruction import GraphFactor
 from fgrecon.viz import entities, style
-from fgrecon.viz.columns import Outbox, column, fixed_columns
-from fgrecon.viz.playback import Playback
+from fgrecon.viz.columns import Outbox, column, made_columns
+from fgrecon.viz.playback import Rows
 from fgrecon.viz.style import Colour
 
 __all__ = ["Layout", "graph_archetypes", "lay_out", "log_graph", "log_layout"]
@@ -53,23 +53,25 @@ class Layout:
     edges: tuple[tuple[str, str], ...]
 
 
-def log_graph(play: Playback) -> None:
-    """The graph that the result minimises; the factors of keypoints are coloured by weight at every step."""
+def log_graph(rows: Rows) -> None:
+    """The graph that a vehicle's result minimises; the factors of keypoints are coloured by weight at every step."""
     import rerun as rr
 
-    graph = play.reconstruction.graph
-    if not graph:
+    (play,) = rows.plays
+    result = play.sight.reconstruction
+    if not result.graph:
         return
-    layout = lay_out(graph)
+    layout = lay_out(result.graph)
     log_layout(play.stream, layout)
-    place = {name: index for index, name in enumerate(play.reconstruction.keypoint_names)}
-    drawn = [(row, place[f.label]) for row, f in enumerate(graph, start=layout.variables) if _is_keypoint(f, place)]
-    colours = np.broadcast_to(np.array(layout.colours, dtype=np.uint8), (len(play.steps), len(layout.nodes), 3)).copy()
+    place = {name: index for index, name in enumerate(result.keypoint_names)}
+    drawn = [
+        (row, place[f.label]) for row, f in enumerate(result.graph, start=layout.variables) if _is_keypoint(f, place)
+    ]
+    colours = np.broadcast_to(np.array(layout.colours, dtype=np.uint8), (len(rows.steps), len(layout.nodes), 3)).copy()
     if drawn:
         nodes, keypoints = np.array(drawn).T
-        colours[:, nodes] = style.readable(play.colours[:, keypoints])
-    columns = [column(rr.GraphNodes, "colors", colours.reshape(-1, 3), len(layout.nodes))]
-    play.every_step(entities.GRAPH, columns)
+        colours[:, nodes] = style.readable(rows.colours[:, keypoints])
+    rows.send(entities.GRAPH, [column(rr.GraphNodes, "colors", colours.reshape(-1, 3), len(layout.nodes))])
 
 
 def _is_keypoint(factor: GraphFactor, names: Mapping[str, int]) -> bool:
@@ -78,34 +80,26 @@ def _is_keypoint(factor: GraphFactor, names: Mapping[str, int]) -> bool:
 
 def log_layout(stream: Outbox, layout: Layout, *, colours: bool = False) -> None:
     """Log nodes and edges without a time; the colours too, where no step changes them."""
-    import rerun as rr
-
-    nodes = _nodes(layout) if colours else {k: v for k, v in _nodes(layout).items() if k != "colors"}
-    columns = [
-        *fixed_columns(rr.GraphNodes, show_labels=True),
-        *(column(rr.GraphNodes, name, values) for name, values in nodes.items()),
-        *fixed_columns(rr.GraphEdges, graph_type="undirected"),
-        column(rr.GraphEdges, "edges", layout.edges),
-    ]
-    stream.send_columns(entities.GRAPH, [], columns)
+    nodes, edges = graph_archetypes(layout)
+    parts = [*made_columns(nodes), *made_columns(edges)]
+    kept = [part for part in parts if colours or part.component_descriptor().component != "GraphNodes:colors"]
+    stream.send_columns(entities.GRAPH, [], kept)
 
 
 def graph_archetypes(layout: Layout) -> tuple[Any, Any]:
     """The `rerun.GraphNodes` and `rerun.GraphEdges` of a graph that is another one at another time."""
     import rerun as rr
 
-    return rr.GraphNodes(**_nodes(layout), show_labels=True), rr.GraphEdges(layout.edges, graph_type="undirected")
-
-
-def _nodes(layout: Layout) -> dict[str, Any]:
-    small = len(layout.nodes) - layout.variables
-    return {
-        "node_ids": layout.nodes,
-        "positions": layout.positions,
-        "labels": layout.labels,
-        "radii": np.repeat([_LARGE, _SMALL], [layout.variables, small]),
-        "colors": np.array(layout.colours, dtype=np.uint8),
-    }
+    radii = np.repeat([_LARGE, _SMALL], [layout.variables, len(layout.nodes) - layout.variables])
+    nodes = rr.GraphNodes(
+        layout.nodes,
+        positions=layout.positions,
+        labels=layout.labels,
+        radii=radii,
+        colors=np.array(layout.colours, dtype=np.uint8),
+        show_labels=True,
+    )
+    return nodes, rr.GraphEdges(layout.edges, graph_type="undirected")
 
 
 @lru_cache(maxsize=16)

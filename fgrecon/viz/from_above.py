@@ -15,12 +15,12 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.geometry import position_covariance, transform
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.viz import style
-from fgrecon.viz.geometry import ellipse, level_axes, outline_corners
+from fgrecon.viz.geometry import NOSE, ellipse, level_axes, outline_corners
 from fgrecon.viz.marks import unit
-from fgrecon.viz.overlay import Shown
+from fgrecon.viz.sight import Shown
 from fgrecon.viz.tags import Plates
 
-__all__ = ["CONFIDENCE", "DASHES", "draw_scene_from_above", "ellipse_scale", "extent_from_above", "name_of"]
+__all__ = ["CONFIDENCE", "DASHES", "draw_scene_from_above", "ellipse_scale", "extent_from_above"]
 
 CONFIDENCE = 0.95
 """Of the ellipses around positions."""
@@ -28,7 +28,7 @@ _RADIUS = 2.4477  # standard deviations of that, in two dimensions
 _SIDES = ((1, 0), (-1, 0), (0.8, 0.8), (-0.8, 0.8), (0.8, -0.8), (-0.8, -0.8), (0, 1), (0, -1))
 _VISIBLE = 0.9  # millimetres that the middle one of the ellipses is to be long, from its centre
 _SCALES = (1.0, 2.0, 5.0, 10.0, 20.0)
-_NOSE, _LEAST_NOSE = 1.6, 1.5  # metres of an arrow before the vehicle; millimetres
+_LEAST_NOSE = 1.5  # millimetres of an arrow before the vehicle
 _MARGIN = 1.5
 _REACH = np.array([(-150.0, -50.0), (150.0, 250.0)])  # lowest and highest coordinates that are shown at all
 _CLOUDS = 1.2  # how much farther than to the vehicles it is shown for their ellipses
@@ -42,11 +42,6 @@ DASHES: Mapping[Status, Any] = {
     Status.FAILED: (0, (1.0, 2.4)),
 }
 """Line of each status."""
-
-
-def name_of(vehicle: Shown) -> str:
-    """What a plate calls a vehicle."""
-    return vehicle.name or str(vehicle.identity)
 
 
 def extent_from_above(
@@ -140,7 +135,7 @@ def draw_scene_from_above(
         assert vehicle.result is not None
         assert vehicle.pose is not None
         footprint, nose = (
-            part @ flat.T for part in _outline(vehicle.pose, vehicle.result, max(_NOSE, _LEAST_NOSE * millimetre))
+            part @ flat.T for part in _outline(vehicle.pose, vehicle.result, max(NOSE, _LEAST_NOSE * millimetre))
         )
         _draw_vehicle(axes, vehicle, footprint, nose)
         covariance = _covariance(vehicle, level)
@@ -152,14 +147,14 @@ def draw_scene_from_above(
         assert vehicle.pose is not None
         corners = _outline(vehicle.pose, vehicle.result)[0] @ flat.T
         sides = (corners + np.roll(corners, 1, axis=0)) / 2
-        plates.put(name_of(vehicle), np.concatenate([corners, sides]), _SIDES, style.categorical(vehicle.identity))
+        plates.put(vehicle.label, np.concatenate([corners, sides]), _SIDES, style.categorical(vehicle.identity))
     for spine in axes.spines.values():
         spine.set_color(unit(style.HAIRLINE))
         spine.set_linewidth(0.6)
 
 
 def _outline(
-    pose: NDArray[np.float64], result: Reconstruction, arrow: float = _NOSE
+    pose: NDArray[np.float64], result: Reconstruction, arrow: float = NOSE
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(4, 3) footprint, and (2, 3) the middle and the tip of the heading's arrow; camera frame."""
     length = float(result.box_size[0])

@@ -1,6 +1,8 @@
-"""Geometry that recordings and pictures share: projected wireframes, boxes, crops, ellipsoids and the ground grid."""
+"""Geometry that recordings and pictures share: projections, boxes, crops, ellipsoids, planes and ground grids."""
 
 from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,14 +15,19 @@ from fgrecon.core.observation import Observation
 
 __all__ = [
     "BOX_EDGES",
+    "NOSE",
+    "Box",
     "as_image",
     "crop_around",
     "ellipse",
     "ellipsoids",
+    "face_outlines",
+    "fan",
     "ground_grid",
     "ground_lines",
     "image_points",
     "level_axes",
+    "medial_outlines",
     "outline_corners",
     "resolution",
     "vertex_normals",
@@ -34,9 +41,14 @@ BOX_EDGES = np.array(
 )
 """(12, 2) edges of the corners that `outline_corners` gives; the first four bound the bottom face."""
 
+NOSE = 1.6
+"""Metres that an arrow along the heading goes beyond a vehicle's front."""
+
 _AROUND = [5, 4, 0, 1, 7, 6, 2, 3]  # of the corners that `fgrecon.core.box3d.box_corners` gives
-_NEAR = 0.1
+_NEAR = 0.1  # metres before the camera from which points are drawn
 _FAR_PIXEL = 1e5
+_GRID_SPACING, _GRID_NEAREST = 5.0, 0.5  # metres: of the ground's grid, and where it begins
+_GRID_ASIDE, _GRID_BEYOND = 15.0, 10.0  # metres: to each side at least, and beyond the farthest vehicle
 
 
 def as_image(image: ArrayLike) -> NDArray[np.uint8]:
@@ -164,22 +176,24 @@ def vertex_normals(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> N
 
 
 def ground_lines(
-    ground: Ground, sideways: NDArray[np.float64], ahead: NDArray[np.float64], nearest: float = 0.5
+    ground: Ground, locations: Sequence[NDArray[np.float64]], across: Callable[[float], NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """(L, 2, 3) lines of a grid on the ground before the camera, in the camera frame, metres.
+    """(L, 2, 3) lines of a grid on the ground before the camera, beyond vehicles, in the camera frame, metres.
 
     Args:
         ground: The ground plane.
-        sideways: How far right of the camera there is a line ahead.
-        ahead: How far ahead there is a line across; the last one ends the lines ahead.
-        nearest: How far ahead these begin.
+        locations: (3,) of each vehicle.
+        across: Gives the distances ahead of lines across, of which the last ends the grid, for how far it is to reach.
     """
     right, down, forward = level_axes(ground)
-    low, high = sideways[[0, -1]]
-    along = np.array([[(x, nearest), (x, ahead[-1])] for x in sideways])
-    across = np.array([[(low, z), (high, z)] for z in ahead])
-    places = np.concatenate([along, across])
-    lines: NDArray[np.float64] = ground.distance * down + places[..., :1] * right + places[..., 1:] * forward
+    places = [location @ np.stack([right, forward]).T for location in locations]
+    aside = np.ceil(max([_GRID_ASIDE, *(abs(float(place[0])) for place in places)]) / _GRID_SPACING)
+    sideways = _GRID_SPACING * np.arange(-aside, aside + 1)
+    ahead = across(max((float(place[1]) for place in places), default=_GRID_BEYOND) + _GRID_BEYOND)
+    along = np.array([[(x, _GRID_NEAREST), (x, ahead[-1])] for x in sideways])
+    beside = np.array([[(sideways[0], z), (sideways[-1], z)] for z in ahead])
+    spots = np.concatenate([along, beside])
+    lines: NDArray[np.float64] = ground.distance * down + spots[..., :1] * right + spots[..., 1:] * forward
     return lines
 
 
@@ -204,3 +218,50 @@ def ellipse(covariance: NDArray[np.float64], radius: float, points: int = 48) ->
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     outline: NDArray[np.float64] = radius * circle * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
     return outline
+
+
+def face_outlines(
+    keypoints: NDArray[np.float64], faces: Mapping[str, tuple[int, ...]]
+) -> dict[str, NDArray[np.float64]]:
+    """(n, F, 3) keypoints of every face, moved onto the plane that fits them best.
+
+    Args:
+        keypoints: (n, K, 3) keypoints of n steps.
+        faces: F indices of each in order around the face, at least three.
+    """
+    outlines = dict.fromkeys(faces, keypoints)
+    for corners in {len(face) for face in faces.values()}:  # all faces of as many corners at once
+        chosen = {name: face for name, face in faces.items() if len(face) == corners}
+        points = keypoints[:, list(chosen.values())]
+        centred = points - points.mean(axis=2, keepdims=True)
+        normals = np.linalg.svd(centred, full_matrices=False)[2][..., -1, :]
+        flat = points - (centred @ normals[..., None]) * normals[..., None, :]
+        outlines |= dict(zip(chosen, flat.swapaxes(0, 1), strict=True))
+    return outlines
+
+
+def medial_outlines(keypoints: NDArray[np.float64], pairs: NDArray[np.int64]) -> NDArray[np.float64]:
+    """(n, 4, 3) corners of a rectangle in the plane halfway between mirrored keypoints, as large as the wireframe.
+
+    Args:
+        keypoints: (n, K, 3) keypoints of n steps, object frame.
+        pairs: (P, 2) indices (left, right), at least one pair.
+    """
+    left, right = keypoints[:, pairs[:, 0]], keypoints[:, pairs[:, 1]]
+    middle = ((left + right) / 2).mean(axis=1)
+    normal = (left - right).sum(axis=1)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    forward = np.array([1.0, 0.0, 0.0]) - normal[:, :1] * normal
+    forward /= np.linalg.norm(forward, axis=1, keepdims=True)
+    axes = np.stack([forward, cross(normal, forward)], axis=1)
+    extents = (keypoints - middle[:, None]) @ axes.transpose(0, 2, 1)
+    low, high = extents.min(axis=1), extents.max(axis=1)
+    corners = np.stack([low, np.stack([high[:, 0], low[:, 1]], 1), high, np.stack([low[:, 0], high[:, 1]], 1)], axis=1)
+    outline: NDArray[np.float64] = middle[:, None] + corners @ axes
+    return outline
+
+
+def fan(corners: int) -> tuple[tuple[int, int, int], ...]:
+    """Triangles of a convex polygon, seen from both sides."""
+    front = [(0, i, i + 1) for i in range(1, corners - 1)]
+    return (*front, *((c, b, a) for a, b, c in front))

@@ -25,7 +25,7 @@ from fgrecon.io.images import read_image
 from fgrecon.viz import style
 from fgrecon.viz.geometry import as_image, crop_around
 from fgrecon.viz.marks import draw_box, draw_crop, draw_edges, draw_keypoints, unit
-from fgrecon.viz.picture import new_figure, place_axes, split_edges
+from fgrecon.viz.picture import new_figure, place_axes
 from fgrecon.viz.solid import draw_from_above, draw_three_quarter
 
 __all__ = ["html", "plot", "plot_track"]
@@ -65,7 +65,7 @@ def plot(
     _draw_over(axes, result, photograph, observation, _WIDTH / _HEIGHT)
     axes.set_title("Result" if _solved(result) else "No pose", fontsize=9, loc="left")
     if _solved(result):
-        edges = split_edges(result)
+        edges = style.edges_by_side(result)
         solid = place_axes(figure, _WIDTH + 2 * _GAP, _FOOT, _SOLID, _HEIGHT)
         solid.set_title(f"In 3D, from the {draw_three_quarter(solid, result, edges)}", fontsize=9, loc="left")
         above = place_axes(figure, _WIDTH + _SOLID + 6 * _GAP, _FOOT + 0.25, _ABOVE - _GAP, _HEIGHT - 0.25)
@@ -139,7 +139,7 @@ def _draw_over(
     if observation is not None and observation.box is not None:
         draw_box(axes, observation.box)
     if _solved(result):
-        draw_edges(axes, result.wireframe_uv, split_edges(result))
+        draw_edges(axes, result.wireframe_uv, style.edges_by_side(result))
     if observation is not None:
         draw_keypoints(axes, observation, result.weights, result.wireframe_uv if _solved(result) else None)
     elif _solved(result):

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Reconstruction
-from fgrecon.viz.geometry import image_points
-from fgrecon.viz.planes import fan
+from fgrecon.viz.geometry import fan, image_points
 
 __all__ = ["DepthImage", "depth_image", "pieces_of", "runs_of"]
 

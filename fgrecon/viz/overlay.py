@@ -6,7 +6,6 @@ Drawn with OpenCV into the pixels, in a few milliseconds a frame.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,13 +13,11 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.geometry import transform
-from fgrecon.core.reconstruction import Reconstruction
-from fgrecon.core.vehicle_mesh import VehicleMesh
 from fgrecon.viz import style
 from fgrecon.viz.geometry import BOX_EDGES, as_image, image_points, outline_corners
-from fgrecon.viz.truth import Truth
+from fgrecon.viz.sight import Shown
 
-__all__ = ["Shown", "annotated"]
+__all__ = ["annotated"]
 
 _REACH, _BESIDE, _BEHIND = 50.0, 28.0, 3.0  # metres that the view from above shows ahead, to each side, and behind
 _SHARE = 0.5  # of the image's width that it is wide at most
@@ -28,39 +25,6 @@ _RING = 10.0  # metres between its lines
 _LONG = 30  # frames of a trail
 _NOSE = 1.5  # metres that a line goes beyond a vehicle's front
 _CASED = 60.0  # pixels of a box's width from which its wireframe has a casing
-
-
-@dataclass(frozen=True, eq=False)
-class Shown:
-    """One vehicle of a frame.
-
-    Attributes:
-        identity: Its id, which is its colour as well.
-        box: (4,) 2D box in pixels.
-        result: The reconstruction; None draws the 2D box alone.
-        words: What is written beside its id, such as its speed.
-        trail: (T, 3) where it was, in this camera's frame, oldest first; none where that is not known.
-        name: What it is called where its id is not its name.
-        truth: What is known to be true.
-        model: The car model that it comes nearest to.
-    """
-
-    identity: int
-    box: NDArray[np.float64]
-    result: Reconstruction | None = None
-    words: str = ""
-    trail: NDArray[np.float64] | None = None
-    name: str = ""
-    truth: Truth | None = None
-    model: VehicleMesh | None = None
-
-    @property
-    def pose(self) -> NDArray[np.float64] | None:
-        """(4, 4) `camera_T_object`, or None where it has no pose, or none that the keypoints determine."""
-        if self.result is None or not self.result.status.determined:
-            return None
-        pose = self.result.camera_T_object
-        return pose if np.isfinite(pose).all() else None
 
 
 def annotated(

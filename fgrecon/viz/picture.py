@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,17 +15,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.core.observation import Observation
-from fgrecon.core.reconstruction import Iteration, Reconstruction, Status
+from fgrecon.core.reconstruction import Iteration, Status
 from fgrecon.core.text import whole_text
-from fgrecon.core.vehicle_mesh import VehicleMesh
 from fgrecon.io.files import check_ending, write_bytes
 from fgrecon.viz import style
 from fgrecon.viz.describe import describe_errors, median_residual
-from fgrecon.viz.geometry import Box, as_image, crop_around, image_points
+from fgrecon.viz.geometry import Box, crop_around, image_points
 from fgrecon.viz.marks import draw_badge, draw_box, draw_crop, draw_edges, draw_keypoints, draw_true_box, unit
+from fgrecon.viz.sight import Sight
 from fgrecon.viz.solid import draw_from_above, draw_three_quarter
 from fgrecon.viz.style import Side
 from fgrecon.viz.truth import Truth
@@ -33,7 +31,6 @@ from fgrecon.viz.truth import Truth
 __all__ = [
     "CELL_ASPECT",
     "FORMATS",
-    "Sight",
     "as_rgb",
     "contact_sheet",
     "new_figure",
@@ -41,7 +38,6 @@ __all__ = [
     "picture",
     "place_axes",
     "save_picture",
-    "split_edges",
 ]
 
 FORMATS = ("png", "svg", "pdf", "jpg", "jpeg")
@@ -58,29 +54,6 @@ CELL_ASPECT = 1.5
 
 
 @dataclass(frozen=True)
-class Sight:
-    """One reconstructed vehicle and what it was reconstructed from, as a cell of a contact sheet.
-
-    Attributes:
-        reconstruction: The result.
-        observation: Its keypoints.
-        camera: The camera that saw them.
-        image: (H, W, 3) RGB photograph, or None.
-        truth: What is known to be true, or None.
-        title: Heading of the cell; empty for none.
-        model: The car model that it comes nearest to, or None.
-    """
-
-    reconstruction: Reconstruction
-    observation: Observation
-    camera: Camera
-    image: NDArray[np.uint8] | None = None
-    truth: Truth | None = None
-    title: str = ""
-    model: VehicleMesh | None = None
-
-
-@dataclass(frozen=True)
 class _Moment:
     """An estimate at one moment of the optimisation."""
 
@@ -93,22 +66,12 @@ class _Moment:
         return cls(step.camera_T_object, step.keypoints, step.weights)
 
 
-def picture(
-    reconstruction: Reconstruction,
-    observation: Observation,
-    camera: Camera,
-    *,
-    image: NDArray[np.uint8] | None = None,
-    truth: Truth | None = None,
-) -> Any:
+def picture(sight: Sight) -> Any:
     """Draw how one vehicle was reconstructed: initial, after pose, after shape, and 3D views.
 
     Args:
-        reconstruction: The result with its history.
-        observation: The keypoints that it was solved from.
-        camera: The camera that saw them.
-        image: (H, W, 3) RGB photograph; without one the panels have a plain canvas.
-        truth: What is known to be true: its box is drawn and the errors are written.
+        sight: The vehicle, its result with its history. Without an image the panels have a plain canvas; with a truth
+            its box is drawn and the errors are written.
 
     Returns:
         A `matplotlib.figure.Figure` with an Agg canvas; see `save_picture` and `as_rgb`.
@@ -116,25 +79,22 @@ def picture(
     Raises:
         InvalidInputError: The image is not (H, W, 3) of bytes.
     """
-    photograph = None if image is None else as_image(image)
-    sight = Sight(reconstruction, observation, camera, photograph, truth)
+    result = sight.reconstruction
     figure = new_figure(_WIDTH, _HEIGHT)
-    crop = crop_around(observation, reconstruction.wireframe_uv, aspect=_ASPECT)
-    edges, height = split_edges(reconstruction), _PANEL / _ASPECT
-    for column, (title, moment) in enumerate(_moments(reconstruction)):
+    crop = crop_around(sight.observation, result.wireframe_uv, aspect=_ASPECT)
+    edges, height = style.edges_by_side(result), _PANEL / _ASPECT
+    for column, (title, moment) in enumerate(_moments(sight)):
         axes = place_axes(figure, _GAP + column * (_PANEL + _GAP), _BOTTOM, _PANEL, height)
-        _draw_moment(axes, sight, crop, title, moment, edges)
-    if np.isfinite(reconstruction.camera_T_object).all():
+        _draw_moment(axes, sight, crop, title, moment)
+    if sight.solved:
         solid = place_axes(figure, 7.32, _BOTTOM, 1.85, height)
-        corner = draw_three_quarter(solid, reconstruction, edges)
-        _title(solid, "In 3D", f"from the {corner}")
+        _title(solid, "In 3D", f"from the {draw_three_quarter(solid, result, edges)}")
         above = place_axes(figure, 9.52, _BOTTOM + 0.28, 1.42, height - 0.28)
-        draw_from_above(above, reconstruction, edges, truth)
+        draw_from_above(above, result, edges, sight.truth)
         _title(above, "From above", "")
-    _draw_legend(figure, truth)
-    figure.text(
-        _GAP / _WIDTH, 0.42 / _HEIGHT, _caption(sight), fontsize=8, color=unit(style.INK), va="top", parse_math=False
-    )
+    _draw_legend(figure, sight.truth)
+    look: dict[str, Any] = {"fontsize": 8, "color": unit(style.INK), "va": "top", "parse_math": False}
+    figure.text(_GAP / _WIDTH, 0.42 / _HEIGHT, _caption(sight), **look)
     return figure
 
 
@@ -181,9 +141,7 @@ def contact_sheet(sights: Sequence[Sight], *, columns: int = 4) -> Any:
     figure, cells = new_sheet("sights", len(sights), columns, _CELL_HEADING)
     for sight, axes in zip(sights, cells, strict=True):
         crop = crop_around(sight.observation, sight.reconstruction.wireframe_uv, aspect=CELL_ASPECT)
-        _draw_moment(
-            axes, sight, crop, _heading(sight), _result(sight.reconstruction), split_edges(sight.reconstruction)
-        )
+        _draw_moment(axes, sight, crop, _heading(sight), _result(sight))
     return figure
 
 
@@ -231,35 +189,26 @@ def place_axes(figure: Any, left: float, bottom: float, width: float, height: fl
     return figure.add_axes((left / across, bottom / up, width / across, height / up))
 
 
-def split_edges(reconstruction: Reconstruction) -> Mapping[Side, NDArray[np.int64]]:
-    """The wireframe's edges by side."""
-    sides = style.keypoint_sides(reconstruction.keypoint_names, reconstruction.wireframe)
-    return style.edge_sides(reconstruction.edges, sides)
-
-
-def _moments(reconstruction: Reconstruction) -> tuple[tuple[str, _Moment | None], ...]:
+def _moments(sight: Sight) -> tuple[tuple[str, _Moment | None], ...]:
     """The three panels over the photograph; None where the stage did not run."""
-    history = reconstruction.history
+    history = sight.reconstruction.history
     pose = [step for step in history if step.stage == "pose"]
     joint = any(step.stage == "joint" for step in history)
     return (
         ("Initial", _Moment.of(history[0]) if history else None),
         ("After pose adjustment", _Moment.of(pose[-1]) if pose else None),
-        (f"After shape {'and joint ' if joint else ''}adjustment", _result(reconstruction)),
+        (f"After shape {'and joint ' if joint else ''}adjustment", _result(sight)),
     )
 
 
-def _result(reconstruction: Reconstruction) -> _Moment | None:
-    if not np.isfinite(reconstruction.camera_T_object).all():
-        return None
-    return _Moment(reconstruction.camera_T_object, reconstruction.wireframe, reconstruction.weights)
+def _result(sight: Sight) -> _Moment | None:
+    result = sight.reconstruction
+    return _Moment(result.camera_T_object, result.wireframe, result.weights) if sight.solved else None
 
 
-def _draw_moment(
-    axes: Any, sight: Sight, crop: Box, title: str, moment: _Moment | None, edges: Mapping[Side, NDArray[np.int64]]
-) -> None:
+def _draw_moment(axes: Any, sight: Sight, crop: Box, title: str, moment: _Moment | None) -> None:
     """One estimate over the photograph, with a title and a line of numbers."""
-    draw_crop(axes, sight.image, sight.camera, crop)
+    draw_crop(axes, sight.pixels, sight.camera, crop)
     if sight.observation.box is not None:
         draw_box(axes, sight.observation.box)
     if sight.truth is not None:
@@ -267,12 +216,12 @@ def _draw_moment(
     projections, weights, numbers = None, sight.observation.confidence, ""
     if moment is not None:
         projections, weights = image_points(sight.camera, moment.camera_T_object, moment.keypoints), moment.weights
-        draw_edges(axes, projections, edges)
+        draw_edges(axes, projections, style.edges_by_side(sight.reconstruction))
         badge = f"{median_residual(sight.observation, projections, weights):.1f} px"
         if sight.truth is not None:
             numbers = describe_errors(sight.truth, moment.camera_T_object, moment.keypoints)
     else:
-        badge = "no estimate" if _result(sight.reconstruction) is None else "not recorded"
+        badge = "not recorded" if sight.solved else "no estimate"
     draw_keypoints(axes, sight.observation, weights, projections)
     draw_badge(axes, badge)
     _title(axes, title, numbers)
@@ -298,7 +247,7 @@ def _heading(sight: Sight) -> str:
 def _caption(sight: Sight) -> str:
     result = sight.reconstruction
     sentence = f"{result.status.value.capitalize()}: {result.message.rstrip('.')}."
-    if np.isfinite(result.camera_T_object).all():
+    if sight.solved:
         (x, y, z), (length, width, height) = result.location, result.box_size
         sentence += (
             f" Yaw {np.degrees(result.rotation_y):.1f}°, position ({x:.2f}, {y:.2f}, {z:.2f}) m, "

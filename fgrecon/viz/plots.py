@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.reconstruction import Status
+from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.viz import entities, style
 from fgrecon.viz.columns import Column, Outbox, column, exact_column, fixed_columns
 from fgrecon.viz.describe import describe_stop, describe_update, median_residual, summary_table
@@ -18,89 +18,83 @@ from fgrecon.viz.style import Colour
 __all__ = [
     "INFO",
     "WARN",
+    "PlotSink",
     "energy_fields",
-    "energy_series",
-    "error_series",
-    "keypoint_series",
     "log_columns",
     "log_history",
     "log_plots",
     "log_summary",
     "log_words",
-    "series_columns",
-    "series_style",
     "status_line",
 ]
 
 INFO, WARN = "INFO", "WARN"
 """Levels of the log's lines; that of a failure is `ERROR`."""
 
-Names = tuple[str, ...]
+
+class PlotSink:
+    """Sends plots whose n rows have the same times."""
+
+    def __init__(self, stream: Outbox, times: list[Any], root: str = "") -> None:
+        """Nothing is sent yet.
+
+        Args:
+            stream: Where they go.
+            times: Time columns of n rows.
+            root: What the entities begin with.
+        """
+        self._stream, self._times, self._root = stream, times, root
+
+    def energies(self, energies: Sequence[Mapping[str, float]]) -> None:
+        """Energy by term, and their total; NaN where a row has no such term."""
+        terms = tuple(dict.fromkeys(term for row in energies for term in row))
+        rows = [[row.get(term, np.nan) for term in terms] + [sum(row.values())] for row in energies]
+        values = np.array(rows, dtype=np.float64).reshape(len(energies), -1)
+        colours = tuple(style.energy_colour(name, i) for i, name in enumerate((*terms, entities.TOTAL)))
+        self._send(entities.ENERGY, values, (*terms, entities.TOTAL), colours)
+
+    def weights(self, weights: NDArray[np.float64], result: Reconstruction) -> None:
+        """Weights (n, K) of the keypoints of a result."""
+        sides = style.keypoint_sides(result.keypoint_names, result.wireframe)
+        names = tuple(name.replace("_", " ") for name in result.keypoint_names)
+        self._send(entities.WEIGHTS, weights, names, style.series_colours(sides))
+
+    def coefficients(self, coefficients: NDArray[np.float64]) -> None:
+        """Coefficients (n, N) of the shape."""
+        numbers = range(coefficients.shape[1])
+        names = tuple(f"lambda {j + 1}" for j in numbers)
+        self._send(entities.COEFFICIENTS, coefficients, names, tuple(style.categorical(j) for j in numbers))
+
+    def errors(self, errors: Sequence[Mapping[str, float]]) -> None:
+        """Distances from the truth, by measure such as `translation_m`; NaN where a row lacks one."""
+        for index, measure in enumerate(dict.fromkeys(measure for row in errors for measure in row)):
+            values = np.array([[row.get(measure, np.nan)] for row in errors])
+            what, _, unit = measure.rpartition("_")
+            self._send(f"{entities.ERROR}/{measure}", values, (f"{what} [{unit}]",), (style.categorical(index),))
+
+    def _send(
+        self, entity: str, values: NDArray[np.float64], names: tuple[str, ...], colours: tuple[Colour, ...]
+    ) -> None:
+        """Series (n, M) of one entity; the total is a thinner line."""
+        import rerun as rr
+
+        if values.shape[1]:
+            widths = tuple(1.0 if name == entities.TOTAL else 2.0 for name in names)
+            entity = f"{self._root}{entity}"
+            self._stream.send_fixed(entity, rr.SeriesLines, names=names, colors=colours, widths=widths)
+            scalars = column(rr.Scalars, "scalars", values.ravel(), values.shape[1])
+            self._stream.send_columns(entity, self._times, [scalars])
 
 
-def log_plots(play: Playback) -> None:
+def log_plots(rows: Rows) -> None:
     """Energy by term, weight by keypoint, coefficients and, where the truth is known, errors."""
-    steps = play.steps
-    names, energies = energy_series([step.energies for step in steps])
-    _plot(play, entities.ENERGY, energies, names, tuple(style.energy_colour(n, i) for i, n in enumerate(names)))
-    names, colours = keypoint_series(play)
-    _plot(play, entities.WEIGHTS, play.weights, names, colours)
-    numbers = range(play.coefficients.shape[1])
-    names = tuple(f"lambda {j + 1}" for j in numbers)
-    _plot(play, entities.COEFFICIENTS, play.coefficients, names, tuple(style.categorical(j) for j in numbers))
-    if play.truth is not None:
-        errors = [play.truth.errors(step.camera_T_object, step.keypoints) for step in steps]
-        for index, (measure, values) in enumerate(error_series(errors).items()):
-            entity = f"{entities.ERROR}/{measure}"
-            _plot(play, entity, values, (measure_name(measure),), (style.categorical(index),))
-
-
-def _plot(play: Playback, entity: str, values: NDArray[np.float64], names: Names, colours: tuple[Colour, ...]) -> None:
-    """The series (n, M) of one entity."""
-    if values.shape[1]:
-        play.once(entity, **series_style(names, colours))
-        play.every_step(entity, series_columns(values))
-
-
-def series_style(names: Names, colours: tuple[Colour, ...]) -> dict[str, Any]:
-    """Names and colours of the series of a plot, as `fixed` takes them; the total is a thinner line."""
-    import rerun as rr
-
-    widths = tuple(1.0 if name == entities.TOTAL else 2.0 for name in names)
-    return {"archetype": rr.SeriesLines, "names": names, "colors": colours, "widths": widths}
-
-
-def series_columns(values: NDArray[np.float64]) -> list[Column]:
-    """Component columns of series (n, M), in double."""
-    import rerun as rr
-
-    return [column(rr.Scalars, "scalars", values.ravel(), values.shape[1])]
-
-
-def energy_series(energies: Sequence[Mapping[str, float]]) -> tuple[Names, NDArray[np.float64]]:
-    """Names of the terms and `total`, and (n, M) energies of n states; NaN where a state has no such term."""
-    terms = tuple(dict.fromkeys(term for state in energies for term in state))
-    rows = [[state.get(term, np.nan) for term in terms] + [sum(state.values())] for state in energies]
-    return (*terms, entities.TOTAL), np.array(rows, dtype=np.float64).reshape(len(energies), -1)
-
-
-def keypoint_series(play: Playback) -> tuple[Names, tuple[Colour, ...]]:
-    """Names and colours of one series per keypoint."""
-    sides = style.keypoint_sides(play.reconstruction.keypoint_names, play.reconstruction.wireframe)
-    names = tuple(name.replace("_", " ") for name in play.reconstruction.keypoint_names)
-    return names, style.series_colours(sides)
-
-
-def error_series(errors: Sequence[Mapping[str, float]]) -> dict[str, NDArray[np.float64]]:
-    """(n, 1) distances from the truth by measure; NaN where a state lacks one."""
-    measures = dict.fromkeys(measure for state in errors for measure in state)
-    return {measure: np.array([[state.get(measure, np.nan)] for state in errors]) for measure in measures}
-
-
-def measure_name(measure: str) -> str:
-    """`translation_m` as `translation [m]`."""
-    what, _, unit = measure.rpartition("_")
-    return f"{what} [{unit}]"
+    (play,) = rows.plays
+    plots, truth = PlotSink(play.stream, rows.time_columns), play.sight.truth
+    plots.energies([step.energies for step in rows.steps])
+    plots.weights(rows.weights, play.sight.reconstruction)
+    plots.coefficients(rows.coefficients)
+    if truth is not None:
+        plots.errors([truth.errors(step.camera_T_object, step.keypoints) for step in rows.steps])
 
 
 def log_history(rows: Rows) -> None:
@@ -128,17 +122,22 @@ def energy_fields(energies: Sequence[Mapping[str, float]]) -> dict[str, list[Any
     }
 
 
-def log_words(play: Playback) -> None:
-    """One line per weight update, why each stage stopped, how it ended and why; and the summary."""
-    rows, texts = _lines(play) if play.steps else ([], [])
-    level, end = status_line(play.reconstruction.status, play.reconstruction.message)
-    columns = log_columns([*texts, end], [*[INFO] * len(texts), level])
-    if play.steps:
-        play.every_step(entities.LOG, columns, np.array([*rows, len(play.steps) - 1]))
+def log_words(play: Playback, rows: Rows | None) -> None:
+    """One line per weight update, why each stage stopped, how it ended and why; and the summary.
+
+    Args:
+        play: What is recorded.
+        rows: Its steps; None where it has none.
+    """
+    result = play.sight.reconstruction
+    level, end = status_line(result.status, result.message)
+    if rows is None:
+        play.at_result(entities.LOG, log_columns([end], [level]))
     else:
-        play.at_result(entities.LOG, columns)
-    table = summary_table(play.reconstruction, play.observation, play.truth)
-    log_summary(play.stream, table)
+        at, texts = _lines(rows)
+        columns = log_columns([*texts, end], [*[INFO] * len(texts), level])
+        play.at_steps(entities.LOG, columns, [*at, len(rows.steps) - 1])
+    log_summary(play.stream, summary_table(result, play.sight.observation, play.sight.truth))
 
 
 def log_summary(stream: Outbox, table: str) -> None:
@@ -162,18 +161,19 @@ def status_line(status: Status, message: str) -> tuple[str, str]:
     return levels.get(status, WARN), f"{status.value}: {message}"
 
 
-def _lines(play: Playback) -> tuple[list[int], list[str]]:
+def _lines(rows: Rows) -> tuple[list[int], list[str]]:
     """Steps and lines of the log: every weight update, and after the last one of a stage why it stopped."""
-    rows, texts = [], []
+    (play,) = rows.plays
+    at, texts = [], []
     stages = play.times[entities.STAGE]
     ends = np.flatnonzero(np.diff(play.irls, append=-1))
     for start, end in zip([0, *(ends[:-1] + 1)], ends, strict=True):
-        residual = median_residual(play.observation, play.pixels[end], play.weights[end])
-        rows.append(int(end))
-        texts.append(describe_update(play.steps[start : end + 1], residual))
-        if end + 1 == len(play.steps) or stages[end + 1] != stages[end]:
+        residual = median_residual(play.sight.observation, rows.pixels[end], rows.weights[end])
+        at.append(int(end))
+        texts.append(describe_update(rows.steps[start : end + 1], residual))
+        if end + 1 == len(rows.steps) or stages[end + 1] != stages[end]:
             before = ends[ends < start]
-            previous = play.steps[before[-1]] if len(before) else None
-            rows.append(int(end))
-            texts.append(describe_stop(previous, play.steps[start : end + 1]))
-    return rows, texts
+            previous = rows.steps[before[-1]] if len(before) else None
+            at.append(int(end))
+            texts.append(describe_stop(previous, rows.steps[start : end + 1]))
+    return at, texts

@@ -1,125 +1,308 @@
-"""Recordings of a reconstruction for the rerun viewer, made from its history after solving.
+"""The recording of a vehicle for the rerun viewer, made from its history after solving.
 
-`record` writes a file, whole or not at all; `recording_of` gives the same to be sent to any recording stream (a viewer
-that runs, a file that holds more). The names are those of `fgrecon.viz.entities`; `fgrecon.viz.replay` reads a file
-back. `fgrecon.viz.track_recording` does the same for a track.
+`recording_of` can be written to a file or sent to any recording stream. The names are those of `fgrecon.viz.entities`;
+`fgrecon.viz.replay` reads a file back. The recordings of scenes and tracks are made of the same parts.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.camera import Camera, Ground
-from fgrecon.core.observation import Observation
-from fgrecon.core.reconstruction import Reconstruction
-from fgrecon.core.vehicle_mesh import VehicleMesh
-from fgrecon.viz.columns import Outbox
+from fgrecon.core.camera import Ground
+from fgrecon.viz import entities, style
+from fgrecon.viz.columns import Column, Outbox, column, fixed_columns, strip_column
 from fgrecon.viz.factor_graph import log_graph
-from fgrecon.viz.photograph import Photograph
+from fgrecon.viz.geometry import (
+    BOX_EDGES,
+    ellipsoids,
+    face_outlines,
+    fan,
+    ground_grid,
+    image_points,
+    medial_outlines,
+    outline_corners,
+    resolution,
+    vertex_normals,
+)
 from fgrecon.viz.playback import Playback, Rows
 from fgrecon.viz.plots import log_history, log_plots, log_words
-from fgrecon.viz.scene import log_camera, log_frame, log_ground, log_model, log_result, log_steps, log_truth
+from fgrecon.viz.sight import Photograph, Sight
 from fgrecon.viz.sinks import Recording
 from fgrecon.viz.truth import Truth
 
-__all__ = ["log_vehicle", "record", "recording_of"]
+__all__ = [
+    "line_style",
+    "log_camera",
+    "log_ellipsoids",
+    "log_frame",
+    "log_ground",
+    "log_image",
+    "log_result",
+    "log_steps",
+    "log_truth",
+    "log_vehicle",
+    "recording_of",
+]
+
+_AXES = (3, 2, 5)  # right, down, forward in rerun's numbers
+_SURFACE_ALPHA = 150  # of 255: the wireframe shows through
+_PLANE_ALPHA = 40
+_FAINT = 90
+_IMAGE_PLANE = 0.15  # distance of the drawn image plane from the camera, relative to the vehicle's distance
+_FARTHEST_PLANE = 1.5  # metres
+_LINE = 1.25  # half width of the lines that matter; negative radii are in points of the screen
 
 
-def record(
-    path: str | Path,
-    reconstruction: Reconstruction,
-    observation: Observation,
-    camera: Camera,
-    *,
-    image: NDArray[np.uint8] | None = None,
-    truth: Truth | None = None,
-    ground: Ground | None = None,
-) -> Path:
-    """Write a recording of the whole optimisation, with its layout, to a `.rrd` file, whole or not at all.
+def recording_of(sight: Sight, *, ground: Ground | None = None) -> Recording:
+    """The recording of a whole optimisation, with its layout.
 
     Args:
-        path: File to write.
-        reconstruction: The result; its history is what is played back.
-        observation: The keypoints that it was solved from.
-        camera: The camera that saw them.
-        image: (H, W, 3) RGB photograph, or None.
-        truth: What is known to be true, drawn beside the estimate and plotted as errors.
-        ground: The ground plane that was assumed; without one the grid lies below the vehicle.
+        sight: The vehicle. Its history is played back; a truth is drawn beside the estimate and plotted as errors; a car
+            model is shown instead of the surface.
+        ground: The ground plane that was assumed; without one the grid is below the vehicle.
 
     Returns:
-        The path written to.
-
-    Raises:
-        InvalidInputError: The file cannot be written, or the image is not (H, W, 3) of bytes.
+        What can be written or sent. Making it raises an InvalidInputError where the image is not (H, W, 3) of bytes.
     """
-    return recording_of(reconstruction, observation, camera, image=image, truth=truth, ground=ground).write(path)
-
-
-def recording_of(
-    reconstruction: Reconstruction,
-    observation: Observation,
-    camera: Camera,
-    *,
-    image: NDArray[np.uint8] | Photograph | None = None,
-    truth: Truth | None = None,
-    ground: Ground | None = None,
-    model: VehicleMesh | None = None,
-) -> Recording:
-    """The recording that `record` writes, to be sent elsewhere; the arguments are those of `record`.
-
-    A `Photograph` that several recordings share is encoded once. `model` is the closest car model, shown instead of the
-    surface.
-    """
-    from fgrecon.viz.blueprint import blueprint
+    from fgrecon.viz.blueprint import vehicle_blueprint
 
     def make() -> Callable[[Any], None]:
-        return _outbox(reconstruction, observation, camera, image, truth, ground, model).empty_into
+        result, photograph = sight.reconstruction, sight.photograph
+        play = Playback(Outbox(f"{result.category}, {result.status.value}"), sight)
+        log_camera(play, photograph)
+        log_frame(play, photograph)
+        log_vehicle(play)
+        if sight.solved:
+            log_ground(play, ground)
+        return play.stream.empty_into
 
-    return Recording(make, lambda: blueprint(reconstruction, observation, truth, model=model is not None))
-
-
-def _outbox(
-    reconstruction: Reconstruction,
-    observation: Observation,
-    camera: Camera,
-    image: NDArray[np.uint8] | Photograph | None,
-    truth: Truth | None,
-    ground: Ground | None,
-    model: VehicleMesh | None,
-) -> Outbox:
-    """All chunks of a recording."""
-    photograph = Photograph.of(image)
-    out = Outbox(f"{reconstruction.category}, {reconstruction.status.value}")
-    play = Playback(out, reconstruction, observation, camera, truth)
-    log_camera(play, photograph)
-    log_frame(play, photograph)
-    log_vehicle(play, model)
-    if np.isfinite(reconstruction.camera_T_object).all():
-        log_ground(play, ground)
-    return out
+    return Recording(make, lambda: vehicle_blueprint(sight))
 
 
-def log_vehicle(play: Playback, model: VehicleMesh | None = None) -> None:
-    """All about a vehicle that does not depend on where it is seen.
+def log_vehicle(play: Playback) -> None:
+    """All about a vehicle that does not depend on where it is observed.
 
     That is truth, every step, result, closest car model, plots, graph and words.
     """
-    if play.truth is not None:
-        log_truth(play, play.truth)
-    if play.steps:
-        rows = Rows.of([play])
+    sight = play.sight
+    if sight.truth is not None:
+        log_truth(play, sight.truth)
+    rows = Rows([play]) if play.steps else None
+    if rows is not None:
         log_steps(rows)
-        log_plots(play)
-        log_graph(play)
-        if play.reconstruction.history:
+        log_plots(rows)
+        log_graph(rows)
+        if sight.reconstruction.history:
             log_history(rows)
-    if np.isfinite(play.reconstruction.camera_T_object).all():
+    if sight.solved:
         log_result(play)
-        if model is not None:
-            log_model(play, model)
-    log_words(play)
+        if sight.model is not None:
+            _log_mesh(play, entities.MODEL, sight.model.vertices, sight.model.faces, style.MODEL)
+    log_words(play, rows)
+
+
+def line_style(dimension: int, colour: tuple[int, ...], radius: float, order: float = 0.0) -> dict[str, Any]:
+    """How line strips look in 2D or 3D: an archetype and its fields, as `fixed` takes them."""
+    import rerun as rr
+
+    if dimension == 2:
+        return {"archetype": rr.LineStrips2D, "colors": colour, "radii": -radius, "draw_order": order}
+    return {"archetype": rr.LineStrips3D, "colors": colour, "radii": -radius}
+
+
+def _columns(archetype: Any, **fields: Any) -> list[Column]:
+    """Fields of an archetype in one row."""
+    return [column(archetype, name, values) for name, values in fields.items()]
+
+
+def log_camera(play: Playback, photograph: Photograph | None) -> None:
+    """The camera and its frame."""
+    import rerun as rr
+
+    depth, camera = play.sight.reconstruction.location[2], play.sight.camera
+    distance = min(_IMAGE_PLANE * depth, _FARTHEST_PLANE) if np.isfinite(depth) and depth > 0 else _FARTHEST_PLANE
+    play.once(entities.SCENE, rr.ViewCoordinates, xyz=_AXES)
+    shape = _columns(
+        rr.Pinhole,
+        image_from_camera=camera.matrix[None],
+        resolution=np.array([resolution(camera, None if photograph is None else photograph.pixels)]),
+        image_plane_distance=np.array([distance]),
+    )
+    play.always(entities.CAMERA, [*fixed_columns(rr.Pinhole, color=style.SCREEN_INK), *shape])
+
+
+def log_image(play: Playback, photograph: Photograph | None) -> None:
+    """The photograph."""
+    import rerun as rr
+
+    if photograph is not None:
+        play.once(entities.IMAGE, rr.EncodedImage, media_type="image/jpeg", draw_order=-10.0)
+        play.at_start(entities.IMAGE, photograph.columns)
+
+
+def log_frame(play: Playback, photograph: Photograph | None) -> None:
+    """The photograph and the 2D box of the observation."""
+    import rerun as rr
+
+    log_image(play, photograph)
+    box = play.sight.observation.box
+    if box is not None:
+        play.once(entities.BOX_2D, rr.Boxes2D, colors=style.SCREEN_INK, radii=-0.5)
+        low, high = box[None, :2], box[None, 2:]
+        play.at_start(entities.BOX_2D, _columns(rr.Boxes2D, centers=(low + high) / 2, half_sizes=(high - low) / 2))
+
+
+def log_truth(play: Playback, truth: Truth) -> None:
+    """The true box and keypoints, in 3D and in the image."""
+    import rerun as rr
+
+    pose = truth.camera_T_object
+    play.at_start(entities.TRUTH_3D, _pose_columns(pose[None]))
+    if truth.box_size is not None:
+        corners = outline_corners(truth.box_size)
+        pixels = image_points(play.sight.camera, pose, corners)
+        play.once(f"{entities.TRUTH_3D}/box", **line_style(3, style.TRUTH, _LINE))
+        play.at_start(f"{entities.TRUTH_3D}/box", [strip_column(rr.LineStrips3D, corners[None, BOX_EDGES])])
+        play.once(entities.TRUTH_2D, **line_style(2, style.TRUTH, 0.75, 5.0))
+        play.at_start(entities.TRUTH_2D, [strip_column(rr.LineStrips2D, pixels[None, BOX_EDGES])])
+    if truth.keypoints is not None:
+        known = np.isfinite(truth.keypoints).all(axis=1)
+        play.once(f"{entities.TRUTH_3D}/keypoints", rr.Points3D, colors=style.TRUTH, radii=-3.0)
+        play.at_start(f"{entities.TRUTH_3D}/keypoints", _columns(rr.Points3D, positions=truth.keypoints[known]))
+
+
+def log_steps(rows: Rows) -> None:
+    """What image and scene show at every step."""
+    _log_image_steps(rows)
+    _log_scene_steps(rows)
+    _log_planes(rows)
+
+
+def _log_image_steps(rows: Rows) -> None:
+    """Keypoints by weight, projected wireframe now and before, residuals."""
+    import rerun as rr
+
+    result = rows.plays[0].sight.reconstruction
+    measured: NDArray[np.bool_] = np.isfinite(rows.detected[..., 0])
+    if measured.any():
+        counts = measured.sum(axis=1)
+        values: dict[str, Any] = {
+            "positions": rows.detected[measured],
+            "colors": rows.colours[measured],
+            "radii": -style.weight_radii(rows.weights)[measured],
+            "labels": np.array(result.keypoint_names)[np.nonzero(measured)[1]].tolist(),
+        }
+        rows.once(entities.KEYPOINTS_2D, rr.Points2D, show_labels=False, draw_order=30.0)
+        rows.send(entities.KEYPOINTS_2D, [column(rr.Points2D, name, v, counts) for name, v in values.items()])
+        rows.once(entities.RESIDUALS, **line_style(2, style.SCREEN_INK, 0.75, 20.0))
+        rows.strips(entities.RESIDUALS, rr.LineStrips2D, np.stack([rows.detected, rows.pixels], axis=2))
+    for side, edges in rows.edges.items():
+        entity = f"{entities.WIREFRAME_2D}/{side.value}"
+        rows.once(entity, **line_style(2, style.SIDE_COLOURS[side], _LINE, 10.0))
+        rows.strips(entity, rr.LineStrips2D, rows.pixels[:, edges])
+    rows.once(entities.PREVIOUS_2D, **line_style(2, (*style.PREVIOUS, _FAINT), 0.6, 8.0))
+    rows.strips(entities.PREVIOUS_2D, rr.LineStrips2D, rows.pixels[rows.previous][:, result.edges])
+
+
+def _log_scene_steps(rows: Rows) -> None:
+    """Pose, keypoints by weight, wireframe now and before."""
+    import rerun as rr
+
+    result = rows.plays[0].sight.reconstruction
+    rows.send(entities.VEHICLE, _pose_columns(rows.poses))
+    rows.once(entities.KEYPOINTS_3D, rr.Points3D, labels=result.keypoint_names, show_labels=False, radii=-4.0)
+    values = {"positions": rows.keypoints, "colors": rows.colours}
+    count = rows.keypoints.shape[1]
+    points = [column(rr.Points3D, name, v.reshape(-1, 3), count) for name, v in values.items()]
+    rows.send(entities.KEYPOINTS_3D, points)
+    for side, edges in rows.edges.items():
+        entity = f"{entities.WIREFRAME_3D}/{side.value}"
+        rows.once(entity, **line_style(3, style.SIDE_COLOURS[side], _LINE))
+        rows.strips(entity, rr.LineStrips3D, rows.keypoints[:, edges])
+    rows.once(entities.PREVIOUS_3D, **line_style(3, (*style.PREVIOUS, _FAINT), 0.6))
+    before = rows.keypoints_in_camera[rows.previous]
+    rows.strips(entities.PREVIOUS_3D, rr.LineStrips3D, before[:, result.edges])
+
+
+def _pose_columns(poses: NDArray[np.float64]) -> list[Column]:
+    """Columns of poses (n, 4, 4), one a row."""
+    import rerun as rr
+
+    return [
+        column(rr.Transform3D, "translation", poses[:, :3, 3], 1),
+        column(rr.Transform3D, "mat3x3", poses[:, :3, :3], 1),
+    ]
+
+
+def _log_planes(rows: Rows) -> None:
+    """The planes of the faces, and the medial plane."""
+    import rerun as rr
+
+    result = rows.plays[0].sight.reconstruction
+    outlines = face_outlines(rows.keypoints, result.faces)
+    if len(result.symmetric_pairs):
+        outlines[entities.MEDIAL] = medial_outlines(rows.keypoints, result.symmetric_pairs)
+    for index, (name, outline) in enumerate(outlines.items()):
+        corners = outline.shape[1]
+        entity = f"{entities.PLANES}/{name}"
+        colour = (*style.plane_colour(index), _PLANE_ALPHA)
+        rows.once(entity, rr.Mesh3D, triangle_indices=fan(corners), albedo_factor=colour)
+        rows.send(entity, [column(rr.Mesh3D, "vertex_positions", outline.reshape(-1, 3), corners)])
+
+
+def log_ground(play: Playback, ground: Ground | None) -> None:
+    """A grid on the ground around the result."""
+    import rerun as rr
+
+    grid = ground_grid(play.sight.reconstruction.camera_T_object, ground)
+    look = fixed_columns(**line_style(3, style.GROUND, 0.4))
+    play.always(entities.GROUND, [*look, strip_column(rr.LineStrips3D, grid[None])])
+
+
+def log_result(play: Playback) -> None:
+    """What only the result has: surface, box, uncertainty of the keypoints."""
+    import rerun as rr
+
+    result = play.sight.reconstruction
+    play.once(entities.VEHICLE_BOX, **line_style(3, style.SCREEN_INK, 0.75))
+    corners = outline_corners(result.box_size)[None, BOX_EDGES]
+    play.at_result(entities.VEHICLE_BOX, [strip_column(rr.LineStrips3D, corners)])
+    if result.surface_vertices is not None and result.surface_faces is not None:
+        colour = (*style.SURFACE, _SURFACE_ALPHA)
+        _log_mesh(play, entities.SURFACE, result.surface_vertices, result.surface_faces, colour)
+    if result.keypoint_covariance is not None:
+        log_ellipsoids(play, entities.UNCERTAINTY, result.wireframe, result.keypoint_covariance, line_radii=-0.5)
+
+
+def log_ellipsoids(
+    play: Playback,
+    entity: str,
+    centres: NDArray[np.float64],
+    covariances: NDArray[np.float64],
+    *,
+    line_radii: float,
+    deviations: float = 1.0,
+) -> None:
+    """Ellipsoids of covariances (M, 3, 3) about centres (M, 3), that many standard deviations large."""
+    import rerun as rr
+
+    axes, rotations = ellipsoids(covariances)
+    look = {"colors": style.UNCERTAINTY, "fill_mode": "MajorWireframe", "line_radii": line_radii}
+    play.once(entity, rr.Ellipsoids3D, **look)
+    half_sizes = _columns(rr.Ellipsoids3D, half_sizes=deviations * axes)
+    play.at_result(entity, [*half_sizes, *_columns(rr.InstancePoses3D, translations=centres, mat3x3=rotations)])
+
+
+def _log_mesh(
+    play: Playback, entity: str, vertices: NDArray[np.float64], faces: NDArray[np.int64], colour: tuple[int, ...]
+) -> None:
+    import rerun as rr
+
+    play.once(entity, rr.Mesh3D, albedo_factor=colour)
+    normals = vertex_normals(vertices, faces)
+    mesh = _columns(rr.Mesh3D, vertex_positions=vertices, triangle_indices=faces, vertex_normals=normals)
+    play.at_result(entity, mesh)

@@ -17,14 +17,14 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Status
 from fgrecon.viz import style
-from fgrecon.viz.from_above import DASHES, draw_scene_from_above, ellipse_scale, extent_from_above, name_of
+from fgrecon.viz.from_above import DASHES, draw_scene_from_above, ellipse_scale, extent_from_above
 from fgrecon.viz.geometry import BOX_EDGES, as_image, ground_lines, level_axes, outline_corners, resolution
 from fgrecon.viz.marks import draw_crop, draw_paths
 from fgrecon.viz.model_overlay import render_models
 from fgrecon.viz.occlusion import DepthImage, depth_image, pieces_of, runs_of
-from fgrecon.viz.overlay import Shown
 from fgrecon.viz.picture import new_figure, place_axes
 from fgrecon.viz.scene_table import draw_key, draw_table, scene_page
+from fgrecon.viz.sight import Shown
 from fgrecon.viz.tags import Plates
 
 __all__ = ["scene_picture"]
@@ -36,8 +36,7 @@ _LOW, _HIGH, _MOST = 3.2 * _CM, 4.4 * _CM, 6.0 * _CM  # of the view from above; 
 _FONT = 6.0
 _LINE, _KEY = 0.3 * _CM, 5  # a line of the table; lines of the key below it
 _DPI, _MOST_DPI = 400, 600
-_SPACING, _BEYOND, _ASIDE = 5.0, 10.0, 15.0  # metres: of the ground's grid, beyond the farthest vehicle, to each side
-_AHEAD = np.array([5.0, 10.0, 20.0, 40.0, 80.0, 160.0])  # of its lines across: evenly spaced they would make a band
+_AHEAD = np.array([5.0, 10.0, 20.0, 40.0, 80.0, 160.0])  # metres, of the ground's lines: evenly spaced they were a band
 _SMALL = 6.0  # points: less wide vehicles have no wireframe, which would be a blot
 _TAGS = ((0.0, 1.0), (0.8, 1.0), (-0.8, 1.0), (1.0, 0.0), (-1.0, 0.0), (0.0, -1.0))
 _HIDDEN = 0.38
@@ -177,7 +176,7 @@ def _draw_photograph(
     for vehicle in sorted(vehicles, key=lambda v: -v.box[3]):
         x1, y1, x2, _ = vehicle.box
         top = np.array([(0.75 * x1 + 0.25 * x2, y1), ((x1 + x2) / 2, y1), (0.25 * x1 + 0.75 * x2, y1)])
-        plates.put(name_of(vehicle), top, _TAGS, style.categorical(vehicle.identity))
+        plates.put(vehicle.label, top, _TAGS, style.categorical(vehicle.identity))
 
 
 def _width(vehicle: Shown) -> float:
@@ -193,15 +192,11 @@ def _draw_ground(
     colour: style.Colour,
 ) -> None:
     """The horizon, and a grid on the ground as far as the vehicles are."""
-    right, _, ahead = level_axes(ground)
-    places = [pose[:3, 3] @ np.stack([right, ahead]).T for pose in poses]
-    farthest = max((float(place[1]) for place in places), default=_BEYOND) + _BEYOND
-    widest = max([_ASIDE, *(abs(float(place[0])) for place in places)])
-    sideways = _SPACING * np.arange(-np.ceil(widest / _SPACING), np.ceil(widest / _SPACING) + 1)
-    lines = ground_lines(ground, sideways, _AHEAD[max(farthest, _AHEAD[0]) >= _AHEAD])
+    locations = [pose[:3, 3] for pose in poses]
+    lines = ground_lines(ground, locations, lambda far: _AHEAD[max(far, _AHEAD[0]) >= _AHEAD])
     seen, _ = runs_of(pieces_of(lines, 120), camera, depth)
     draw_paths(axes, seen, colour, 0.35, "-", zorder=1, casing=False, alpha=0.65)
-    turns = np.linspace(-1.2, 1.2, 40)
+    turns, (right, _, ahead) = np.linspace(-1.2, 1.2, 40), level_axes(ground)
     horizon = (np.multiply.outer(np.sin(turns), right) + np.multiply.outer(np.cos(turns), ahead)) * 1e4
     seen, _ = runs_of(horizon[None], camera, depth)
     draw_paths(axes, seen, style.INK, 0.5, (0, (6.0, 2.5, 1.0, 2.5)), zorder=1)

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from fgrecon.core.geometry import position_covariance
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.viz import style
-from fgrecon.viz.from_above import CONFIDENCE, DASHES, name_of
+from fgrecon.viz.from_above import CONFIDENCE, DASHES
 from fgrecon.viz.marks import unit
-from fgrecon.viz.overlay import Shown
+from fgrecon.viz.sight import Shown
 from fgrecon.viz.truth import ORIENTATION_ERROR, TRANSLATION_ERROR
 
 __all__ = ["Row", "ScenePage", "draw_key", "draw_table", "scene_page"]
@@ -83,7 +83,7 @@ def scene_page(vehicles: Sequence[Shown], starts: Mapping[int, NDArray[np.float6
         columns = (("dist. [m]", 0.48), ("yaw [°]", 0.82), ("l [m]", 1.0))
         cells = [(*pair, _length(v)) for pair, v in zip(cells, ordered, strict=True)]
     details = [_detail(v) if few else v.words for v in ordered]
-    rows = (Row(name_of(v), c, d) for v, c, d in zip(ordered, cells, details, strict=True))
+    rows = (Row(v.label, c, d) for v, c, d in zip(ordered, cells, details, strict=True))
     return ScenePage(columns, tuple(rows))
 
 

@@ -7,11 +7,13 @@ weight map runs through viridis, whose lightness rises with the weight, so it su
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.sides import SIDE_COLOURS, SURFACE, Colour, Side, edge_sides, keypoint_sides
 
 __all__ = [
@@ -35,6 +37,7 @@ __all__ = [
     "Side",
     "categorical",
     "edge_sides",
+    "edges_by_side",
     "energy_colour",
     "keypoint_sides",
     "plane_colour",
@@ -181,3 +184,8 @@ def series_colours(sides: tuple[Side, ...]) -> tuple[Colour, ...]:
         red, green, blue = (int(channel) for channel in shade)
         colours.append((red, green, blue))
     return tuple(colours)
+
+
+def edges_by_side(result: Reconstruction) -> Mapping[Side, NDArray[np.int64]]:
+    """The wireframe's edges (E, 2) by side."""
+    return edge_sides(result.edges, keypoint_sides(result.keypoint_names, result.wireframe))

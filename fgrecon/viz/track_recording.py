@@ -7,10 +7,9 @@ are those of `fgrecon.viz.entities`; `fgrecon.viz.replay` reads a file back.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,83 +20,53 @@ from fgrecon.viz import entities, style
 from fgrecon.viz.columns import Outbox, exact_column, strip_column
 from fgrecon.viz.describe import track_table
 from fgrecon.viz.factor_graph import lay_out, log_layout
-from fgrecon.viz.photograph import Photograph
 from fgrecon.viz.playback import Playback, Rows
 from fgrecon.viz.plots import (
     INFO,
     WARN,
+    PlotSink,
     energy_fields,
-    energy_series,
-    error_series,
-    keypoint_series,
     log_columns,
     log_history,
     log_summary,
-    measure_name,
-    series_columns,
-    series_style,
     status_line,
 )
-from fgrecon.viz.scene import line_style, log_camera, log_frame, log_ground, log_result, log_steps, log_truth
+from fgrecon.viz.recording import line_style, log_camera, log_frame, log_ground, log_result, log_steps, log_truth
+from fgrecon.viz.sight import TrackSight
 from fgrecon.viz.sinks import Recording
-from fgrecon.viz.track_sight import TrackSight
 
-__all__ = ["record_track", "track_recording_of"]
+__all__ = ["track_recording_of"]
 
 _FAINT = 110
 _STAGE = 2  # of the joint optimisation on the timeline `stage`: initialisation and pose come before
 
 
-def record_track(path: str | Path, track: TrackReconstruction, sight: TrackSight) -> Path:
-    """Write a recording of a track, with its layout, to a `.rrd` file, whole or not at all.
+def track_recording_of(track: TrackReconstruction, sight: TrackSight) -> Recording:
+    """The recording of a track, with its layout.
 
     Args:
-        path: File to write.
         track: The result.
         sight: What it was reconstructed from.
 
     Returns:
-        The path written to.
-
-    Raises:
-        InvalidInputError: The file cannot be written, or an image is not (H, W, 3) of bytes.
+        What can be written or sent. Making it raises an InvalidInputError where an image is not (H, W, 3) of bytes.
     """
-    return track_recording_of(track, sight).write(path)
+    from fgrecon.viz.blueprint import track_blueprint
 
+    def make() -> Callable[[Any], None]:
+        whole = _Track(Outbox(f"track of {track.frames[0].category}, {track.status.value}"), track, sight)
+        _log_frames(whole)
+        _log_results(whole)
+        _log_paths(whole)
+        _log_frame_plots(whole)
+        if track.history:
+            _log_joint(whole)
+        if track.graph:
+            log_layout(whole.stream, lay_out(track.graph), colours=True)
+        _log_words(whole)
+        return whole.stream.empty_into
 
-def track_recording_of(track: TrackReconstruction, sight: TrackSight) -> Recording:
-    """The recording that `record_track` writes, to be sent elsewhere; the arguments are those of `record_track`."""
-    from fgrecon.viz.track_blueprint import track_blueprint
-
-    return Recording(lambda: _outbox(track, sight).empty_into, lambda: track_blueprint(track, sight))
-
-
-def _outbox(track: TrackReconstruction, sight: TrackSight) -> Outbox:
-    """All chunks of a recording."""
-    out = Outbox(f"track of {track.frames[0].category}, {track.status.value}")
-    whole = _Track(out, track, sight)
-    for index, play in zip(track.numbers, whole.plays, strict=True):
-        image = None if sight.images is None else sight.images[index]
-        photograph = Photograph.of(image)
-        log_camera(play, photograph)
-        log_frame(play, photograph)
-        if play.truth is not None:
-            log_truth(play, play.truth)
-    drawn = [play for play in whole.plays if play.steps]
-    if drawn:
-        rows = Rows.of(drawn)
-        log_steps(rows)
-        if all(play.reconstruction.history for play in drawn):
-            log_history(rows)
-    _log_result(whole)
-    _log_paths(whole)
-    _log_frame_plots(whole)
-    if track.history:
-        _log_joint(whole)
-    if track.graph:
-        log_layout(out, lay_out(track.graph), colours=True)
-    _log_words(whole)
-    return out
+    return Recording(make, lambda: track_blueprint(track, sight))
 
 
 @dataclass(frozen=True)
@@ -115,24 +84,14 @@ class _Track:
         logged: set[str] = set()
         start = update = 0
         for index, result in zip(self.track.numbers, self.track.frames, strict=True):
-            observation = self.sight.observations[index]
-            assert observation is not None
-            truth = None if self.sight.truths is None else self.sight.truths[index]
-            play = Playback(self.stream, result, observation, self.sight.cameras[index], truth)
+            play = Playback(self.stream, self.sight.at(index, result))
             searched = len(play.steps) - self.joint_steps
             numbers = np.concatenate([start + np.arange(searched), self.first_joint + np.arange(self.joint_steps)])
             updates = play.irls + update
             if self.joint_steps:
                 updates[searched:] = self.first_update + np.array([step.irls for step in self.track.history])
-            plays.append(
-                replace(
-                    play,
-                    frame=self.sight.number(index),
-                    numbers=numbers.astype(np.int64),
-                    updates=updates,
-                    logged=logged,
-                )
-            )
+            numbered = {"frame": self.sight.number(index), "numbers": numbers.astype(np.int64), "updates": updates}
+            plays.append(replace(play, **numbered, logged=logged))
             start += searched
             update += len(np.unique(play.irls[:searched]))
         return tuple(plays)
@@ -165,77 +124,79 @@ class _Track:
             rr.TimeColumn(entities.IRLS, sequence=self.first_update + updates),
         ]
 
-    def frame_times(self, rows: NDArray[np.int64] | None = None) -> list[Any]:
-        """Time column of frames, all of them by default."""
-        import rerun as rr
+    @property
+    def known(self) -> list[Playback]:
+        """The frames whose truth is known."""
+        return [play for play in self.plays if play.sight.truth is not None]
 
-        numbers = np.array([play.frame for play in self.plays], dtype=np.int64)
-        return [rr.TimeColumn(entities.FRAME, sequence=numbers if rows is None else numbers[rows])]
+    @property
+    def errors(self) -> list[dict[str, float]]:
+        """Distances from the truth of these, by measure."""
+        pairs = [(play.sight.truth, play.sight.reconstruction) for play in self.known]
+        return [dict(truth.errors(r.camera_T_object, r.wireframe)) for truth, r in pairs if truth is not None]
 
 
-def _log_result(whole: _Track) -> None:
+def _frame_times(plays: Sequence[Playback]) -> list[Any]:
+    """Time column of frames."""
+    import rerun as rr
+
+    return [rr.TimeColumn(entities.FRAME, sequence=np.array([play.frame for play in plays], dtype=np.int64))]
+
+
+def _log_frames(whole: _Track) -> None:
+    """Photograph, camera, observation and truth of every frame, and all of their steps."""
+    for play in whole.plays:
+        photograph = play.sight.photograph
+        log_camera(play, photograph)
+        log_frame(play, photograph)
+        if play.sight.truth is not None:
+            log_truth(play, play.sight.truth)
+    drawn = [play for play in whole.plays if play.steps]
+    if drawn:
+        rows = Rows(drawn)
+        log_steps(rows)
+        if all(play.sight.reconstruction.history for play in drawn):
+            log_history(rows)
+
+
+def _log_results(whole: _Track) -> None:
     """The ground, and surface, box and uncertainty in the first frame of every shape: that of a track is one."""
-    found = [play for play in whole.plays if np.isfinite(play.reconstruction.camera_T_object).all()]
-    if found:
-        log_ground(found[0], whole.sight.ground)
-    for before, play in zip([None, *found], found, strict=False):
-        shape = play.reconstruction.wireframe
-        if before is None or not np.array_equal(shape, before.reconstruction.wireframe):
+    solved = [play for play in whole.plays if play.sight.solved]
+    if solved:
+        log_ground(solved[0], whole.sight.ground)
+    for before, play in zip([None, *solved], solved, strict=False):
+        shape = play.sight.reconstruction.wireframe
+        if before is None or not np.array_equal(shape, before.sight.reconstruction.wireframe):
             log_result(play)
 
 
 def _log_paths(whole: _Track) -> None:
     """The vehicle's origins up to each frame, estimated and true."""
-    estimated = np.array([play.reconstruction.location for play in whole.plays])
-    _log_path(whole, entities.PATH, estimated, np.arange(len(estimated)), style.SCREEN_INK)
-    known = np.array([row for row, play in enumerate(whole.plays) if play.truth is not None], dtype=np.int64)
-    true = np.array([play.truth.camera_T_object[:3, 3] for play in whole.plays if play.truth is not None])
-    if len(known):
-        _log_path(whole, entities.TRUE_PATH, true, known, style.TRUTH)
+    estimated = np.array([play.sight.reconstruction.location for play in whole.plays])
+    _log_path(whole, entities.PATH, estimated, whole.plays, style.SCREEN_INK)
+    if whole.known:
+        true = np.array([p.sight.truth.camera_T_object[:3, 3] for p in whole.known if p.sight.truth is not None])
+        _log_path(whole, entities.TRUE_PATH, true, whole.known, style.TRUTH)
 
 
 def _log_path(
-    whole: _Track, entity: str, points: NDArray[np.float64], rows: NDArray[np.int64], colour: style.Colour
+    whole: _Track, entity: str, points: NDArray[np.float64], plays: Sequence[Playback], colour: style.Colour
 ) -> None:
     import rerun as rr
 
     whole.stream.send_fixed(entity, **line_style(3, colour, 1.5))
     columns = rr.LineStrips3D.columns(strips=[points[: end + 1] for end in range(len(points))])
-    whole.stream.send_columns(entity, whole.frame_times(rows), columns)
+    whole.stream.send_columns(entity, _frame_times(plays), columns)
 
 
 def _log_frame_plots(whole: _Track) -> None:
     """Energy, weights and errors of the result by frame."""
-    plays = whole.plays
-    names, energies = energy_series([play.reconstruction.energies for play in plays])
-    colours = tuple(style.energy_colour(name, i) for i, name in enumerate(names))
-    _plot(whole, f"{entities.FRAMES}/{entities.ENERGY}", energies, names, colours)
-    weights = np.stack([play.reconstruction.weights for play in plays])
-    _plot(whole, f"{entities.FRAMES}/{entities.WEIGHTS}", weights, *keypoint_series(plays[0]))
-    known = [row for row, play in enumerate(plays) if play.truth is not None]
-    errors = [
-        play.truth.errors(play.reconstruction.camera_T_object, play.reconstruction.wireframe)
-        for play in plays
-        if play.truth is not None
-    ]
-    if errors:
-        for index, (measure, values) in enumerate(error_series(errors).items()):
-            entity = f"{entities.FRAMES}/{entities.ERROR}/{measure}"
-            _plot(whole, entity, values, (measure_name(measure),), (style.categorical(index),), np.array(known))
-
-
-def _plot(
-    whole: _Track,
-    entity: str,
-    values: NDArray[np.float64],
-    names: tuple[str, ...],
-    colours: tuple[style.Colour, ...],
-    rows: NDArray[np.int64] | None = None,
-) -> None:
-    """The series (n, M) of one entity over frames."""
-    if values.shape[1]:
-        whole.stream.send_fixed(entity, **series_style(names, colours))
-        whole.stream.send_columns(entity, whole.frame_times(rows), series_columns(values))
+    results = [play.sight.reconstruction for play in whole.plays]
+    plots = PlotSink(whole.stream, _frame_times(whole.plays), f"{entities.FRAMES}/")
+    plots.energies([result.energies for result in results])
+    plots.weights(np.stack([result.weights for result in results]), results[0])
+    if whole.known:
+        PlotSink(whole.stream, _frame_times(whole.known), f"{entities.FRAMES}/").errors(whole.errors)
 
 
 def _log_joint(whole: _Track) -> None:
@@ -244,27 +205,21 @@ def _log_joint(whole: _Track) -> None:
 
     history, times = whole.track.history, whole.joint_times()
     edges = whole.track.frames[0].edges
-    shapes = np.stack([play.keypoints_in_camera[-len(history) :] for play in whole.plays], axis=1)  # (n, T, K, 3)
+    shapes = np.stack([Rows([p]).keypoints_in_camera[-len(history) :] for p in whole.plays], axis=1)  # (n, T, K, 3)
     strips = shapes[:, :, edges].reshape(len(history), -1, 2, 3)  # strips of all frames at each step
     whole.stream.send_fixed(entities.TRACK_3D, **line_style(3, (*style.SCREEN_INK, _FAINT), 0.6))
     whole.stream.send_columns(entities.TRACK_3D, times, [strip_column(rr.LineStrips3D, strips)])
-    names, energies = energy_series([step.energies for step in history])
-    colours = tuple(style.energy_colour(name, i) for i, name in enumerate(names))
-    whole.stream.send_fixed(entities.ENERGY, **series_style(names, colours))
-    whole.stream.send_columns(entities.ENERGY, times, series_columns(energies))
     coefficients = np.stack([step.coefficients for step in history])
-    if coefficients.shape[1]:
-        numbers = range(coefficients.shape[1])
-        lambdas = tuple(f"lambda {j + 1}" for j in numbers)
-        colours = tuple(style.categorical(j) for j in numbers)
-        whole.stream.send_fixed(entities.COEFFICIENTS, **series_style(lambdas, colours))
-        whole.stream.send_columns(entities.COEFFICIENTS, times, series_columns(coefficients))
+    energies = [step.energies for step in history]
+    plots = PlotSink(whole.stream, times)
+    plots.energies(energies)
+    plots.coefficients(coefficients)
     fields: dict[str, Any] = {
         "irls": [step.irls for step in history],
         "step": [step.step for step in history],
         "poses": np.stack([step.poses for step in history]),
         "coefficients": coefficients,
-        **energy_fields([step.energies for step in history]),
+        **energy_fields(energies),
     }
     whole.stream.send_columns(entities.TRACK, times, [exact_column(entities.JOINT_ARCHETYPE, fields)])
 
@@ -283,7 +238,7 @@ def _log_words(whole: _Track) -> None:
         if searched > 0:
             energy = sum(play.steps[searched - 1].energies.values())
             text = f"frame {play.frame}: pose found in {searched} steps, energy {energy:.4g}"
-            play.every_step(entities.LOG, log_columns([text], [INFO]), np.array([searched - 1]))
+            play.at_steps(entities.LOG, log_columns([text], [INFO]), [searched - 1])
     level, end = status_line(track.status, track.message)
     last = {step.irls: row for row, step in enumerate(track.history)}
     if last:
@@ -293,9 +248,4 @@ def _log_words(whole: _Track) -> None:
         whole.stream.send_columns(entities.LOG, whole.joint_times([*last.values(), whole.joint_steps - 1]), lines)
     else:
         whole.plays[-1].at_result(entities.LOG, log_columns([end], [level]))
-    errors = [
-        play.truth.errors(play.reconstruction.camera_T_object, play.reconstruction.wireframe)
-        for play in whole.plays
-        if play.truth is not None
-    ]
-    log_summary(whole.stream, track_table(track, errors))
+    log_summary(whole.stream, track_table(track, whole.errors))

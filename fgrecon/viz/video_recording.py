@@ -1,17 +1,7 @@
 """Recordings of a video for rerun: images with what was found in them, the cars in space, and their motion as plots.
 
-Timelines are `frame` and `time`; there is no `step`, since of a frame only the end of its solve is known. Frames are
-logged one by one, so that a run can be watched while it goes on.
-
-| entity | what | when |
-|---|---|---|
-| `image` | the photograph; below it `boxes` with ids and words, and `wireframes` | each frame |
-| `world` | where the camera was first, or the world that its poses are in | once |
-| `world/camera`, `world/here` | the pinhole camera; its frame alone, with `rings` every 10 m | each frame |
-| `world/cars`, `world/headings`, `world/paths` | boxes and wireframes; arrows with ids; past places | each frame |
-| `plots/<value>/<id>` | a number; of yaw, length, width and height with its band of 95 % | each frame |
-| `graph` | factors of the window of one vehicle | each frame |
-| `states/<id>`, `log` | status and visible side; why a frame could not be read | where they change |
+The names are those of `fgrecon.viz.entities`. Frames are logged one by one, so that a run can be watched while it goes
+on.
 """
 
 from __future__ import annotations
@@ -30,18 +20,16 @@ from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import GraphFactor
 from fgrecon.core.text import whole_text
 from fgrecon.viz import entities, style
+from fgrecon.viz.blueprint import video_blueprint
 from fgrecon.viz.factor_graph import graph_archetypes, lay_out
-from fgrecon.viz.geometry import BOX_EDGES, outline_corners
-from fgrecon.viz.overlay import Shown
-from fgrecon.viz.overview import STATES, named_boxes
+from fgrecon.viz.geometry import BOX_EDGES, NOSE, outline_corners
+from fgrecon.viz.scene_recording import named_boxes
+from fgrecon.viz.sight import Shown, jpeg
 from fgrecon.viz.sinks import APPLICATION, Recording, connected
-from fgrecon.viz.video_blueprint import HERE, IMAGE, LOG, PLOTS, RINGS, WORLD, video_blueprint
 
 __all__ = ["LiveRecording", "ShownFrame", "video_recording_of"]
 
 _JPEG = 85  # quality
-_CAMERA = f"{WORLD}/camera"
-_NOSE = 1.6  # metres that an arrow goes beyond a vehicle's front
 _RING, _RINGS = 10.0, 5  # metres between circles, and how many there are
 _BAND = 0.75  # width of the lines of a band; the value between them has 2
 
@@ -134,9 +122,9 @@ class _FrameLog:
         self._plotted: set[str] = set()
         self._plots: defaultdict[tuple[str, int], list[tuple[int, float, Sequence[float]]]] = defaultdict(list)
         axes = rr.ViewCoordinates.RDF
-        stream.log(WORLD, axes, static=True)
+        stream.log(entities.WORLD, axes, static=True)
         stream.log(
-            _CAMERA,
+            entities.WORLD_CAMERA,
             rr.Pinhole(
                 image_from_camera=camera.matrix,
                 resolution=camera.image_size,
@@ -148,7 +136,7 @@ class _FrameLog:
         turns = np.linspace(0.0, 2 * np.pi, 49)
         circle = np.stack([np.cos(turns), np.zeros_like(turns), np.sin(turns)], axis=1)
         circles = [_RING * (number + 1) * circle for number in range(_RINGS)]
-        stream.log(RINGS, rr.LineStrips3D(circles, colors=style.GROUND, radii=-0.5), static=True)
+        stream.log(entities.RINGS, rr.LineStrips3D(circles, colors=style.GROUND, radii=-0.5), static=True)
 
     def add(self, frame: ShownFrame) -> None:
         """Log one frame; what was seen before and is not now is cleared."""
@@ -158,19 +146,19 @@ class _FrameLog:
         self._stream.set_time("frame", sequence=frame.number)
         self._stream.set_time("time", duration=frame.time)
         if frame.problem is not None:
-            log(LOG, rr.TextLog(whole_text(frame.problem), level=rr.TextLogLevel.WARN))
+            log(entities.LOG, rr.TextLog(whole_text(frame.problem), level=rr.TextLogLevel.WARN))
         if frame.image is not None:
-            log(IMAGE, rr.EncodedImage(contents=_jpeg(frame.image), media_type="image/jpeg"))
-        log(f"{IMAGE}/boxes", named_boxes(frame.vehicles))
+            log(entities.VIDEO_IMAGE, rr.EncodedImage(contents=jpeg(frame.image, _JPEG), media_type="image/jpeg"))
+        log(f"{entities.VIDEO_IMAGE}/boxes", named_boxes(frame.vehicles))
         world_T_camera = np.eye(4) if frame.world_T_camera is None else frame.world_T_camera
-        for entity in (_CAMERA, HERE):
+        for entity in (entities.WORLD_CAMERA, entities.HERE):
             log(entity, rr.Transform3D(translation=world_T_camera[:3, 3], mat3x3=world_T_camera[:3, :3]))
         self._log_vehicles([vehicle for vehicle in frame.vehicles if vehicle.pose is not None], world_T_camera)
         for identity, values in frame.values.items():
             for name, numbers in values.items():
                 self._plots[name, identity].append((frame.number, frame.time, numbers))
         for identity, state in frame.states.items():
-            log(f"{STATES}/{identity}", rr.StateChange(state=[state]))
+            log(f"{entities.STATES}/{identity}", rr.StateChange(state=[state]))
         if frame.window:
             for archetype in graph_archetypes(lay_out(frame.window)):
                 log(entities.GRAPH, archetype)
@@ -187,7 +175,7 @@ class _FrameLog:
             lines = [*outline_corners(result.box_size)[BOX_EDGES], *result.wireframe[result.edges]]
             flat.append(list(result.wireframe_uv[result.edges]))
             solid.append([transform(world_T_object, line) for line in lines])
-            noses.append(transform(world_T_object, np.array([(0, 0, 0), (result.box_size[0] / 2 + _NOSE, 0, 0)])))
+            noses.append(transform(world_T_object, np.array([(0, 0, 0), (result.box_size[0] / 2 + NOSE, 0, 0)])))
             trail = vehicle.trail
             trails.append([] if trail is None or len(trail) < 2 else [transform(world_T_camera, trail)])
         colours = np.array([style.categorical(vehicle.identity) for vehicle in vehicles], np.uint8).reshape(-1, 3)
@@ -205,20 +193,20 @@ class _FrameLog:
             vectors=ends[:, 1] - ends[:, 0],
             colors=style.readable(colours),
             radii=-1.5,
-            labels=[vehicle.name or str(vehicle.identity) for vehicle in vehicles],
+            labels=[vehicle.label for vehicle in vehicles],
             show_labels=True,
         )
-        self._stream.log(f"{IMAGE}/wireframes", rr.LineStrips2D(**look(flat)))
-        self._stream.log(f"{WORLD}/cars", rr.LineStrips3D(**look(solid)))
-        self._stream.log(f"{WORLD}/headings", arrows)
-        self._stream.log(f"{WORLD}/paths", rr.LineStrips3D(**look(trails)))
+        self._stream.log(f"{entities.VIDEO_IMAGE}/wireframes", rr.LineStrips2D(**look(flat)))
+        self._stream.log(f"{entities.WORLD}/cars", rr.LineStrips3D(**look(solid)))
+        self._stream.log(f"{entities.WORLD}/headings", arrows)
+        self._stream.log(f"{entities.WORLD}/paths", rr.LineStrips3D(**look(trails)))
 
     def send_plots(self) -> None:
         """Send the values of the vehicles that were not sent yet, in their colours, with their bands."""
         import rerun as rr
 
         for (name, identity), rows in self._plots.items():
-            entity = f"{PLOTS}/{name}/{identity}"
+            entity = f"{entities.PLOTS}/{name}/{identity}"
             frames, times, values = zip(*rows, strict=True)
             lengths = [len(numbers) for numbers in values]
             if entity not in self._plotted:
@@ -232,10 +220,3 @@ class _FrameLog:
             columns = rr.Scalars.columns(scalars=list(chain.from_iterable(values))).partition(lengths)
             self._stream.send_columns(entity, timelines, columns)
         self._plots.clear()
-
-
-def _jpeg(image: NDArray[np.uint8]) -> bytes:
-    import cv2
-
-    flags = [cv2.IMWRITE_JPEG_QUALITY, _JPEG]
-    return bytes(cv2.imencode(".jpg", np.ascontiguousarray(image[..., ::-1]), flags)[1])

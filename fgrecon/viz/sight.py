@@ -1,0 +1,181 @@
+"""What recordings and pictures are made of: vehicles with what they were reconstructed from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.camera import Camera, Ground
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.observation import Observation
+from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.vehicle_mesh import VehicleMesh
+from fgrecon.viz.geometry import as_image
+from fgrecon.viz.truth import Truth
+
+__all__ = ["Photograph", "Shown", "Sight", "TrackSight", "jpeg"]
+
+_JPEG_QUALITY = 92
+
+
+@dataclass(frozen=True, eq=False)
+class Photograph:
+    """A photograph, (H, W, 3) RGB bytes. Several recordings may show it, and it is encoded once for all of them."""
+
+    pixels: NDArray[np.uint8]
+
+    @classmethod
+    def of(cls, image: NDArray[np.uint8] | Photograph | None) -> Photograph | None:
+        """An image as a photograph; None where there is none.
+
+        Raises:
+            InvalidInputError: The image is not (H, W, 3) of bytes.
+        """
+        return image if image is None or isinstance(image, Photograph) else cls(as_image(image))
+
+    @cached_property
+    def columns(self) -> list[Any]:
+        """It as a JPEG, in component columns of one row of a recording."""
+        import rerun as rr
+
+        return list(rr.EncodedImage.columns(blob=[jpeg(self.pixels, _JPEG_QUALITY)]))
+
+
+def jpeg(image: NDArray[np.uint8], quality: int) -> bytes:
+    """A file of an image (H, W, 3) of RGB bytes."""
+    import cv2
+
+    return bytes(cv2.imencode(".jpg", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])[1])
+
+
+@dataclass(frozen=True)
+class Sight:
+    """One reconstructed vehicle and what it was reconstructed from.
+
+    Attributes:
+        reconstruction: The result; its history is what recordings, animations and stages show.
+        observation: Its keypoints.
+        camera: The camera that observed them.
+        image: (H, W, 3) RGB photograph, or None.
+        truth: What is known to be true, drawn beside the estimate and given as errors; or None.
+        title: What it is called; empty for nothing.
+        model: The car model that it comes nearest to, or None.
+    """
+
+    reconstruction: Reconstruction
+    observation: Observation
+    camera: Camera
+    image: NDArray[np.uint8] | Photograph | None = None
+    truth: Truth | None = None
+    title: str = ""
+    model: VehicleMesh | None = None
+
+    @property
+    def photograph(self) -> Photograph | None:
+        """The image; an InvalidInputError where it is not (H, W, 3) of bytes."""
+        return Photograph.of(self.image)
+
+    @property
+    def pixels(self) -> NDArray[np.uint8] | None:
+        """The same as an array."""
+        return None if (photograph := self.photograph) is None else photograph.pixels
+
+    @property
+    def solved(self) -> bool:
+        """Whether there is a pose."""
+        return bool(np.isfinite(self.reconstruction.camera_T_object).all())
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """One vehicle of an image or of a video's frame among others.
+
+    Attributes:
+        identity: Its id, which is its colour as well.
+        box: (4,) 2D box in pixels.
+        result: The reconstruction; None draws the 2D box alone.
+        words: What is written beside its id, such as its speed.
+        trail: (T, 3) where it was, in this camera's frame, oldest first; None where that is not known.
+        name: What it is called where its id is not its name.
+        truth: What is known to be true.
+        model: The car model that it comes nearest to.
+    """
+
+    identity: int
+    box: NDArray[np.float64]
+    result: Reconstruction | None = None
+    words: str = ""
+    trail: NDArray[np.float64] | None = None
+    name: str = ""
+    truth: Truth | None = None
+    model: VehicleMesh | None = None
+
+    @property
+    def pose(self) -> NDArray[np.float64] | None:
+        """(4, 4) `camera_T_object`, or None where it has no pose, or none that the keypoints determine."""
+        if self.result is None or not self.result.status.determined:
+            return None
+        pose = self.result.camera_T_object
+        return pose if np.isfinite(pose).all() else None
+
+    @property
+    def posed(self) -> tuple[Reconstruction, NDArray[np.float64]] | None:
+        """Result and pose, or None where there is no pose."""
+        return None if self.result is None or (pose := self.pose) is None else (self.result, pose)
+
+    @property
+    def label(self) -> str:
+        """Its name, else its id."""
+        return self.name or str(self.identity)
+
+
+@dataclass(frozen=True)
+class TrackSight:
+    """What a track was reconstructed from, one entry per image; images that were refused included.
+
+    Attributes:
+        observations: Its keypoints in each image; None where there are none.
+        cameras: The camera of each image.
+        numbers: Number of each image on the timeline `frame`, increasing; None counts them from 0.
+        images: (H, W, 3) RGB photographs; None for none.
+        truths: What is known to be true; None for nothing.
+        ground: The ground plane that was assumed, or None.
+    """
+
+    observations: Sequence[Observation | None]
+    cameras: Sequence[Camera]
+    numbers: Sequence[int] | None = None
+    images: Sequence[NDArray[np.uint8] | None] | None = None
+    truths: Sequence[Truth | None] | None = None
+    ground: Ground | None = None
+
+    def __post_init__(self) -> None:
+        """Check that there is one entry per image.
+
+        Raises:
+            InvalidInputError: A sequence has another length, or the numbers do not increase.
+        """
+        count = len(self.observations)
+        for field in ("cameras", "numbers", "images", "truths"):
+            given = getattr(self, field)
+            if given is not None and len(given) != count:
+                raise InvalidInputError(field, f"{len(given)} entries", f"Give one for each of {count} images.")
+        if self.numbers is not None and (np.diff(np.array(self.numbers)) <= 0).any():
+            raise InvalidInputError("numbers", list(self.numbers), "Give numbers that increase.")
+
+    def number(self, index: int) -> int:
+        """Number of an image on the timeline `frame`."""
+        return index if self.numbers is None else int(self.numbers[index])
+
+    def at(self, index: int, result: Reconstruction) -> Sight:
+        """One image with its result; its observation must not be None."""
+        observation = self.observations[index]
+        assert observation is not None
+        image = None if self.images is None else self.images[index]
+        truth = None if self.truths is None else self.truths[index]
+        return Sight(result, observation, self.cameras[index], image, truth)
