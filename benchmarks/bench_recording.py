@@ -21,7 +21,7 @@ import fgrecon
 from fgrecon.cli.deliver import deliver
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate_track
 from fgrecon.solve.track import reconstruct_track
-from fgrecon.viz import Recording, TrackSight, recording_of, track_recording_of
+from fgrecon.viz import Recording, Sight, TrackSight, recording_of, track_recording_of
 from fgrecon_research.simulation import simulate_many
 
 CARS, FRAMES, ROUNDS = 30, 15, 3
@@ -54,13 +54,13 @@ def cars(folder: Path) -> None:
         return fgrecon.reconstruct(o.keypoints, KITTI_CAMERA, options=fgrecon.Options(keep_history=keep), **given)
 
     first = solve(seen[0], keep=True)
-    opening = milliseconds(lambda: recording_of(first, seen[0], KITTI_CAMERA).write(folder / "car.rrd"))
+    opening = milliseconds(lambda: recording_of(Sight(first, seen[0], KITTI_CAMERA)).write(folder / "car.rrd"))
     for _ in range(ROUNDS):
         made = []
         for observation in seen:
             off = milliseconds(lambda o=observation: solve(o, keep=False))
             on = milliseconds(lambda o=observation: solve(o, keep=True))
-            recording = recording_of(solve(observation, keep=True), observation, KITTI_CAMERA)
+            recording = recording_of(Sight(solve(observation, keep=True), observation, KITTI_CAMERA))
             made.append((str(len(made)), recording))
             rows.append((off, on, *cost(recording, folder / "car.rrd"), again(folder / "car.rrd", folder)))
         solving = milliseconds(lambda: [solve(o, keep=False) for o in seen], time.perf_counter)

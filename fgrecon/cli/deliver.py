@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -123,14 +123,7 @@ def recordings_of(sights: Sequence[Sight], ground: Ground | None) -> list[tuple[
     from fgrecon.viz import Photograph, recording_of
 
     images = {id(s.image): Photograph.of(s.image) for s in sights}  # several vehicles may be in one
-
-    def recording(s: Sight) -> Recording:
-        image = images[id(s.image)]
-        return recording_of(
-            s.reconstruction, s.observation, s.camera, image=image, truth=s.truth, ground=ground, model=s.model
-        )
-
-    return [(s.title, recording(s)) for s in sights]
+    return [(s.title, recording_of(replace(s, image=images[id(s.image)]), ground=ground)) for s in sights]
 
 
 def _write(recordings: Sequence[tuple[str, Recording]], save: Path, *, several: bool) -> list[Path]:

@@ -41,7 +41,7 @@ def demo_command(
     from fgrecon.io.images import write_png
     from fgrecon.simulation.demo import demo_scene
     from fgrecon.solve.pipeline import reconstruct
-    from fgrecon.viz import animate, picture, recording_of, save_picture
+    from fgrecon.viz import Sight, animate, picture, recording_of, save_picture
     from fgrecon.viz.animation import check_format
 
     check_delivery(None, viewer.connect)
@@ -62,12 +62,13 @@ def demo_command(
     write_png(out / "image.png", image)
     write_text(out / "keypoints.json", json.dumps(report.keypoint_file(scene, prior.category), indent=1) + "\n")
     write_text(out / "result.json", document)
-    save_picture(out / "picture.png", picture(result, seen, camera, image=image, truth=truth))
+    sight = Sight(result, seen, camera, image, truth)
+    save_picture(out / "picture.png", picture(sight))
     save_picture(out / "scene.jpg", report.street_picture(prior, seed), dpi=_DPI)
-    recording = recording_of(result, seen, camera, image=image, truth=truth, ground=scene.ground)
+    recording = recording_of(sight, ground=scene.ground)
     deliver([("demo", recording)], out / "recording.rrd", viewer.connect, spawn=viewer.spawn, several=False)
     if animation is not None:
-        animate(animation, result, seen, camera, image=image, truth=truth)
+        animate(animation, sight)
 
     screen.print(report.table(truth, stages))
     hidden, wrong = int((~scene.truth.visible).sum()), int(scene.truth.outlier.sum())

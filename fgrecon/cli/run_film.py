@@ -17,10 +17,10 @@ from fgrecon.io.frames import FrameSource
 from fgrecon.io.video import write_video
 from fgrecon.video.follow import TrackedFrame
 from fgrecon.video.rows import motion_of
-from fgrecon.viz import save_picture, scene_picture
-from fgrecon.viz.overlay import Shown, annotated
-from fgrecon.viz.overview import state_in_words
-from fgrecon.viz.video_blueprint import SIZES
+from fgrecon.viz import Shown, save_picture, scene_picture
+from fgrecon.viz.entities import SIZES
+from fgrecon.viz.overlay import annotated
+from fgrecon.viz.scene_recording import state_in_words
 from fgrecon.viz.video_recording import ShownFrame
 
 __all__ = ["Showing", "film", "recorded", "still"]

@@ -231,8 +231,7 @@ def draw(
         figure = scene_picture(image, _shown(outcomes), task.camera, ground=grounds.get(task.instance.image))
         return [save_picture(path, figure)]
     if len(sights) == 1:
-        only = sights[0]
-        return [save_picture(path, picture(only.reconstruction, only.observation, only.camera, image=image))]
+        return [save_picture(path, picture(sights[0]))]
     return [save_picture(path, contact_sheet(sights))]
 
 
@@ -261,11 +260,10 @@ def draw_moving(path: Path, outcomes: Sequence[Outcome], image: NDArray[np.uint8
     Returns:
         The files written.
     """
-    found = [outcome for outcome in outcomes if outcome.result is not None]
-    for outcome in found:
-        assert outcome.result is not None
-        animate(path, outcome.result, outcome.task.observation, outcome.task.camera, image=image)
-    return [path] * len(found)
+    sights = _sights(outcomes, image)
+    for sight in sights:
+        animate(path, sight)
+    return [path] * len(sights)
 
 
 def recordings(

@@ -18,7 +18,7 @@ from fgrecon.io.video import check_video, write_video
 from fgrecon.viz import style
 from fgrecon.viz.describe import describe_errors, total_energy
 from fgrecon.viz.geometry import BOX_EDGES, crop_around, image_points, outline_corners
-from fgrecon.viz.marks import draw_box, draw_crop, draw_edges, draw_keypoints, draw_true_box, unit
+from fgrecon.viz.marks import draw_box, draw_crop, draw_edges, draw_grid, draw_keypoints, draw_true_box, unit
 from fgrecon.viz.picture import as_rgb, new_figure, place_axes
 from fgrecon.viz.sight import Sight
 from fgrecon.viz.truth import Truth
@@ -120,9 +120,7 @@ def _draw_ground(axes: Any, result: Reconstruction, truth: Truth | None) -> None
     axes.set_ylim(z - reach, z + reach)
     axes.set_aspect("equal")
     axes.set_title("From above [m]", fontsize=8, loc="left", pad=3)
-    axes.tick_params(labelsize=6, length=2, pad=1.5)
-    axes.grid(visible=True, color=unit(style.HAIRLINE), linewidth=0.5)
-    axes.set_axisbelow(True)
+    draw_grid(axes)
 
 
 def _prepare_energy(axes: Any, result: Reconstruction) -> NDArray[np.float64]:

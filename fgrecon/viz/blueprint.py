@@ -13,8 +13,7 @@ from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.viz import entities, style
 from fgrecon.viz.factor_graph import Layout, lay_out
 from fgrecon.viz.geometry import Box, crop_around, image_points
-from fgrecon.viz.scene_recording import Member
-from fgrecon.viz.sight import Sight, TrackSight
+from fgrecon.viz.sight import Member, Sight, TrackSight
 from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR
 
 __all__ = ["scene_blueprint", "track_blueprint", "vehicle_blueprint", "video_blueprint"]

@@ -63,10 +63,10 @@ frame only the end of its solve is known:
 | `graph` | factors of the window of one vehicle | each frame |
 | `states/<id>`, `log` | status and visible side; why a frame could not be read | where they change |
 
-Timelines of the others: `step` counts the steps across all stages (and, of a track, all frames), `stage` the stages, `irls` the
-weight updates across all stages, and `frame` is the number of the image. Drawn geometry is in single precision, as
-viewers want it; plots and `history` are in double, and `fgrecon.viz.replay` reads them back to the last bit. Each row
-of `history` and `track` is one struct, the component `fields` of an archetype of our own.
+Timelines of the others: `step` counts the steps across all stages (and, of a track, all frames), `stage` the stages,
+`irls` the weight updates across all stages, and `frame` is the number of the image. Drawn geometry is in single
+precision, as viewers want it; plots and `history` are in double, and `fgrecon.viz.replay` reads them back to the last
+bit. Each row of `history` and `track` is one struct, the component `fields` of an archetype of our own.
 """
 
 from __future__ import annotations

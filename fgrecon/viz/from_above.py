@@ -20,7 +20,15 @@ from fgrecon.viz.marks import unit
 from fgrecon.viz.sight import Shown
 from fgrecon.viz.tags import Plates
 
-__all__ = ["CONFIDENCE", "DASHES", "draw_scene_from_above", "ellipse_scale", "extent_from_above"]
+__all__ = [
+    "CONFIDENCE",
+    "DASHES",
+    "START_DASHES",
+    "TRUE_DASHES",
+    "draw_scene_from_above",
+    "ellipse_scale",
+    "extent_from_above",
+]
 
 CONFIDENCE = 0.95
 """Of the ellipses around positions."""
@@ -42,17 +50,18 @@ DASHES: Mapping[Status, Any] = {
     Status.FAILED: (0, (1.0, 2.4)),
 }
 """Line of each status."""
+TRUE_DASHES = (0, (5.0, 1.0, 1.0, 1.0))
+"""Of what is known to be true."""
+START_DASHES = (0, (1.0, 1.2))
+"""Of the first estimate."""
 
 
 def extent_from_above(
     vehicles: Sequence[Shown], ground: Ground | None, before: Mapping[int, NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """(2, 2) lowest and highest coordinates, right and ahead, of all that is drawn; metres.
+    """(2, 2) lowest and highest coordinates, right and ahead, of all that is drawn, metres.
 
-    Args:
-        vehicles: What is drawn.
-        ground: The ground plane; without one the camera is taken for level.
-        before: (4, 4) poses at the start, by id.
+    Without a ground the camera is taken for level; `before` are (4, 4) poses at the start, by id.
     """
     level = level_axes(ground)
     axes = level[[0, 2]]
@@ -121,31 +130,29 @@ def draw_scene_from_above(
     _draw_scale(axes, font, far)
     plates = Plates(axes, font)
     for vehicle in vehicles:
+        colour = style.categorical(vehicle.identity)
         if vehicle.truth is not None and vehicle.truth.box_size is not None:
             corners = transform(vehicle.truth.camera_T_object, outline_corners(vehicle.truth.box_size))[:4] @ flat.T
-            _path(axes, corners, style.TRUTH, 1.0, (0, (5.0, 1.0, 1.0, 1.0)), closed=True, zorder=4)
+            _path(axes, corners, style.TRUTH, 1.0, TRUE_DASHES, closed=True, zorder=4)
         if vehicle.trail is not None and len(vehicle.trail) > 1:
-            _path(axes, vehicle.trail @ flat.T, style.categorical(vehicle.identity), 0.6, "-", zorder=3)
-            axes.plot(*(vehicle.trail @ flat.T).T, ".", color=unit(style.categorical(vehicle.identity)), markersize=1.5)
+            _path(axes, vehicle.trail @ flat.T, colour, 0.6, "-", zorder=3)
+            axes.plot(*(vehicle.trail @ flat.T).T, ".", color=unit(colour), markersize=1.5)
         if vehicle.result is not None and (start := before.get(vehicle.identity)) is not None:
             corners = _outline(start, vehicle.result)[0] @ flat.T
-            _path(axes, corners, style.FADED, 0.7, (0, (1.0, 1.2)), closed=True, zorder=3)
-    placed = [v for v in vehicles if v.result is not None and v.pose is not None]
-    for vehicle in placed:
-        assert vehicle.result is not None
-        assert vehicle.pose is not None
-        footprint, nose = (
-            part @ flat.T for part in _outline(vehicle.pose, vehicle.result, max(NOSE, _LEAST_NOSE * millimetre))
-        )
-        _draw_vehicle(axes, vehicle, footprint, nose)
+            _path(axes, corners, style.FADED, 0.7, START_DASHES, closed=True, zorder=3)
+    placed = [(vehicle, *vehicle.posed) for vehicle in vehicles if vehicle.posed is not None]
+    for vehicle, result, pose in placed:
+        outline = _outline(pose, result, max(NOSE, _LEAST_NOSE * millimetre))
+        footprint, nose = (part @ flat.T for part in outline)
+        _draw_vehicle(axes, style.categorical(vehicle.identity), DASHES[result.status], footprint, nose)
         covariance = _covariance(vehicle, level)
         if covariance is not None:
-            _draw_ellipse(axes, vehicle.pose[:3, 3] @ flat.T, covariance, scale)
+            ring = pose[:3, 3] @ flat.T + scale * ellipse(covariance, _RADIUS)
+            axes.fill(*ring.T, color=unit(style.INK), alpha=0.25, linewidth=0, zorder=6)
+            _path(axes, ring, style.INK, 0.7, "-", closed=True, zorder=7)
         plates.keep_free(np.concatenate([footprint, nose]))
-    for vehicle in placed:
-        assert vehicle.result is not None
-        assert vehicle.pose is not None
-        corners = _outline(vehicle.pose, vehicle.result)[0] @ flat.T
+    for vehicle, result, pose in placed:
+        corners = _outline(pose, result)[0] @ flat.T
         sides = (corners + np.roll(corners, 1, axis=0)) / 2
         plates.put(vehicle.label, np.concatenate([corners, sides]), _SIDES, style.categorical(vehicle.identity))
     for spine in axes.spines.values():
@@ -164,35 +171,27 @@ def _outline(
 
 def _covariance(vehicle: Shown, level: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """(2, 2) of the position in the ground plane; None where it is not known."""
-    if vehicle.result is None or vehicle.pose is None or vehicle.result.pose_covariance is None:
+    if vehicle.posed is None or (known := vehicle.posed[0].pose_covariance) is None:
         return None
     flat = level[[0, 2]]
-    covariance: NDArray[np.float64] = flat @ position_covariance(vehicle.pose, vehicle.result.pose_covariance) @ flat.T
+    covariance: NDArray[np.float64] = flat @ position_covariance(vehicle.posed[1], known) @ flat.T
     return covariance if np.isfinite(covariance).all() else None
 
 
-def _draw_vehicle(axes: Any, vehicle: Shown, footprint: NDArray[np.float64], nose: NDArray[np.float64]) -> None:
-    """Its footprint, filled faintly, and an arrow from its middle beyond its front."""
-    assert vehicle.result is not None
-    colour = style.categorical(vehicle.identity)
+def _draw_vehicle(
+    axes: Any, colour: style.Colour, dashes: Any, footprint: NDArray[np.float64], nose: NDArray[np.float64]
+) -> None:
+    """A footprint, filled faintly, and an arrow from its middle beyond its front."""
     axes.fill(*footprint.T, color=unit(colour), alpha=0.22, linewidth=0, zorder=4)
-    _path(axes, footprint, colour, 1.1, DASHES[vehicle.result.status], closed=True, zorder=5)
+    _path(axes, footprint, colour, 1.1, dashes, closed=True, zorder=5)
     look = {"arrowstyle": "-|>,head_length=0.28,head_width=0.13", "shrinkA": 0, "shrinkB": 0, "linewidth": 0.8}
     axes.annotate("", nose[1], nose[0], arrowprops={**look, "color": unit(colour)}, zorder=6, annotation_clip=True)
 
 
-def _draw_ellipse(axes: Any, at: NDArray[np.float64], covariance: NDArray[np.float64], scale: float) -> None:
-    outline = at + scale * ellipse(covariance, _RADIUS)
-    axes.fill(*outline.T, color=unit(style.INK), alpha=0.25, linewidth=0, zorder=6)
-    _path(axes, outline, style.INK, 0.7, "-", closed=True, zorder=7)
-
-
 def _draw_view(axes: Any, camera: Camera, size: tuple[float, float], flat: NDArray[np.float64], far: float) -> None:
     """The camera, and the part of the ground that its image is of."""
-    sides = camera.undistort(
-        np.array([(-0.5, float(camera.matrix[1, 2])), (size[0] - 0.5, float(camera.matrix[1, 2]))])
-    )
-    rays = camera.rays(sides) @ flat.T
+    middle = float(camera.matrix[1, 2])
+    rays = camera.rays(camera.undistort(np.array([(-0.5, middle), (size[0] - 0.5, middle)]))) @ flat.T
     ends = rays / np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-9) * 4.0 * far
     axes.fill(*np.stack([ends[0], (0.0, 0.0), ends[1]]).T, color=unit(style.BACKGROUND), linewidth=0, zorder=0)
     for end in ends:

@@ -18,6 +18,7 @@ __all__ = [
     "NOSE",
     "Box",
     "as_image",
+    "box_path",
     "crop_around",
     "ellipse",
     "ellipsoids",
@@ -96,6 +97,12 @@ def outline_corners(size: NDArray[np.float64]) -> NDArray[np.float64]:
     In each face the order is front left, front right, rear right, rear left.
     """
     return box_corners(size)[_AROUND]
+
+
+def box_path(box: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(5, 2) closed outline of a 2D box x1, y1, x2, y2."""
+    x1, y1, x2, y2 = box
+    return np.array([(x1, y1), (x2, y1), (x2, y2), (x1, y2), (x1, y1)])
 
 
 def crop_around(

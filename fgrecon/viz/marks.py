@@ -11,11 +11,21 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.observation import Observation
 from fgrecon.viz import style
-from fgrecon.viz.geometry import BOX_EDGES, Box, image_points, outline_corners, resolution
+from fgrecon.viz.geometry import BOX_EDGES, Box, box_path, image_points, outline_corners, resolution
 from fgrecon.viz.style import Side
 from fgrecon.viz.truth import Truth
 
-__all__ = ["draw_badge", "draw_box", "draw_crop", "draw_edges", "draw_keypoints", "draw_paths", "draw_true_box", "unit"]
+__all__ = [
+    "draw_badge",
+    "draw_box",
+    "draw_crop",
+    "draw_edges",
+    "draw_grid",
+    "draw_keypoints",
+    "draw_paths",
+    "draw_true_box",
+    "unit",
+]
 
 _LINE = 1.6
 
@@ -77,10 +87,16 @@ def draw_keypoints(
 
 def draw_box(axes: Any, box: NDArray[np.float64]) -> None:
     """The 2D box (4,) of an observation."""
-    x1, y1, x2, y2 = box
-    corners = np.array([(x1, y1), (x2, y1), (x2, y2), (x1, y2), (x1, y1)])
+    corners = box_path(box)
     axes.plot(*corners.T, color=unit(style.PAPER), linewidth=1.3, alpha=0.7, zorder=1)
     axes.plot(*corners.T, color=unit(style.INK), linewidth=0.7, zorder=1)
+
+
+def draw_grid(axes: Any) -> None:
+    """Small ticks and a light grid behind all else."""
+    axes.tick_params(labelsize=6, length=2, pad=1.5)
+    axes.grid(visible=True, color=unit(style.HAIRLINE), linewidth=0.5)
+    axes.set_axisbelow(True)
 
 
 def draw_badge(axes: Any, text: str) -> None:

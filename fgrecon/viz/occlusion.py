@@ -1,8 +1,8 @@
-"""Which parts of lines in space something hides: a depth image of what stands there."""
+"""Triangles as a camera sees them: car models laid over the photograph, and which parts of lines something hides."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,14 +11,75 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.vehicle_mesh import VehicleMesh
 from fgrecon.viz.geometry import fan, image_points
+from fgrecon.viz.style import Colour
 
-__all__ = ["DepthImage", "depth_image", "pieces_of", "runs_of"]
+__all__ = ["DepthImage", "PosedModel", "depth_image", "pieces_of", "render_models", "runs_of", "shading"]
 
-_LARGEST = 1500.0  # pixels of a depth image's longer side
+PosedModel = tuple[VehicleMesh, NDArray[np.float64], Colour]
+"""A model, the pose (4, 4) it is seen at, and its colour."""
+
+_LARGEST_DEPTH, _LARGEST_RENDERING = 1500.0, 2000.0  # pixels of the longer sides
+_FARTHEST_PIXEL = 3e4  # that OpenCV draws
+_SUBPIXEL_BITS = 3
 _TOLERANCE = 0.4  # metres: lines between points of a surface run below it, as a roof bends over its edges' chords
 _PIECES = 16
 _SHORT = 4  # pieces of a run that are no run of their own: a mirror hides no edge, a gap shows none
+_OPACITY = 0.8
+_LIGHT = np.array([-0.3, -0.85, -0.45])  # in the camera frame: from above, and from the camera's left
+
+
+def _triangles(
+    camera: Camera, pose: NDArray[np.float64], vertices: NDArray[np.float64], faces: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Pixels (F, 3, 2), corners (F, 3, 3) in the camera frame, and (F,) whether they can be drawn."""
+    pixels = image_points(camera, pose, vertices)[faces]
+    drawn = np.isfinite(pixels).all(axis=(1, 2)) & (np.abs(pixels) < _FARTHEST_PIXEL).all(axis=(1, 2))
+    return pixels, transform(pose, vertices)[faces], np.asarray(drawn)
+
+
+def shading(
+    corners: NDArray[np.float64], light: NDArray[np.float64], outward: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(F,) brightness from 0.5 to 1 of triangles (F, 3, 3), each turned to the side where `outward` (F, 3) points."""
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = normals / np.where(lengths > 0, lengths, 1.0)
+    normals *= np.where((normals * outward).sum(axis=1) < 0, -1.0, 1.0)[:, None]  # a mesh need not be oriented
+    lit: NDArray[np.float64] = 0.5 + 0.5 * np.clip(normals @ (light / np.linalg.norm(light)), 0.0, 1.0)
+    return lit
+
+
+def render_models(models: Sequence[PosedModel], camera: Camera, size: tuple[float, float]) -> NDArray[np.uint8]:
+    """(h, w, 4) RGBA of shaded car models, the nearest over the others; transparent elsewhere.
+
+    Args:
+        models: What is seen.
+        camera: The camera.
+        size: Width and height of its image, pixels; a larger one is rendered smaller.
+    """
+    import cv2
+
+    scale = min(1.0, _LARGEST_RENDERING / max(size))
+    canvas = np.zeros((max(round(size[1] * scale), 1), max(round(size[0] * scale), 1), 4), dtype=np.uint8)
+    shown = []
+    for model, pose, colour in models:
+        pixels, corners, drawn = _triangles(camera, pose, model.vertices, model.faces)
+        middles = corners.mean(axis=1)
+        drawn &= np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).any(axis=1)
+        lit = 255.0 - (255.0 - np.array(colour, dtype=np.float64)) * 0.75
+        colours = shading(corners, _LIGHT, -middles)[:, None] * lit
+        shown.append((pixels[drawn], middles[drawn, 2], colours[drawn]))
+    if not shown:
+        return canvas
+    pixels, depths, colours = (np.concatenate(part) for part in zip(*shown, strict=True))
+    corners = np.rint((pixels + 0.5) * scale * 2**_SUBPIXEL_BITS - 2 ** (_SUBPIXEL_BITS - 1)).astype(np.int32)
+    for index in np.argsort(-depths):  # the nearest last
+        red, green, blue = (int(channel) for channel in colours[index])
+        rgba = (red, green, blue, round(255 * _OPACITY))
+        cv2.fillConvexPoly(canvas, corners[index], rgba, shift=_SUBPIXEL_BITS)
+    return canvas
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,12 +98,11 @@ class DepthImage:
         """(...) whether something is before points at pixels (..., 2) and depths (...) in metres."""
         height, width = self.depth.shape
         with np.errstate(invalid="ignore"):
-            columns, rows = np.rint(np.nan_to_num(pixels, nan=-1.0) * self.scale).astype(np.int64).T
+            columns, rows = np.moveaxis(np.rint(np.nan_to_num(pixels, nan=-1.0) * self.scale).astype(np.int64), -1, 0)
             inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
             hidden = np.zeros(inside.shape, dtype=np.bool_)
-            hidden[inside] = self.depth[rows[inside], columns[inside]] < depths.T[inside] - _TOLERANCE
-        turned: NDArray[np.bool_] = hidden.T
-        return turned
+            hidden[inside] = self.depth[rows[inside], columns[inside]] < depths[inside] - _TOLERANCE
+        return hidden
 
 
 def depth_image(results: Iterable[Reconstruction], camera: Camera, size: tuple[float, float]) -> DepthImage:
@@ -55,20 +115,16 @@ def depth_image(results: Iterable[Reconstruction], camera: Camera, size: tuple[f
     """
     import cv2
 
-    scale = min(1.0, _LARGEST / max(size))
+    scale = min(1.0, _LARGEST_DEPTH / max(size))
     depth = np.full((max(round(size[1] * scale), 1), max(round(size[0] * scale), 1)), np.inf, dtype=np.float32)
-    pixels, depths = [], []
+    triangles = [(np.zeros((0, 3, 2), np.int32), np.zeros(0))]
     for result in results:
-        vertices, faces = _surface(result)
-        pixels.append(image_points(camera, result.camera_T_object, vertices)[faces])
-        depths.append(transform(result.camera_T_object, vertices)[faces][..., 2].mean(axis=1))
-    if not pixels:
-        return DepthImage(depth, scale)
-    corners, far = np.concatenate(pixels) * scale, np.concatenate(depths)
-    drawn = np.isfinite(corners).all(axis=(1, 2)) & (np.abs(corners) < 3e4).all(axis=(1, 2))
-    corners, far = np.rint(corners[drawn]).astype(np.int32), far[drawn]
+        pixels, corners, drawn = _triangles(camera, result.camera_T_object, *_surface(result))
+        drawn &= (np.abs(pixels * scale) < _FARTHEST_PIXEL).all(axis=(1, 2))
+        triangles.append((np.rint(pixels[drawn] * scale).astype(np.int32), corners[drawn, :, 2].mean(axis=1)))
+    outlines, far = (np.concatenate(part) for part in zip(*triangles, strict=True))
     for index in np.argsort(-far):  # the nearest last
-        cv2.fillConvexPoly(depth, corners[index], float(far[index]))
+        cv2.fillConvexPoly(depth, outlines[index], float(far[index]))
     return DepthImage(depth, scale)
 
 
@@ -88,14 +144,14 @@ def pieces_of(lines: NDArray[np.float64], count: int = _PIECES) -> NDArray[np.fl
 
 
 def runs_of(
-    points: NDArray[np.float64], camera: Camera, depth: DepthImage
+    points: NDArray[np.float64], camera: Camera, depth: DepthImage | None
 ) -> tuple[list[NDArray[np.float64]], list[NDArray[np.float64]]]:
     """What is seen of lines, and what is hidden, as paths in the image.
 
     Args:
         points: (L, P, 3) points along each, in the camera frame.
         camera: The camera.
-        depth: What stands in the way.
+        depth: What stands in the way, or None.
 
     Returns:
         Paths (n, 2) in pixels, n from 2 to P, that are seen, and those that are hidden; parts behind the camera are in
@@ -104,8 +160,8 @@ def runs_of(
     count, length = points.shape[:2]
     pixels = image_points(camera, np.eye(4), points.reshape(-1, 3)).reshape(count, length, 2)
     middles = (pixels[:, :-1] + pixels[:, 1:]) / 2
-    hidden = depth.hides(middles, (points[:, :-1, 2] + points[:, 1:, 2]) / 2)
     drawn = np.isfinite(middles).all(axis=-1)
+    hidden = drawn & False if depth is None else depth.hides(middles, (points[:, :-1, 2] + points[:, 1:, 2]) / 2)
     seen: list[NDArray[np.float64]] = []
     behind: list[NDArray[np.float64]] = []
     for path, kinds in zip(pixels, np.where(drawn, hidden, -1), strict=True):
@@ -126,12 +182,7 @@ def _without_short(kinds: NDArray[np.int64]) -> NDArray[np.int64]:
     """The numbers with short runs between two of the same taken for these."""
     smooth = kinds.copy()
     for start, end in _runs(kinds):
-        if (
-            start > 0
-            and end < len(kinds)
-            and end - start < _SHORT
-            and smooth[start - 1] == kinds[end]
-            and kinds[start] >= 0
-        ):
+        amid = start > 0 and end < len(kinds) and end - start < _SHORT
+        if amid and smooth[start - 1] == kinds[end] and kinds[start] >= 0:
             smooth[start:end] = kinds[end]
     return smooth

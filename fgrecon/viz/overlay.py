@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera
 from fgrecon.core.geometry import transform
 from fgrecon.viz import style
-from fgrecon.viz.geometry import BOX_EDGES, as_image, image_points, outline_corners
+from fgrecon.viz.geometry import BOX_EDGES, as_image, box_path, image_points, outline_corners
 from fgrecon.viz.sight import Shown
 
 __all__ = ["annotated"]
@@ -59,8 +59,8 @@ def _depth(vehicle: Shown) -> float:
 
 def _draw_vehicle(canvas: NDArray[np.uint8], vehicle: Shown, camera: Camera, width: int) -> None:
     colour = style.categorical(vehicle.identity)
-    x1, y1, x2, y2 = vehicle.box
-    _lines(canvas, np.array([[(x1, y1), (x2, y1), (x2, y2), (x1, y2), (x1, y1)]]), colour, 1)
+    x1, y1, x2, _ = vehicle.box
+    _lines(canvas, box_path(vehicle.box)[None], colour, 1)
     if vehicle.result is not None and vehicle.pose is not None:
         result = vehicle.result
         corners = image_points(camera, vehicle.pose, outline_corners(result.box_size))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Ground
 from fgrecon.viz import entities, style
+from fgrecon.viz.blueprint import vehicle_blueprint
 from fgrecon.viz.columns import Column, Outbox, column, fixed_columns, strip_column
 from fgrecon.viz.factor_graph import log_graph
 from fgrecon.viz.geometry import (
@@ -61,14 +62,13 @@ def recording_of(sight: Sight, *, ground: Ground | None = None) -> Recording:
     """The recording of a whole optimisation, with its layout.
 
     Args:
-        sight: The vehicle. Its history is played back; a truth is drawn beside the estimate and plotted as errors; a car
-            model is shown instead of the surface.
+        sight: The vehicle. Its history is played back; a truth is drawn beside the estimate and plotted as errors; a
+            car model is shown instead of the surface.
         ground: The ground plane that was assumed; without one the grid is below the vehicle.
 
     Returns:
         What can be written or sent. Making it raises an InvalidInputError where the image is not (H, W, 3) of bytes.
     """
-    from fgrecon.viz.blueprint import vehicle_blueprint
 
     def make() -> Callable[[Any], None]:
         result, photograph = sight.reconstruction, sight.photograph
@@ -215,7 +215,7 @@ def _log_scene_steps(rows: Rows) -> None:
     result = rows.plays[0].sight.reconstruction
     rows.send(entities.VEHICLE, _pose_columns(rows.poses))
     rows.once(entities.KEYPOINTS_3D, rr.Points3D, labels=result.keypoint_names, show_labels=False, radii=-4.0)
-    values = {"positions": rows.keypoints, "colors": rows.colours}
+    values: dict[str, NDArray[Any]] = {"positions": rows.keypoints, "colors": rows.colours}
     count = rows.keypoints.shape[1]
     points = [column(rr.Points3D, name, v.reshape(-1, 3), count) for name, v in values.items()]
     rows.send(entities.KEYPOINTS_3D, points)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -117,16 +119,20 @@ class Replay:
         A track's joint stage is told once, with the terms of the shape.
         """
         stages, histories = dict.fromkeys(step.stage for step in self.history), self._histories()
-        summaries = [_of_all(stage, histories) for stage in stages if not (self.joint and stage == "joint")]
-        return (*summaries, _of_joint(self.joint)) if self.joint else tuple(summaries)
+        summaries = [
+            _summary(stage, [[step for step in steps if step.stage == stage] for steps in histories])
+            for stage in stages
+            if not (self.joint and stage == "joint")
+        ]
+        return (*summaries, _summary("joint", [self.joint])) if self.joint else tuple(summaries)
 
     def _histories(self) -> list[tuple[Iteration, ...]]:
         return [steps for part in (self, *self.vehicles.values()) for steps in part.frames.values()]
 
 
-def _of_all(stage: str, histories: Sequence[tuple[Iteration, ...]]) -> StageSummary:
-    """A stage over all frames or vehicles: counts and energies are added up."""
-    members = [steps for steps in (_members(stage, steps) for steps in histories) if steps]
+def _summary(stage: str, histories: Sequence[Sequence[Iteration | JointStep]]) -> StageSummary:
+    """A stage over the steps of it of all frames or vehicles: counts and energies are added up."""
+    members = [steps for steps in histories if steps]
     terms: dict[str, float] = {}
     for steps in members:
         for name, energy in steps[-1].energies.items():
@@ -135,23 +141,10 @@ def _of_all(stage: str, histories: Sequence[tuple[Iteration, ...]]) -> StageSumm
         stage=stage,
         weight_updates=sum(len({step.irls for step in steps}) for steps in members),
         steps=sum(len(steps) for steps in members),
-        first_energy=sum(_total(steps[0].energies) for steps in members),
-        last_energy=sum(_total(steps[-1].energies) for steps in members),
+        first_energy=float(sum(sum(steps[0].energies.values()) for steps in members)),
+        last_energy=float(sum(sum(steps[-1].energies.values()) for steps in members)),
         terms=terms,
     )
-
-
-def _members(stage: str, steps: tuple[Iteration, ...]) -> list[Iteration]:
-    return [step for step in steps if step.stage == stage]
-
-
-def _of_joint(steps: tuple[JointStep, ...]) -> StageSummary:
-    first, last = _total(steps[0].energies), _total(steps[-1].energies)
-    return StageSummary("joint", len({step.irls for step in steps}), len(steps), first, last, dict(steps[-1].energies))
-
-
-def _total(energies: Mapping[str, float]) -> float:
-    return float(sum(energies.values()))
 
 
 def read(path: str | Path) -> Replay:
@@ -214,29 +207,18 @@ def _chunks(path: str | Path) -> Iterator[tuple[str, dict[str, list[Any]]]]:
 
 @dataclass(frozen=True)
 class _Found:
-    """What the chunks so far hold.
+    """What the chunks of a vehicle, or of a recording without several, hold so far."""
 
-    Attributes:
-        history: Frame, step and state of every step.
-        joint: Step and state of the joint optimisation.
-        rows: Time and numbers of every row of a plot, by entity.
-        names: Names of its series.
-        log: Lines of the log.
-    """
-
-    history: list[tuple[int, int, Iteration]] = field(default_factory=list)
+    history: list[tuple[int, int, Iteration]] = field(default_factory=list)  # frame, step and state
     joint: list[tuple[int, JointStep]] = field(default_factory=list)
-    rows: dict[str, list[tuple[int, list[float]]]] = field(default_factory=dict)
+    rows: dict[str, list[tuple[int, list[float]]]] = field(
+        default_factory=dict
+    )  # of plots: time and numbers, by entity
     names: dict[str, tuple[str, ...]] = field(default_factory=dict)
     log: list[LogLine] = field(default_factory=list)
 
     def add(self, entity: str, columns: Mapping[str, list[Any]]) -> None:
-        """Take in a chunk.
-
-        Raises:
-            KeyError: A column is missing.
-            ValueError: Columns have different lengths.
-        """
+        """Take in a chunk; a KeyError or ValueError where columns are missing or have different lengths."""
         steps, frames = columns.get(entities.STEP), columns.get(entities.FRAME)
         if entity == entities.HISTORY and steps is not None and frames is not None:
             states = columns[f"{entities.HISTORY_ARCHETYPE}:{FIELDS}"]
@@ -245,46 +227,35 @@ class _Found:
             states = columns[f"{entities.JOINT_ARCHETYPE}:{FIELDS}"]
             self.joint.extend((step, _joint_step(row)) for step, (row,) in zip(steps, states, strict=True))
         elif _SCALARS in columns:
-            times = frames if _by_frame(entity) else steps
+            times = frames if _timeline(entity) == entities.FRAME else steps
             self.rows.setdefault(entity, []).extend(zip(times or [], columns[_SCALARS], strict=True))
         elif _NAMES in columns:
             self.names[entity] = tuple(columns[_NAMES][0])
         elif entity == entities.LOG and _TEXT in columns:
-            self.log.extend(_lines(columns, steps))
+            texts, levels = columns[_TEXT], columns[_LEVEL]
+            at = [None] * len(texts) if steps is None else steps
+            self.log.extend(LogLine(s, level[0], text[0]) for s, text, level in zip(at, texts, levels, strict=True))
 
     def replay(self) -> Replay:
         """All of it in order."""
+        by_frame = groupby(sorted(self.history, key=lambda item: item[:2]), key=itemgetter(0))
         return Replay(
-            frames=_by_number(self.history),
-            joint=tuple(step for _, step in sorted(self.joint, key=lambda item: item[0])),
-            scalars={name: _series(name, self.rows[name], self.names.get(name, ())) for name in sorted(self.rows)},
+            frames={frame: tuple(step for *_, step in steps) for frame, steps in by_frame},
+            joint=tuple(step for _, step in sorted(self.joint, key=itemgetter(0))),
+            scalars={name: self._series(name) for name in sorted(self.rows)},
             log=tuple(sorted(self.log, key=lambda line: -1 if line.step is None else line.step)),
         )
 
-
-def _by_frame(entity: str) -> bool:
-    return entity.startswith(f"{entities.FRAMES}/")
-
-
-def _by_number(history: list[tuple[int, int, Iteration]]) -> dict[int, tuple[Iteration, ...]]:
-    """The steps of each frame, in order."""
-    found: dict[int, list[Iteration]] = {}
-    for frame, _, step in sorted(history, key=lambda item: item[:2]):
-        found.setdefault(frame, []).append(step)
-    return {frame: tuple(steps) for frame, steps in found.items()}
+    def _series(self, entity: str) -> Series:
+        rows = sorted(self.rows[entity], key=itemgetter(0))
+        times = np.array([time for time, _ in rows], dtype=np.int64)
+        values = np.array([numbers for _, numbers in rows], dtype=np.float64)
+        return Series(self.names.get(entity, ()), _timeline(entity), times, values)
 
 
-def _series(entity: str, rows: list[tuple[int, list[float]]], names: tuple[str, ...]) -> Series:
-    rows.sort(key=lambda row: row[0])
-    times = np.array([time for time, _ in rows], dtype=np.int64)
-    values = np.array([numbers for _, numbers in rows], dtype=np.float64)
-    return Series(names, entities.FRAME if _by_frame(entity) else entities.STEP, times, values)
-
-
-def _lines(columns: Mapping[str, Any], steps: list[int] | None) -> list[LogLine]:
-    texts, levels = columns[_TEXT], columns[_LEVEL]
-    at = [None] * len(texts) if steps is None else steps
-    return [LogLine(step, level[0], text[0]) for step, text, level in zip(at, texts, levels, strict=True)]
+def _timeline(entity: str) -> str:
+    """The timeline of a plot."""
+    return entities.FRAME if entity.startswith(f"{entities.FRAMES}/") else entities.STEP
 
 
 def _iteration(fields: Mapping[str, Any]) -> Iteration:

@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
-from fgrecon.core.reconstruction import Status
+from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.viz import style
-from fgrecon.viz.from_above import DASHES, draw_scene_from_above, ellipse_scale, extent_from_above
-from fgrecon.viz.geometry import BOX_EDGES, as_image, ground_lines, level_axes, outline_corners, resolution
+from fgrecon.viz.from_above import DASHES, TRUE_DASHES, draw_scene_from_above, ellipse_scale, extent_from_above
+from fgrecon.viz.geometry import BOX_EDGES, as_image, box_path, ground_lines, level_axes, outline_corners, resolution
 from fgrecon.viz.marks import draw_crop, draw_paths
-from fgrecon.viz.model_overlay import render_models
-from fgrecon.viz.occlusion import DepthImage, depth_image, pieces_of, runs_of
+from fgrecon.viz.occlusion import DepthImage, depth_image, pieces_of, render_models, runs_of
 from fgrecon.viz.picture import new_figure, place_axes
 from fgrecon.viz.scene_table import draw_key, draw_table, scene_page
 from fgrecon.viz.sight import Shown
@@ -73,7 +72,8 @@ def scene_picture(
         raise InvalidInputError("vehicles", [v.identity for v in vehicles], "Give each vehicle an id of its own.")
     photograph = None if image is None else as_image(image)
     size = resolution(camera, photograph)
-    starts = _starts(vehicles) if before else {}
+    histories = [(v.identity, v.result.history) for v in vehicles if before and v.result is not None]
+    starts = {identity: history[0].camera_T_object for identity, history in histories if history}
     high = min((_WIDTH - 2 * _EDGE) * size[1] / size[0], _TALLEST)
     wide = high * size[0] / size[1]
 
@@ -112,11 +112,6 @@ def scene_picture(
     return figure
 
 
-def _starts(vehicles: Sequence[Shown]) -> dict[int, NDArray[np.float64]]:
-    """The first poses, by id, of those that have a history."""
-    return {v.identity: v.result.history[0].camera_T_object for v in vehicles if v.result and v.result.history}
-
-
 def _filled(extent: NDArray[np.float64], aspect: float) -> NDArray[np.float64]:
     """The extent widened, or made longer ahead, until it has an aspect."""
     (left, near), (right, far) = extent
@@ -140,36 +135,36 @@ def _draw_photograph(
     axes.set_aspect("auto")  # the panel has the image's
     for spine in axes.spines.values():
         spine.set_linewidth(0.4)
-    solved = [v for v in vehicles if v.result is not None and v.pose is not None]
-    depth = depth_image([v.result for v in solved if v.result is not None], camera, size)
+    solved = {v.identity: (v, *v.posed) for v in vehicles if v.posed is not None}
+    depth = depth_image([result for _, result, _ in solved.values()], camera, size)
     if ground is not None:
-        poses = [v.pose for v in solved if v.pose is not None]
-        _draw_ground(axes, ground, camera, depth, poses, style.HAIRLINE if image is None else style.PAPER)
-    models = [(v.model, v.pose, style.categorical(v.identity)) for v in solved if v.model is not None]
-    posed = [(model, pose, colour) for model, pose, colour in models if pose is not None and start is None]
-    if posed:
-        rendered = render_models(posed, camera, size)
+        places = [pose[:3, 3] for *_, pose in solved.values()]
+        _draw_ground(axes, ground, camera, depth, places, style.HAIRLINE if image is None else style.PAPER)
+    models = [(v.model, pose, style.categorical(v.identity)) for v, _, pose in solved.values() if v.model is not None]
+    if models and start is None:
+        rendered = render_models(models, camera, size)
         axes.imshow(rendered, extent=(-0.5, size[0] - 0.5, size[1] - 0.5, -0.5), aspect="auto", zorder=1.5)
     points = axes.get_position().width * axes.figure.get_size_inches()[0] * 72 / size[0]  # in a pixel
-    for vehicle in sorted(solved, key=lambda v: -float(v.pose[2, 3]) if v.pose is not None else 0.0):
+    for vehicle, result, pose in sorted(solved.values(), key=lambda item: -float(item[2][2, 3])):
         if start is None:
             behind = style.FADED if image is None else style.PAPER
-            _draw_vehicle(
-                axes,
-                vehicle,
-                camera,
-                depth,
-                behind,
-                wireframe=vehicle.model is None and points * _width(vehicle) > _SMALL,
-            )
+            wireframe = vehicle.model is None and points * float(vehicle.box[2] - vehicle.box[0]) > _SMALL
+            _draw_vehicle(axes, vehicle, result, pose, camera, depth, behind if wireframe else None)
         elif vehicle.identity in start:
-            _draw_start(axes, vehicle, camera)
-    plates = Plates(axes, _FONT)
+            first = result.history[0]
+            lines = transform(first.camera_T_object, first.keypoints)[result.edges]
+            seen, _ = runs_of(pieces_of(lines), camera, None)
+            draw_paths(axes, seen, style.categorical(vehicle.identity), 0.8, "-", zorder=4)
     for vehicle in vehicles:
-        x1, y1, x2, y2 = vehicle.box
-        if vehicle.pose is None:
-            corners = np.array([(x1, y1), (x2, y1), (x2, y2), (x1, y2), (x1, y1)])
-            draw_paths(axes, [corners], style.categorical(vehicle.identity), 0.8, DASHES[Status.FAILED], zorder=5)
+        if vehicle.identity not in solved:
+            outline, colour = box_path(vehicle.box), style.categorical(vehicle.identity)
+            draw_paths(axes, [outline], colour, 0.8, DASHES[Status.FAILED], zorder=5)
+    _name(axes, vehicles)
+
+
+def _name(axes: Any, vehicles: Sequence[Shown]) -> None:
+    """Put plates above the vehicles, the nearest first, which cover no vehicle's middle."""
+    plates = Plates(axes, _FONT)
     for vehicle in sorted(vehicles, key=lambda v: v.box[3]):
         x1, y1, x2, y2 = vehicle.box
         plates.keep_free(np.array([(x1 + 0.25 * (x2 - x1), y1 + 0.25 * (y2 - y1)), (x2 - 0.25 * (x2 - x1), y2)]))
@@ -179,21 +174,16 @@ def _draw_photograph(
         plates.put(vehicle.label, top, _TAGS, style.categorical(vehicle.identity))
 
 
-def _width(vehicle: Shown) -> float:
-    return float(vehicle.box[2] - vehicle.box[0])
-
-
 def _draw_ground(
     axes: Any,
     ground: Ground,
     camera: Camera,
     depth: DepthImage,
-    poses: Sequence[NDArray[np.float64]],
+    places: Sequence[NDArray[np.float64]],
     colour: style.Colour,
 ) -> None:
-    """The horizon, and a grid on the ground as far as the vehicles are."""
-    locations = [pose[:3, 3] for pose in poses]
-    lines = ground_lines(ground, locations, lambda far: _AHEAD[max(far, _AHEAD[0]) >= _AHEAD])
+    """The horizon, and a grid on the ground as far as vehicles are at places (3,)."""
+    lines = ground_lines(ground, places, lambda far: _AHEAD[max(far, _AHEAD[0]) >= _AHEAD])
     seen, _ = runs_of(pieces_of(lines, 120), camera, depth)
     draw_paths(axes, seen, colour, 0.35, "-", zorder=1, casing=False, alpha=0.65)
     turns, (right, _, ahead) = np.linspace(-1.2, 1.2, 40), level_axes(ground)
@@ -203,31 +193,28 @@ def _draw_ground(
 
 
 def _draw_vehicle(
-    axes: Any, vehicle: Shown, camera: Camera, depth: DepthImage, behind: style.Colour, *, wireframe: bool
+    axes: Any,
+    vehicle: Shown,
+    result: Reconstruction,
+    pose: NDArray[np.float64],
+    camera: Camera,
+    depth: DepthImage,
+    behind: style.Colour | None,
 ) -> None:
-    """Box and wireframe; what the vehicle itself or another hides of them is faint, in a colour of its own."""
-    assert vehicle.result is not None
-    assert vehicle.pose is not None
-    result, colour = vehicle.result, style.categorical(vehicle.identity)
+    """Box and wireframe; what the vehicle itself or another hides of them is faint, of the wireframe in a colour.
+
+    Without the colour there is no wireframe.
+    """
+    colour = style.categorical(vehicle.identity)
     if vehicle.truth is not None and vehicle.truth.box_size is not None:
         true = transform(vehicle.truth.camera_T_object, outline_corners(vehicle.truth.box_size))[BOX_EDGES]
         seen, hidden = runs_of(pieces_of(true), camera, depth)
-        draw_paths(axes, [*seen, *hidden], style.TRUTH, 0.6, (0, (5.0, 1.0, 1.0, 1.0)), zorder=2)
-    box = transform(vehicle.pose, outline_corners(result.box_size))[BOX_EDGES]
+        draw_paths(axes, [*seen, *hidden], style.TRUTH, 0.6, TRUE_DASHES, zorder=2)
+    box = transform(pose, outline_corners(result.box_size))[BOX_EDGES]
     seen, hidden = runs_of(pieces_of(box), camera, depth)
     draw_paths(axes, hidden, colour, 0.4, (0, (1.0, 1.5)), zorder=2, casing=False, alpha=_HIDDEN)
     draw_paths(axes, seen, colour, 0.55, DASHES[result.status], zorder=4)
-    if wireframe:
-        lines = transform(vehicle.pose, result.wireframe)[result.edges]
-        seen, hidden = runs_of(pieces_of(lines), camera, depth)
+    if behind is not None:
+        seen, hidden = runs_of(pieces_of(transform(pose, result.wireframe)[result.edges]), camera, depth)
         draw_paths(axes, hidden, behind, 0.35, "-", zorder=2, casing=False, alpha=_HIDDEN)
         draw_paths(axes, seen, colour, 0.9, "-", zorder=4)
-
-
-def _draw_start(axes: Any, vehicle: Shown, camera: Camera) -> None:
-    """The wireframe that the optimisation began with."""
-    assert vehicle.result is not None
-    first, nothing = vehicle.result.history[0], DepthImage(np.full((1, 1), np.inf, dtype=np.float32), 1e-9)
-    lines = transform(first.camera_T_object, first.keypoints)[vehicle.result.edges]
-    seen, _ = runs_of(pieces_of(lines), camera, nothing)
-    draw_paths(axes, seen, style.categorical(vehicle.identity), 0.8, "-", zorder=4)

@@ -6,9 +6,8 @@ be alone (`fgrecon.viz.recording`), to a branch of its own.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,53 +16,21 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Ground
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import position_covariance, view_azimuth
-from fgrecon.core.text import distinct
 from fgrecon.viz import entities, style
+from fgrecon.viz.blueprint import scene_blueprint
 from fgrecon.viz.columns import Outbox, column, fixed_columns, made_columns, strip_column
 from fgrecon.viz.describe import scene_table
 from fgrecon.viz.geometry import NOSE, ground_lines
 from fgrecon.viz.playback import Playback
 from fgrecon.viz.plots import log_summary
 from fgrecon.viz.recording import line_style, log_camera, log_ellipsoids, log_image, log_vehicle
-from fgrecon.viz.sight import Shown, Sight
+from fgrecon.viz.sight import Member, Shown, Sight, members_of
 from fgrecon.viz.sinks import Recording
 
-__all__ = ["Member", "members_of", "named_boxes", "scene_recording_of", "state_in_words"]
+__all__ = ["named_boxes", "scene_recording_of", "state_in_words"]
 
 _RADIUS = 2.7955  # standard deviations that hold a position with a probability of 95 %, in three dimensions
 _SPACING = 5.0  # metres between the lines of the ground's grid
-
-
-@dataclass(frozen=True)
-class Member:
-    """A vehicle of a scene on its way into a recording.
-
-    Attributes:
-        number: Its place in the scene, which is its colour.
-        title: What it is called.
-        name: The same in paths.
-        sight: What is recorded.
-    """
-
-    number: int
-    title: str
-    name: str
-    sight: Sight
-
-    def place(self, entity: str) -> str:
-        """Where the recording has one of its entities."""
-        return entities.of_vehicle(entity, self.name)
-
-
-def members_of(sights: Sequence[Sight]) -> list[Member]:
-    """The vehicles with names that paths can have, no two alike."""
-    members: list[Member] = []
-    taken: set[str] = set()
-    for number, sight in enumerate(sights):
-        title = sight.title or str(number)
-        plain = re.sub(r"[^\w.-]+", "-", title, flags=re.ASCII).strip("-.") or str(number)
-        members.append(Member(number, title, distinct(plain, taken), sight))
-    return members
 
 
 def scene_recording_of(sights: Sequence[Sight], *, ground: Ground | None = None) -> Recording:
@@ -79,8 +46,6 @@ def scene_recording_of(sights: Sequence[Sight], *, ground: Ground | None = None)
     Raises:
         InvalidInputError: There is no vehicle.
     """
-    from fgrecon.viz.blueprint import scene_blueprint
-
     if not sights:
         raise InvalidInputError("sights", "none", "Give at least one vehicle.")
     members = members_of(sights)

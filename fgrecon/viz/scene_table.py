@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.geometry import position_covariance
-from fgrecon.core.reconstruction import Reconstruction, Status
+from fgrecon.core.reconstruction import Status
 from fgrecon.viz import style
-from fgrecon.viz.from_above import CONFIDENCE, DASHES
+from fgrecon.viz.from_above import CONFIDENCE, DASHES, START_DASHES, TRUE_DASHES
 from fgrecon.viz.marks import unit
 from fgrecon.viz.sight import Shown
 from fgrecon.viz.truth import ORIENTATION_ERROR, TRANSLATION_ERROR
@@ -81,7 +81,8 @@ def scene_page(vehicles: Sequence[Shown], starts: Mapping[int, NDArray[np.float6
         cells = [_errors(v, starts.get(v.identity)) for v in ordered]
     elif not few and not words:
         columns = (("dist. [m]", 0.48), ("yaw [°]", 0.82), ("l [m]", 1.0))
-        cells = [(*pair, _length(v)) for pair, v in zip(cells, ordered, strict=True)]
+        lengths = ["" if v.posed is None else f"{v.posed[0].box_size[0]:.1f}" for v in ordered]
+        cells = [(*pair, length) for pair, length in zip(cells, lengths, strict=True)]
     details = [_detail(v) if few else v.words for v in ordered]
     rows = (Row(v.label, c, d) for v, c, d in zip(ordered, cells, details, strict=True))
     return ScenePage(columns, tuple(rows))
@@ -89,16 +90,16 @@ def scene_page(vehicles: Sequence[Shown], starts: Mapping[int, NDArray[np.float6
 
 def _values(vehicle: Shown) -> tuple[str, ...]:
     """Distance and yaw; where the pose is not known, what became of it."""
-    result = vehicle.result
-    if result is None or vehicle.pose is None:
-        return ("refused" if result is None else result.status.value, "")
+    if vehicle.posed is None:
+        return ("refused" if vehicle.result is None else vehicle.result.status.value, "")
+    result, pose = vehicle.posed
     distance, yaw = float(np.linalg.norm(result.location)), float(np.degrees(result.rotation_y))
     digits = 1 if distance < _WIDE else 0
     covariance = result.pose_covariance
     if covariance is None or not np.isfinite(covariance).all():
         return (f"{distance:.{digits}f}", f"{yaw:.0f}".translate(_MINUS))
     towards = result.location / max(distance, 1e-9)
-    along = float(np.sqrt(towards @ position_covariance(vehicle.pose, covariance) @ towards))
+    along = float(np.sqrt(towards @ position_covariance(pose, covariance) @ towards))
     turn = float(np.degrees(np.sqrt(covariance[1, 1])))  # about the own y axis
     return (_within(distance, _SIGMAS * along, distance, digits), _within(yaw, _SIGMAS * turn, 180.0, 0))
 
@@ -108,31 +109,27 @@ def _within(value: float, spread: float, most: float, digits: int) -> str:
     return f"{value:.{digits}f} ± {spread:.{digits}f}".translate(_MINUS) if spread < most else "unknown"
 
 
-def _length(vehicle: Shown) -> str:
-    return "" if vehicle.result is None or vehicle.pose is None else f"{vehicle.result.box_size[0]:.1f}"
-
-
 def _detail(vehicle: Shown) -> str:
     """The words of a vehicle, its size and status; or the car model that it is like."""
-    if vehicle.result is None or vehicle.pose is None:
+    if vehicle.posed is None:
         return vehicle.words
     if vehicle.model is not None:
         return textwrap.shorten(f"like {vehicle.model.name}", _WORDS, placeholder="…")
-    size = " × ".join(f"{metres:.1f}" for metres in vehicle.result.box_size)
-    return ", ".join(part for part in (f"{size} m", vehicle.words or vehicle.result.status.value) if part)
+    size = " × ".join(f"{metres:.1f}" for metres in vehicle.posed[0].box_size)
+    return ", ".join(part for part in (f"{size} m", vehicle.words or vehicle.posed[0].status.value) if part)
 
 
 def _errors(vehicle: Shown, start: NDArray[np.float64] | None) -> tuple[str, ...]:
     """Errors of position and yaw, from the start to the result where that is given."""
-    result = vehicle.result
-    if result is None or vehicle.pose is None or vehicle.truth is None:
+    if vehicle.posed is None or vehicle.truth is None:
         return ("", "")
-    after = vehicle.truth.errors(vehicle.pose, result.wireframe)
-    told = f"{after[TRANSLATION_ERROR]:.2f}", f"{after[ORIENTATION_ERROR]:.1f}"
+    result, pose = vehicle.posed
+    after = vehicle.truth.errors(pose, result.wireframe)
+    ends = f"{after[TRANSLATION_ERROR]:.2f}", f"{after[ORIENTATION_ERROR]:.1f}"
     if start is None:
-        return told
+        return ends
     first = vehicle.truth.errors(start, result.history[0].keypoints)
-    return f"{first[TRANSLATION_ERROR]:.2f} → {told[0]}", f"{first[ORIENTATION_ERROR]:.1f} → {told[1]}"
+    return f"{first[TRANSLATION_ERROR]:.2f} → {ends[0]}", f"{first[ORIENTATION_ERROR]:.1f} → {ends[1]}"
 
 
 def draw_table(axes: Any, page: ScenePage, room: int, lines: float, font: float) -> float:
@@ -185,28 +182,23 @@ def draw_key(
         scale: How many times larger ellipses are drawn.
         before: Whether the start is shown.
     """
-    results = [vehicle.result for vehicle in vehicles]
-    solved = [vehicle.result for vehicle in vehicles if vehicle.pose is not None]
-    ink, faded = style.INK, style.FADED
-    entries = [(DASHES[status], ink, status.value) for status in Status if _has(solved, status)]
-    if len(solved) < len(results):
+    solved = [vehicle.posed[0] for vehicle in vehicles if vehicle.posed is not None]
+    ink, there = style.INK, {result.status for result in solved}
+    entries: list[tuple[Any, style.Colour, str]] = [(DASHES[s], ink, s.value) for s in Status if s in there]
+    if len(solved) < len(vehicles):
         entries.append((DASHES[Status.FAILED], ink, "no pose: 2D box"))
     if before:
-        entries.append(((0, (1.0, 1.2)), faded, "start"))
+        entries.append((START_DASHES, style.FADED, "start"))
     if any(vehicle.truth is not None for vehicle in vehicles):
-        entries.append(((0, (5.0, 1.0, 1.0, 1.0)), style.TRUTH, "truth"))
+        entries.append((TRUE_DASHES, style.TRUTH, "truth"))
     y = lines - room
     for dashes, colour, text in entries:
         axes.plot([0.02, 0.16], [y + 0.5, y + 0.5], color=unit(colour), linewidth=1.1, linestyle=dashes)
         axes.text(0.21, y + 0.5, text, fontsize=font, va="center", color=unit(ink))
         y += 1.0
-    if any(result is not None and result.pose_covariance is not None for result in solved):
+    if any(result.pose_covariance is not None for result in solved):
         from matplotlib.patches import Ellipse
 
         axes.add_patch(Ellipse((0.09, y + 0.5), 0.13, 0.6, facecolor=(*unit(ink), 0.25), edgecolor=unit(ink), lw=0.7))
         larger = "" if scale == 1.0 else f", {scale:.0f} × as large"
         axes.text(0.21, y + 0.5, f"{100 * CONFIDENCE:.0f} % of position{larger}", fontsize=font, va="center")
-
-
-def _has(results: Sequence[Reconstruction | None], status: Status) -> bool:
-    return any(result is not None and result.status is status for result in results)

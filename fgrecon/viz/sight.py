@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,11 +15,13 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Reconstruction
+from fgrecon.core.text import distinct
 from fgrecon.core.vehicle_mesh import VehicleMesh
+from fgrecon.viz import entities
 from fgrecon.viz.geometry import as_image
 from fgrecon.viz.truth import Truth
 
-__all__ = ["Photograph", "Shown", "Sight", "TrackSight", "jpeg"]
+__all__ = ["Member", "Photograph", "Shown", "Sight", "TrackSight", "jpeg", "members_of"]
 
 _JPEG_QUALITY = 92
 
@@ -89,6 +92,38 @@ class Sight:
     def solved(self) -> bool:
         """Whether there is a pose."""
         return bool(np.isfinite(self.reconstruction.camera_T_object).all())
+
+
+@dataclass(frozen=True)
+class Member:
+    """A vehicle of a scene on its way into a recording.
+
+    Attributes:
+        number: Its place in the scene, which is its colour.
+        title: What it is called.
+        name: The same in paths.
+        sight: What is recorded.
+    """
+
+    number: int
+    title: str
+    name: str
+    sight: Sight
+
+    def place(self, entity: str) -> str:
+        """Where the recording has one of its entities."""
+        return entities.of_vehicle(entity, self.name)
+
+
+def members_of(sights: Sequence[Sight]) -> list[Member]:
+    """The vehicles with names that paths can have, no two alike."""
+    members: list[Member] = []
+    taken: set[str] = set()
+    for number, sight in enumerate(sights):
+        title = sight.title or str(number)
+        plain = re.sub(r"[^\w.-]+", "-", title, flags=re.ASCII).strip("-.") or str(number)
+        members.append(Member(number, title, distinct(plain, taken), sight))
+    return members
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,8 @@ from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.viz import style
 from fgrecon.viz.geometry import BOX_EDGES, outline_corners
-from fgrecon.viz.marks import draw_edges, unit
+from fgrecon.viz.marks import draw_edges, draw_grid, unit
+from fgrecon.viz.occlusion import shading
 from fgrecon.viz.style import Side
 from fgrecon.viz.truth import Truth
 
@@ -39,14 +40,15 @@ def draw_three_quarter(axes: Any, reconstruction: Reconstruction, edges: Mapping
     far = Side.RIGHT if left else Side.LEFT
     if reconstruction.surface_vertices is not None and reconstruction.surface_faces is not None:
         _shade(axes, reconstruction.surface_vertices @ view.T, reconstruction.surface_faces)
-    seen = reconstruction.wireframe @ view.T
+    points = reconstruction.wireframe @ view.T
     # The far side shows through faintly.
-    draw_edges(axes, seen[:, :2], {side: e for side, e in edges.items() if side is far}, alpha=0.45)
-    draw_edges(axes, seen[:, :2], {side: e for side, e in edges.items() if side is not far})
+    draw_edges(axes, points[:, :2], {side: e for side, e in edges.items() if side is far}, alpha=0.45)
+    draw_edges(axes, points[:, :2], {side: e for side, e in edges.items() if side is not far})
     hidden = reconstruction.visibility < _HIDDEN
     colours = unit(style.weight_colours(reconstruction.weights))
+    look: dict[str, Any] = {"s": 16, "edgecolors": [unit(style.INK)], "linewidths": 0.7, "zorder": 5}
     for chosen, faces in ((hidden, np.broadcast_to(unit(style.PAPER), colours.shape)), (~hidden, colours)):
-        axes.scatter(*seen[chosen, :2].T, s=16, c=faces[chosen], edgecolors=[unit(style.INK)], linewidths=0.7, zorder=5)
+        axes.scatter(*points[chosen, :2].T, c=faces[chosen], **look)
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.04)
     axes.set_axis_off()
@@ -71,9 +73,7 @@ def draw_from_above(
     axes.margins(0.08)
     axes.set_xlabel("right of the camera [m]", fontsize=7, labelpad=1)
     axes.set_ylabel("ahead [m]", fontsize=7, labelpad=1)
-    axes.tick_params(labelsize=6, length=2, pad=1.5)
-    axes.grid(visible=True, color=unit(style.HAIRLINE), linewidth=0.5)
-    axes.set_axisbelow(True)
+    draw_grid(axes)
 
 
 def _view(azimuth: float, elevation: float) -> NDArray[np.float64]:
@@ -89,11 +89,7 @@ def _shade(axes: Any, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -
     from matplotlib.collections import PolyCollection
 
     corners = vertices[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = normals / np.where(lengths > 0, lengths, 1.0)
-    normals *= np.where(normals[:, 2:] < 0, -1.0, 1.0)  # towards the eye: a mesh need not be oriented
-    light = 0.5 + 0.5 * np.clip(normals @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0, 1.0)
+    light = shading(corners, _LIGHT, np.broadcast_to([0.0, 0.0, 1.0], (len(corners), 3)))
     order = np.argsort(corners[:, :, 2].mean(axis=1))
     colours = np.clip(unit(style.SURFACE) * light[order, None] * 1.12, 0.0, 1.0)
     # Rasterised: thousands of tiny triangles would swell a vector file. Their own colour on the edges closes seams.

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.viz import entities, style
+from fgrecon.viz.blueprint import track_blueprint
 from fgrecon.viz.columns import Outbox, exact_column, strip_column
 from fgrecon.viz.describe import track_table
 from fgrecon.viz.factor_graph import lay_out, log_layout
@@ -51,7 +52,6 @@ def track_recording_of(track: TrackReconstruction, sight: TrackSight) -> Recordi
     Returns:
         What can be written or sent. Making it raises an InvalidInputError where an image is not (H, W, 3) of bytes.
     """
-    from fgrecon.viz.blueprint import track_blueprint
 
     def make() -> Callable[[Any], None]:
         whole = _Track(Outbox(f"track of {track.frames[0].category}, {track.status.value}"), track, sight)
@@ -90,8 +90,8 @@ class _Track:
             updates = play.irls + update
             if self.joint_steps:
                 updates[searched:] = self.first_update + np.array([step.irls for step in self.track.history])
-            numbered = {"frame": self.sight.number(index), "numbers": numbers.astype(np.int64), "updates": updates}
-            plays.append(replace(play, **numbered, logged=logged))
+            frame, at = self.sight.number(index), numbers.astype(np.int64)
+            plays.append(replace(play, frame=frame, numbers=at, updates=updates, logged=logged))
             start += searched
             update += len(np.unique(play.irls[:searched]))
         return tuple(plays)

@@ -24,7 +24,7 @@ def example() -> Example:
 def recordings(example: Example, count: int) -> list[tuple[str, Recording]]:
     """Recordings that differ in the length of their history."""
     results = [replace(example.reconstruction, history=example.reconstruction.history[: 3 + i]) for i in range(count)]
-    return [(f"car {i}", recording_of(r, example.observation, example.camera)) for i, r in enumerate(results)]
+    return [(f"car {i}", recording_of(Sight(r, example.observation, example.camera))) for i, r in enumerate(results)]
 
 
 def test_every_vehicle_has_its_file(example: Example, tmp_path: Path) -> None:

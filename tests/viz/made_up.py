@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import gtsam
 import numpy as np
@@ -11,7 +12,7 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status
 from fgrecon.io.catalogue import load_prior
-from fgrecon.viz.truth import Truth
+from fgrecon.viz import Sight, Truth, recording_of, scene_recording_of
 
 STAGES = {"initialisation": (1, 1), "pose": (5, 1), "shape": (3, 4), "joint": (2, 3)}
 """Weight updates and steps within each, by stage."""
@@ -114,3 +115,21 @@ def _iteration(stage, irls, step, pose, coefficients, prior, camera, observation
 def _photograph(rng: np.random.Generator) -> np.ndarray:
     rows = np.linspace(200, 90, 375)[:, None, None]
     return np.clip(rows + rng.normal(scale=8, size=(375, 1242, 3)), 0, 255).astype(np.uint8)
+
+
+def record(
+    path: Path,
+    result: Reconstruction,
+    observation: Observation,
+    camera: Camera,
+    *,
+    ground: Ground | None = None,
+    **given,
+) -> Path:
+    """Write the recording of one vehicle."""
+    return recording_of(Sight(result, observation, camera, **given), ground=ground).write(path)
+
+
+def record_scene(path: Path, sights: list[Sight], *, ground: Ground | None = None) -> Path:
+    """Write the recording of several vehicles."""
+    return scene_recording_of(sights, ground=ground).write(path)

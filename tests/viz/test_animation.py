@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.viz import animate
+from fgrecon.viz import Sight, animate
 from tests.viz.made_up import Example
 
 
@@ -21,14 +21,14 @@ def short(example: Example) -> Example:
     )
 
 
-def arguments(example: Example) -> tuple:
-    return example.reconstruction, example.observation, example.camera
+def sight_of(example: Example, **given) -> Sight:
+    return Sight(example.reconstruction, example.observation, example.camera, **given)
 
 
 def test_gif_has_a_picture_per_step(short: Example, tmp_path) -> None:
     from PIL import Image
 
-    path = animate(tmp_path / "a.gif", *arguments(short), image=short.image, truth=short.truth)
+    path = animate(tmp_path / "a.gif", sight_of(short, image=short.image, truth=short.truth))
     with Image.open(path) as animation:
         assert animation.n_frames == 3
         pictures, durations = [], []
@@ -43,7 +43,7 @@ def test_gif_has_a_picture_per_step(short: Example, tmp_path) -> None:
 def test_mp4_has_the_steps_and_holds_the_result(short: Example, tmp_path) -> None:
     import cv2
 
-    video = cv2.VideoCapture(str(animate(tmp_path / "a.mp4", *arguments(short))))
+    video = cv2.VideoCapture(str(animate(tmp_path / "a.mp4", sight_of(short))))
     frames = []
     while True:
         more, frame = video.read()
@@ -59,11 +59,11 @@ def test_mp4_has_the_steps_and_holds_the_result(short: Example, tmp_path) -> Non
 @pytest.mark.parametrize("name", ["a.png", "a"])
 def test_other_endings_are_refused(short: Example, tmp_path, name: str) -> None:
     with pytest.raises(InvalidInputError, match="gif, mp4"):
-        animate(tmp_path / name, *arguments(short))
+        animate(tmp_path / name, sight_of(short))
 
 
 def test_without_a_history_there_is_nothing_to_animate(short: Example, tmp_path) -> None:
-    still = replace(short.reconstruction, history=())
+    still = replace(sight_of(short), reconstruction=replace(short.reconstruction, history=()))
     with pytest.raises(InvalidInputError, match="keep_history"):
-        animate(tmp_path / "a.gif", still, short.observation, short.camera)
+        animate(tmp_path / "a.gif", still)
     assert not list(tmp_path.iterdir())

@@ -6,8 +6,8 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from fgrecon.viz import Sight, record, recording_of, scene_recording_of
-from tests.viz.made_up import Example
+from fgrecon.viz import Sight, recording_of, scene_recording_of
+from tests.viz.made_up import Example, record
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def test_layouts_are_of_public_classes_of_rerun(example: Example) -> None:
 
     sight = Sight(example.reconstruction, example.observation, example.camera, title="car")
     for recording in (
-        recording_of(example.reconstruction, example.observation, example.camera, truth=example.truth),
+        recording_of(replace(sight, truth=example.truth)),
         scene_recording_of([sight]),
     ):
         assert type(recording.layout()) is rrb.Blueprint

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from fgrecon.viz import record, replay
-from tests.viz.made_up import make_example
+from fgrecon.viz import replay
+from tests.viz.made_up import make_example, record
 
 NUMBERS = st.floats(width=64, allow_nan=False)  # infinities, subnormal numbers and negative zero included
 EXAMPLE = make_example()

@@ -7,8 +7,8 @@ import pytest
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Status
-from fgrecon.viz import style
-from fgrecon.viz.overlay import Shown, annotated
+from fgrecon.viz import Shown, style
+from fgrecon.viz.overlay import annotated
 
 
 def near(image, colour, tolerance=40):

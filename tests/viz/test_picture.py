@@ -19,9 +19,8 @@ from tests.viz.made_up import Example
 
 
 def draw(example: Example, **changes):
-    arguments = {"image": example.image, "truth": example.truth} | changes
-    result = arguments.pop("reconstruction", example.reconstruction)
-    return picture(result, arguments.pop("observation", example.observation), example.camera, **arguments)
+    sight = Sight(example.reconstruction, example.observation, example.camera, example.image, example.truth)
+    return picture(replace(sight, **changes))
 
 
 def failed(example: Example):
@@ -198,9 +197,9 @@ def test_pyplot_is_never_loaded() -> None:
     code = (
         "import sys\n"
         "from tests.viz.made_up import make_example\n"
-        "from fgrecon.viz import picture, as_rgb\n"
+        "from fgrecon.viz import Sight, picture, as_rgb\n"
         "e = make_example()\n"
-        "as_rgb(picture(e.reconstruction, e.observation, e.camera), dpi=30)\n"
+        "as_rgb(picture(Sight(e.reconstruction, e.observation, e.camera)), dpi=30)\n"
         "print('matplotlib.pyplot' in sys.modules)\n"
     )
     out = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=True)

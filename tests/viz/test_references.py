@@ -45,7 +45,7 @@ def plain(example: Example):
 
 def stages(example: Example):
     """The stages of one car."""
-    return picture(example.reconstruction, example.observation, example.camera, truth=example.truth)
+    return picture(Sight(example.reconstruction, example.observation, example.camera, truth=example.truth))
 
 
 def models(example: Example):

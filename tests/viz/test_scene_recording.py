@@ -11,11 +11,10 @@ import pytest
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Status
 from fgrecon.core.vehicle_mesh import VehicleMesh
-from fgrecon.viz import Sight, entities, record, record_scene, recording_of, replay
+from fgrecon.viz import Sight, entities, replay
 from fgrecon.viz.describe import scene_table
-from fgrecon.viz.overview import STATES
-from fgrecon.viz.scene_members import members_of
-from tests.viz.made_up import Example
+from fgrecon.viz.sight import members_of
+from tests.viz.made_up import Example, record, record_scene
 from tests.viz.test_blueprint import layout_of
 from tests.viz.test_picture import failed
 from tests.viz.test_recording import chunks, same
@@ -107,14 +106,14 @@ def test_positions_and_headings(sights, recording) -> None:
 
 def test_states_tell_stage_status_and_side(recording) -> None:
     found = chunks(recording)
-    (chunk,) = found[f"{STATES}/third"]
+    (chunk,) = found[f"{entities.STATES}/third"]
     rows = chunk.to_record_batch().to_pydict()
     told = [state for (state,) in rows["StateChange:state"]]
     assert [state.partition(",")[0] for state in told] == ["initialisation", "pose", "ambiguous"]
     assert told[-1].endswith("rear" if told[1].endswith("front") else "front")
     assert rows[entities.STEP] == sorted(set(rows[entities.STEP]))
     assert rows[entities.STEP][-1] == 5
-    (chunk,) = found[f"{STATES}/a-b"]
+    (chunk,) = found[f"{entities.STATES}/a-b"]
     assert len(chunk.to_record_batch().to_pydict()[entities.STEP]) < 8  # changes, not steps
 
 
@@ -138,7 +137,7 @@ def test_the_closest_model_is_shown_instead_of_the_surface(sights, example, tmp_
     surface = f"- /{entities.of_vehicle(entities.SURFACE, 'a-b')}/**"
     assert sum(surface in line for line in layout_of(path).contents) == 2
     assert sum("a-b-2/vehicle/surface" in line for line in layout_of(path).contents) == 1  # from above alone
-    recording = recording_of(result, example.observation, example.camera, model=model).write(tmp_path / "car.rrd")
+    recording = record(tmp_path / "car.rrd", result, example.observation, example.camera, model=model)
     assert entities.MODEL in chunks(recording)
     assert any(f"- /{entities.SURFACE}/**" in line for line in layout_of(recording).contents)
 
@@ -149,7 +148,7 @@ def test_what_was_not_solved_is_in_it(sights, example, tmp_path) -> None:
         read = replay.read(record_scene(tmp_path / "lost.rrd", order))
         assert read.vehicles["a-b"].history == ()
         assert read.vehicles["a-b"].log[-1].level == "ERROR"
-    states = chunks(record_scene(tmp_path / "lost.rrd", [lost]))[f"{STATES}/a-b"]
+    states = chunks(record_scene(tmp_path / "lost.rrd", [lost]))[f"{entities.STATES}/a-b"]
     assert values(states, "StateChange:state") == [["failed"]]
     with pytest.raises(InvalidInputError, match="sights"):
         record_scene(tmp_path / "none.rrd", [])

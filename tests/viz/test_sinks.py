@@ -6,7 +6,8 @@ import sys
 
 import pytest
 
-from fgrecon.viz import record, sinks
+from fgrecon.viz import sinks
+from tests.viz.made_up import record
 
 _ACTIVATION = 3  # kind of the message that tells a viewer what to do with a layout
 

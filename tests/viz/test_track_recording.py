@@ -13,7 +13,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate, yaw_pose
 from fgrecon.solve.track import reconstruct_track
-from fgrecon.viz import TrackSight, Truth, entities, record_track, replay
+from fgrecon.viz import TrackSight, Truth, entities, replay, track_recording_of
 from tests.viz.test_recording import chunks, same
 
 NUMBERS = (10, 11, 13, 14)
@@ -40,7 +40,7 @@ def solved() -> tuple[TrackReconstruction, TrackSight]:
 
 @pytest.fixture(scope="module")
 def recording(solved: tuple[TrackReconstruction, TrackSight], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return record_track(tmp_path_factory.mktemp("track") / "track.rrd", *solved)
+    return track_recording_of(*solved).write(tmp_path_factory.mktemp("track") / "track.rrd")
 
 
 def test_every_frame_reads_back_to_the_last_bit(solved, recording: Path) -> None:
@@ -129,7 +129,8 @@ def test_a_track_without_history_still_records(solved, tmp_path: Path) -> None:
     track, sight = solved
     frames = tuple(replace(frame, history=()) for frame in track.frames)
     bare = replace(track, frames=frames, history=(), graph=())
-    back = replay.read(record_track(tmp_path / "bare.rrd", bare, replace(sight, truths=None, images=None)))
+    recording = track_recording_of(bare, replace(sight, truths=None, images=None))
+    back = replay.read(recording.write(tmp_path / "bare.rrd"))
     assert (back.history, back.joint) == ((), ())
     assert back.scalars[f"{entities.FRAMES}/{entities.WEIGHTS}"].values.shape == (3, 14)
     assert back.log[-1].text.startswith(track.status.value)

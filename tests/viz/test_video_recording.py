@@ -7,8 +7,7 @@ import pytest
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import GraphFactor, Status
-from fgrecon.viz import entities
-from fgrecon.viz.overlay import Shown
+from fgrecon.viz import Shown, entities
 from fgrecon.viz.sinks import LOOPBACK, free_port, viewer_command
 from fgrecon.viz.video_recording import LiveRecording, ShownFrame, video_recording_of
 from tests.viz.test_blueprint import layout_of

@@ -137,7 +137,7 @@ def _draw(results: list[Icra2017Result], out: Path) -> list[Path]:
     paths = []
     for result in results:
         seen = _sight(result, result.name, photograph=True)
-        drawn = picture(seen.reconstruction, seen.observation, seen.camera, image=seen.image, truth=seen.truth)
+        drawn = picture(seen)
         paths.append(save_picture(out / f"{result.name}.png", drawn))
     bare = [_sight(result, result.name, photograph=False) for result in results]
     paths.append(save_picture(out / "without_photographs.svg", contact_sheet(bare, columns=2)))
