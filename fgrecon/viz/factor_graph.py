@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.reconstruction import GraphFactor
 from fgrecon.viz import entities, style
-from fgrecon.viz.columns import Outbox, column, made_columns
+from fgrecon.viz.columns import Outbox, made_columns
 from fgrecon.viz.playback import Rows
 from fgrecon.viz.style import Colour
 
@@ -69,9 +69,10 @@ def log_graph(rows: Rows) -> None:
     ]
     colours = np.broadcast_to(np.array(layout.colours, dtype=np.uint8), (len(rows.steps), len(layout.nodes), 3)).copy()
     if drawn:
-        nodes, keypoints = np.array(drawn).T
-        colours[:, nodes] = style.readable(rows.colours[:, keypoints])
-    rows.send(entities.GRAPH, [column(rr.GraphNodes, "colors", colours.reshape(-1, 3), len(layout.nodes))])
+        at, keypoints = np.array(drawn).T
+        colours[:, at] = style.readable(rows.colours[:, keypoints])
+    nodes = rr.GraphNodes.columns(colors=colours.reshape(-1, 3)).partition([len(layout.nodes)] * len(rows.steps))
+    rows.send(entities.GRAPH, nodes)
 
 
 def _is_keypoint(factor: GraphFactor, names: Mapping[str, int]) -> bool:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.reconstruction import Iteration
 from fgrecon.viz import entities, style
-from fgrecon.viz.columns import Outbox, strip_column
+from fgrecon.viz.columns import Outbox, strip_columns
 from fgrecon.viz.describe import weight_updates
 from fgrecon.viz.geometry import image_points
 from fgrecon.viz.sight import Sight
@@ -189,7 +189,7 @@ class Rows:
 
     def strips(self, entity: str, archetype: Any, strips: NDArray[np.float64]) -> None:
         """Send line strips (n, S, P, D), one batch per step; strips with a point that is not finite are left out."""
-        self.send(entity, [strip_column(archetype, strips)])
+        self.send(entity, strip_columns(archetype, strips))
 
     @cached_property
     def _counts(self) -> list[int]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.viz import entities, style
-from fgrecon.viz.columns import Column, Outbox, column, exact_column, fixed_columns
+from fgrecon.viz.columns import Outbox, exact_column, fixed_columns
 from fgrecon.viz.describe import describe_stop, describe_update, median_residual, summary_table
 from fgrecon.viz.playback import Playback, Rows
 from fgrecon.viz.style import Colour
@@ -82,8 +82,8 @@ class PlotSink:
             widths = tuple(1.0 if name == entities.TOTAL else 2.0 for name in names)
             entity = f"{self._root}{entity}"
             self._stream.send_fixed(entity, rr.SeriesLines, names=names, colors=colours, widths=widths)
-            scalars = column(rr.Scalars, "scalars", values.ravel(), values.shape[1])
-            self._stream.send_columns(entity, self._times, [scalars])
+            scalars = rr.Scalars.columns(scalars=values.ravel()).partition([values.shape[1]] * len(values))
+            self._stream.send_columns(entity, self._times, scalars)
 
 
 def log_plots(rows: Rows) -> None:
@@ -145,14 +145,14 @@ def log_summary(stream: Outbox, table: str) -> None:
     import rerun as rr
 
     look = fixed_columns(rr.TextDocument, media_type="text/markdown")
-    stream.send_columns(entities.SUMMARY, [], [*look, column(rr.TextDocument, "text", [table])])
+    stream.send_columns(entities.SUMMARY, [], [*look, *rr.TextDocument.columns(text=[table])])
 
 
-def log_columns(texts: Sequence[str], levels: Sequence[str]) -> list[Column]:
+def log_columns(texts: Sequence[str], levels: Sequence[str]) -> Any:
     """Columns of lines of the log and their levels, one a row."""
     import rerun as rr
 
-    return [column(rr.TextLog, "text", texts, 1), column(rr.TextLog, "level", levels, 1)]
+    return rr.TextLog.columns(text=texts, level=levels)
 
 
 def status_line(status: Status, message: str) -> tuple[str, str]:

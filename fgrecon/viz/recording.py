@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Ground
 from fgrecon.viz import entities, style
 from fgrecon.viz.blueprint import vehicle_blueprint
-from fgrecon.viz.columns import Column, Outbox, column, fixed_columns, strip_column
+from fgrecon.viz.columns import Outbox, fixed_columns, strip_columns
 from fgrecon.viz.factor_graph import log_graph
 from fgrecon.viz.geometry import (
     BOX_EDGES,
@@ -114,11 +114,6 @@ def line_style(dimension: int, colour: tuple[int, ...], radius: float, order: fl
     return {"archetype": rr.LineStrips3D, "colors": colour, "radii": -radius}
 
 
-def _columns(archetype: Any, **fields: Any) -> list[Column]:
-    """Fields of an archetype in one row."""
-    return [column(archetype, name, values) for name, values in fields.items()]
-
-
 def log_camera(play: Playback, photograph: Photograph | None) -> None:
     """The camera and its frame."""
     import rerun as rr
@@ -126,8 +121,7 @@ def log_camera(play: Playback, photograph: Photograph | None) -> None:
     depth, camera = play.sight.reconstruction.location[2], play.sight.camera
     distance = min(_IMAGE_PLANE * depth, _FARTHEST_PLANE) if np.isfinite(depth) and depth > 0 else _FARTHEST_PLANE
     play.once(entities.SCENE, rr.ViewCoordinates, xyz=_AXES)
-    shape = _columns(
-        rr.Pinhole,
+    shape = rr.Pinhole.columns(
         image_from_camera=camera.matrix[None],
         resolution=np.array([resolution(camera, None if photograph is None else photograph.pixels)]),
         image_plane_distance=np.array([distance]),
@@ -153,7 +147,7 @@ def log_frame(play: Playback, photograph: Photograph | None) -> None:
     if box is not None:
         play.once(entities.BOX_2D, rr.Boxes2D, colors=style.SCREEN_INK, radii=-0.5)
         low, high = box[None, :2], box[None, 2:]
-        play.at_start(entities.BOX_2D, _columns(rr.Boxes2D, centers=(low + high) / 2, half_sizes=(high - low) / 2))
+        play.at_start(entities.BOX_2D, rr.Boxes2D.columns(centers=(low + high) / 2, half_sizes=(high - low) / 2))
 
 
 def log_truth(play: Playback, truth: Truth) -> None:
@@ -161,18 +155,19 @@ def log_truth(play: Playback, truth: Truth) -> None:
     import rerun as rr
 
     pose = truth.camera_T_object
-    play.at_start(entities.TRUTH_3D, _pose_columns(pose[None]))
+    play.at_start(entities.TRUTH_3D, rr.Transform3D.columns(translation=pose[None, :3, 3], mat3x3=pose[None, :3, :3]))
     if truth.box_size is not None:
         corners = outline_corners(truth.box_size)
         pixels = image_points(play.sight.camera, pose, corners)
         play.once(f"{entities.TRUTH_3D}/box", **line_style(3, style.TRUTH, _LINE))
-        play.at_start(f"{entities.TRUTH_3D}/box", [strip_column(rr.LineStrips3D, corners[None, BOX_EDGES])])
+        play.at_start(f"{entities.TRUTH_3D}/box", strip_columns(rr.LineStrips3D, corners[None, BOX_EDGES]))
         play.once(entities.TRUTH_2D, **line_style(2, style.TRUTH, 0.75, 5.0))
-        play.at_start(entities.TRUTH_2D, [strip_column(rr.LineStrips2D, pixels[None, BOX_EDGES])])
+        play.at_start(entities.TRUTH_2D, strip_columns(rr.LineStrips2D, pixels[None, BOX_EDGES]))
     if truth.keypoints is not None:
         known = np.isfinite(truth.keypoints).all(axis=1)
         play.once(f"{entities.TRUTH_3D}/keypoints", rr.Points3D, colors=style.TRUTH, radii=-3.0)
-        play.at_start(f"{entities.TRUTH_3D}/keypoints", _columns(rr.Points3D, positions=truth.keypoints[known]))
+        points = rr.Points3D.columns(positions=truth.keypoints[known]).partition([known.sum()])
+        play.at_start(f"{entities.TRUTH_3D}/keypoints", points)
 
 
 def log_steps(rows: Rows) -> None:
@@ -189,15 +184,14 @@ def _log_image_steps(rows: Rows) -> None:
     result = rows.plays[0].sight.reconstruction
     measured: NDArray[np.bool_] = np.isfinite(rows.detected[..., 0])
     if measured.any():
-        counts = measured.sum(axis=1)
-        values: dict[str, Any] = {
-            "positions": rows.detected[measured],
-            "colors": rows.colours[measured],
-            "radii": -style.weight_radii(rows.weights)[measured],
-            "labels": np.array(result.keypoint_names)[np.nonzero(measured)[1]].tolist(),
-        }
+        points = rr.Points2D.columns(
+            positions=rows.detected[measured],
+            colors=rows.colours[measured],
+            radii=-style.weight_radii(rows.weights)[measured],
+            labels=np.array(result.keypoint_names)[np.nonzero(measured)[1]].tolist(),
+        )
         rows.once(entities.KEYPOINTS_2D, rr.Points2D, show_labels=False, draw_order=30.0)
-        rows.send(entities.KEYPOINTS_2D, [column(rr.Points2D, name, v, counts) for name, v in values.items()])
+        rows.send(entities.KEYPOINTS_2D, points.partition(measured.sum(axis=1)))
         rows.once(entities.RESIDUALS, **line_style(2, style.SCREEN_INK, 0.75, 20.0))
         rows.strips(entities.RESIDUALS, rr.LineStrips2D, np.stack([rows.detected, rows.pixels], axis=2))
     for side, edges in rows.edges.items():
@@ -213,12 +207,11 @@ def _log_scene_steps(rows: Rows) -> None:
     import rerun as rr
 
     result = rows.plays[0].sight.reconstruction
-    rows.send(entities.VEHICLE, _pose_columns(rows.poses))
+    poses = rr.Transform3D.columns(translation=rows.poses[:, :3, 3], mat3x3=rows.poses[:, :3, :3])
+    rows.send(entities.VEHICLE, poses)
     rows.once(entities.KEYPOINTS_3D, rr.Points3D, labels=result.keypoint_names, show_labels=False, radii=-4.0)
-    values: dict[str, NDArray[Any]] = {"positions": rows.keypoints, "colors": rows.colours}
-    count = rows.keypoints.shape[1]
-    points = [column(rr.Points3D, name, v.reshape(-1, 3), count) for name, v in values.items()]
-    rows.send(entities.KEYPOINTS_3D, points)
+    points = rr.Points3D.columns(positions=rows.keypoints.reshape(-1, 3), colors=rows.colours.reshape(-1, 3))
+    rows.send(entities.KEYPOINTS_3D, points.partition([rows.keypoints.shape[1]] * len(rows.steps)))
     for side, edges in rows.edges.items():
         entity = f"{entities.WIREFRAME_3D}/{side.value}"
         rows.once(entity, **line_style(3, style.SIDE_COLOURS[side], _LINE))
@@ -226,16 +219,6 @@ def _log_scene_steps(rows: Rows) -> None:
     rows.once(entities.PREVIOUS_3D, **line_style(3, (*style.PREVIOUS, _FAINT), 0.6))
     before = rows.keypoints_in_camera[rows.previous]
     rows.strips(entities.PREVIOUS_3D, rr.LineStrips3D, before[:, result.edges])
-
-
-def _pose_columns(poses: NDArray[np.float64]) -> list[Column]:
-    """Columns of poses (n, 4, 4), one a row."""
-    import rerun as rr
-
-    return [
-        column(rr.Transform3D, "translation", poses[:, :3, 3], 1),
-        column(rr.Transform3D, "mat3x3", poses[:, :3, :3], 1),
-    ]
 
 
 def _log_planes(rows: Rows) -> None:
@@ -251,7 +234,8 @@ def _log_planes(rows: Rows) -> None:
         entity = f"{entities.PLANES}/{name}"
         colour = (*style.plane_colour(index), _PLANE_ALPHA)
         rows.once(entity, rr.Mesh3D, triangle_indices=fan(corners), albedo_factor=colour)
-        rows.send(entity, [column(rr.Mesh3D, "vertex_positions", outline.reshape(-1, 3), corners)])
+        mesh = rr.Mesh3D.columns(vertex_positions=outline.reshape(-1, 3)).partition([corners] * len(outline))
+        rows.send(entity, mesh)
 
 
 def log_ground(play: Playback, ground: Ground | None) -> None:
@@ -260,7 +244,7 @@ def log_ground(play: Playback, ground: Ground | None) -> None:
 
     grid = ground_grid(play.sight.reconstruction.camera_T_object, ground)
     look = fixed_columns(**line_style(3, style.GROUND, 0.4))
-    play.always(entities.GROUND, [*look, strip_column(rr.LineStrips3D, grid[None])])
+    play.always(entities.GROUND, [*look, *strip_columns(rr.LineStrips3D, grid[None])])
 
 
 def log_result(play: Playback) -> None:
@@ -270,7 +254,7 @@ def log_result(play: Playback) -> None:
     result = play.sight.reconstruction
     play.once(entities.VEHICLE_BOX, **line_style(3, style.SCREEN_INK, 0.75))
     corners = outline_corners(result.box_size)[None, BOX_EDGES]
-    play.at_result(entities.VEHICLE_BOX, [strip_column(rr.LineStrips3D, corners)])
+    play.at_result(entities.VEHICLE_BOX, strip_columns(rr.LineStrips3D, corners))
     if result.surface_vertices is not None and result.surface_faces is not None:
         colour = (*style.SURFACE, _SURFACE_ALPHA)
         _log_mesh(play, entities.SURFACE, result.surface_vertices, result.surface_faces, colour)
@@ -293,8 +277,9 @@ def log_ellipsoids(
     axes, rotations = ellipsoids(covariances)
     look = {"colors": style.UNCERTAINTY, "fill_mode": "MajorWireframe", "line_radii": line_radii}
     play.once(entity, rr.Ellipsoids3D, **look)
-    half_sizes = _columns(rr.Ellipsoids3D, half_sizes=deviations * axes)
-    play.at_result(entity, [*half_sizes, *_columns(rr.InstancePoses3D, translations=centres, mat3x3=rotations)])
+    sizes = rr.Ellipsoids3D.columns(half_sizes=deviations * axes).partition([len(axes)])
+    places = rr.InstancePoses3D.columns(translations=centres, mat3x3=rotations).partition([len(axes)])
+    play.at_result(entity, [*sizes, *places])
 
 
 def _log_mesh(
@@ -304,5 +289,5 @@ def _log_mesh(
 
     play.once(entity, rr.Mesh3D, albedo_factor=colour)
     normals = vertex_normals(vertices, faces)
-    mesh = _columns(rr.Mesh3D, vertex_positions=vertices, triangle_indices=faces, vertex_normals=normals)
-    play.at_result(entity, mesh)
+    corners = rr.Mesh3D.columns(vertex_positions=vertices, vertex_normals=normals).partition([len(vertices)])
+    play.at_result(entity, [*corners, *rr.Mesh3D.columns(triangle_indices=faces).partition([len(faces)])])

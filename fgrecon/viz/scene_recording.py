@@ -18,7 +18,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import position_covariance, view_azimuth
 from fgrecon.viz import entities, style
 from fgrecon.viz.blueprint import scene_blueprint
-from fgrecon.viz.columns import Outbox, column, fixed_columns, made_columns, strip_column
+from fgrecon.viz.columns import Outbox, fixed_columns, made_columns, strip_columns
 from fgrecon.viz.describe import scene_table
 from fgrecon.viz.geometry import NOSE, ground_lines
 from fgrecon.viz.playback import Playback
@@ -82,7 +82,7 @@ def _log_place(out: Outbox, members: Sequence[Member], ground: Ground | None) ->
     if ground is not None and solved:
         lines = ground_lines(ground, [s.reconstruction.location for s in solved], _evenly)
         look = fixed_columns(**line_style(3, style.GROUND, 0.4))
-        out.send_columns(entities.GROUND, [], [*look, strip_column(rr.LineStrips3D, lines[None])])
+        out.send_columns(entities.GROUND, [], [*look, *strip_columns(rr.LineStrips3D, lines[None])])
 
 
 def _evenly(far: float) -> NDArray[np.float64]:
@@ -132,9 +132,9 @@ def _log_states(play: Playback, member: Member) -> None:
     if states:
         states[-1] = state_in_words(status, play.steps[-1].camera_T_object)
         changes = [row for row, state in enumerate(states) if row == 0 or state != states[row - 1]]
-        stem.at_steps(entity, [column(rr.StateChange, "state", [states[row] for row in changes], 1)], changes)
+        stem.at_steps(entity, rr.StateChange.columns(state=[states[row] for row in changes]), changes)
     else:
-        stem.at_result(entity, [column(rr.StateChange, "state", [status], 1)])
+        stem.at_result(entity, rr.StateChange.columns(state=[status]))
 
 
 def state_in_words(what: str, camera_T_object: NDArray[np.float64]) -> str:

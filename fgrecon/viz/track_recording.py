@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.viz import entities, style
 from fgrecon.viz.blueprint import track_blueprint
-from fgrecon.viz.columns import Outbox, exact_column, strip_column
+from fgrecon.viz.columns import Outbox, exact_column, strip_columns
 from fgrecon.viz.describe import track_table
 from fgrecon.viz.factor_graph import lay_out, log_layout
 from fgrecon.viz.playback import Playback, Rows
@@ -208,7 +208,7 @@ def _log_joint(whole: _Track) -> None:
     shapes = np.stack([Rows([p]).keypoints_in_camera[-len(history) :] for p in whole.plays], axis=1)  # (n, T, K, 3)
     strips = shapes[:, :, edges].reshape(len(history), -1, 2, 3)  # strips of all frames at each step
     whole.stream.send_fixed(entities.TRACK_3D, **line_style(3, (*style.SCREEN_INK, _FAINT), 0.6))
-    whole.stream.send_columns(entities.TRACK_3D, times, [strip_column(rr.LineStrips3D, strips)])
+    whole.stream.send_columns(entities.TRACK_3D, times, strip_columns(rr.LineStrips3D, strips))
     coefficients = np.stack([step.coefficients for step in history])
     energies = [step.energies for step in history]
     plots = PlotSink(whole.stream, times)
