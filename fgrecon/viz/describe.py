@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from operator import ne
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,10 +36,8 @@ def total_energy(iteration: Iteration) -> float:
 
 def weight_updates(history: Sequence[Iteration]) -> NDArray[np.int64]:
     """(n,) index of the weight update that each step belongs to, counted across all stages from 0."""
-    changed = [
-        i > 0 and (now.stage, now.irls) != (history[i - 1].stage, history[i - 1].irls) for i, now in enumerate(history)
-    ]
-    return np.cumsum(changed, dtype=np.int64)
+    updates = [(step.stage, step.irls) for step in history]
+    return np.cumsum([False, *map(ne, updates[1:], updates)][: len(updates)], dtype=np.int64)
 
 
 def median_residual(observation: Observation, projections: NDArray[np.float64], weights: NDArray[np.float64]) -> float:

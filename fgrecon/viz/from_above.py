@@ -5,24 +5,24 @@ Drawn with matplotlib, for print: a vehicle is told by its plate and its status 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.geometry import position_covariance, transform
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.viz import style
 from fgrecon.viz.geometry import NOSE, ellipse, level_axes, outline_corners
 from fgrecon.viz.marks import unit
-from fgrecon.viz.sight import Shown
+from fgrecon.viz.sight import Scene, Shown
 from fgrecon.viz.tags import Plates
 
 __all__ = [
     "CONFIDENCE",
     "DASHES",
+    "FONT",
     "START_DASHES",
     "TRUE_DASHES",
     "draw_scene_from_above",
@@ -30,6 +30,8 @@ __all__ = [
     "extent_from_above",
 ]
 
+FONT = 6.0
+"""Size of a scene picture's type, points."""
 CONFIDENCE = 0.95
 """Of the ellipses around positions."""
 _RADIUS = 2.4477  # standard deviations of that, in two dimensions
@@ -56,24 +58,17 @@ START_DASHES = (0, (1.0, 1.2))
 """Of the first estimate."""
 
 
-def extent_from_above(
-    vehicles: Sequence[Shown], ground: Ground | None, before: Mapping[int, NDArray[np.float64]]
-) -> NDArray[np.float64]:
-    """(2, 2) lowest and highest coordinates, right and ahead, of all that is drawn, metres.
-
-    Without a ground the camera is taken for level; `before` are (4, 4) poses at the start, by id.
-    """
-    level = level_axes(ground)
+def extent_from_above(scene: Scene) -> NDArray[np.float64]:
+    """(2, 2) lowest and highest coordinates, right and ahead, of all that is drawn, metres."""
+    level = level_axes(scene.ground)
     axes = level[[0, 2]]
     points, clouds = [np.array([(-1.5, -_BORDER), (1.5, 6.0)])], []
-    for vehicle in vehicles:
-        if vehicle.result is not None and vehicle.pose is not None:
-            footprint, nose = _outline(vehicle.pose, vehicle.result)
-            points += [footprint @ axes.T, nose @ axes.T]
-            if (start := before.get(vehicle.identity)) is not None:
-                points.append(_outline(start, vehicle.result)[0] @ axes.T)
-            if (covariance := _covariance(vehicle, level)) is not None:
-                clouds.append(vehicle.pose[:3, 3] @ axes.T + ellipse(covariance, _RADIUS))
+    for vehicle, result, pose in scene.posed:
+        points += [part @ axes.T for part in _outline(pose, result)]
+        if (start := scene.starts.get(vehicle.identity)) is not None:
+            points.append(_outline(start, result)[0] @ axes.T)
+        if (covariance := _covariance(result, pose, level)) is not None:
+            clouds.append(pose[:3, 3] @ axes.T + ellipse(covariance, _RADIUS))
     reach = np.clip(np.concatenate(points), *_REACH)  # a pose that is none must not make all others dots
     low, high = reach.min(axis=0), reach.max(axis=0) + np.array([0.0, _MARGIN])
     if clouds:  # but a position that is not known at all does not make all others small
@@ -82,76 +77,47 @@ def extent_from_above(
     return np.stack([low - aside, high + aside])
 
 
-def ellipse_scale(vehicles: Sequence[Shown], metres_per_millimetre: float) -> float:
+def ellipse_scale(scene: Scene, metres_per_millimetre: float) -> float:
     """How many times larger the ellipses are drawn, so that one sees them."""
-    longest = [
-        _RADIUS * np.sqrt(np.linalg.eigvalsh(covariance).max())
-        for vehicle in vehicles
-        if (covariance := _covariance(vehicle, np.eye(3))) is not None
-    ]
+    covariances = [_covariance(result, pose, np.eye(3)) for _, result, pose in scene.posed]
+    longest = [_RADIUS * np.sqrt(np.linalg.eigvalsh(known).max()) for known in covariances if known is not None]
     if not longest:
         return 1.0
-    wanted = _VISIBLE * metres_per_millimetre / max(float(np.median(longest)), 1e-9)
-    return next((scale for scale in _SCALES if scale >= wanted), _SCALES[-1])
+    least = _VISIBLE * metres_per_millimetre / max(float(np.median(longest)), 1e-9)
+    return next((scale for scale in _SCALES if scale >= least), _SCALES[-1])
 
 
-def draw_scene_from_above(
-    axes: Any,
-    vehicles: Sequence[Shown],
-    camera: Camera,
-    size: tuple[float, float],
-    *,
-    ground: Ground | None,
-    extent: NDArray[np.float64],
-    scale: float,
-    font: float,
-    before: Mapping[int, NDArray[np.float64]],
-) -> None:
+def draw_scene_from_above(axes: Any, scene: Scene, extent: NDArray[np.float64], scale: float) -> None:
     """Draw it: right is right of the camera, up is ahead, in the ground plane.
 
     Args:
         axes: Panel with the aspect of the extent.
-        vehicles: What is drawn.
-        camera: Gives what it sees.
-        size: Width and height of its image, pixels.
-        ground: The ground plane; without one the camera is taken for level.
+        scene: What is drawn; starts faintly.
         extent: (2, 2) lowest and highest coordinates, metres.
         scale: How many times larger ellipses are drawn.
-        font: Font size in points.
-        before: (4, 4) poses at the start, by id, drawn faintly.
     """
     (left, near), (right, far) = extent
     millimetre = (right - left) / (axes.get_position().width * axes.figure.get_size_inches()[0] * 25.4)
     axes.set_xlim(left, right)
     axes.set_ylim(near, far)
-    level = level_axes(ground)
+    level = level_axes(scene.ground)
     flat = level[[0, 2]]
-    _draw_view(axes, camera, size, flat, far)
-    _draw_scale(axes, font, far)
-    plates = Plates(axes, font)
-    for vehicle in vehicles:
-        colour = style.categorical(vehicle.identity)
-        if vehicle.truth is not None and vehicle.truth.box_size is not None:
-            corners = transform(vehicle.truth.camera_T_object, outline_corners(vehicle.truth.box_size))[:4] @ flat.T
-            _path(axes, corners, style.TRUTH, 1.0, TRUE_DASHES, closed=True, zorder=4)
-        if vehicle.trail is not None and len(vehicle.trail) > 1:
-            _path(axes, vehicle.trail @ flat.T, colour, 0.6, "-", zorder=3)
-            axes.plot(*(vehicle.trail @ flat.T).T, ".", color=unit(colour), markersize=1.5)
-        if vehicle.result is not None and (start := before.get(vehicle.identity)) is not None:
-            corners = _outline(start, vehicle.result)[0] @ flat.T
-            _path(axes, corners, style.FADED, 0.7, START_DASHES, closed=True, zorder=3)
-    placed = [(vehicle, *vehicle.posed) for vehicle in vehicles if vehicle.posed is not None]
-    for vehicle, result, pose in placed:
+    _draw_view(axes, scene, flat, far)
+    _draw_scale(axes, far)
+    for vehicle in scene.vehicles:
+        _draw_beside(axes, vehicle, scene.starts.get(vehicle.identity), flat)
+    plates = Plates(axes, FONT)
+    for vehicle, result, pose in scene.posed:
         outline = _outline(pose, result, max(NOSE, _LEAST_NOSE * millimetre))
         footprint, nose = (part @ flat.T for part in outline)
         _draw_vehicle(axes, style.categorical(vehicle.identity), DASHES[result.status], footprint, nose)
-        covariance = _covariance(vehicle, level)
+        covariance = _covariance(result, pose, level)
         if covariance is not None:
             ring = pose[:3, 3] @ flat.T + scale * ellipse(covariance, _RADIUS)
             axes.fill(*ring.T, color=unit(style.INK), alpha=0.25, linewidth=0, zorder=6)
             _path(axes, ring, style.INK, 0.7, "-", closed=True, zorder=7)
         plates.keep_free(np.concatenate([footprint, nose]))
-    for vehicle, result, pose in placed:
+    for vehicle, result, pose in scene.posed:
         corners = _outline(pose, result)[0] @ flat.T
         sides = (corners + np.roll(corners, 1, axis=0)) / 2
         plates.put(vehicle.label, np.concatenate([corners, sides]), _SIDES, style.categorical(vehicle.identity))
@@ -169,13 +135,29 @@ def _outline(
     return transform(pose, outline_corners(result.box_size))[:4], transform(pose, nose)
 
 
-def _covariance(vehicle: Shown, level: NDArray[np.float64]) -> NDArray[np.float64] | None:
+def _covariance(
+    result: Reconstruction, pose: NDArray[np.float64], level: NDArray[np.float64]
+) -> NDArray[np.float64] | None:
     """(2, 2) of the position in the ground plane; None where it is not known."""
-    if vehicle.posed is None or (known := vehicle.posed[0].pose_covariance) is None:
+    if result.pose_covariance is None:
         return None
     flat = level[[0, 2]]
-    covariance: NDArray[np.float64] = flat @ position_covariance(vehicle.posed[1], known) @ flat.T
+    covariance: NDArray[np.float64] = flat @ position_covariance(pose, result.pose_covariance) @ flat.T
     return covariance if np.isfinite(covariance).all() else None
+
+
+def _draw_beside(axes: Any, vehicle: Shown, start: NDArray[np.float64] | None, flat: NDArray[np.float64]) -> None:
+    """Truth, path, and first estimate of a vehicle."""
+    colour = style.categorical(vehicle.identity)
+    if vehicle.truth is not None and vehicle.truth.box_size is not None:
+        corners = transform(vehicle.truth.camera_T_object, outline_corners(vehicle.truth.box_size))[:4] @ flat.T
+        _path(axes, corners, style.TRUTH, 1.0, TRUE_DASHES, closed=True, zorder=4)
+    if vehicle.trail is not None and len(vehicle.trail) > 1:
+        _path(axes, vehicle.trail @ flat.T, colour, 0.6, "-", zorder=3)
+        axes.plot(*(vehicle.trail @ flat.T).T, ".", color=unit(colour), markersize=1.5)
+    if vehicle.result is not None and start is not None:
+        corners = _outline(start, vehicle.result)[0] @ flat.T
+        _path(axes, corners, style.FADED, 0.7, START_DASHES, closed=True, zorder=3)
 
 
 def _draw_vehicle(
@@ -188,10 +170,10 @@ def _draw_vehicle(
     axes.annotate("", nose[1], nose[0], arrowprops={**look, "color": unit(colour)}, zorder=6, annotation_clip=True)
 
 
-def _draw_view(axes: Any, camera: Camera, size: tuple[float, float], flat: NDArray[np.float64], far: float) -> None:
+def _draw_view(axes: Any, scene: Scene, flat: NDArray[np.float64], far: float) -> None:
     """The camera, and the part of the ground that its image is of."""
-    middle = float(camera.matrix[1, 2])
-    rays = camera.rays(camera.undistort(np.array([(-0.5, middle), (size[0] - 0.5, middle)]))) @ flat.T
+    camera, middle = scene.camera, float(scene.camera.matrix[1, 2])
+    rays = camera.rays(camera.undistort(np.array([(-0.5, middle), (scene.size[0] - 0.5, middle)]))) @ flat.T
     ends = rays / np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-9) * 4.0 * far
     axes.fill(*np.stack([ends[0], (0.0, 0.0), ends[1]]).T, color=unit(style.BACKGROUND), linewidth=0, zorder=0)
     for end in ends:
@@ -199,7 +181,7 @@ def _draw_view(axes: Any, camera: Camera, size: tuple[float, float], flat: NDArr
     axes.plot(0.0, 0.0, "^", color=unit(style.INK), markersize=4, zorder=8, clip_on=False)
 
 
-def _draw_scale(axes: Any, font: float, far: float) -> None:
+def _draw_scale(axes: Any, far: float) -> None:
     """Lines every so many metres, with their numbers."""
     spacing = next((step for step in (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0) if far / step <= 7.0), 500.0)
     from matplotlib.ticker import MultipleLocator
@@ -208,9 +190,9 @@ def _draw_scale(axes: Any, font: float, far: float) -> None:
         axis.set_major_locator(MultipleLocator(spacing))
     axes.grid(visible=True, color=unit(style.HAIRLINE), linewidth=0.5)
     axes.set_axisbelow(True)
-    axes.tick_params(labelsize=font, length=1.5, width=0.5, pad=1.2)
-    axes.set_xlabel("right of the camera [m]", fontsize=font, labelpad=1)
-    axes.set_ylabel("ahead [m]", fontsize=font, labelpad=1)
+    axes.tick_params(labelsize=FONT, length=1.5, width=0.5, pad=1.2)
+    axes.set_xlabel("right of the camera [m]", fontsize=FONT, labelpad=1)
+    axes.set_ylabel("ahead [m]", fontsize=FONT, labelpad=1)
 
 
 def _path(

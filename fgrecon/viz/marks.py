@@ -134,17 +134,9 @@ def draw_paths(
     alpha: float = 1.0,
     casing: bool = True,
 ) -> None:
-    """Paths (n, 2), by default over a wider light line, so that they stay legible on any photograph.
+    """Paths (n, 2) of a width in points and a line style of matplotlib.
 
-    Args:
-        axes: Where they go.
-        paths: The paths.
-        colour: Their colour.
-        width: Their width in points.
-        dashes: Line style of matplotlib.
-        zorder: What they lie upon.
-        alpha: Their opacity.
-        casing: Whether the light line is drawn.
+    The casing is a wider light line below, which keeps them legible on any photograph.
     """
     from matplotlib.collections import LineCollection
 

@@ -25,14 +25,14 @@ from fgrecon.io.images import read_image
 from fgrecon.viz import style
 from fgrecon.viz.geometry import as_image, crop_around
 from fgrecon.viz.marks import draw_box, draw_crop, draw_edges, draw_keypoints, unit
-from fgrecon.viz.picture import new_figure, place_axes
+from fgrecon.viz.picture import CELL_ASPECT, new_figure, new_sheet, place_axes
 from fgrecon.viz.solid import draw_from_above, draw_three_quarter
 
 __all__ = ["html", "plot", "plot_track"]
 
 _GAP, _HEADING, _FOOT = 0.1, 0.3, 0.8  # inches, as all sizes here
 _WIDTH, _HEIGHT, _SOLID, _ABOVE = 3.4, 2.3, 2.2, 2.0
-_COLUMNS, _CELL, _ASPECT = 4, 2.6, 1.5
+_COLUMNS, _CELL = 4, 2.6
 _SHOWN = 12
 """Images of a track that a notebook shows at most, spread over it."""
 
@@ -115,15 +115,10 @@ def html(result: Reconstruction | TrackReconstruction) -> str:
 def _sheet(
     track: TrackReconstruction, chosen: Sequence[int], images: Sequence[NDArray[np.uint8] | str | Path] | None
 ) -> Any:
-    columns = min(_COLUMNS, len(chosen))
-    rows, height = -(-len(chosen) // columns), _CELL / _ASPECT
-    figure = new_figure(columns * (_CELL + _GAP) + _GAP, rows * (height + _HEADING) + _GAP)
-    for place, index in enumerate(chosen):
-        row, column = divmod(place, columns)
-        bottom = (rows - 1 - row) * (height + _HEADING) + _GAP
-        axes = place_axes(figure, _GAP + column * (_CELL + _GAP), bottom, _CELL, height)
+    figure, cells = new_sheet("frames", len(chosen), _COLUMNS, _HEADING, cell=_CELL, gap=_GAP)
+    for axes, index in zip(cells, chosen, strict=True):
         number, frame = track.numbers[index], track.frames[index]
-        _draw_over(axes, frame, None if images is None else _photograph(images[number]), None, _ASPECT)
+        _draw_over(axes, frame, None if images is None else _photograph(images[number]), None, CELL_ASPECT)
         axes.set_title(f"{number}: {frame.status.value}", fontsize=8, loc="left")
     return figure
 

@@ -54,10 +54,7 @@ def shading(
 def render_models(models: Sequence[PosedModel], camera: Camera, size: tuple[float, float]) -> NDArray[np.uint8]:
     """(h, w, 4) RGBA of shaded car models, the nearest over the others; transparent elsewhere.
 
-    Args:
-        models: What is seen.
-        camera: The camera.
-        size: Width and height of its image, pixels; a larger one is rendered smaller.
+    An image of a size (width, height) in pixels that is larger than is needed is rendered smaller.
     """
     import cv2
 
@@ -106,12 +103,9 @@ class DepthImage:
 
 
 def depth_image(results: Iterable[Reconstruction], camera: Camera, size: tuple[float, float]) -> DepthImage:
-    """The depth image of vehicles: their surfaces, else the faces of their wireframes.
+    """The depth image of vehicles with a pose, for an image of a size (width, height) in pixels.
 
-    Args:
-        results: Vehicles with a pose.
-        camera: The camera.
-        size: Width and height of its image, pixels.
+    It is that of their surfaces, else of the faces of their wireframes.
     """
     import cv2
 

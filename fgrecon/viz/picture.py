@@ -98,7 +98,9 @@ def picture(sight: Sight) -> Any:
     return figure
 
 
-def new_sheet(field: str, count: int, columns: int, heading: float) -> tuple[Any, list[Any]]:
+def new_sheet(
+    field: str, count: int, columns: int, heading: float, *, cell: float = _CELL, gap: float = _GAP
+) -> tuple[Any, list[Any]]:
     """A figure of so many cells, and their axes in the order of reading.
 
     Args:
@@ -106,6 +108,8 @@ def new_sheet(field: str, count: int, columns: int, heading: float) -> tuple[Any
         count: Number of cells.
         columns: Cells in a row.
         heading: Space above each, inches.
+        cell: Width of each, inches.
+        gap: Space between them, inches.
 
     Raises:
         InvalidInputError: There is no cell, or no column.
@@ -115,13 +119,13 @@ def new_sheet(field: str, count: int, columns: int, heading: float) -> tuple[Any
     if columns < 1:
         raise InvalidInputError("columns", columns, "Give a number of at least 1.")
     columns = min(columns, count)
-    rows, height = -(-count // columns), _CELL / CELL_ASPECT
-    figure = new_figure(columns * (_CELL + _GAP) + _GAP, rows * (height + heading) + _GAP)
+    rows, height = -(-count // columns), cell / CELL_ASPECT
+    figure = new_figure(columns * (cell + gap) + gap, rows * (height + heading) + gap)
     cells = []
     for index in range(count):
         row, column = divmod(index, columns)
-        bottom = (rows - 1 - row) * (height + heading) + _GAP
-        cells.append(place_axes(figure, _GAP + column * (_CELL + _GAP), bottom, _CELL, height))
+        bottom = (rows - 1 - row) * (height + heading) + gap
+        cells.append(place_axes(figure, gap + column * (cell + gap), bottom, cell, height))
     return figure, cells
 
 

@@ -6,7 +6,7 @@ vehicles apart are their plates, and what tells statuses apart are the lines: gr
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import transform
-from fgrecon.core.reconstruction import Reconstruction, Status
+from fgrecon.core.reconstruction import Status
 from fgrecon.viz import style
-from fgrecon.viz.from_above import DASHES, TRUE_DASHES, draw_scene_from_above, ellipse_scale, extent_from_above
+from fgrecon.viz.from_above import DASHES, FONT, TRUE_DASHES, draw_scene_from_above, ellipse_scale, extent_from_above
 from fgrecon.viz.geometry import BOX_EDGES, as_image, box_path, ground_lines, level_axes, outline_corners, resolution
 from fgrecon.viz.marks import draw_crop, draw_paths
 from fgrecon.viz.occlusion import DepthImage, depth_image, pieces_of, render_models, runs_of
 from fgrecon.viz.picture import new_figure, place_axes
 from fgrecon.viz.scene_table import draw_key, draw_table, scene_page
-from fgrecon.viz.sight import Shown
+from fgrecon.viz.sight import Scene, Shown
 from fgrecon.viz.tags import Plates
 
 __all__ = ["scene_picture"]
@@ -32,7 +32,6 @@ _CM = 1 / 2.54  # inches
 _WIDTH, _EDGE, _GAP, _HEADING = 8.0 * _CM, 0.04 * _CM, 0.15 * _CM, 0.32 * _CM
 _TALLEST, _ABOVE, _AXIS_LEFT, _AXIS_BELOW = 7.0 * _CM, 4.3 * _CM, 0.62 * _CM, 0.66 * _CM
 _LOW, _HIGH, _MOST = 3.2 * _CM, 4.4 * _CM, 6.0 * _CM  # of the view from above; with a long table
-_FONT = 6.0
 _LINE, _KEY = 0.3 * _CM, 5  # a line of the table; lines of the key below it
 _DPI, _MOST_DPI = 400, 600
 _AHEAD = np.array([5.0, 10.0, 20.0, 40.0, 80.0, 160.0])  # metres, of the ground's lines: evenly spaced they were a band
@@ -71,44 +70,42 @@ def scene_picture(
     if len({vehicle.identity for vehicle in vehicles}) < len(vehicles):
         raise InvalidInputError("vehicles", [v.identity for v in vehicles], "Give each vehicle an id of its own.")
     photograph = None if image is None else as_image(image)
-    size = resolution(camera, photograph)
     histories = [(v.identity, v.result.history) for v in vehicles if before and v.result is not None]
     starts = {identity: history[0].camera_T_object for identity, history in histories if history}
+    return _compose(photograph, Scene(vehicles, camera, resolution(camera, photograph), ground, starts), beside=beside)
+
+
+def _compose(image: NDArray[np.uint8] | None, scene: Scene, *, beside: bool) -> Any:
+    """The figure: photographs, the scene from above, table and key."""
+    size = scene.size
     high = min((_WIDTH - 2 * _EDGE) * size[1] / size[0], _TALLEST)
     wide = high * size[0] / size[1]
+    stages, heading = (("Start", "Result"), _HEADING) if scene.starts else (("",), 0.0)
+    photographs = len(stages) * (high + heading)
 
-    panels, heading = (2, _HEADING) if starts else (1, 0.0)
-    photographs = panels * (high + heading)
-
-    extent = extent_from_above(vehicles, ground, starts)
-    page = scene_page(vehicles, starts)
+    extent, page = extent_from_above(scene), scene_page(scene)
     across, ahead = extent[1] - extent[0]
     width = _ABOVE - _AXIS_LEFT
     least = (photographs if beside else (page.lines + _KEY) * _LINE) - _AXIS_BELOW  # else there were empty space
     tall = float(np.clip(width * ahead / across, max(_LOW, min(least, _MOST)), max(_HIGH, min(least, _MOST))))
     extent = _filled(extent, width / tall)
-    scale = ellipse_scale(vehicles, (extent[1, 0] - extent[0, 0]) / (width / _CM * 10))
+    scale = ellipse_scale(scene, (extent[1, 0] - extent[0, 0]) / (width / _CM * 10))
 
     height = tall + _AXIS_BELOW
     total = 2 * _EDGE + (max(photographs, height) if beside else photographs + _GAP + height)
     figure = new_figure(2 * _WIDTH + _GAP if beside else _WIDTH, total)
     figure.set_dpi(np.clip(np.ceil(size[0] / wide), _DPI, _MOST_DPI))
-    top = total - _EDGE
-    for panel in range(panels):
-        top -= heading + high
-        axes = place_axes(figure, (_WIDTH - wide) / 2, top, wide, high)
-        start = starts if panels == 2 and panel == 0 else None
-        _draw_photograph(axes, photograph, vehicles, camera, size, ground if start is None else None, start)
-        if starts:
-            axes.set_title("Start" if start is not None else "Result", fontsize=_FONT + 1, loc="left", pad=2)
+    for panel, stage in enumerate(stages, start=1):
+        axes = place_axes(figure, (_WIDTH - wide) / 2, total - _EDGE - panel * (heading + high), wide, high)
+        _draw_photograph(axes, image, scene, start=stage == "Start")
+        if stage:
+            axes.set_title(stage, fontsize=FONT + 1, loc="left", pad=2)
     left, bottom = (_WIDTH + _GAP, total - _EDGE - height) if beside else (0.0, 0.0)
     above = place_axes(figure, left + _AXIS_LEFT, bottom + _AXIS_BELOW, width, tall)
-    draw_scene_from_above(
-        *(above, vehicles, camera, size), ground=ground, extent=extent, scale=scale, font=_FONT, before=starts
-    )
+    draw_scene_from_above(above, scene, extent, scale)
     aside = place_axes(figure, left + _ABOVE + _GAP, bottom, _WIDTH - _ABOVE - _GAP - _EDGE, height)
-    used = draw_table(aside, page, int(height / _LINE) - _KEY, height / _LINE, _FONT)
-    draw_key(aside, vehicles, height / _LINE - used, height / _LINE, _FONT, scale=scale, before=bool(starts))
+    used = draw_table(aside, page, int(height / _LINE) - _KEY, height / _LINE)
+    draw_key(aside, scene, height / _LINE - used, height / _LINE, scale)
     return figure
 
 
@@ -121,50 +118,46 @@ def _filled(extent: NDArray[np.float64], aspect: float) -> NDArray[np.float64]:
     return np.array([(left, near), (right, near + (right - left) / aspect)])
 
 
-def _draw_photograph(
-    axes: Any,
-    image: NDArray[np.uint8] | None,
-    vehicles: Sequence[Shown],
-    camera: Camera,
-    size: tuple[float, float],
-    ground: Ground | None,
-    start: Mapping[int, NDArray[np.float64]] | None,
-) -> None:
-    """The photograph with what was found; with `start` the first estimates by id instead."""
-    draw_crop(axes, image, camera, (-0.5, -0.5, size[0] - 0.5, size[1] - 0.5))
+def _draw_photograph(axes: Any, image: NDArray[np.uint8] | None, scene: Scene, *, start: bool) -> None:
+    """The photograph with what was estimated; with `start` the first estimates instead."""
+    width, height = scene.size
+    draw_crop(axes, image, scene.camera, (-0.5, -0.5, width - 0.5, height - 0.5))
     axes.set_aspect("auto")  # the panel has the image's
     for spine in axes.spines.values():
         spine.set_linewidth(0.4)
-    solved = {v.identity: (v, *v.posed) for v in vehicles if v.posed is not None}
-    depth = depth_image([result for _, result, _ in solved.values()], camera, size)
-    if ground is not None:
-        places = [pose[:3, 3] for *_, pose in solved.values()]
-        _draw_ground(axes, ground, camera, depth, places, style.HAIRLINE if image is None else style.PAPER)
-    models = [(v.model, pose, style.categorical(v.identity)) for v, _, pose in solved.values() if v.model is not None]
-    if models and start is None:
-        rendered = render_models(models, camera, size)
-        axes.imshow(rendered, extent=(-0.5, size[0] - 0.5, size[1] - 0.5, -0.5), aspect="auto", zorder=1.5)
-    points = axes.get_position().width * axes.figure.get_size_inches()[0] * 72 / size[0]  # in a pixel
-    for vehicle, result, pose in sorted(solved.values(), key=lambda item: -float(item[2][2, 3])):
-        if start is None:
+    depth = depth_image([result for _, result, _ in scene.posed], scene.camera, scene.size)
+    if scene.ground is not None and not start:
+        _draw_ground(axes, scene, scene.ground, depth, style.HAIRLINE if image is None else style.PAPER)
+    models = [(v.model, pose, style.categorical(v.identity)) for v, _, pose in scene.posed if v.model is not None]
+    if models and not start:
+        rendered = render_models(models, scene.camera, scene.size)
+        axes.imshow(rendered, extent=(-0.5, width - 0.5, height - 0.5, -0.5), aspect="auto", zorder=1.5)
+    points = axes.get_position().width * axes.figure.get_size_inches()[0] * 72 / width  # in a pixel
+    for vehicle, result, pose in sorted(scene.posed, key=lambda item: -float(item[2][2, 3])):
+        if not start:
             behind = style.FADED if image is None else style.PAPER
             wireframe = vehicle.model is None and points * float(vehicle.box[2] - vehicle.box[0]) > _SMALL
-            _draw_vehicle(axes, vehicle, result, pose, camera, depth, behind if wireframe else None)
-        elif vehicle.identity in start:
+            _draw_box(axes, vehicle, transform(pose, outline_corners(result.box_size)), scene.camera, depth)
+            if wireframe:
+                seen, hidden = runs_of(pieces_of(transform(pose, result.wireframe)[result.edges]), scene.camera, depth)
+                draw_paths(axes, hidden, behind, 0.35, "-", zorder=2, casing=False, alpha=_HIDDEN)
+                draw_paths(axes, seen, style.categorical(vehicle.identity), 0.9, "-", zorder=4)
+        elif vehicle.identity in scene.starts:
             first = result.history[0]
-            lines = transform(first.camera_T_object, first.keypoints)[result.edges]
-            seen, _ = runs_of(pieces_of(lines), camera, None)
+            seen, _ = runs_of(
+                pieces_of(transform(first.camera_T_object, first.keypoints)[result.edges]), scene.camera, None
+            )
             draw_paths(axes, seen, style.categorical(vehicle.identity), 0.8, "-", zorder=4)
-    for vehicle in vehicles:
-        if vehicle.identity not in solved:
+    for vehicle in scene.vehicles:
+        if vehicle.pose is None:
             outline, colour = box_path(vehicle.box), style.categorical(vehicle.identity)
             draw_paths(axes, [outline], colour, 0.8, DASHES[Status.FAILED], zorder=5)
-    _name(axes, vehicles)
+    _name(axes, scene.vehicles)
 
 
 def _name(axes: Any, vehicles: Sequence[Shown]) -> None:
     """Put plates above the vehicles, the nearest first, which cover no vehicle's middle."""
-    plates = Plates(axes, _FONT)
+    plates = Plates(axes, FONT)
     for vehicle in sorted(vehicles, key=lambda v: v.box[3]):
         x1, y1, x2, y2 = vehicle.box
         plates.keep_free(np.array([(x1 + 0.25 * (x2 - x1), y1 + 0.25 * (y2 - y1)), (x2 - 0.25 * (x2 - x1), y2)]))
@@ -174,15 +167,9 @@ def _name(axes: Any, vehicles: Sequence[Shown]) -> None:
         plates.put(vehicle.label, top, _TAGS, style.categorical(vehicle.identity))
 
 
-def _draw_ground(
-    axes: Any,
-    ground: Ground,
-    camera: Camera,
-    depth: DepthImage,
-    places: Sequence[NDArray[np.float64]],
-    colour: style.Colour,
-) -> None:
-    """The horizon, and a grid on the ground as far as vehicles are at places (3,)."""
+def _draw_ground(axes: Any, scene: Scene, ground: Ground, depth: DepthImage, colour: style.Colour) -> None:
+    """The horizon, and a grid on the ground as far as vehicles are."""
+    camera, places = scene.camera, [pose[:3, 3] for *_, pose in scene.posed]
     lines = ground_lines(ground, places, lambda far: _AHEAD[max(far, _AHEAD[0]) >= _AHEAD])
     seen, _ = runs_of(pieces_of(lines, 120), camera, depth)
     draw_paths(axes, seen, colour, 0.35, "-", zorder=1, casing=False, alpha=0.65)
@@ -192,29 +179,14 @@ def _draw_ground(
     draw_paths(axes, seen, style.INK, 0.5, (0, (6.0, 2.5, 1.0, 2.5)), zorder=1)
 
 
-def _draw_vehicle(
-    axes: Any,
-    vehicle: Shown,
-    result: Reconstruction,
-    pose: NDArray[np.float64],
-    camera: Camera,
-    depth: DepthImage,
-    behind: style.Colour | None,
-) -> None:
-    """Box and wireframe; what the vehicle itself or another hides of them is faint, of the wireframe in a colour.
-
-    Without the colour there is no wireframe.
-    """
+def _draw_box(axes: Any, vehicle: Shown, corners: NDArray[np.float64], camera: Camera, depth: DepthImage) -> None:
+    """The box of a vehicle with corners (8, 3), and the true one; what is hidden of it is faint."""
+    assert vehicle.result is not None
     colour = style.categorical(vehicle.identity)
     if vehicle.truth is not None and vehicle.truth.box_size is not None:
         true = transform(vehicle.truth.camera_T_object, outline_corners(vehicle.truth.box_size))[BOX_EDGES]
         seen, hidden = runs_of(pieces_of(true), camera, depth)
         draw_paths(axes, [*seen, *hidden], style.TRUTH, 0.6, TRUE_DASHES, zorder=2)
-    box = transform(pose, outline_corners(result.box_size))[BOX_EDGES]
-    seen, hidden = runs_of(pieces_of(box), camera, depth)
+    seen, hidden = runs_of(pieces_of(corners[BOX_EDGES]), camera, depth)
     draw_paths(axes, hidden, colour, 0.4, (0, (1.0, 1.5)), zorder=2, casing=False, alpha=_HIDDEN)
-    draw_paths(axes, seen, colour, 0.55, DASHES[result.status], zorder=4)
-    if behind is not None:
-        seen, hidden = runs_of(pieces_of(transform(pose, result.wireframe)[result.edges]), camera, depth)
-        draw_paths(axes, hidden, behind, 0.35, "-", zorder=2, casing=False, alpha=_HIDDEN)
-        draw_paths(axes, seen, colour, 0.9, "-", zorder=4)
+    draw_paths(axes, seen, colour, 0.55, DASHES[vehicle.result.status], zorder=4)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,9 +12,9 @@ from numpy.typing import NDArray
 from fgrecon.core.geometry import position_covariance
 from fgrecon.core.reconstruction import Status
 from fgrecon.viz import style
-from fgrecon.viz.from_above import CONFIDENCE, DASHES, START_DASHES, TRUE_DASHES
+from fgrecon.viz.from_above import CONFIDENCE, DASHES, FONT, START_DASHES, TRUE_DASHES
 from fgrecon.viz.marks import unit
-from fgrecon.viz.sight import Shown
+from fgrecon.viz.sight import Scene, Shown
 from fgrecon.viz.truth import ORIENTATION_ERROR, TRANSLATION_ERROR
 
 __all__ = ["Row", "ScenePage", "draw_key", "draw_table", "scene_page"]
@@ -61,16 +60,13 @@ class ScenePage:
         return 1 + sum(1 + bool(row.detail) for row in self.rows)
 
 
-def scene_page(vehicles: Sequence[Shown], starts: Mapping[int, NDArray[np.float64]]) -> ScenePage:
-    """The table of vehicles.
+def scene_page(scene: Scene) -> ScenePage:
+    """The table of a scene's vehicles, the nearest first.
 
     Where the truth is known it has the errors, of the start as well where that is given; else the estimate's values
     with what they are known to with a confidence of 95 %.
-
-    Args:
-        vehicles: What is shown.
-        starts: (4, 4) first poses, by id.
     """
+    vehicles = scene.vehicles
     ordered = sorted(vehicles, key=lambda v: np.inf if v.pose is None else float(np.linalg.norm(v.pose[:3, 3])))
     few = len(ordered) <= _FEW
     words = any(vehicle.words for vehicle in vehicles)
@@ -78,7 +74,7 @@ def scene_page(vehicles: Sequence[Shown], starts: Mapping[int, NDArray[np.float6
     cells = [_values(v) for v in ordered]
     if any(vehicle.truth is not None for vehicle in vehicles):
         columns = (("position error [m]", 0.6), ("yaw [°]", 1.0))
-        cells = [_errors(v, starts.get(v.identity)) for v in ordered]
+        cells = [_errors(v, scene.starts.get(v.identity)) for v in ordered]
     elif not few and not words:
         columns = (("dist. [m]", 0.48), ("yaw [°]", 0.82), ("l [m]", 1.0))
         lengths = ["" if v.posed is None else f"{v.posed[0].box_size[0]:.1f}" for v in ordered]
@@ -132,15 +128,8 @@ def _errors(vehicle: Shown, start: NDArray[np.float64] | None) -> tuple[str, ...
     return f"{first[TRANSLATION_ERROR]:.2f} → {ends[0]}", f"{first[ORIENTATION_ERROR]:.1f} → {ends[1]}"
 
 
-def draw_table(axes: Any, page: ScenePage, room: int, lines: float, font: float) -> float:
-    """Write the table at the top of a panel.
-
-    Args:
-        axes: The panel.
-        page: What is written.
-        room: How many lines it may have.
-        lines: How many lines high the panel is.
-        font: Font size in points.
+def draw_table(axes: Any, page: ScenePage, room: int, lines: float) -> float:
+    """Write the table at the top of a panel that is so many lines high; it may have `room` of them.
 
     Returns:
         How many lines it took.
@@ -148,7 +137,7 @@ def draw_table(axes: Any, page: ScenePage, room: int, lines: float, font: float)
     axes.set_axis_off()
     axes.set_xlim(0.0, 1.0)
     axes.set_ylim(lines, 0.0)
-    look: dict[str, Any] = {"fontsize": font, "va": "center", "parse_math": False}
+    look: dict[str, Any] = {"fontsize": FONT, "va": "center", "parse_math": False}
     for text, right in page.columns:
         axes.text(right, 0.5, text, ha="right", color=unit(style.FADED), **look)
     axes.plot([0.0, 1.0], [1.0, 1.0], color=unit(style.HAIRLINE), linewidth=0.5)
@@ -168,37 +157,33 @@ def draw_table(axes: Any, page: ScenePage, room: int, lines: float, font: float)
     return y + 0.4
 
 
-def draw_key(
-    axes: Any, vehicles: Sequence[Shown], room: float, lines: float, font: float, *, scale: float, before: bool
-) -> None:
+def draw_key(axes: Any, scene: Scene, room: float, lines: float, scale: float) -> None:
     """What the lines mean, as far as they are there, below the table.
 
     Args:
         axes: The panel.
-        vehicles: What is shown.
+        scene: What is shown.
         room: Lines that are left.
         lines: How many lines high the panel is.
-        font: Font size in points.
         scale: How many times larger ellipses are drawn.
-        before: Whether the start is shown.
     """
-    solved = [vehicle.posed[0] for vehicle in vehicles if vehicle.posed is not None]
+    solved = [result for _, result, _ in scene.posed]
     ink, there = style.INK, {result.status for result in solved}
     entries: list[tuple[Any, style.Colour, str]] = [(DASHES[s], ink, s.value) for s in Status if s in there]
-    if len(solved) < len(vehicles):
+    if len(solved) < len(scene.vehicles):
         entries.append((DASHES[Status.FAILED], ink, "no pose: 2D box"))
-    if before:
+    if scene.starts:
         entries.append((START_DASHES, style.FADED, "start"))
-    if any(vehicle.truth is not None for vehicle in vehicles):
+    if any(vehicle.truth is not None for vehicle in scene.vehicles):
         entries.append((TRUE_DASHES, style.TRUTH, "truth"))
     y = lines - room
     for dashes, colour, text in entries:
         axes.plot([0.02, 0.16], [y + 0.5, y + 0.5], color=unit(colour), linewidth=1.1, linestyle=dashes)
-        axes.text(0.21, y + 0.5, text, fontsize=font, va="center", color=unit(ink))
+        axes.text(0.21, y + 0.5, text, fontsize=FONT, va="center", color=unit(ink))
         y += 1.0
     if any(result.pose_covariance is not None for result in solved):
         from matplotlib.patches import Ellipse
 
         axes.add_patch(Ellipse((0.09, y + 0.5), 0.13, 0.6, facecolor=(*unit(ink), 0.25), edgecolor=unit(ink), lw=0.7))
         larger = "" if scale == 1.0 else f", {scale:.0f} × as large"
-        axes.text(0.21, y + 0.5, f"{100 * CONFIDENCE:.0f} % of position{larger}", fontsize=font, va="center")
+        axes.text(0.21, y + 0.5, f"{100 * CONFIDENCE:.0f} % of position{larger}", fontsize=FONT, va="center")

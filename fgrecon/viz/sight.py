@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -21,7 +21,7 @@ from fgrecon.viz import entities
 from fgrecon.viz.geometry import as_image
 from fgrecon.viz.truth import Truth
 
-__all__ = ["Member", "Photograph", "Shown", "Sight", "TrackSight", "jpeg", "members_of"]
+__all__ = ["Member", "Photograph", "Scene", "Shown", "Sight", "TrackSight", "jpeg", "members_of"]
 
 _JPEG_QUALITY = 92
 
@@ -170,6 +170,30 @@ class Shown:
 
 
 @dataclass(frozen=True)
+class Scene:
+    """The vehicles of one image as a picture shows them.
+
+    Attributes:
+        vehicles: The vehicles.
+        camera: The camera that observed them.
+        size: Width and height of its image, pixels.
+        ground: The ground plane; without one the camera is taken for level.
+        starts: (4, 4) first estimates of poses, by id, where they are shown.
+    """
+
+    vehicles: Sequence[Shown]
+    camera: Camera
+    size: tuple[float, float]
+    ground: Ground | None = None
+    starts: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
+
+    @cached_property
+    def posed(self) -> list[tuple[Shown, Reconstruction, NDArray[np.float64]]]:
+        """The vehicles that have a pose, with result and pose."""
+        return [(vehicle, *vehicle.posed) for vehicle in self.vehicles if vehicle.posed is not None]
+
+
+@dataclass(frozen=True)
 class TrackSight:
     """What a track was reconstructed from, one entry per image; images that were refused included.
 
@@ -196,10 +220,10 @@ class TrackSight:
             InvalidInputError: A sequence has another length, or the numbers do not increase.
         """
         count = len(self.observations)
-        for field in ("cameras", "numbers", "images", "truths"):
-            given = getattr(self, field)
+        for name in ("cameras", "numbers", "images", "truths"):
+            given = getattr(self, name)
             if given is not None and len(given) != count:
-                raise InvalidInputError(field, f"{len(given)} entries", f"Give one for each of {count} images.")
+                raise InvalidInputError(name, f"{len(given)} entries", f"Give one for each of {count} images.")
         if self.numbers is not None and (np.diff(np.array(self.numbers)) <= 0).any():
             raise InvalidInputError("numbers", list(self.numbers), "Give numbers that increase.")
 

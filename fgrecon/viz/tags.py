@@ -37,17 +37,13 @@ class Plates:
 
     def keep_free(self, points: NDArray[np.float64]) -> None:
         """Let no plate cover the rectangle around points (n, 2) of the axes' own coordinates."""
-        placed = self._points(points)
-        self.taken.append(box_around(placed))
+        self.taken.append(box_around(self._points(points)))
 
     def put(self, text: str, outline: NDArray[np.float64], towards: Iterable[Place], colour: style.Colour) -> None:
         """Put a plate near what it names, where it covers least; a line leads to it from farther away.
 
-        Args:
-            text: What is written on it.
-            outline: (n, 2) points of it, in the axes' own coordinates; the plate is sought around their mean.
-            towards: Directions to try, in the order of liking: right and up.
-            colour: Of its border.
+        The plate is sought around the mean of the outline (n, 2), in the axes' own coordinates, in directions (right,
+        up) in the order of liking.
         """
         named = self._points(outline)
         at = named.mean(axis=0)
@@ -67,28 +63,19 @@ class Plates:
             self.axes.plot(*line.T, color=unit(style.PAPER), linewidth=1.2, zorder=7)
             self.axes.plot(*line.T, color=unit(colour), linewidth=0.6, zorder=7)
         plate = {"facecolor": unit(style.PAPER), "edgecolor": unit(colour), "linewidth": 0.7, "alpha": 0.9}
-        box = {"boxstyle": "round,pad=0.18", **plate}
-        look: dict[str, Any] = {
-            "fontsize": self.size,
-            "color": unit(style.INK),
-            "ha": "center",
-            "va": "center_baseline",
-        }
-        self.axes.text(*self._coordinates(middle[None])[0], text, bbox=box, zorder=8, parse_math=False, **look)
+        look: dict[str, Any] = {"bbox": {"boxstyle": "round,pad=0.18", **plate}, "color": unit(style.INK), "zorder": 8}
+        look |= {"ha": "center", "va": "center_baseline", "fontsize": self.size, "parse_math": False}
+        self.axes.text(*self._coordinates(middle[None])[0], text, **look)
 
     def _covered(self, middle: NDArray[np.float64], half: NDArray[np.float64]) -> float:
         """Square points of what is taken that a plate would cover."""
-        if not self.taken:
-            return 0.0
-        taken = np.array(self.taken)
+        taken = np.array(self.taken).reshape(-1, 4)
         shared = np.minimum(taken[:, 2:], middle + half) - np.maximum(taken[:, :2], middle - half)
         return float(np.prod(np.maximum(shared, 0.0), axis=1).sum())
 
     def _nearer_another(self, middle: NDArray[np.float64], named: NDArray[np.float64]) -> bool:
         """Whether a plate would be nearer to something else than to points (n, 2) of what it names."""
-        if not self.taken:
-            return False
-        taken, at = np.array(self.taken), named.mean(axis=0)
+        taken, at = np.array(self.taken).reshape(-1, 4), named.mean(axis=0)
         others = taken[~((taken[:, :2] <= at) & (at <= taken[:, 2:])).all(axis=1)]
         aside = np.maximum(np.maximum(others[:, :2] - middle, middle - others[:, 2:]), 0.0)
         own = np.linalg.norm(named - middle, axis=1).min()

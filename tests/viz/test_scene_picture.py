@@ -16,6 +16,7 @@ from fgrecon.viz.from_above import DASHES, ellipse_scale
 from fgrecon.viz.geometry import ellipse, level_axes
 from fgrecon.viz.picture import new_figure, place_axes
 from fgrecon.viz.scene_table import scene_page
+from fgrecon.viz.sight import Scene
 from fgrecon.viz.tags import Plates
 from tests.viz.made_up import Example
 from tests.viz.scenes import GROUND, shown_of, street
@@ -34,6 +35,10 @@ def vehicles(example: Example, seen):
 
 def draw(seen, vehicles, **changes):
     return scene_picture(seen.image, vehicles, seen.camera, **{"ground": GROUND} | changes)
+
+
+def scene_of(vehicles, starts=()) -> Scene:
+    return Scene(vehicles, street().camera, (1242.0, 375.0), starts=dict(starts))
 
 
 def texts(axes) -> list[str]:
@@ -120,7 +125,7 @@ def test_the_horizon_is_where_the_ground_says(seen, vehicles):
 
 def test_the_table_tells_what_is_known(example, seen):
     vehicles = shown_of(example, seen)
-    page = scene_page(vehicles, {})
+    page = scene_page(scene_of(vehicles))
     assert [row.name for row in page.rows] == ["0", "1", "2"]  # nearest first
     first = vehicles[0].result
     distance = np.linalg.norm(first.location)
@@ -129,8 +134,8 @@ def test_the_table_tells_what_is_known(example, seen):
     assert page.rows[0].cells[0] == f"{distance:.1f} ± {1.96 * sigma:.1f}"
     assert page.rows[0].detail.endswith("converged")
     many = [replace(vehicles[0], identity=number) for number in range(7)]
-    assert [name for name, _ in scene_page(many, {}).columns][-1] == "l [m]"
-    spoken = scene_page([replace(v, words="30 km/h") for v in vehicles], {})
+    assert [name for name, _ in scene_page(scene_of(many)).columns][-1] == "l [m]"
+    spoken = scene_page(scene_of([replace(v, words="30 km/h") for v in vehicles]))
     assert all("30 km/h" in row.detail for row in spoken.rows)
 
 
@@ -144,7 +149,7 @@ def test_what_is_not_known_is_a_word(example, seen):
         there = pose.copy()
         there[:3, 3] *= scale
         result = replace(first.result, camera_T_object=there, pose_covariance=covariance)
-        return scene_page([replace(first, result=result)], {}).rows[0].cells
+        return scene_page(scene_of([replace(first, result=result)])).rows[0].cells
 
     distance = float(np.linalg.norm(pose[:3, 3]))
     assert cells(1.0, distance) == ("unknown", cells(1.0, 0.1)[1])
@@ -167,7 +172,7 @@ def test_a_pose_that_is_not_determined_is_its_2d_box(seen, vehicles):
 def test_with_the_truth_it_tells_the_gain(example, seen):
     vehicles = shown_of(example, seen, truth=True)
     starts = {v.identity: v.result.history[0].camera_T_object for v in vehicles}
-    assert scene_page(vehicles, starts).rows[0].cells == ("3.00 → 0.30", "0.0 → 0.0")
+    assert scene_page(scene_of(vehicles, starts)).rows[0].cells == ("3.00 → 0.30", "0.0 → 0.0")
     figure = draw(seen, vehicles, before=True)
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["Start", "Result", "", ""]
     assert {"start", "truth"} <= set(texts(figure.axes[3]))
@@ -280,9 +285,9 @@ def test_covariance_of_the_position_is_in_the_camera_frame():
 def test_ellipses_are_as_large_as_said(vehicles):
     outline = ellipse(np.array([[4.0, 0.0], [0.0, 0.25]]), 2.0, 360)
     assert np.ptp(outline, axis=0) == pytest.approx([8.0, 2.0], abs=1e-3)
-    assert ellipse_scale(vehicles, 0.1) == 1.0
+    assert ellipse_scale(scene_of(vehicles), 0.1) == 1.0
     tiny = [replace(v, result=replace(v.result, pose_covariance=np.eye(6) * 1e-6)) for v in vehicles]
-    assert ellipse_scale(tiny, 5.0) == 20.0
+    assert ellipse_scale(scene_of(tiny), 5.0) == 20.0
     unknown = [replace(v, result=replace(v.result, pose_covariance=None)) for v in vehicles]
-    assert ellipse_scale(unknown, 5.0) == 1.0
+    assert ellipse_scale(scene_of(unknown), 5.0) == 1.0
     assert isinstance(vehicles[0], Shown)
