@@ -47,7 +47,7 @@ ROOMS = {
         *("factors", "core", "io", "solve", "batch", "perception", "perception/keypoints"),
     },
     "simulation": {"factors", "core", "solve/vehicle"},
-    "viz": {"core", "io", "io/export", "perception/keypoints"},
+    "viz": {"core", "io", "perception/keypoints"},
     "calibration": {
         *("core", "io", "io/export", "solve/vehicle", "perception", "perception/keypoints", "video"),
     },
@@ -75,9 +75,10 @@ ROOMS = {
         *("perception", "perception/keypoints", "calibration"),
         *("research", "research/evaluation", "research/training/priors", "research/training/keypoints"),
     },
+    "research/viz": {"core", "io/export", "viz"},
     "research/cli/evaluate": {
         *("core", "io", "io/export", "perception/keypoints", "simulation", "viz", "calibration", "cli"),
-        "research/evaluation",
+        *("research/evaluation", "research/viz"),
     },
     "research/cli/training": {
         *(
@@ -92,6 +93,7 @@ ROOMS = {
             "cli",
         ),
         *("research/annotation", "research/training/priors", "research/training/keypoints", "research/paper"),
+        "research/viz",
     },
     "research/cli/paper": {
         *("core", "io", "viz", "cli", "research/evaluation", "research/training/priors"),

@@ -7,8 +7,8 @@ import pytest
 from fgrecon.calibration.labelled_boxes import BoxOutcome, VideoBox
 from fgrecon.core.reliability import reliability
 from fgrecon.viz import save_picture
-from fgrecon.viz.calibration_picture import calibration_picture
 from fgrecon_research.evaluation.calibration import calibrate_boxes, calibration_document
+from fgrecon_research.viz.calibration_picture import calibration_picture
 
 
 def box(degrees, metres, status="converged", *, drive="a", facing=0.9, squared=None):

@@ -92,7 +92,7 @@ def calibration_command(
     first = next(iter(found.values()))
     if picture is not None:
         from fgrecon.viz import save_picture
-        from fgrecon.viz.calibration_picture import calibration_picture
+        from fgrecon_research.viz.calibration_picture import calibration_picture
 
         screen.wrote(save_picture(picture, calibration_picture(first.regions, first.facing)))
     if not first.statuses:

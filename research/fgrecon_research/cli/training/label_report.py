@@ -170,8 +170,8 @@ def draw(path: Path, labels: VehicleLabels) -> Path:
     Raises:
         InvalidInputError: An image cannot be read, or the file cannot be written.
     """
-    from fgrecon.viz.labels import label_sheet
     from fgrecon.viz.picture import save_picture
+    from fgrecon_research.viz.label_sheet import label_sheet
 
     count = len(labels.vehicles)
     chosen: list[VehicleLabel] = [

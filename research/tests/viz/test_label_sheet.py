@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.viz.labels import label_sheet
 from fgrecon.viz.picture import as_rgb
 from fgrecon.viz.style import SIDE_COLOURS, Side
+from fgrecon_research.viz.label_sheet import label_sheet
 from tests.io.test_coco_keypoints import make_labels
 
 IMAGE = np.full((375, 1242, 3), 128, dtype=np.uint8)
