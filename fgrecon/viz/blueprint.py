@@ -314,9 +314,9 @@ def _track_crop(track: TrackReconstruction, sight: TrackSight) -> Box:
             points.append(frame.observation.box.reshape(2, 2))
         else:
             points.append(image_points(frame.camera, result.camera_T_object, result.wireframe))
-    found = np.concatenate(points)
-    found = found[np.isfinite(found).all(axis=1)]
-    low, high = found.min(axis=0), found.max(axis=0)
+    shown = np.concatenate(points)
+    shown = shown[np.isfinite(shown).all(axis=1)]
+    low, high = shown.min(axis=0), shown.max(axis=0)
     (x, y), size = (low + high) / 2, (high - low) * (1 + 2 * _TRACK_MARGIN)
     width, height = max(size[0], _ASPECT * size[1]), max(size[1], size[0] / _ASPECT)
     return (float(x - width / 2), float(y - height / 2), float(x + width / 2), float(y + height / 2))

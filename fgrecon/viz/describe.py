@@ -47,7 +47,7 @@ def median_residual(observation: Observation, projections: NDArray[np.float64], 
     usable = np.isfinite(distances)
     trusted = usable & (weights >= TRUSTED)
     chosen = np.sort(distances[trusted if trusted.any() else usable])
-    count = len(chosen)  # numpy's median costs as much as all of the rest, and this is asked for at every update
+    count = len(chosen)  # numpy's median costs as much as all of the rest, and this is computed at every update
     return float((chosen[(count - 1) // 2] + chosen[count // 2]) / 2) if count else float("nan")
 
 

@@ -1,4 +1,4 @@
-"""Pictures of detected keypoints: the crop that the network saw, with every keypoint, its name and its confidence."""
+"""Pictures of detected keypoints: the network's crop, with every keypoint, its name and its confidence."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.category import Category
 from fgrecon.viz import style
+from fgrecon.viz.geometry import box_path
 from fgrecon.viz.marks import unit
 
 if TYPE_CHECKING:
@@ -22,13 +23,13 @@ _SHOWN = 0.3  # points of less confidence are rings without a name
 
 
 def detection_sheet(
-    image: NDArray[np.uint8], found: Sequence[CascadeDetection], names: Sequence[str], category: Category
+    image: NDArray[np.uint8], detections: Sequence[CascadeDetection], names: Sequence[str], category: Category
 ) -> Any:
     """One cell per vehicle: filled dots are trusted keypoints, rings those that are hidden or unsure.
 
     Args:
         image: (H, W, 3) RGB.
-        found: What was found.
+        detections: What was detected.
         names: Heading of each cell.
         category: Names of the keypoints; left and right are coloured apart.
 
@@ -38,11 +39,11 @@ def detection_sheet(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    columns = max(min(_COLUMNS, len(found)), 1)
-    rows = max(-(-len(found) // columns), 1)
+    columns = max(min(_COLUMNS, len(detections)), 1)
+    rows = max(-(-len(detections) // columns), 1)
     figure = Figure(figsize=(columns * _CELL, rows * (_CELL + _HEADING)), facecolor=unit(style.PAPER))
     FigureCanvasAgg(figure)
-    for number, (detection, name) in enumerate(zip(found, names, strict=True)):
+    for number, (detection, name) in enumerate(zip(detections, names, strict=True)):
         axes = figure.add_subplot(rows, columns, number + 1)
         _draw(axes, image, detection, category)
         towards = np.degrees(2 * np.pi * detection.azimuth.argmax() / len(detection.azimuth))
@@ -54,7 +55,7 @@ def detection_sheet(
 
 
 def _draw(axes: Any, image: NDArray[np.uint8], detection: CascadeDetection, category: Category) -> None:
-    crop, seen = detection.crop, detection.observation
+    crop, observation = detection.crop, detection.observation
     low, high = crop.centre - crop.side / 2, crop.centre + crop.side / 2
     height, width = image.shape[:2]
     x1, y1 = np.clip(np.floor(low).astype(int), 0, [width - 1, height - 1])
@@ -69,7 +70,8 @@ def _draw(axes: Any, image: NDArray[np.uint8], detection: CascadeDetection, cate
         style.SIDE_COLOURS[style.Side.LEFT if name.startswith("left") else style.Side.RIGHT]
         for name in category.keypoints
     ]
-    for keypoint, (point, sure, colour) in enumerate(zip(seen.keypoints, seen.confidence, sides, strict=True)):
+    points = zip(observation.keypoints, observation.confidence, sides, strict=True)
+    for keypoint, (point, sure, colour) in enumerate(points, start=1):
         shown = sure >= _SHOWN
         axes.plot(
             *point,
@@ -80,9 +82,6 @@ def _draw(axes: Any, image: NDArray[np.uint8], detection: CascadeDetection, cate
             markeredgewidth=0.8,
         )
         if shown:
-            axes.annotate(
-                str(keypoint + 1), point, xytext=(4, 2), textcoords="offset points", fontsize=6, color="white"
-            )
-    if seen.box is not None:
-        a, b, c, d = seen.box
-        axes.plot([a, c, c, a, a], [b, b, d, d, b], color=unit(style.HAIRLINE), linewidth=0.8)
+            axes.annotate(str(keypoint), point, xytext=(4, 2), textcoords="offset points", fontsize=6, color="white")
+    if observation.box is not None:
+        axes.plot(*box_path(observation.box).T, color=unit(style.HAIRLINE), linewidth=0.8)

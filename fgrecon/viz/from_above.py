@@ -1,6 +1,6 @@
 """The scene as seen from above: vehicles with heading, uncertainty of their position and path, and the camera's view.
 
-Drawn with matplotlib, for print: a vehicle is told by its plate and its status by its line, not by colours alone.
+Drawn with matplotlib, for print: its plate names a vehicle and its line the status, not by colours alone.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.viz import style
 from fgrecon.viz.geometry import NOSE, ellipse, level_axes, outline_corners
 from fgrecon.viz.marks import unit
-from fgrecon.viz.sight import Scene, Shown
+from fgrecon.viz.sight import DrawnScene, Shown
 from fgrecon.viz.tags import Plates
 
 __all__ = [
@@ -58,7 +58,7 @@ START_DASHES = (0, (1.0, 1.2))
 """Of the first estimate."""
 
 
-def extent_from_above(scene: Scene) -> NDArray[np.float64]:
+def extent_from_above(scene: DrawnScene) -> NDArray[np.float64]:
     """(2, 2) lowest and highest coordinates, right and ahead, of all that is drawn, metres."""
     level = level_axes(scene.ground)
     axes = level[[0, 2]]
@@ -77,8 +77,8 @@ def extent_from_above(scene: Scene) -> NDArray[np.float64]:
     return np.stack([low - aside, high + aside])
 
 
-def ellipse_scale(scene: Scene, metres_per_millimetre: float) -> float:
-    """How many times larger the ellipses are drawn, so that one sees them."""
+def ellipse_scale(scene: DrawnScene, metres_per_millimetre: float) -> float:
+    """How many times larger the ellipses are drawn, to be visible."""
     covariances = [_covariance(result, pose, np.eye(3)) for _, result, pose in scene.posed]
     longest = [_RADIUS * np.sqrt(np.linalg.eigvalsh(known).max()) for known in covariances if known is not None]
     if not longest:
@@ -87,7 +87,7 @@ def ellipse_scale(scene: Scene, metres_per_millimetre: float) -> float:
     return next((scale for scale in _SCALES if scale >= least), _SCALES[-1])
 
 
-def draw_scene_from_above(axes: Any, scene: Scene, extent: NDArray[np.float64], scale: float) -> None:
+def draw_scene_from_above(axes: Any, scene: DrawnScene, extent: NDArray[np.float64], scale: float) -> None:
     """Draw it: right is right of the camera, up is ahead, in the ground plane.
 
     Args:
@@ -170,7 +170,7 @@ def _draw_vehicle(
     axes.annotate("", nose[1], nose[0], arrowprops={**look, "color": unit(colour)}, zorder=6, annotation_clip=True)
 
 
-def _draw_view(axes: Any, scene: Scene, flat: NDArray[np.float64], far: float) -> None:
+def _draw_view(axes: Any, scene: DrawnScene, flat: NDArray[np.float64], far: float) -> None:
     """The camera, and the part of the ground that its image is of."""
     camera, middle = scene.camera, float(scene.camera.matrix[1, 2])
     rays = camera.rays(camera.undistort(np.array([(-0.5, middle), (scene.size[0] - 0.5, middle)]))) @ flat.T

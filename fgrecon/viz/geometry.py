@@ -78,14 +78,14 @@ def image_points(
 ) -> NDArray[np.float64]:
     """(M, 2) pixels of object points (M, 3) in the real image, lens distortion included.
 
-    Rows are NaN where a point lies behind the camera or too far outside of the image to be drawn.
+    Rows are NaN where a point is behind the camera or too far outside of the image to be drawn.
     """
     in_camera = transform(camera_T_object, points)
     with np.errstate(invalid="ignore"):
-        seen = in_camera[:, 2] > _NEAR
+        visible = in_camera[:, 2] > _NEAR
     pixels = np.full((len(points), 2), np.nan)
-    if seen.any():
-        pixels[seen] = camera.distort(camera.project(in_camera[seen]))
+    if visible.any():
+        pixels[visible] = camera.distort(camera.project(in_camera[visible]))
         with np.errstate(invalid="ignore"):
             pixels[~(np.abs(pixels) < _FAR_PIXEL).all(axis=1)] = np.nan
     return pixels
@@ -116,7 +116,7 @@ def crop_around(
 
     Args:
         observation: Gives the 2D box and the keypoints.
-        projections: (M, 2) projected points that should be seen too; NaN rows do not count. Those far from what was
+        projections: (M, 2) projected points that should be shown too; NaN rows do not count. Those far from what was
             observed are left out, so that a bad estimate does not shrink the vehicle to a dot.
         aspect: Width divided by height of the crop.
         margin: Free space on each side, relative to the content.
@@ -154,7 +154,7 @@ def ground_grid(
 ) -> NDArray[np.float64]:
     """(L, 2, 3) lines of a grid on the ground around a vehicle, in the camera frame, metres.
 
-    The grid lies in the ground plane where one is given, else in the plane below the vehicle (y = 0 of its frame).
+    The grid is in the ground plane where one is given, else in the plane below the vehicle (y = 0 of its frame).
     """
     origin, down, forward = camera_T_object[:3, 3], camera_T_object[:3, 1], camera_T_object[:3, 0]
     if ground is not None:

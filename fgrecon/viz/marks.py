@@ -50,7 +50,7 @@ def draw_crop(axes: Any, image: NDArray[np.uint8] | None, camera: Camera | None,
         columns = slice(max(int(np.floor(x1)), 0), min(int(np.ceil(x2)) + 1, image.shape[1]))
         rows = slice(max(int(np.floor(y1)), 0), min(int(np.ceil(y2)) + 1, image.shape[0]))
         part = image[rows, columns]
-        if part.size:  # pixel centres lie at integer coordinates
+        if part.size:  # pixel centres are at integer coordinates
             extent = (columns.start - 0.5, columns.stop - 0.5, rows.stop - 0.5, rows.start - 0.5)
             axes.imshow(part, extent=extent, interpolation="bilinear", zorder=0)
     axes.set_xlim(x1, x2)

@@ -18,7 +18,7 @@ from fgrecon.viz.style import Colour
 __all__ = ["DepthImage", "PosedModel", "depth_image", "pieces_of", "render_models", "runs_of", "shading"]
 
 PosedModel = tuple[VehicleMesh, NDArray[np.float64], Colour]
-"""A model, the pose (4, 4) it is seen at, and its colour."""
+"""A model, the pose (4, 4) it has, and its colour."""
 
 _LARGEST_DEPTH, _LARGEST_RENDERING = 1500.0, 2000.0  # pixels of the longer sides
 _FARTHEST_PIXEL = 3e4  # that OpenCV draws
@@ -140,7 +140,7 @@ def pieces_of(lines: NDArray[np.float64], count: int = _PIECES) -> NDArray[np.fl
 def runs_of(
     points: NDArray[np.float64], camera: Camera, depth: DepthImage | None
 ) -> tuple[list[NDArray[np.float64]], list[NDArray[np.float64]]]:
-    """What is seen of lines, and what is hidden, as paths in the image.
+    """What is visible of lines, and what is hidden, as paths in the image.
 
     Args:
         points: (L, P, 3) points along each, in the camera frame.
@@ -148,22 +148,22 @@ def runs_of(
         depth: What stands in the way, or None.
 
     Returns:
-        Paths (n, 2) in pixels, n from 2 to P, that are seen, and those that are hidden; parts behind the camera are in
-        neither.
+        Paths (n, 2) in pixels, n from 2 to P, that are visible, and those that are hidden; parts behind the camera are
+        in neither.
     """
     count, length = points.shape[:2]
     pixels = image_points(camera, np.eye(4), points.reshape(-1, 3)).reshape(count, length, 2)
     middles = (pixels[:, :-1] + pixels[:, 1:]) / 2
     drawn = np.isfinite(middles).all(axis=-1)
     hidden = drawn & False if depth is None else depth.hides(middles, (points[:, :-1, 2] + points[:, 1:, 2]) / 2)
-    seen: list[NDArray[np.float64]] = []
+    visible: list[NDArray[np.float64]] = []
     behind: list[NDArray[np.float64]] = []
     for path, kinds in zip(pixels, np.where(drawn, hidden, -1), strict=True):
         smooth = _without_short(kinds)
         for start, end in _runs(smooth):
             if smooth[start] >= 0:
-                (behind if smooth[start] else seen).append(path[start : end + 1])
-    return seen, behind
+                (behind if smooth[start] else visible).append(path[start : end + 1])
+    return visible, behind
 
 
 def _runs(kinds: NDArray[np.int64]) -> list[tuple[int, int]]:

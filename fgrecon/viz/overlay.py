@@ -1,4 +1,4 @@
-"""Frames of a video with what was found in them: wireframes, boxes, names, and a view from above beside them.
+"""Frames of a video with vehicles drawn into them: wireframes, boxes, names, and a view from above beside them.
 
 Drawn with OpenCV into the pixels, in a few milliseconds a frame.
 """
@@ -103,7 +103,7 @@ def _from_above(height: int, width: int, vehicles: Sequence[Shown]) -> NDArray[n
 
 
 def _lines(canvas: NDArray[np.uint8], lines: NDArray[np.float64], colour: style.Colour, width: int) -> None:
-    """Draw lines (L, P, 2) of pixels; those with a point that is not seen are left out."""
+    """Draw lines (L, P, 2) of pixels; those with a point that is not visible are left out."""
     import cv2
 
     kept = [line for line in lines if np.isfinite(line).all() and np.abs(line).max() < 3e4]

@@ -116,7 +116,7 @@ class Replay:
     def summary(self) -> tuple[StageSummary, ...]:
         """The stages in order of their first step, over all frames or vehicles.
 
-        A track's joint stage is told once, with the terms of the shape.
+        A track's joint stage is listed once, with the terms of the shape.
         """
         stages, histories = dict.fromkeys(step.stage for step in self.history), self._histories()
         summaries = [

@@ -23,7 +23,7 @@ from fgrecon.viz.marks import draw_crop, draw_paths
 from fgrecon.viz.occlusion import DepthImage, depth_image, pieces_of, render_models, runs_of
 from fgrecon.viz.picture import new_figure, place_axes
 from fgrecon.viz.scene_table import draw_key, draw_table, scene_page
-from fgrecon.viz.sight import Scene, Shown
+from fgrecon.viz.sight import DrawnScene, Shown
 from fgrecon.viz.tags import Plates
 
 __all__ = ["scene_picture"]
@@ -54,7 +54,7 @@ def scene_picture(
     Args:
         image: (H, W, 3) RGB photograph; without one there is a plain canvas.
         vehicles: What it shows. One without a pose that the keypoints determine has its 2D box.
-        camera: The camera that saw them.
+        camera: The camera that observed them.
         ground: The ground plane: its grid and horizon are drawn, and the view from above is along its normal.
         before: Draw the first estimates of the histories too, in a photograph of their own and from above.
         beside: Put the view from above beside the photograph and not below it, as for a slide.
@@ -72,10 +72,12 @@ def scene_picture(
     photograph = None if image is None else as_image(image)
     histories = [(v.identity, v.result.history) for v in vehicles if before and v.result is not None]
     starts = {identity: history[0].camera_T_object for identity, history in histories if history}
-    return _compose(photograph, Scene(vehicles, camera, resolution(camera, photograph), ground, starts), beside=beside)
+    return _compose(
+        photograph, DrawnScene(vehicles, camera, resolution(camera, photograph), ground, starts), beside=beside
+    )
 
 
-def _compose(image: NDArray[np.uint8] | None, scene: Scene, *, beside: bool) -> Any:
+def _compose(image: NDArray[np.uint8] | None, scene: DrawnScene, *, beside: bool) -> Any:
     """The figure: photographs, the scene from above, table and key."""
     size = scene.size
     high = min((_WIDTH - 2 * _EDGE) * size[1] / size[0], _TALLEST)
@@ -118,7 +120,7 @@ def _filled(extent: NDArray[np.float64], aspect: float) -> NDArray[np.float64]:
     return np.array([(left, near), (right, near + (right - left) / aspect)])
 
 
-def _draw_photograph(axes: Any, image: NDArray[np.uint8] | None, scene: Scene, *, start: bool) -> None:
+def _draw_photograph(axes: Any, image: NDArray[np.uint8] | None, scene: DrawnScene, *, start: bool) -> None:
     """The photograph with what was estimated; with `start` the first estimates instead."""
     width, height = scene.size
     draw_crop(axes, image, scene.camera, (-0.5, -0.5, width - 0.5, height - 0.5))
@@ -134,20 +136,19 @@ def _draw_photograph(axes: Any, image: NDArray[np.uint8] | None, scene: Scene, *
         axes.imshow(rendered, extent=(-0.5, width - 0.5, height - 0.5, -0.5), aspect="auto", zorder=1.5)
     points = axes.get_position().width * axes.figure.get_size_inches()[0] * 72 / width  # in a pixel
     for vehicle, result, pose in sorted(scene.posed, key=lambda item: -float(item[2][2, 3])):
+        colour = style.categorical(vehicle.identity)
         if not start:
-            behind = style.FADED if image is None else style.PAPER
-            wireframe = vehicle.model is None and points * float(vehicle.box[2] - vehicle.box[0]) > _SMALL
             _draw_box(axes, vehicle, transform(pose, outline_corners(result.box_size)), scene.camera, depth)
-            if wireframe:
-                seen, hidden = runs_of(pieces_of(transform(pose, result.wireframe)[result.edges]), scene.camera, depth)
+            if vehicle.model is None and points * float(vehicle.box[2] - vehicle.box[0]) > _SMALL:
+                lines = pieces_of(transform(pose, result.wireframe)[result.edges])
+                visible, hidden = runs_of(lines, scene.camera, depth)
+                behind = style.FADED if image is None else style.PAPER
                 draw_paths(axes, hidden, behind, 0.35, "-", zorder=2, casing=False, alpha=_HIDDEN)
-                draw_paths(axes, seen, style.categorical(vehicle.identity), 0.9, "-", zorder=4)
+                draw_paths(axes, visible, colour, 0.9, "-", zorder=4)
         elif vehicle.identity in scene.starts:
             first = result.history[0]
-            seen, _ = runs_of(
-                pieces_of(transform(first.camera_T_object, first.keypoints)[result.edges]), scene.camera, None
-            )
-            draw_paths(axes, seen, style.categorical(vehicle.identity), 0.8, "-", zorder=4)
+            lines = pieces_of(transform(first.camera_T_object, first.keypoints)[result.edges])
+            draw_paths(axes, runs_of(lines, scene.camera, None)[0], colour, 0.8, "-", zorder=4)
     for vehicle in scene.vehicles:
         if vehicle.pose is None:
             outline, colour = box_path(vehicle.box), style.categorical(vehicle.identity)
@@ -167,16 +168,16 @@ def _name(axes: Any, vehicles: Sequence[Shown]) -> None:
         plates.put(vehicle.label, top, _TAGS, style.categorical(vehicle.identity))
 
 
-def _draw_ground(axes: Any, scene: Scene, ground: Ground, depth: DepthImage, colour: style.Colour) -> None:
+def _draw_ground(axes: Any, scene: DrawnScene, ground: Ground, depth: DepthImage, colour: style.Colour) -> None:
     """The horizon, and a grid on the ground as far as vehicles are."""
     camera, places = scene.camera, [pose[:3, 3] for *_, pose in scene.posed]
     lines = ground_lines(ground, places, lambda far: _AHEAD[max(far, _AHEAD[0]) >= _AHEAD])
-    seen, _ = runs_of(pieces_of(lines, 120), camera, depth)
-    draw_paths(axes, seen, colour, 0.35, "-", zorder=1, casing=False, alpha=0.65)
+    visible, _ = runs_of(pieces_of(lines, 120), camera, depth)
+    draw_paths(axes, visible, colour, 0.35, "-", zorder=1, casing=False, alpha=0.65)
     turns, (right, _, ahead) = np.linspace(-1.2, 1.2, 40), level_axes(ground)
     horizon = (np.multiply.outer(np.sin(turns), right) + np.multiply.outer(np.cos(turns), ahead)) * 1e4
-    seen, _ = runs_of(horizon[None], camera, depth)
-    draw_paths(axes, seen, style.INK, 0.5, (0, (6.0, 2.5, 1.0, 2.5)), zorder=1)
+    visible, _ = runs_of(horizon[None], camera, depth)
+    draw_paths(axes, visible, style.INK, 0.5, (0, (6.0, 2.5, 1.0, 2.5)), zorder=1)
 
 
 def _draw_box(axes: Any, vehicle: Shown, corners: NDArray[np.float64], camera: Camera, depth: DepthImage) -> None:
@@ -185,8 +186,8 @@ def _draw_box(axes: Any, vehicle: Shown, corners: NDArray[np.float64], camera: C
     colour = style.categorical(vehicle.identity)
     if vehicle.truth is not None and vehicle.truth.box_size is not None:
         true = transform(vehicle.truth.camera_T_object, outline_corners(vehicle.truth.box_size))[BOX_EDGES]
-        seen, hidden = runs_of(pieces_of(true), camera, depth)
-        draw_paths(axes, [*seen, *hidden], style.TRUTH, 0.6, TRUE_DASHES, zorder=2)
-    seen, hidden = runs_of(pieces_of(corners[BOX_EDGES]), camera, depth)
+        visible, hidden = runs_of(pieces_of(true), camera, depth)
+        draw_paths(axes, [*visible, *hidden], style.TRUTH, 0.6, TRUE_DASHES, zorder=2)
+    visible, hidden = runs_of(pieces_of(corners[BOX_EDGES]), camera, depth)
     draw_paths(axes, hidden, colour, 0.4, (0, (1.0, 1.5)), zorder=2, casing=False, alpha=_HIDDEN)
-    draw_paths(axes, seen, colour, 0.55, DASHES[vehicle.result.status], zorder=4)
+    draw_paths(axes, visible, colour, 0.55, DASHES[vehicle.result.status], zorder=4)

@@ -14,7 +14,7 @@ from fgrecon.core.reconstruction import Status
 from fgrecon.viz import style
 from fgrecon.viz.from_above import CONFIDENCE, DASHES, FONT, START_DASHES, TRUE_DASHES
 from fgrecon.viz.marks import unit
-from fgrecon.viz.sight import Scene, Shown
+from fgrecon.viz.sight import DrawnScene, Shown
 from fgrecon.viz.truth import ORIENTATION_ERROR, TRANSLATION_ERROR
 
 __all__ = ["Row", "ScenePage", "draw_key", "draw_table", "scene_page"]
@@ -60,7 +60,7 @@ class ScenePage:
         return 1 + sum(1 + bool(row.detail) for row in self.rows)
 
 
-def scene_page(scene: Scene) -> ScenePage:
+def scene_page(scene: DrawnScene) -> ScenePage:
     """The table of a scene's vehicles, the nearest first.
 
     Where the truth is known it has the errors, of the start as well where that is given; else the estimate's values
@@ -96,7 +96,7 @@ def _values(vehicle: Shown) -> tuple[str, ...]:
         return (f"{distance:.{digits}f}", f"{yaw:.0f}".translate(_MINUS))
     towards = result.location / max(distance, 1e-9)
     along = float(np.sqrt(towards @ position_covariance(pose, covariance) @ towards))
-    turn = float(np.degrees(np.sqrt(covariance[1, 1])))  # about the own y axis
+    turn = float(np.degrees(np.sqrt(covariance[1, 1])))  # about its y axis
     return (_within(distance, _SIGMAS * along, distance, digits), _within(yaw, _SIGMAS * turn, 180.0, 0))
 
 
@@ -157,7 +157,7 @@ def draw_table(axes: Any, page: ScenePage, room: int, lines: float) -> float:
     return y + 0.4
 
 
-def draw_key(axes: Any, scene: Scene, room: float, lines: float, scale: float) -> None:
+def draw_key(axes: Any, scene: DrawnScene, room: float, lines: float, scale: float) -> None:
     """What the lines mean, as far as they are there, below the table.
 
     Args:

@@ -21,7 +21,7 @@ from fgrecon.viz import entities
 from fgrecon.viz.geometry import as_image
 from fgrecon.viz.truth import Truth
 
-__all__ = ["Member", "Photograph", "Scene", "Shown", "Sight", "TrackSight", "jpeg", "members_of"]
+__all__ = ["DrawnScene", "Member", "Photograph", "Shown", "Sight", "TrackSight", "jpeg", "members_of"]
 
 _JPEG_QUALITY = 92
 
@@ -170,7 +170,7 @@ class Shown:
 
 
 @dataclass(frozen=True)
-class Scene:
+class DrawnScene:
     """The vehicles of one image as a picture shows them.
 
     Attributes:

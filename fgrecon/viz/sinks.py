@@ -36,7 +36,7 @@ APPLICATION = "fgrecon"
 per application, and ours zooms to the vehicle: two recordings in one viewer must not share it."""
 
 LOOPBACK = "127.0.0.1"
-"""Address that every server listens on unless told otherwise; rerun's own default is all addresses."""
+"""Address that every server listens on unless another is given; rerun's own default is all addresses."""
 
 _ALL = ("0.0.0.0", "::")  # noqa: S104 - what users may give
 _ANYWHERE = ("192.0.2.1", 9)  # an address of documentation, which is no machine's
@@ -227,7 +227,7 @@ def reachable(bind: str) -> str:
 
 
 def has_display() -> bool:
-    """Whether a window can be opened here, as far as the environment tells."""
+    """Whether a window can be opened here, as far as the environment says."""
     if not sys.platform.startswith("linux"):
         return True
     return any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"))

@@ -154,8 +154,8 @@ def readable(colours: ArrayLike) -> NDArray[np.uint8]:
     linear = linear + lighter[..., None] * (1.0 - linear)
     linear = linear * (lightest / np.maximum(luminance, lightest))[..., None]
     unit = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    found: NDArray[np.uint8] = np.rint(255.0 * unit).astype(np.uint8)
-    return found
+    legible: NDArray[np.uint8] = np.rint(255.0 * unit).astype(np.uint8)
+    return legible
 
 
 def categorical(index: int) -> Colour:

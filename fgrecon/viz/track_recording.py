@@ -110,7 +110,7 @@ class _Track:
     def first_update(self) -> int:
         """Number of the first joint weight update on `irls`."""
         keys = [{(step.stage, step.irls) for step in result.history} for result in self.track.frames]
-        return sum(len([key for key in found if key[0] != "joint"]) for found in keys)
+        return sum(len([key for key in updates if key[0] != "joint"]) for updates in keys)
 
     def joint_times(self, rows: Sequence[int] | None = None) -> list[Any]:
         """Time columns of joint steps, all of them by default."""

@@ -1,4 +1,4 @@
-"""Recordings of a video for rerun: images with what was found in them, the cars in space, and their motion as plots.
+"""Recordings of a video for rerun: images with boxes and wireframes, the cars in space, and their motion as plots.
 
 The names are those of `fgrecon.viz.entities`. Frames are logged one by one, so that a run can be watched while it goes
 on.
@@ -46,7 +46,7 @@ class ShownFrame:
         world_T_camera: (4, 4) pose of the camera; None takes the camera's frame for the world.
         problem: Why it could not be read, or None.
         values: What is plotted of each vehicle, by its id: name and numbers, such as a value and its band.
-        states: What becomes of each vehicle, by its id: a word or two; None for one that is no longer seen.
+        states: What becomes of each vehicle, by its id: a word or two; None for one that is no longer observed.
         window: Factors of the window of one of them; empty leaves the graph as it was.
     """
 
@@ -139,7 +139,7 @@ class _FrameLog:
         stream.log(entities.RINGS, rr.LineStrips3D(circles, colors=style.GROUND, radii=-0.5), static=True)
 
     def add(self, frame: ShownFrame) -> None:
-        """Log one frame; what was seen before and is not now is cleared."""
+        """Log one frame; what was observed before and is not now is cleared."""
         import rerun as rr
 
         log = self._stream.log

@@ -16,7 +16,7 @@ from fgrecon.viz.from_above import DASHES, ellipse_scale
 from fgrecon.viz.geometry import ellipse, level_axes
 from fgrecon.viz.picture import new_figure, place_axes
 from fgrecon.viz.scene_table import scene_page
-from fgrecon.viz.sight import Scene
+from fgrecon.viz.sight import DrawnScene
 from fgrecon.viz.tags import Plates
 from tests.viz.made_up import Example
 from tests.viz.scenes import GROUND, shown_of, street
@@ -37,8 +37,8 @@ def draw(seen, vehicles, **changes):
     return scene_picture(seen.image, vehicles, seen.camera, **{"ground": GROUND} | changes)
 
 
-def scene_of(vehicles, starts=()) -> Scene:
-    return Scene(vehicles, street().camera, (1242.0, 375.0), starts=dict(starts))
+def scene_of(vehicles, starts=()) -> DrawnScene:
+    return DrawnScene(vehicles, street().camera, (1242.0, 375.0), starts=dict(starts))
 
 
 def texts(axes) -> list[str]:
