@@ -103,29 +103,10 @@ def test_exit_code_of_finding_nothing(images):
     assert "No car was found" in done.stderr
 
 
-def test_conversion_needs_its_files(tmp_path):
-    out = ["--out", tmp_path / "o"]
-    done = run("vehicles", "convert", "--cfg", tmp_path / "a.cfg", "--weights", tmp_path / "a", *out)
-    assert isinstance(done.exception, InvalidInputError)
-    assert done.exception.field == "cfg"
-    done = run("vehicles", "convert", "--package", tmp_path / "a.tgz", *out)
+def test_conversion_needs_its_file(tmp_path):
+    done = run("vehicles", "convert", "--package", tmp_path / "a.tgz", "--out", tmp_path / "o")
     assert isinstance(done.exception, InvalidInputError)
     assert done.exception.field == "package"
-
-
-@pytest.mark.parametrize(
-    ("given", "named"),
-    [
-        ([], "nothing"),
-        (["--cfg", "a"], "--cfg"),
-        (["--weights", "a"], "--weights"),
-        (["--package", "p", "--cfg", "a", "--weights", "a"], "--package and --cfg and --weights"),
-    ],
-)
-def test_conversion_of_one_network_at_a_time(tmp_path, given, named):
-    done = run("vehicles", "convert", *given, "--out", tmp_path / "o")
-    assert isinstance(done.exception, InvalidInputError)
-    assert done.exception.value == named
 
 
 def test_a_real_street(data, tmp_path):
