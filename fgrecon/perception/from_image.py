@@ -38,10 +38,10 @@ class FromImage:
     """One vehicle of an image.
 
     Attributes:
-        detection: What the keypoint detector found.
+        detection: What the keypoint detector returned.
         result: The reconstruction, or None where it was refused.
         error: With which error it was refused, or None.
-        camera: The camera that it was solved with; a focal length that was found has the standard deviation of its
+        camera: The camera that it was solved with; an estimated focal length has the standard deviation of its
             logarithm in `focal_sigma`.
     """
 
@@ -72,7 +72,7 @@ def reconstruct_detection(
     """Pose and shape of a detected vehicle.
 
     Args:
-        detection: What a keypoint detector found.
+        detection: What a keypoint detector returned.
         camera: The camera that took the image.
         options: Settings.
         arguments: Further ones of `fgrecon.reconstruct`: prior, ground, size_prior.
@@ -97,7 +97,7 @@ def reconstruct_detections(
     """Pose and shape of the detected vehicles of one image; the arguments are those of `reconstruct_image`.
 
     Args:
-        detections: What a keypoint detector found.
+        detections: What a keypoint detector returned.
         camera: The camera that took the image, which may be one of unknown focal length.
         prior: Shape prior.
         ground: Ground plane.
@@ -205,9 +205,9 @@ def reconstruct_image(
     return vehicles
 
 
-def _warn_of_camera(found: Camera) -> None:
+def _warn_of_camera(estimated: Camera) -> None:
     message = (
-        f"No camera is given: the vehicles say that its focal length is {found.matrix[0, 0]:.0f} pixels, to "
-        f"{100 * found.focal_sigma:.0f} %, and distances are as rough. Give camera=."
+        f"No camera is given: the vehicles say that its focal length is {estimated.matrix[0, 0]:.0f} pixels, to "
+        f"{100 * estimated.focal_sigma:.0f} %, and distances are as rough. Give camera=."
     )
     warnings.warn(message, AssumedCameraWarning, stacklevel=3)

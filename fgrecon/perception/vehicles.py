@@ -199,8 +199,8 @@ class NanodetVehicleDetector:
         scores = np.concatenate([scores for _, scores in looks])
         kept = suppress(boxes, scores, SETTINGS.max_overlap)
         inside = np.clip(boxes[kept], 0.0, [width - 1.0, height - 1.0] * 2)
-        seen = (inside[:, 2:] > inside[:, :2]).all(axis=1)  # not beyond the border as a whole
-        return Vehicles(inside[seen], scores[kept][seen])
+        visible = (inside[:, 2:] > inside[:, :2]).all(axis=1)  # not beyond the border as a whole
+        return Vehicles(inside[visible], scores[kept][visible])
 
     def _look(self, pixels: NDArray[np.uint8], look: Look, least_score: float) -> tuple[Array, Array]:
         """Boxes (M, 4) in pixels of the image and scores (M,), from the image scaled to about the look's area."""

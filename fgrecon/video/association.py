@@ -174,23 +174,23 @@ class GatedAssociation:
             del self._tracks[identity]
             if self.given_up is not None:
                 self.given_up(identity)
-        found: list[int | None] = [None] * len(candidates)
+        ids: list[int | None] = [None] * len(candidates)
         alive = [i for i, track in self._tracks.items() if time - track.time <= self.settings.alive_seconds]
         lost = [i for i in self._tracks if i not in alive]
         sure = [place for place, candidate in enumerate(candidates) if candidate.score >= self.settings.min_birth_score]
         everything = list(range(len(candidates)))
         for group, places in ((alive, sure), (alive, everything), (lost, sure)):
-            left = [identity for identity in group if identity not in found]
-            free = [place for place in places if found[place] is None]
+            left = [identity for identity in group if identity not in ids]
+            free = [place for place in places if ids[place] is None]
             for row, column in _assigned(self._costs(time, left, [candidates[i] for i in free])):
-                found[free[column]] = left[row]
+                ids[free[column]] = left[row]
                 self.rebirths += group is lost
         for place, candidate in enumerate(candidates):
-            if found[place] is None and candidate.score >= self.settings.min_birth_score:
-                found[place] = next(self._ids)
-            if (known := found[place]) is not None:
+            if ids[place] is None and candidate.score >= self.settings.min_birth_score:
+                ids[place] = next(self._ids)
+            if (known := ids[place]) is not None:
                 self._tracks[known] = self._updated(self._tracks.get(known), time, candidate)
-        return found
+        return ids
 
     def set_motion(self, identity: int, points: Array, velocity: Array, camera: Camera, /) -> None:
         """Take the estimate of a vehicle: from now on its box is predicted by its motion in space."""

@@ -78,10 +78,10 @@ class CameraMotion:
     def then(self, later: CameraMotion) -> CameraMotion:
         """This motion and the one that follows it, as one."""
         rotation, way = later.previous_T_current[:3, :3].T, later.previous_T_current[:3, 3]
-        seen = np.zeros((6, 6))  # from the axes in between to those at the end
-        seen[:3, :3] = seen[3:, 3:] = rotation
-        seen[3:, :3] = rotation @ np.cross(way, np.eye(3))
-        covariance = seen @ self.covariance @ seen.T + later.covariance
+        adjoint = np.zeros((6, 6))  # from the axes in between to those at the end
+        adjoint[:3, :3] = adjoint[3:, 3:] = rotation
+        adjoint[3:, :3] = rotation @ np.cross(way, np.eye(3))
+        covariance = adjoint @ self.covariance @ adjoint.T + later.covariance
         motion = self.previous_T_current @ later.previous_T_current
         return CameraMotion(motion, covariance, min(self.points, later.points))
 
@@ -135,14 +135,14 @@ def tracked_points(
     grid = np.stack(np.meshgrid(columns, rows), axis=-1).astype(np.float64)
     road = _is_road(camera.rays(camera.undistort(grid.reshape(-1, 2))), ground).reshape(grid.shape[:2])
     on_road = np.repeat(np.repeat(road, 8, axis=0), 8, axis=1)[: before.shape[0], : before.shape[1]]
-    found = [
+    features = [
         cv2.goodFeaturesToTrack(before, most, quality, distance, mask=np.where(part, mask, 0).astype(np.uint8))
         for part, most, quality, distance in (
             (~on_road, SETTINGS.max_features, 0.01, 12.0),
             (on_road, SETTINGS.max_features, 0.005, 8.0),
         )
     ]
-    points = [p for p in found if p is not None]
+    points = [p for p in features if p is not None]
     if not points:
         return np.zeros((0, 2)), np.zeros((0, 2))
     first = np.concatenate(points).astype(np.float32)
@@ -371,9 +371,9 @@ def _essential(before: Array, after: Array, camera: Camera, problem: _Problem) -
     _, turn, direction, _ = cv2.recoverPose(matrix, before, after, camera.matrix, mask=inside.copy())
     shift = direction[:, 0]
     # For x' z' = R x / rho + s t: the inverse depth of unit motion, by least squares along the parallax.
-    turned = problem.before @ turn.T
-    seen = np.concatenate([problem.after, np.ones((len(before), 1))], axis=1)
-    parallax, off = np.cross(seen, shift), np.cross(seen, turned)
+    rotated = problem.before @ turn.T
+    after_rays = np.concatenate([problem.after, np.ones((len(before), 1))], axis=1)
+    parallax, off = np.cross(after_rays, shift), np.cross(after_rays, rotated)
     square = (parallax**2).sum(axis=1)
     unit_depth = -(parallax * off).sum(axis=1) / np.maximum(square, 1e-12)  # rho times the length of the motion
     noise = problem.sigma / np.sqrt(np.maximum(square, 1e-12))
@@ -396,18 +396,18 @@ def _road_length(problem: _Problem, unit_depth: Array, noise: Array, usable: NDA
         noise: (P,) standard deviations of these.
         usable: (P,) which may be the road's, and have a parallax.
     """
-    seen, spread = unit_depth[usable], np.hypot(noise[usable], SETTINGS.road_relief_sigma * unit_depth[usable])
+    measured, spread = unit_depth[usable], np.hypot(noise[usable], SETTINGS.road_relief_sigma * unit_depth[usable])
     # Linear in length, and in length times the ground's slopes, whose priors hold the latter two.
     design = np.column_stack([problem.depth[usable], problem.slopes[usable, :2]])
     ends = []
-    for length in np.quantile(seen / design[:, 0], (0.1, 0.25, 0.5, 0.75)):
+    for length in np.quantile(measured / design[:, 0], (0.1, 0.25, 0.5, 0.75)):
         plane = np.array([length, 0.0, 0.0])
         for _ in range(10):
-            weight = (1.0 / (1.0 + ((seen - design @ plane) / spread / SETTINGS.inlier_sigmas) ** 2) / spread) ** 2
+            weight = (1.0 / (1.0 + ((measured - design @ plane) / spread / SETTINGS.inlier_sigmas) ** 2) / spread) ** 2
             normal = design.T @ (weight[:, None] * design)
             normal[[1, 2], [1, 2]] += problem.prior[:2] / plane[0] ** 2
-            plane = np.linalg.solve(normal, design.T @ (weight * seen))
-        agree = float((1.0 / (1.0 + ((seen - design @ plane) / spread / SETTINGS.inlier_sigmas) ** 2)).sum())
+            plane = np.linalg.solve(normal, design.T @ (weight * measured))
+        agree = float((1.0 / (1.0 + ((measured - design @ plane) / spread / SETTINGS.inlier_sigmas) ** 2)).sum())
         ends.append((agree, float(plane[0])))
     most = max(agree for agree, _ in ends)
     return min(length for agree, length in ends if agree > 0.8 * most)

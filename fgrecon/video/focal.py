@@ -1,4 +1,4 @@
-"""The focal length of a video that nobody knows: its vehicles tell it, as those of an image do."""
+"""The unknown focal length of a video, estimated from its vehicles as from those of an image."""
 
 from __future__ import annotations
 
@@ -14,21 +14,36 @@ from fgrecon.io.frames import FrameSource, SourceFrame
 from fgrecon.solve.scene import reconstruct_scenes
 from fgrecon.video.records import FrameRecord
 
-__all__ = ["EstimatedCamera", "estimate_camera"]
+__all__ = ["EstimatedCamera", "FocalSettings", "estimate_camera"]
 
-_APART = 1.0  # seconds between the frames: nearer ones say the same
-_IMAGES = 8  # with vehicles, which are enough
-_LOOKED = 40  # frames that are looked at to find them
-_VEHICLES = 4  # of a frame, the largest
+
+@dataclass(frozen=True)
+class FocalSettings:
+    """Which frames and vehicles a focal length is estimated from. Set by hand; not tuned.
+
+    Attributes:
+        frame_gap_seconds: Between the frames: nearer ones say the same.
+        max_images: With vehicles, which are enough.
+        max_frames: That are searched for them.
+        max_vehicles: Of a frame, the largest.
+    """
+
+    frame_gap_seconds: float = 1.0
+    max_images: int = 8
+    max_frames: int = 40
+    max_vehicles: int = 4
+
+
+SETTINGS = FocalSettings()
 
 
 @dataclass(frozen=True)
 class EstimatedCamera:
-    """What vehicles tell of a camera.
+    """A camera that is estimated from vehicles.
 
     Attributes:
         camera: With its focal length, and how far it is known (`Camera.focal_sigma`).
-        vehicles: How many told it.
+        vehicles: From how many.
         images: Of how many images.
     """
 
@@ -38,29 +53,29 @@ class EstimatedCamera:
 
 
 def estimate_camera(
-    source: FrameSource, look: Callable[[SourceFrame], FrameRecord], start: Camera, **arguments: Any
+    source: FrameSource, detect: Callable[[SourceFrame], FrameRecord], start: Camera, **arguments: Any
 ) -> EstimatedCamera | None:
-    """Find the focal length that a few frames have in common (`fgrecon.reconstruct_scenes`).
+    """Estimate the focal length that a few frames have in common (`fgrecon.reconstruct_scenes`).
 
     Args:
         source: The frames; some of the first are looked at, a second apart.
-        look: Says what a frame shows.
+        detect: Detects what a frame shows (`FrameDetector`).
         start: The camera, with what is known of its focal length (`Camera.of_unknown`).
         arguments: Of `fgrecon.reconstruct_scenes`: prior, ground, size_prior, options.
 
     Returns:
-        The camera; None where no vehicle tells.
+        The camera; None where no vehicle determines it.
     """
     images: list[list[Observation]] = []
     looked, last = 0, -np.inf
     for frame in source.read():
-        if frame.time - last < _APART:
+        if frame.time - last < SETTINGS.frame_gap_seconds:
             continue
         last, looked = frame.time, looked + 1
-        seen = [one.observation for one in look(frame).sightings if one.observation is not None]
-        if seen:
-            images.append(sorted(seen, key=_extent, reverse=True)[:_VEHICLES])
-        if len(images) == _IMAGES or looked == _LOOKED:
+        observations = [one.observation for one in detect(frame).sightings if one.observation is not None]
+        if observations:
+            images.append(sorted(observations, key=_extent, reverse=True)[: SETTINGS.max_vehicles])
+        if len(images) == SETTINGS.max_images or looked == SETTINGS.max_frames:
             break
     scenes = reconstruct_scenes(images, start, **arguments) if images else []
     vehicles = sum(len(scene.vehicles) for scene in scenes)
@@ -69,7 +84,7 @@ def estimate_camera(
     return EstimatedCamera(scenes[0].camera, vehicles, sum(bool(scene.vehicles) for scene in scenes))
 
 
-def _extent(seen: Observation) -> float:
-    """Longer side of what is seen, pixels."""
-    corners = seen.keypoints if seen.box is None else seen.box.reshape(2, 2)
+def _extent(observation: Observation) -> float:
+    """Longer side of an observation, pixels."""
+    corners = observation.keypoints if observation.box is None else observation.box.reshape(2, 2)
     return float(np.ptp(corners[np.isfinite(corners).all(axis=1)], axis=0).max(initial=0.0))

@@ -137,8 +137,8 @@ class Follower:
         world_T_camera, previous_T_current, motion_covariance = self._path.move(record)
         known = [s for s in record.sightings if s.identity is not None]
         unknown = [s for s in record.sightings if s.identity is None]
-        found = self.association(record.time, [self._candidate(s) for s in unknown], previous_T_current)
-        named = {s.identity: s for s in known} | dict(zip(found, unknown, strict=True))
+        ids = self.association(record.time, [self._candidate(s) for s in unknown], previous_T_current)
+        named = {s.identity: s for s in known} | dict(zip(ids, unknown, strict=True))
         sightings = {identity: s for identity, s in named.items() if identity is not None}
         observations = {i: s.observation for i, s in sightings.items() if s.observation is not None}
         estimates = self.tracker.update(
@@ -149,7 +149,7 @@ class Follower:
             ground=self.ground,
             motion_covariance=motion_covariance,
         )
-        for identity in found:
+        for identity in ids:
             if identity is not None and identity in estimates:
                 self._set_motion(identity, estimates[identity])
         return TrackedFrame(

@@ -52,29 +52,30 @@ class FrameDetector:
         """
         if frame.image is None:
             kept = () if frame.other_size or self._given is None else self._given.get(frame.number, ())
-            seen = tuple(sighting for sighting in kept if sighting.observation is not None)
-            return FrameRecord(frame.number, frame.time, frame.name, frame.problem, seen)
+            detections = tuple(sighting for sighting in kept if sighting.observation is not None)
+            return FrameRecord(frame.number, frame.time, frame.name, frame.problem, detections)
         sightings = self._sightings(frame.number, frame.image)
         return FrameRecord(frame.number, frame.time, frame.name, None, tuple(sightings))
 
     def _sightings(self, number: int, image: NDArray[np.uint8]) -> list[Sighting]:
         if self._given is not None:
-            found = list(self._given.get(number, ()))
+            sightings = list(self._given.get(number, ()))
         else:
             assert self._vehicles is not None
             vehicles = find_vehicles(self._vehicles, image)
-            each = zip(vehicles.boxes, vehicles.scores, vehicles.kinds or [None] * len(vehicles), strict=True)
-            found = [Sighting(box, float(score), None, None, kind) for box, score, kind in each if large_enough(box)]
+            kinds = vehicles.kinds or [None] * len(vehicles)
+            each = zip(vehicles.boxes, vehicles.scores, kinds, strict=True)
+            sightings = [Sighting(box, float(s), None, None, kind) for box, s, kind in each if large_enough(box)]
         limits = np.array([image.shape[1], image.shape[0]] * 2) - 1.0
-        bare = [place for place, s in enumerate(found) if s.observation is None and _usable(s.box, image, limits)]
-        boxes = np.array([np.clip(found[place].box, 0.0, limits) for place in bare]).reshape(-1, 4)
+        bare = [place for place, s in enumerate(sightings) if s.observation is None and _usable(s.box, image, limits)]
+        boxes = np.array([np.clip(sightings[place].box, 0.0, limits) for place in bare]).reshape(-1, 4)
         if bare:
             assert self._keypoints is not None
-            seen = find_keypoints(self._keypoints, image, boxes, self.category)
-            for place, box, detection in zip(bare, boxes, seen, strict=True):
-                one = found[place]
-                found[place] = replace(one, box=box, observation=replace(detection.evidence, box=box))
-        return found
+            detections = find_keypoints(self._keypoints, image, boxes, self.category)
+            for place, box, detection in zip(bare, boxes, detections, strict=True):
+                one = sightings[place]
+                sightings[place] = replace(one, box=box, observation=replace(detection.evidence, box=box))
+        return sightings
 
 
 def _usable(box: NDArray[np.float64], image: NDArray[np.uint8], limits: NDArray[np.float64]) -> bool:

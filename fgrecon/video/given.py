@@ -91,16 +91,16 @@ def read_given(path: Path, category: Category, *, forget_ids: bool = False, sour
         InvalidInputError: The file has another format, an instance names no frame, or an id is too large or twice in
             one; names it.
     """
-    found: dict[int, list[Sighting]] = defaultdict(list)
+    by_frame: dict[int, list[Sighting]] = defaultdict(list)
     is_json = path.suffix.lower() == ".json"
     rows, camera, times = _keypoints(path, category, source) if is_json else (_boxes(path), None, None)
     for number, sighting in rows:
-        found[number].append(replace(sighting, identity=None) if forget_ids else sighting)
-    for number, sightings in found.items():
+        by_frame[number].append(replace(sighting, identity=None) if forget_ids else sighting)
+    for number, sightings in by_frame.items():
         _check_ids([s.identity for s in sightings if s.identity is not None], f"{path}: frame {number}")
-    if not found:
+    if not by_frame:
         raise InvalidInputError("tracks", str(path), f"Give a file with a vehicle: {' or '.join(KINDS)}.")
-    vehicles = {number: tuple(sightings) for number, sightings in found.items()}
+    vehicles = {number: tuple(sightings) for number, sightings in by_frame.items()}
     return Given(vehicles, camera, not is_json, times)
 
 
@@ -114,13 +114,13 @@ def _check_ids(ids: Sequence[int], place: str) -> None:
 
 def _boxes(path: Path) -> _Rows:
     rows = []
-    for number, found in read_tracking(path).items():
-        for i, kind in enumerate(found.objects.kind):
+    for number, labels in read_tracking(path).items():
+        for i, kind in enumerate(labels.objects.kind):
             if kind in KINDS:
-                score, track = float(found.objects.score[i]), int(found.tracks[i])
+                score, track = float(labels.objects.score[i]), int(labels.tracks[i])
                 identity = None if track < 0 else track
                 known = 1.0 if np.isnan(score) else score
-                rows.append((number, Sighting(found.objects.box[i], known, identity, None, kind)))
+                rows.append((number, Sighting(labels.objects.box[i], known, identity, None, kind)))
     return rows
 
 
@@ -130,8 +130,8 @@ def _keypoints(
     data = read_json(path)
     if isinstance(data, Mapping) and "frames" in data and "keypoints" not in data:
         track = parse_track(data, path.stem, category, where=f"{path}: ")
-        seen = [(int(frame.name.rpartition(":")[2]), frame.observation) for frame in track.frames]
-        rows = [(n, Sighting(o.box, 1.0, 0, o)) for n, o in seen if o is not None and o.box is not None]
+        observations = [(int(frame.name.rpartition(":")[2]), frame.observation) for frame in track.frames]
+        rows = [(n, Sighting(o.box, 1.0, 0, o)) for n, o in observations if o is not None and o.box is not None]
         return rows, track.camera, None
     instances = parse_keypoints(data, category, where=f"{path}: ").instances
     camera = next((instance.camera for instance in instances if instance.camera is not None), None)
@@ -159,21 +159,21 @@ def _numbers(
             fix = "Give the number of its frame, as others do: the names of the images tell none."
             raise InvalidInputError(f"{path}: frame", "nothing", fix)
         numbers, times = _in_order(images)
-    found = []
+    of_instances = []
     for one in instances:
         number = numbers.get(one.image or "") if one.frame is None else one.frame
         if number is None and (one.image is None or not by_place):
             fix = "Give the number of its frame, or an image that ends in it."
             raise InvalidInputError(f"{path}: instance {one.name}: frame", one.image, fix)
-        found.append(number)
-    if isinstance(source, ImageFrames) and all(number is None for number in found):
+        of_instances.append(number)
+    if isinstance(source, ImageFrames) and all(number is None for number in of_instances):
         fix = f"Give images as the frames are named, such as {source.names[0]}, or numbers of frames."
         raise InvalidInputError(f"{path}: image", instances[0].image, fix)
-    return found, times
+    return of_instances, times
 
 
 def _of_frames(images: Iterable[str], source: ImageFrames) -> dict[str, int | None]:
-    """The numbers of images among a source's frames, by their names without endings, and folders as far as told."""
+    """The numbers of images among a source's frames, by their names without endings, and folders as far as given."""
     known = dict(zip(map(_parts, source.names), source.numbers, strict=True))
     return {
         image: next((known[parts[i:]] for i in range(len(parts)) if parts[i:] in known), None)
@@ -188,9 +188,9 @@ def _parts(name: str) -> tuple[str, ...]:
 
 def _in_order(images: Iterable[str]) -> tuple[dict[str, int | None], _Times | None]:
     """The numbers of images that are all there is of the frames, and the times that their names tell."""
-    found = frames_by_name({Path(image).stem: Path(image) for image in images}.values())
-    numbers = {path.stem: number for path, number in zip(found.paths, found.numbers, strict=True)}
-    times = None if found.times is None else dict(zip(found.numbers, found.times, strict=True))
+    frames = frames_by_name({Path(image).stem: Path(image) for image in images}.values())
+    numbers = {path.stem: number for path, number in zip(frames.paths, frames.numbers, strict=True)}
+    times = None if frames.times is None else dict(zip(frames.numbers, frames.times, strict=True))
     return {image: numbers[Path(image).stem] for image in images}, times
 
 

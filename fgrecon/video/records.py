@@ -47,7 +47,7 @@ class Sighting:
         score: Of the detection: 0 to 1 of fgrecon's own, of any scale where it is given.
         identity: Id that it came with, or None.
         observation: Its keypoints; None where there are none.
-        kind: What it was said to be by what found it, such as `Van`; None where that says nothing.
+        kind: What it was said to be by what detected it, such as `Van`; None where that says nothing.
     """
 
     box: Array
@@ -133,7 +133,7 @@ def from_row(row: Mapping[str, Any]) -> FrameRecord:
 
 
 def motion_from_row(row: Mapping[str, Any]) -> CameraMotion | None:
-    """A motion from a row of plain values; None where none was found."""
+    """A motion from a row of plain values; None where none was estimated."""
     if row["previous_T_current"] is None:
         return None
     pose, covariance = np.array(row["previous_T_current"]), np.array(row["covariance"])
@@ -141,17 +141,17 @@ def motion_from_row(row: Mapping[str, Any]) -> CameraMotion | None:
 
 
 def _plain(sighting: Sighting) -> dict[str, Any]:
-    seen = sighting.observation
+    observation = sighting.observation
     arrays: dict[str, Any] = dict.fromkeys(_ARRAYS)
-    if seen is not None:
-        values = {name: getattr(seen, name) for name in _ARRAYS}
+    if observation is not None:
+        values = {name: getattr(observation, name) for name in _ARRAYS}
         arrays = {name: None if value is None else value.ravel().tolist() for name, value in values.items()}
     return {
         "box": sighting.box.tolist(),
         "score": sighting.score,
         "identity": sighting.identity,
-        "midpoint": None if seen is None else seen.confidence_midpoint,
-        "boxed": seen is not None and seen.box is not None,
+        "midpoint": None if observation is None else observation.confidence_midpoint,
+        "boxed": observation is not None and observation.box is not None,
         "kind": None if sighting.kind is None else whole_text(sighting.kind),
         **arrays,
     }

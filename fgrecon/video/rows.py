@@ -84,14 +84,14 @@ def tracking_text(frames: Sequence[TrackedFrame], label_offset: Array | None = N
         label_offset: (3,) of a labelled point in the camera's frame, which is taken off; or None.
     """
     offset = np.zeros(3) if label_offset is None else label_offset
-    found: dict[int, TrackedObjects] = {}
+    by_frame: dict[int, TrackedObjects] = {}
     for frame in frames:
         if not (ids := sorted(frame.estimates)):
             continue
         lines = [_line(frame, identity, offset) for identity in ids]
         objects = Objects.of_rows([frame.kinds.get(i, DEFAULT_KIND) for i in ids], np.array(lines))
-        found[frame.number] = TrackedObjects(objects, np.array(ids, dtype=np.int64))
-    return format_tracking(found)
+        by_frame[frame.number] = TrackedObjects(objects, np.array(ids, dtype=np.int64))
+    return format_tracking(by_frame)
 
 
 def _line(frame: TrackedFrame, identity: int, offset: Array) -> list[float]:
@@ -126,7 +126,7 @@ def frame_lines(frames: Sequence[TrackedFrame], ground: Ground | None = None) ->
 
 
 def _vehicle(frame: TrackedFrame, identity: int) -> Mapping[str, Any]:
-    seen = {
+    detected = {
         "id": identity,
         "kind": frame.kinds.get(identity, DEFAULT_KIND),
         "box": frame.boxes[identity].tolist(),
@@ -134,10 +134,10 @@ def _vehicle(frame: TrackedFrame, identity: int) -> Mapping[str, Any]:
     }
     estimate = frame.estimates.get(identity)
     if estimate is None:
-        return seen | {"result": None, "refused": frame.refused.get(identity)}
+        return detected | {"result": None, "refused": frame.refused.get(identity)}
     pose = estimate.world_T_object
     return (
-        seen
+        detected
         | motion_of(estimate)
         | {"world_T_object": plain(pose), "result": estimate.reconstruction.to_dict(compact=True)}
     )

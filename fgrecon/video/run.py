@@ -68,7 +68,7 @@ class VideoRun:
 
     @property
     def tracks(self) -> dict[int, int]:
-        """How many frames each vehicle was seen in."""
+        """How many frames each vehicle was observed in."""
         counts: dict[int, int] = {}
         for frame in self.frames:
             for identity in frame.boxes:
@@ -106,7 +106,7 @@ def run_video(
         follower: What follows the vehicles; a new one.
         out: Folder of the run; records go to a folder in it.
         settings: What the records depend on, as plain values; a folder is for one such.
-        motion: Estimates the camera's motion, a new one; None where it is not wanted.
+        motion: Estimates the camera's motion, a new one; None where it is not estimated.
         online: Whether estimates stay as they were when their frame came, instead of being smoothed.
         go_on: Called after each frame with the run and the frame's pixels, None for what runs before had looked at;
             returns whether to go on.
@@ -125,7 +125,7 @@ def run_video(
     begin(out / RECORDS, settings, FORMAT)
     run = VideoRun(source.count)
     with claimed(out / RECORDS):
-        looked = _Looked(source, out, look, motion, settings)
+        looked = _Records(source, out, look, motion, settings)
         run.before = len(looked.stored)
         try:
             for record, frame in looked.records():
@@ -141,7 +141,7 @@ def run_video(
     return run
 
 
-class _Looked:
+class _Records:
     """What is known of the frames: what runs before this one have stored, and what this one adds to it.
 
     Attributes:
@@ -221,12 +221,12 @@ def _check_still_there(stored: Sequence[FrameRecord], source: ImageFrames, out: 
 
 def _smoothed(frames: list[TrackedFrame], follower: Follower) -> list[TrackedFrame]:
     """The frames with the smoother's estimates in the place of the first ones, as far back as it goes."""
-    found = {
+    smoothed = {
         (identity, estimate.time): estimate
         for identity, estimates in follower.tracker.smooth().items()
         for estimate in estimates
     }
     return [
-        replace(frame, estimates={i: found.get((i, frame.time), first) for i, first in frame.estimates.items()})
+        replace(frame, estimates={i: smoothed.get((i, frame.time), first) for i, first in frame.estimates.items()})
         for frame in frames
     ]

@@ -49,7 +49,7 @@ class SingleImageTracker:
         motion_covariance: Array | None = None,  # noqa: ARG002 - one image knows of no motion
     ) -> Mapping[int, VehicleEstimate]:
         """The estimates of the vehicles that can be reconstructed, by id."""
-        found: dict[int, VehicleEstimate] = {}
+        estimates: dict[int, VehicleEstimate] = {}
         refused: dict[int, FgreconError] = {}
         for identity, observation in observations.items():
             try:
@@ -58,7 +58,7 @@ class SingleImageTracker:
                 refused[identity] = error
                 continue
             pose = result.camera_T_object
-            found[identity] = VehicleEstimate(
+            estimates[identity] = VehicleEstimate(
                 id=identity,
                 time=time,
                 reconstruction=result,
@@ -67,9 +67,9 @@ class SingleImageTracker:
                 facing_probability=result.facing_probability,
                 world_T_object=None if world_T_camera is None else world_T_camera @ pose,
             )
-            self._tracks.setdefault(identity, []).append(found[identity])
+            self._tracks.setdefault(identity, []).append(estimates[identity])
         self.refused = refused
-        return found
+        return estimates
 
     def smooth(self) -> Mapping[int, Sequence[VehicleEstimate]]:
         """The same estimates once more."""

@@ -184,11 +184,11 @@ class KeypointCascade:
         corners = as_finite("boxes", as_rows("boxes", boxes, 4), (None, 4))
         for number, box in enumerate(corners):
             check_box(box, pixels, f"boxes[{number}]")
-        found: list[CascadeDetection] = []
+        detections: list[CascadeDetection] = []
         for start in range(0, len(corners), batch):
             some = corners[start : start + batch]
-            found += self.detect_batch([pixels] * len(some), some, maps=maps)
-        return found
+            detections += self.detect_batch([pixels] * len(some), some, maps=maps)
+        return detections
 
     def detect_batch(
         self, images: Sequence[NDArray[np.uint8]], boxes: NDArray[np.float64], *, maps: bool = False
@@ -203,17 +203,17 @@ class KeypointCascade:
         azimuth = self.calibration.direction(azimuth)
         if self._refine_patches is not None:
             decoded = self._refine(self._refine_patches, images, boxes, likelihood, decoded)
-        found = []
+        detections = []
         for row, (box, crop) in enumerate(zip(boxes, crops, strict=True)):
             directions = azimuth[row]
             covariance = self.calibration.covariance(decoded.covariance[row], size / MARGIN) / crop.scale**2
             observation = Observation(
                 crop.to_image(decoded.points[row]), confidence[row], box, covariance, _EVEN, directions
             )
-            seen = 0.5 * (1.0 + np.tanh(0.5 * visible[row]))
+            visibility = 0.5 * (1.0 + np.tanh(0.5 * visible[row]))
             kept = likelihood[row] if maps else None
-            found.append(CascadeDetection(observation, directions, seen, decoded.mass[row], crop, kept))
-        return found
+            detections.append(CascadeDetection(observation, directions, visibility, decoded.mass[row], crop, kept))
+        return detections
 
     def _refine(
         self, networks: Network, images: Sequence[NDArray[np.uint8]], boxes: Array, likelihood: Array, first: Decoded
@@ -237,11 +237,11 @@ class KeypointCascade:
         count = len(crops)
         maps, visible, azimuth = self.forward(np.concatenate([crops, crops[:, :, ::-1]]))
         partner = self._partner
-        turned = np.concatenate([azimuth[count:, :1], azimuth[count:, :0:-1]], axis=1)
+        mirrored = np.concatenate([azimuth[count:, :1], azimuth[count:, :0:-1]], axis=1)
         return (
             (maps[:count] + maps[count:][:, partner][..., ::-1]) / 2,
             (visible[:count] + visible[count:][:, partner]) / 2,
-            (azimuth[:count] + turned) / 2,
+            (azimuth[:count] + mirrored) / 2,
         )
 
     def forward(self, crops: NDArray[np.uint8]) -> tuple[Array, Array, Array]:

@@ -93,8 +93,8 @@ class _Graph:
         context = self.reshaped(self.linear(pooled, "context"), 0, 1, len(arrays["context.bias"]))
         near, far = np.split(arrays["see.weight"], 2, axis=1)  # one layer on both, side by side
         mixed = self.add(self._product(local, near, arrays["see.bias"]), self._product(context, far, arrays["name"]))
-        seen = self.node("Mul", self.relu(mixed), self.constant(arrays["visible"]))
-        total = self.node("ReduceSum", seen, self.constant([2], np.int64), keepdims=0)
+        active = self.node("Mul", self.relu(mixed), self.constant(arrays["visible"]))
+        total = self.node("ReduceSum", active, self.constant([2], np.int64), keepdims=0)
         return self.add(total, self.constant(arrays["bias"]))
 
     def linear(self, x: str, name: str) -> str:
@@ -118,8 +118,8 @@ class _Graph:
 def knet_on_onnx(layout: KNetLayout, arrays: Mapping[str, Array], threads: int) -> Network:
     """KNet on crops (B, S, S, 3) of bytes, by its arrays as `KNetLayout` names them: see `networks.knet`."""
     graph, side = _Graph(arrays), layout.settings.crop
-    found = knet(graph, layout, graph.node("Transpose", "crops", perm=[0, 3, 1, 2]))
-    results = dict(zip(("likelihood", "visible", "azimuth"), found, strict=True))
+    outputs = knet(graph, layout, graph.node("Transpose", "crops", perm=[0, 3, 1, 2]))
+    results = dict(zip(("likelihood", "visible", "azimuth"), outputs, strict=True))
     return open_session(graph.model("crops", ("count", side, side, 3), results), threads)
 
 

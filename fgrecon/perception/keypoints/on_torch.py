@@ -64,8 +64,8 @@ class _Eager:
 
     def visibility(self, local: Tensor, pooled: Tensor) -> Tensor:
         context = self.linear(pooled, "context")[:, None].expand_as(local)
-        seen = functional.relu(self.linear(torch.cat([local, context], dim=2), "see") + self.arrays["name"])
-        return (seen * self.arrays["visible"]).sum(dim=2) + self.arrays["bias"]
+        active = functional.relu(self.linear(torch.cat([local, context], dim=2), "see") + self.arrays["name"])
+        return (active * self.arrays["visible"]).sum(dim=2) + self.arrays["bias"]
 
     def linear(self, x: Tensor, name: str) -> Tensor:
         return functional.linear(x, self.arrays[f"{name}.weight"], self.arrays[f"{name}.bias"])

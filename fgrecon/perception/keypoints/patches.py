@@ -54,15 +54,15 @@ def fuse(
     batch, count, keypoints = patch_log.shape[:3]
     corner = offsets + (_WINDOW - PATCH) // 2
     total = np.zeros((batch, keypoints, _WINDOW, _WINDOW))
-    seen = np.zeros(total.shape[1:])
+    count_at = np.zeros(total.shape[1:])
     for n, k in np.ndindex(count, keypoints):
         column, row = (slice(low, low + PATCH) for low in corner[n, k])
         total[:, k, row, column] += patch_log[:, n, k]
-        seen[k, row, column] += 1.0
+        count_at[k, row, column] += 1.0
     # In place from here on: new arrays of this size cost more than the numbers in them.
     lowest = total.min(axis=(2, 3), keepdims=True)
-    total /= np.maximum(seen, 1.0)
-    np.copyto(total, lowest, where=seen == 0)
+    total /= np.maximum(count_at, 1.0)
+    np.copyto(total, lowest, where=count_at == 0)
     total *= trust
     total += before_log
     total -= total.max(axis=(2, 3), keepdims=True)

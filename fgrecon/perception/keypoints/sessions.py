@@ -56,7 +56,7 @@ def _core(processor: int) -> str:
     """One name for all the processors of a core."""
     try:
         return Path(f"/sys/devices/system/cpu/cpu{processor}/topology/thread_siblings_list").read_text()
-    except OSError:  # not told, as in some containers
+    except OSError:  # not given, as in some containers
         return f"processor {processor}"
 
 
