@@ -24,7 +24,7 @@ from fgrecon.core.doubts import Doubt, doubt_of, hardly_fits
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import Options, checked_options
 from fgrecon.core.shape_prior import ShapePrior
-from fgrecon.core.size_prior import SizePrior
+from fgrecon.core.size_prior import SizePrior, SizesLike
 from fgrecon.core.size_prior import size_prior as named_size_prior
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.keypoint_file import Instance
@@ -64,7 +64,7 @@ class Reconstructor:
         prior: ShapePrior | str | Path = "car14",
         camera: Camera | ArrayLike | None = None,
         ground: Ground | float | None = None,
-        size_prior: SizePrior | str | None = None,
+        size_prior: SizesLike | None = None,
         options: Options | None = None,
         names: NamesLike | None = None,
         weights: str | Path | None = None,

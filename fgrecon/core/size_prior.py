@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.checks import as_finite, own
+from fgrecon.core.checks import as_finite, as_shape, own
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["LONGEST", "SHORTEST", "SIZES", "SIZE_PRIORS", "SizePrior", "other_fleets", "size_prior"]
+__all__ = [
+    "LONGEST",
+    "SHORTEST",
+    "SIZES",
+    "SIZE_PRIORS",
+    "SizePrior",
+    "SizesLike",
+    "check_order",
+    "other_fleets",
+    "size_prior",
+]
 
 SHORTEST, LONGEST = 0.3, 30.0
 """Metres: what a vehicle's length, width and height are from and to."""
@@ -111,19 +122,46 @@ SIZE_PRIORS = {
 _FIX = f"Use {', '.join(SIZE_PRIORS)} or length,width,height[,sigma_l,sigma_w,sigma_h] in metres."
 
 
-def size_prior(value: SizePrior | str) -> SizePrior:
-    """A size prior by its name (`kitti`, `apollo79`) or from `length,width,height[,sigma_l,sigma_w,sigma_h]`.
+SizesLike = SizePrior | str | Sequence[float] | NDArray[np.float64]
+"""A size prior, its name, or length, width and height in metres, with or without their standard deviations."""
+
+
+def size_prior(value: SizesLike) -> SizePrior:
+    """A size prior by its name (`kitti`, `apollo79`) or from length, width, height[, sigma_l, sigma_w, sigma_h].
 
     Without spreads, 2 % of each dimension is assumed: the size is then as good as known.
 
+    Args:
+        value: The name, the numbers in metres as a text with commas or as a sequence, or a size prior.
+
     Raises:
-        InvalidInputError: The text is neither a name nor three or six positive numbers.
+        InvalidInputError: It is neither a name nor three or six positive numbers.
     """
     if isinstance(value, SizePrior):
         return value
-    if not isinstance(value, str):
+    if isinstance(value, str):
+        return SIZE_PRIORS[value] if value in SIZE_PRIORS else _parsed(value)
+    numbers = as_shape("size_prior", value, (None,), _FIX)
+    if not np.isfinite(numbers).all():
         raise InvalidInputError("size_prior", value, _FIX)
-    return SIZE_PRIORS[value] if value in SIZE_PRIORS else _parsed(value)
+    return _parsed(",".join(map(str, numbers.tolist())))
+
+
+def check_order(field: str, size: NDArray[np.float64], usual: NDArray[np.float64]) -> None:
+    """Refuse a size (3,) whose numbers are in another order than length, width, height: KITTI's and nuScenes' differ.
+
+    Args:
+        field: What an error names.
+        size: Length, width and height, metres.
+        usual: (3,) those of the category's mean vehicle.
+
+    Raises:
+        InvalidInputError: The category is longest along its axis, and this is not.
+    """
+    if usual[0] > usual[1:].max() and size[0] < size[1:].max():
+        order = "length, width, height"
+        fix = f"Give {order}, in metres and in this order: {', '.join(f'{x:.2f}' for x in usual)} is usual."
+        raise InvalidInputError(field, [float(x) for x in size], fix)
 
 
 @lru_cache(maxsize=64)  # one object for one text, so that what is prepared for it is found again

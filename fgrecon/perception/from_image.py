@@ -18,7 +18,7 @@ from fgrecon.core.errors import AssumedCameraWarning, FgreconError
 from fgrecon.core.options import Options, checked_options
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
-from fgrecon.core.size_prior import SizePrior
+from fgrecon.core.size_prior import SizesLike
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.images import read_photograph
 from fgrecon.perception.boxes import find_boxes, for_detected
@@ -90,7 +90,7 @@ def reconstruct_detections(
     *,
     prior: ShapePrior | str | Path = "car14",
     ground: Ground | float | None = None,
-    size_prior: SizePrior | str | None = None,
+    size_prior: SizesLike | None = None,
     options: Options | None = None,
     together: bool = True,
 ) -> list[FromImage]:
@@ -144,7 +144,7 @@ def reconstruct_image(
     keypoint_detector: KeypointDetector | None = None,
     prior: ShapePrior | str | Path = "car14",
     ground: Ground | float | None = None,
-    size_prior: SizePrior | str | None = None,
+    size_prior: SizesLike | None = None,
     options: Options | None = None,
     together: bool = True,
 ) -> list[FromImage]:

@@ -19,7 +19,7 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.options import BoxModel, BoxOptions, Options, checked_options
 from fgrecon.core.refined_box import RefinedBox
 from fgrecon.core.shape_prior import ShapePrior
-from fgrecon.core.size_prior import SizePrior
+from fgrecon.core.size_prior import SizesLike
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.images import read_image
 from fgrecon.perception.keypoints.detect import SMALLEST_BOX, as_rgb8, large_enough, shipped_cascade
@@ -42,7 +42,7 @@ def refine_boxes(
     keypoint_detector: KeypointDetector | None = None,
     prior: ShapePrior | str | Path = "car14",
     ground: Ground | float | None = None,
-    size_prior: SizePrior | str | None = None,
+    size_prior: SizesLike | None = None,
     options: Options | None = None,
 ) -> list[RefinedBox]:
     """Better 3D boxes of the vehicles in an image, by their keypoints.

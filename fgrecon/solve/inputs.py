@@ -15,12 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.category import Category
-from fgrecon.core.checks import as_finite, as_instance, as_list, as_rigid, as_shape
+from fgrecon.core.checks import as_either, as_finite, as_instance, as_list, as_rigid, as_shape
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import KeypointsLike, Observation
 from fgrecon.core.options import Options, checked_options
 from fgrecon.core.shape_prior import ShapePrior
-from fgrecon.core.size_prior import SizePrior, size_prior
+from fgrecon.core.size_prior import SizesLike, check_order, size_prior
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.vehicle.model import VehicleModel, prepare
 
@@ -44,6 +44,7 @@ __all__ = [
 Array = NDArray[np.float64]
 
 _CAMERA_NUMBERS = Real, np.ndarray, list, tuple  # what a matrix, or fx, fy, cx, cy, are made of
+_TURN = 2.0 * np.pi + 1e-6  # radians; what is more is in degrees
 _ROTATION_TOLERANCE = 1e-4  # of a camera's pose: more digits than that are seldom lost
 _ROUNDING = 1e-9  # share of the largest number of a covariance that is rounding
 
@@ -68,7 +69,7 @@ class SolveSetup:
     def of(
         cls,
         prior: ShapePrior | str | Path,
-        sizes: SizePrior | str | None,
+        sizes: SizesLike | None,
         options: Options | None,
         ground: Ground | float | None = None,
         *,
@@ -88,8 +89,15 @@ class SolveSetup:
         """
         chosen, loaded = checked_options(options, joint=joint), load_prior(prior)
         fleet = None if sizes is None else size_prior(sizes)
+        if fleet is not None:
+            check_order("size_prior", fleet.mean, _usual_size(loaded))
         model = prepare(loaded, fleet, chosen.shape.basis_vectors)
         return cls(chosen, loaded, model, as_ground(ground))
+
+
+def _usual_size(prior: ShapePrior) -> Array:
+    """(3,) length, width and height of the prior's mean vehicle, metres."""
+    return prior.box_size(np.zeros(prior.dimension))
 
 
 def observe(
@@ -110,7 +118,10 @@ def observe(
     """
     if isinstance(keypoints, Mapping):
         keypoints, confidence = _by_name(keypoints, category, confidence)
-    fix = f"Give {category.size} pixels (u, v) in the order of category {category.name}; NaN where not detected."
+    fix = (
+        f"Give {category.size} rows (u, v) or (u, v, confidence) in the order of category {category.name}; NaN where "
+        "not detected."
+    )
     if isinstance(keypoints, Observation):
         for field, value in (("confidence", confidence), ("box", box), ("covariance", covariance)):
             if value is not None:
@@ -120,7 +131,12 @@ def observe(
         if options.confidence_midpoint is not None:
             observation = replace(observation, confidence_midpoint=options.confidence_midpoint)
     else:
-        pixels = as_shape("keypoints", keypoints, (category.size, 2), fix)
+        pixels = as_either("keypoints", keypoints, ((category.size, 2), (category.size, 3)), fix)
+        if pixels.shape[1] == 3:
+            if confidence is not None:
+                fix = "Give it here or as the third number of every keypoint."
+                raise InvalidInputError("confidence", "given twice", fix)
+            pixels, confidence = pixels[:, :2], np.where(np.isnan(pixels).any(axis=1), 0.0, pixels[:, 2])
         observation = Observation.of(pixels, confidence, box, covariance, options.confidence_midpoint)
     if observation.box is not None and camera.image_size is not None:
         (left, top, right, bottom), (width, height) = observation.box, camera.image_size
@@ -190,7 +206,11 @@ def as_ground(ground: Ground | float | None) -> Ground | None:
         return None
     if isinstance(ground, Ground):
         return ground.told()
-    return _level(float(as_finite("ground", ground, (), "Give a `Ground`, or the camera's height in metres.")))
+    height = float(as_finite("ground", ground, (), "Give a `Ground`, or the camera's height in metres."))
+    if height <= 0.0:
+        fix = "Give how high the camera is above the ground, as a positive number of metres, such as 1.65."
+        raise InvalidInputError("ground", height, fix)
+    return _level(height)
 
 
 @lru_cache(maxsize=16)  # thousands of vehicles stand on one ground
@@ -198,15 +218,24 @@ def _level(height: float) -> Ground:
     return Ground.level(height)
 
 
-def as_initial(initial: Box3D | float | None) -> Box3D | float | None:
+def as_initial(initial: Box3D | float | None, prior: ShapePrior) -> Box3D | float | None:
     """Where the pose search is to start as well: a box, or a guess of `rotation_y` in radians.
 
     Raises:
-        InvalidInputError: It is neither.
+        InvalidInputError: It is neither, or the box's size is in another order than the prior's.
     """
-    if initial is None or isinstance(initial, Box3D):
+    if initial is None:
+        return None
+    if isinstance(initial, Box3D):
+        if initial.size is not None:
+            check_order("initial.size", initial.size, _usual_size(prior))
         return initial
-    return float(as_finite("initial", initial, (), "Give a `Box3D`, or a guess of rotation_y in radians."))
+    yaw = float(as_finite("initial", initial, (), "Give a `Box3D`, or a guess of rotation_y in radians."))
+    if abs(yaw) > _TURN:
+        raise InvalidInputError(
+            "initial", yaw, f"Give rotation_y in radians: {yaw:g} degrees are {np.radians(yaw):.4f}."
+        )
+    return yaw
 
 
 def as_extra_factors(given: Sequence[gtsam.NonlinearFactor]) -> Sequence[gtsam.NonlinearFactor]:
@@ -222,11 +251,12 @@ def as_extra_factors(given: Sequence[gtsam.NonlinearFactor]) -> Sequence[gtsam.N
     return as_list("extra_factors", given, gtsam.NonlinearFactor)
 
 
-def as_boxes(boxes: Sequence[Box3D | None], count: int, camera: Camera) -> list[Box3D | None]:
+def as_boxes(boxes: Sequence[Box3D | None], count: int, camera: Camera, prior: ShapePrior) -> list[Box3D | None]:
     """Another detector's 3D box of each of so many vehicles.
 
     Raises:
-        InvalidInputError: Another number of boxes is given, or they are of a camera of unknown focal length.
+        InvalidInputError: Another number of boxes is given, they are of a camera of unknown focal length, or a size is
+            in another order than the prior's.
     """
     boxes = as_list("boxes", boxes, Box3D, gaps=True)
     if len(boxes) != count:
@@ -234,6 +264,9 @@ def as_boxes(boxes: Sequence[Box3D | None], count: int, camera: Camera) -> list[
     if camera.focal_sigma:
         fix = "Give the focal length that the boxes were found with."
         raise InvalidInputError("boxes", "given without a known focal length", fix)
+    for number, box in enumerate(boxes):
+        if box is not None and box.size is not None:
+            check_order(f"boxes[{number}].size", box.size, _usual_size(prior))
     return boxes
 
 

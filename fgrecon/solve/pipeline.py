@@ -15,7 +15,7 @@ from fgrecon.core.observation import KeypointsLike
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
-from fgrecon.core.size_prior import SizePrior
+from fgrecon.core.size_prior import SizesLike
 from fgrecon.solve.facing import single_pose
 from fgrecon.solve.graph.graph import GraphObservation
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
@@ -40,7 +40,7 @@ def reconstruct(
     distortion: ArrayLike | None = None,
     prior: ShapePrior | str | Path = "car14",
     ground: Ground | float | None = None,
-    size_prior: SizePrior | str | None = None,
+    size_prior: SizesLike | None = None,
     initial: Box3D | float | None = None,
     options: Options | None = None,
     extra_factors: Sequence[gtsam.NonlinearFactor] = (),
@@ -74,7 +74,7 @@ def reconstruct(
     """
     setup = SolveSetup.of(prior, size_prior, options, ground)
     camera = calibrated("intrinsics", Camera.of(intrinsics, distortion))
-    start, factors = as_initial(initial), as_extra_factors(extra_factors)
+    start, factors = as_initial(initial, setup.prior), as_extra_factors(extra_factors)
     given = {"confidence": confidence, "box": box, "covariance": covariance}
     observation = observe(keypoints, camera, setup.prior.category, setup.options, **given)
 

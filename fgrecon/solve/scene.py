@@ -33,7 +33,7 @@ from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.scene_reconstruction import SceneReconstruction
 from fgrecon.core.shape_prior import ShapePrior
-from fgrecon.core.size_prior import SizePrior
+from fgrecon.core.size_prior import SizesLike
 from fgrecon.solve.box_check import boxes_off, boxes_warning
 from fgrecon.solve.detected import KnownBox
 from fgrecon.solve.focal import candidates, distinct_lengths, energies_of, focal_prior, log_ratio, starts
@@ -64,7 +64,7 @@ def reconstruct_scene(
     *,
     prior: ShapePrior | str | Path = "car14",
     ground: Ground | float | None = None,
-    size_prior: SizePrior | str | None = None,
+    size_prior: SizesLike | None = None,
     options: Options | None = None,
     boxes: Sequence[Box3D | None] | None = None,
     box_errors: BoxErrors | None = None,
@@ -97,7 +97,7 @@ def reconstruct_scene(
     boxed: list[KnownBox | None] | None = None
     if boxes is not None:
         unsized = prepare(setup.prior, None, setup.options.shape.basis_vectors)
-        each = as_boxes(boxes, len(observations), known)
+        each = as_boxes(boxes, len(observations), known, setup.prior)
         boxed = [None if box is None else KnownBox(box, errors, unsized) for box in each]
     return _reconstruct(_Images([observations], known, setup), boxed)[0]
 
@@ -109,7 +109,7 @@ def reconstruct_scenes(
     *,
     prior: ShapePrior | str | Path = "car14",
     ground: Ground | float | None = None,
-    size_prior: SizePrior | str | None = None,
+    size_prior: SizesLike | None = None,
     options: Options | None = None,
 ) -> list[SceneReconstruction]:
     """Recover the vehicles of several images that one camera took, whose focal length all of them tell together.

@@ -31,7 +31,7 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.shape_prior import ShapePrior
-from fgrecon.core.size_prior import SizePrior
+from fgrecon.core.size_prior import SizesLike
 from fgrecon.core.track_reconstruction import JointStep, TrackReconstruction
 from fgrecon.solve.facing import single_pose
 from fgrecon.solve.graph.graph import GraphObservation
@@ -56,7 +56,7 @@ def reconstruct_track(
     *,
     prior: ShapePrior | str | Path = "car14",
     ground: Ground | float | None = None,
-    size_prior: SizePrior | str | None = None,
+    size_prior: SizesLike | None = None,
     options: Options | None = None,
     extra_factors: Sequence[gtsam.NonlinearFactor] = (),
     in_order: bool = True,

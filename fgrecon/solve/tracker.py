@@ -25,7 +25,7 @@ from fgrecon.core.observation import KeypointsLike, Observation
 from fgrecon.core.options import Options
 from fgrecon.core.reconstruction import GraphFactor, Reconstruction, rotation_y
 from fgrecon.core.shape_prior import ShapePrior
-from fgrecon.core.size_prior import SizePrior
+from fgrecon.core.size_prior import SizesLike
 from fgrecon.core.turned import turned_alternative
 from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.solve.box_check import box_excess, boxes_off
@@ -64,7 +64,7 @@ class Tracker:
         self,
         *,
         prior: ShapePrior | str | Path = "car14",
-        size_prior: SizePrior | str | None = None,
+        size_prior: SizesLike | None = None,
         options: Options | None = None,
         window: int = 5,
         shared_ground: bool = False,

@@ -58,7 +58,7 @@ def test_the_same_input_unspoilt_is_accepted():
         ({"intrinsics": KITTI_CAMERA.matrix, "distortion": [0.1]}, "distortion"),
         ({"intrinsics": KITTI_CAMERA.matrix, "distortion": [0.1, NAN, 0, 0]}, "distortion[1]"),
         ({"prior": "lorry"}, "prior"),
-        ({"ground": -1.65}, "ground.distance"),
+        ({"ground": -1.65}, "ground"),
         ({"ground": NAN}, "ground"),
         ({"ground": "level"}, "ground"),
         ({"ground": [0.0, 1.0, 0.0, 1.65]}, "ground"),

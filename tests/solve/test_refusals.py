@@ -9,6 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from fgrecon.core.box3d import Box3D
 from fgrecon.core.errors import DegenerateProblemError, FgreconError, InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Status
@@ -33,7 +34,7 @@ BAD = {
     "two points": ({"keypoints": few(2)}, "keypoints", DegenerateProblemError),
     "no point": ({"keypoints": few(0)}, "keypoints", DegenerateProblemError),
     "another number of points": ({"keypoints": np.ones((13, 2))}, "keypoints", InvalidInputError),
-    "three coordinates": ({"keypoints": np.ones((14, 3))}, "keypoints", InvalidInputError),
+    "four coordinates": ({"keypoints": np.ones((14, 4))}, "keypoints", InvalidInputError),
     "infinite pixel": ({"keypoints": np.full((14, 2), np.inf)}, "keypoints", InvalidInputError),
     "huge pixel": ({"keypoints": few(14) * 1e200}, "keypoints", InvalidInputError),
     "words": ({"keypoints": "keypoints"}, "keypoints", InvalidInputError),
@@ -65,10 +66,24 @@ BAD = {
     "unknown prior": ({"prior": "lorry99"}, "prior", InvalidInputError),
     "unknown fleet": ({"size_prior": "lorries"}, "size_prior", InvalidInputError),
     "fleet of no size": ({"size_prior": "0,1,1"}, "size_prior.mean", InvalidInputError),
-    "camera below ground": ({"ground": -1.0}, "ground.distance", InvalidInputError),
+    "camera below ground": ({"ground": -1.0}, "ground", InvalidInputError),
     "ground NaN": ({"ground": np.nan}, "ground", InvalidInputError),
     "ground in words": ({"ground": "flat"}, "ground", InvalidInputError),
     "guess NaN": ({"initial": np.nan}, "initial", InvalidInputError),
+    "guess in degrees": ({"initial": 40.0}, "initial", InvalidInputError),
+    "size of a guess in KITTI's order": (
+        {"initial": Box3D([0.0, 1.6, 12.0], 0.0, [1.5, 1.8, 4.5])},
+        "initial.size",
+        InvalidInputError,
+    ),
+    "fleet in KITTI's order": ({"size_prior": "1.5,1.8,4.5"}, "size_prior", InvalidInputError),
+    "fleet in nuScenes' order": ({"size_prior": (1.8, 4.5, 1.5)}, "size_prior", InvalidInputError),
+    "fleet of two numbers": ({"size_prior": [4.5, 1.8]}, "size_prior", InvalidInputError),
+    "third numbers beside confidences": (
+        {"keypoints": np.column_stack([few(14), np.ones(14)])},
+        "confidence",
+        InvalidInputError,
+    ),
     "guess in words": ({"initial": "left"}, "initial", InvalidInputError),
     "too many vectors": ({"options": make_options(basis_vectors=6)}, "options.shape.basis_vectors", InvalidInputError),
 }
@@ -88,6 +103,18 @@ def test_bad_input_is_named(seen, change, field, kind):
         reconstruct(**arguments)
     assert caught.value.field == field
     assert caught.value.fix.endswith(".")
+
+
+def test_sizes_and_confidences_are_taken_in_every_usual_form(seen):
+    observation, _ = seen
+    rows = np.column_stack([observation.keypoints, observation.confidence])
+    results = [
+        reconstruct(rows, MATRIX, box=observation.box, size_prior=size)
+        for size in ("4.5,1.8,1.5", (4.5, 1.8, 1.5), [4.5, 1.8, 1.5], np.array([4.5, 1.8, 1.5]))
+    ]
+    alone = reconstruct(observation, MATRIX, size_prior="4.5,1.8,1.5")
+    for result in results:
+        np.testing.assert_array_equal(result.camera_T_object, alone.camera_T_object)
 
 
 scales = st.sampled_from([1e-3, 1.0, 30.0, 1e3, 1e6])
