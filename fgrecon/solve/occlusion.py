@@ -1,6 +1,6 @@
 """What the nearer vehicles of an image hide of the others.
 
-It is told in the results and is no evidence: a network that has learnt from traffic places hidden keypoints about as
+It is in the results and is no evidence: a network that has learnt from traffic places hidden keypoints about as
 well as it says, and without them poses were no better (docs/history.md).
 """
 

@@ -44,7 +44,7 @@ def with_probabilities(
         camera_T_object: (4, 4) the result's pose.
         coefficients: (N,) its shape.
         alternatives: Other poses, best first.
-        facing: How probably the result faces the right way; NaN where nobody knows, and nothing is told then.
+        facing: How probably the result faces the right way; NaN where nobody knows: no probabilities then.
 
     Returns:
         The poses. Where none of them faces the other way, though that may well be so, the last one does.

@@ -187,8 +187,7 @@ def _result(end: _End, diagnostics: dict[str, Any]) -> Reconstruction:
     problem, camera = end.part.problem, end.part.camera(end.optimum.values)
     prior, category = problem.model.prior, problem.model.prior.category
     (coefficients, offsets), camera_T_object, uncertainty = end.shape, end.pose, end.uncertainty
-    wireframe = prior.keypoints(coefficients, offsets)
-    surface = occluder(prior)
+    wireframe, surface = prior.keypoints(coefficients, offsets), occluder(prior)
     vertices = surface.vertices(coefficients)
     centre = -camera_T_object[:3, :3].T @ camera_T_object[:3, 3]
     box_size = category.box_size(wireframe)

@@ -105,7 +105,7 @@ def _contact_noise(ground: Ground, depth: float) -> gtsam.noiseModel.Robust:
 
 
 def own_deviations(ground: Ground, depth: float) -> tuple[float, float]:
-    """How far a vehicle's origin lies off the ground of the others by its height and slope, metres (1 sigma each)."""
+    """How far a vehicle's origin is off the ground of the others by its height and slope, metres (1 sigma each)."""
     height = SCENE.own_height_share * min(ground.height_sigma, Ground.height_sigma)
     return height, SCENE.own_slope_share * min(ground.slope_sigma, Ground.slope_sigma) * depth
 

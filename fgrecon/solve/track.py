@@ -11,7 +11,7 @@
 Every image is searched for its pose alone (`fgrecon.solve.proposals`); then the graph of all poses and the shared shape
 is solved by the loop that solves a single image. The terms of the shape appear once. Images of one vehicle err alike,
 and count for its shape accordingly (`ShapeOptions.common_error`). Of motion nothing is assumed but that images in order
-seldom show the vehicle turned round from one to the next.
+seldom show the heading of the vehicle flipped from one to the next.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def reconstruct_track(
         options: Settings; `joint` must be set.
         extra_factors: The caller's own factors on the poses X(0, t), t the index of the observation, lambda L(0) and,
             with free offsets, O(0); see `fgrecon.reconstruct`.
-        in_order: Whether the images were taken one after the other: then the vehicle is seldom turned round from one to
+        in_order: Whether the images were taken one after the other: then its heading is seldom flipped from one to
             the next, and an image that takes its front for its rear is outvoted by its neighbours.
 
     Returns:
@@ -89,27 +89,7 @@ def reconstruct_track(
     each = as_cameras(cameras, len(observations))
 
     started = perf_counter()
-    seen: list[GraphObservation] = []
-    starts: list[PoseEstimate] = []
-    refused: dict[int, str] = {}
-    bad: InvalidInputError | None = None
-    for number, (given, camera) in enumerate(zip(observations, each, strict=True)):
-        if given is None:
-            refused[number] = "no keypoints"
-            continue
-        try:
-            observation = observe(given, camera, setup.prior.category, setup.options)
-            problem, start = single_pose(observation, camera, setup)
-            starts.append(start)
-        except (DegenerateProblemError, InvalidInputError) as error:
-            bad = error if bad is None and isinstance(error, InvalidInputError) else bad
-            refused[number] = str(error)
-            continue
-        seen.append(GraphObservation(problem, image=number))
-    if not seen and bad is not None:
-        raise bad
-    if not seen:
-        raise DegenerateProblemError("observations", "no pose in any image", "Give more, or better spread, keypoints.")
+    seen, starts, refused = _posed(observations, each, setup)
     posed = perf_counter()
     adjusted = minimise_from_proposals(seen, starts, factors, in_order=in_order)
     milliseconds = {"pose": (posed - started) * 1e3, "joint": (perf_counter() - posed) * 1e3}
@@ -128,6 +108,39 @@ def reconstruct_track(
         graph=Deferred(lambda: graph_factors(adjusted.graph, optimum.state.weights)) if keep else (),
         milliseconds=milliseconds,
     )
+
+
+def _posed(
+    observations: Sequence[Observation | None], cameras: Sequence[Camera], setup: SolveSetup
+) -> tuple[list[GraphObservation], list[PoseEstimate], dict[int, str]]:
+    """The images that have a pose, their proposals, and why others have none.
+
+    Raises:
+        InvalidInputError: None has one, and what is given is to blame.
+        DegenerateProblemError: None has one.
+    """
+    seen: list[GraphObservation] = []
+    starts: list[PoseEstimate] = []
+    refused: dict[int, str] = {}
+    bad: InvalidInputError | None = None
+    for number, (given, camera) in enumerate(zip(observations, cameras, strict=True)):
+        if given is None:
+            refused[number] = "no keypoints"
+            continue
+        try:
+            observation = observe(given, camera, setup.prior.category, setup.options)
+            problem, start = single_pose(observation, camera, setup)
+        except (DegenerateProblemError, InvalidInputError) as error:
+            bad = error if bad is None and isinstance(error, InvalidInputError) else bad
+            refused[number] = str(error)
+            continue
+        seen.append(GraphObservation(problem, image=number))
+        starts.append(start)
+    if not seen and bad is not None:
+        raise bad
+    if not seen:
+        raise DegenerateProblemError("observations", "no pose in any image", "Give more, or better spread, keypoints.")
+    return seen, starts, refused
 
 
 def _status(results: list[Reconstruction], refused: Mapping[int, str]) -> tuple[Status, str]:

@@ -80,7 +80,7 @@ class Tracker:
             window: Frames that are solved together when a new one comes, 2 to 100: that one, the one before it, and
                 some of the seconds before.
             shared_ground: Whether the vehicles share one ground that is a variable and changes from frame to frame: it
-                is found first, by a step of a solve of all vehicles of the frame together. Where none is told, two
+                is found first, by a step of a solve of all vehicles of the frame together. Where none is given, two
                 vehicles and more tell where it is.
             past: Frames of each vehicle to keep for `smooth`; None keeps all.
             motion_factors: Makes factors of your own between frames of a vehicle: called with the numbers of two that

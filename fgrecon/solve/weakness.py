@@ -63,7 +63,7 @@ def weaknesses(
 
 
 def off_ground(below: float, sigma: float) -> list[str]:
-    """The clause of a vehicle whose origin lies so many metres below the ground, known to `sigma` metres there."""
+    """The clause of a vehicle whose origin is so many metres below the ground, known to `sigma` metres there."""
     if abs(below) <= STATUS.off_ground_sigmas * sigma:
         return []
     side = "below" if below > 0.0 else "above"

@@ -64,7 +64,7 @@ def velocity_terms(
         seconds: That it stands for: what is said of every frame must not count by their number.
         model: The category's motion.
         known: Whether the camera's motion is known, and the velocity is over the world.
-        share: Of their information that the factors have; that it stands, where that is told, counts whole.
+        share: Of their information that the factors have; that it stands, where that is known, counts whole.
         stands: Whether it stands; None where it may.
     """
     root = np.sqrt(share * seconds)

@@ -24,7 +24,7 @@ class TimeSettings:
     uninformative_probability: float = 0.05  # that poses, a path or a box say nothing of the heading
     uninformative_directions_probability: float = 0.05  # that a network's directions say nothing
     reverse_probability: float = 0.03  # that a vehicle that moves drives backwards
-    full_height_px: float = 60.0  # of lower vehicles less can be told, and frames err alike the more
+    full_height_px: float = 60.0  # lower vehicles show less, and frames err alike the more
     unscored_pose_excess_nats: float = 3.0  # of other poses by a strategy without an energy; not tuned
     # The heading over time
     correlation_s: float = 0.3  # what frames of so much time say together is what one of them says
