@@ -15,8 +15,6 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.simulation.keypoint_noise import HOURGLASS, NoiseModel
 from fgrecon.simulation.vehicles import KITTI_CAMERA, SimulatedTruth, Vehicle, kitti_like_pose, simulate
 
-__all__ = ["HARD", "harder", "simulate_many"]
-
 _TRIES = 100
 
 

@@ -27,8 +27,6 @@ from fgrecon_research.annotation.hidden import Solid, solid_of
 from fgrecon_research.annotation.known_box import BoxedView, KnownBoxOptions, fit_known_boxes
 from fgrecon_research.annotation.unboxed import Unboxed, fit_unboxed
 
-__all__ = ["Annotation", "LeftOut", "Reason", "Wanted", "annotate"]
-
 _ALIKE = "Car", "Van"  # what the shape of a car fills
 _FLAT = "Pedestrian", "Person_sitting", "Cyclist", "DontCare"  # their boxes are mostly air
 

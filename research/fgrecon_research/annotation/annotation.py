@@ -14,8 +14,6 @@ from fgrecon.io.kitti_drives import DriveFrame
 from fgrecon_research.annotation.fit import Fit
 from fgrecon_research.annotation.hidden import Solid, hidden_behind
 
-__all__ = ["Annotation"]
-
 Array = NDArray[np.float64]
 
 _AGREES = 0.1  # of the box's longer side: so near is a network's point the same
@@ -23,45 +21,26 @@ _AGREES = 0.1  # of the box's longer side: so near is a network's point the same
 
 @dataclass(frozen=True, eq=False)
 class Annotation:
-    """A vehicle's keypoints in one image.
+    """A vehicle's keypoints in one image."""
 
-    Attributes:
-        frame: The image.
-        track: Number of the vehicle.
-        kind: As labelled, such as `Car`.
-        box: (4,) 2D box x1, y1, x2, y2, pixels.
-        truncation: Share of the box outside the image; -1 where unknown.
-        occlusion: KITTI's grade; -1 where unknown.
-        camera: The camera, with the size of the image.
-        camera_T_object: (4, 4) pose.
-        size: (3,) length, width and height of the labelled box, metres; without one those of the fitted shape.
-        keypoints: (K, 2) pixels, hidden ones as well.
-        visible: (K,) probability that each can be seen: the vehicle itself, nearer ones and the image's border count.
-        covariance: (K, 2, 2) of the keypoints, square pixels.
-        vertices: (V, 3) surface in the camera's frame, metres.
-        faces: (F, 3) its triangles.
-        before: Surfaces of vehicles that are nearer.
-        agreement: Share of the network's confidence that agrees with the keypoints.
-        boxed: Whether its 3D box was labelled; else it was reconstructed.
-    """
-
-    frame: DriveFrame
-    track: int
-    kind: str
-    box: Array
-    truncation: float
-    occlusion: int
-    camera: Camera
-    camera_T_object: Array
-    size: Array
-    keypoints: Array
+    frame: DriveFrame  # the image
+    track: int  # number of the vehicle
+    kind: str  # as labelled, such as `Car`
+    box: Array  # (4,) 2D box x1, y1, x2, y2, pixels
+    truncation: float  # share of the box outside the image; -1 where unknown
+    occlusion: int  # KITTI's grade; -1 where unknown
+    camera: Camera  # the camera, with the size of the image
+    camera_T_object: Array  # (4, 4) pose
+    size: Array  # (3,) length, width and height of the labelled box, metres; without one those of the fitted shape
+    keypoints: Array  # (K, 2) pixels, hidden ones as well
+    # (K,) probability that each can be seen: the vehicle itself, nearer ones and the image's border count
     visible: Array
-    covariance: Array
-    vertices: Array
-    faces: NDArray[np.integer]
-    before: tuple[Solid, ...]
-    agreement: float
-    boxed: bool
+    covariance: Array  # (K, 2, 2) of the keypoints, square pixels
+    vertices: Array  # (V, 3) surface in the camera's frame, metres
+    faces: NDArray[np.integer]  # (F, 3) its triangles
+    before: tuple[Solid, ...]  # surfaces of vehicles that are nearer
+    agreement: float  # share of the network's confidence that agrees with the keypoints
+    boxed: bool  # whether its 3D box was labelled; else it was reconstructed
 
     @classmethod
     def of(

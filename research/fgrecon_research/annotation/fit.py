@@ -13,24 +13,16 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.solve.vehicle.visibility import occluder
 from fgrecon_research.annotation.hidden import Solid
 
-__all__ = ["Fit"]
-
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A vehicle in one image: where it is, where its keypoints are seen, and what it hides.
+    """A vehicle in one image: where it is, where its keypoints are seen, and what it hides."""
 
-    Attributes:
-        result: The reconstruction.
-        covariance: (K, 2, 2) of the projected keypoints, square pixels.
-        solid: Its surface in the camera's frame; where the prior has none, a hull made from the keypoints.
-    """
-
-    result: Reconstruction
-    covariance: Array
-    solid: Solid
+    result: Reconstruction  # the reconstruction
+    covariance: Array  # (K, 2, 2) of the projected keypoints, square pixels
+    solid: Solid  # its surface in the camera's frame; where the prior has none, a hull made from the keypoints
 
     @classmethod
     def of(cls, result: Reconstruction, covariance: Array, prior: ShapePrior) -> Fit:

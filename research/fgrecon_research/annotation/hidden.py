@@ -16,8 +16,6 @@ from fgrecon.core.size_prior import SizePrior
 from fgrecon.solve.vehicle.model import prepare
 from fgrecon.solve.vehicle.visibility import clearance, occluder
 
-__all__ = ["Solid", "hidden_behind", "solid_of"]
-
 Array = NDArray[np.float64]
 
 _TRIANGLES = np.array(
@@ -32,15 +30,10 @@ _SHARE = 0.03  # of a vehicle's own size that is known of each dimension
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A closed surface in the camera's frame.
+    """A closed surface in the camera's frame."""
 
-    Attributes:
-        vertices: (V, 3) metres.
-        faces: (F, 3) triangles, counter-clockwise as seen from outside.
-    """
-
-    vertices: Array
-    faces: NDArray[np.integer]
+    vertices: Array  # (V, 3) metres
+    faces: NDArray[np.integer]  # (F, 3) triangles, counter-clockwise as seen from outside
 
 
 def solid_of(box: Box3D, prior: ShapePrior | None) -> Solid:

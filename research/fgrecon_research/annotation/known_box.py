@@ -38,28 +38,18 @@ from fgrecon.solve.result import results
 from fgrecon.solve.vehicle.model import prepare
 from fgrecon_research.annotation.fit import Fit
 
-__all__ = ["BoxedView", "KnownBoxOptions", "fit_known_boxes"]
-
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class KnownBoxOptions:
-    """How exactly boxes are labelled, one sigma.
+    """How exactly boxes are labelled, one sigma."""
 
-    Attributes:
-        turn_sigma: Yaw, roll and pitch, radians.
-        shift_sigma: Location per axis near the camera, metres.
-        depth_share: Added to that of the depth, as a share of the distance.
-        size_share: Length, width and height, as a share of each.
-        common_error: As in `fgrecon.core.options.ShapeOptions`.
-    """
-
-    turn_sigma: float = float(np.deg2rad(1.5))
-    shift_sigma: float = 0.06
-    depth_share: float = 0.004
-    size_share: float = 0.03
-    common_error: float = 0.3
+    turn_sigma: float = float(np.deg2rad(1.5))  # yaw, roll and pitch, radians
+    shift_sigma: float = 0.06  # location per axis near the camera, metres
+    depth_share: float = 0.004  # added to that of the depth, as a share of the distance
+    size_share: float = 0.03  # length, width and height, as a share of each
+    common_error: float = 0.3  # as in `fgrecon.core.options.ShapeOptions`
 
     def __post_init__(self) -> None:
         """Check the numbers.
@@ -77,17 +67,11 @@ class KnownBoxOptions:
 
 @dataclass(frozen=True)
 class BoxedView:
-    """One image of a vehicle.
+    """One image of a vehicle."""
 
-    Attributes:
-        observation: What a network found, with the 2D box.
-        camera: The camera.
-        box: The 3D box in the camera's frame, with its size.
-    """
-
-    observation: Observation
+    observation: Observation  # what a network found, with the 2D box
     camera: Camera
-    box: Box3D
+    box: Box3D  # the 3D box in the camera's frame, with its size
 
 
 def fit_known_boxes(

@@ -16,8 +16,6 @@ from fgrecon.io.export.coco_keypoints import LabelledImage, VehicleLabel, Vehicl
 from fgrecon_research.annotation.annotation import Annotation
 from fgrecon_research.annotation.silhouette import silhouette
 
-__all__ = ["vehicle_labels"]
-
 
 def vehicle_labels(
     annotations: Iterable[tuple[str, Annotation]], category: Category, info: Mapping[str, str], terms: str = ""

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from fgrecon.core.camera import MIN_DEPTH
 from fgrecon_research.annotation.annotation import Annotation
 
-__all__ = ["silhouette"]
-
 Array = NDArray[np.float64]
 
 _SIDE = 256  # cells along the longer side of what is drawn

@@ -28,8 +28,6 @@ from fgrecon.solve.tracker import Tracker
 from fgrecon.solve.vehicle.model import prepare
 from fgrecon_research.annotation.fit import Fit
 
-__all__ = ["Unboxed", "fit_unboxed"]
-
 Array = NDArray[np.float64]
 
 _SURE = 0.99  # least probability of the way that a vehicle faces, by all of its images
@@ -40,15 +38,10 @@ Frames = Mapping[int, tuple[Camera, Mapping[int, Observation]]]
 
 @dataclass(frozen=True)
 class Unboxed:
-    """What is known where there are no 3D boxes.
+    """What is known where there are no 3D boxes."""
 
-    Attributes:
-        ground: Ground plane in every camera's frame, or None.
-        size: Size of the fleet; None for the shape prior's.
-    """
-
-    ground: Ground | None = None
-    size: SizePrior | None = None
+    ground: Ground | None = None  # ground plane in every camera's frame, or None
+    size: SizePrior | None = None  # size of the fleet; None for the shape prior's
 
 
 def fit_unboxed(

@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.checks import as_shape
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["Interval", "mean_interval", "median_interval", "resampled", "statistic_interval"]
-
 _SAMPLES = 1000
 _LEVEL = 0.95
 

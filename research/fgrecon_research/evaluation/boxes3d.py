@@ -21,43 +21,26 @@ from fgrecon.io.kitti_drives import Drive
 from fgrecon.io.kitti_files import LABEL_COLUMNS, Defect, Objects, parse_objects
 from fgrecon_research.evaluation.kitti_overlap import Space, overlap
 
-__all__ = ["LabelledBox", "read_boxes", "read_boxes_of_drives", "score", "score_drives", "scored_box"]
-
 _NAME = "{:06d}"  # of a frame
 
 
 @dataclass(frozen=True)
 class LabelledBox:
-    """One labelled vehicle, and the box that a source has for it.
+    """One labelled vehicle, and the box that a source has for it."""
 
-    Attributes:
-        drive: Name of the drive, or of the folder of single images.
-        frame: Name of the frame.
-        index: Position among the frame's labels.
-        kind: `Car` or `Van`.
-        distance: Of the labelled origin, metres.
-        group: What errs alike: its track in a drive, its image among single ones.
-        found: Whether there is a box.
-        overlap: Intersection over union in 3D, and
-        footprint: from above; 0 without a box.
-        metres: Distance of the origins; infinite without a box.
-        depth: Relative error of the depth; NaN without a box.
-        degrees: Yaw error on the full circle; 180 without a box.
-        size: (3,) length, width and height, estimated minus labelled, metres; NaN without a box.
-    """
-
-    drive: str
-    frame: str
-    index: int
-    kind: str
-    distance: float
-    group: str
-    found: bool
-    overlap: float
-    footprint: float
-    metres: float
-    depth: float
-    degrees: float
+    drive: str  # name of the drive, or of the folder of single images
+    frame: str  # name of the frame
+    index: int  # position among the frame's labels
+    kind: str  # `Car` or `Van`
+    distance: float  # of the labelled origin, metres
+    group: str  # what errs alike: its track in a drive, its image among single ones
+    found: bool  # whether there is a box
+    overlap: float  # intersection over union in 3D, and
+    footprint: float  # from above; 0 without a box
+    metres: float  # distance of the origins; infinite without a box
+    depth: float  # relative error of the depth; NaN without a box
+    degrees: float  # yaw error on the full circle; 180 without a box
+    # (3,) length, width and height, estimated minus labelled, metres; NaN without a box
     size: tuple[float, float, float]
 
 

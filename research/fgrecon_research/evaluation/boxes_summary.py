@@ -26,19 +26,6 @@ from fgrecon_research.evaluation.boxes3d import LabelledBox
 from fgrecon_research.evaluation.kitti_devkit import LEAST_LABELS, REGIMES, evaluate
 from fgrecon_research.evaluation.kitti_overlap import Space
 
-__all__ = [
-    "LEAST_OVERLAPS",
-    "BoxesSummary",
-    "Precision",
-    "by_distance",
-    "document",
-    "plain_boxes",
-    "precisions",
-    "precisions_of_drives",
-    "summarise",
-    "summarise_group",
-]
-
 LEAST_OVERLAPS = (0.5, 0.7)
 """Overlaps from which on a box counts as right."""
 
@@ -48,57 +35,34 @@ _UNKNOWN = 3  # KITTI's grade of occlusion
 
 @dataclass(frozen=True)
 class BoxesSummary:
-    """A group of vehicles; shares in percent of all of them, found or not, errors over the found ones.
+    """A group of vehicles; shares in percent of all of them, found or not, errors over the found ones."""
 
-    Attributes:
-        vehicles: How many there are.
-        tracks: Of how many tracks, or images where they are single.
-        found: How many got a box.
-        right: Share with a 3D overlap of at least each of `LEAST_OVERLAPS`.
-        ground: Share with such an overlap from above.
-        within: Share within 5, 15 and 30 degrees.
-        turned: Share of the found ones that is turned by more than 90 degrees.
-        mean_metres: Mean distance of the origins; None where none is found.
-        median_metres: The median.
-        depth: Median relative error of the depth, percent.
-        size: Mean errors of length, width and height, metres.
-        intervals: Of `median_metres`, `depth`, `length`, `width` and `height` as above, and of `absolute_size`, the
-            mean of the errors of length, width and height without sign, metres; empty where none is found.
-    """
-
-    vehicles: int
-    tracks: int
-    found: int
-    right: tuple[Interval, ...]
-    ground: tuple[Interval, ...]
-    within: tuple[Interval, ...]
-    turned: float
-    mean_metres: Interval | None
-    median_metres: float
-    depth: float
-    size: tuple[float, float, float]
+    vehicles: int  # how many there are
+    tracks: int  # of how many tracks, or images where they are single
+    found: int  # how many got a box
+    right: tuple[Interval, ...]  # share with a 3D overlap of at least each of `LEAST_OVERLAPS`
+    ground: tuple[Interval, ...]  # share with such an overlap from above
+    within: tuple[Interval, ...]  # share within 5, 15 and 30 degrees
+    turned: float  # share of the found ones that is turned by more than 90 degrees
+    mean_metres: Interval | None  # mean distance of the origins; None where none is found
+    median_metres: float  # the median
+    depth: float  # median relative error of the depth, percent
+    size: tuple[float, float, float]  # mean errors of length, width and height, metres
+    # of `median_metres`, `depth`, `length`, `width` and `height` as above, and of `absolute_size`, the mean of the
+    # errors of length, width and height without sign, metres; empty where none is found
     intervals: Mapping[str, Interval]
 
 
 @dataclass(frozen=True)
 class Precision:
-    """Average precision at 40 recall points, percent; None of fewer than 41 labels.
+    """Average precision at 40 recall points, percent; None of fewer than 41 labels."""
 
-    Attributes:
-        regime: `Easy`, `Moderate` or `Hard`.
-        labels: Number of cars that count.
-        image: Of 2D boxes at an overlap of 0.7.
-        orientation: Average orientation similarity (AOS); None where the source has no angles.
-        ground: From above, at each of `LEAST_OVERLAPS`.
-        volume: In 3D, likewise.
-    """
-
-    regime: str
-    labels: int
-    image: float | None
-    orientation: float | None
-    ground: tuple[float | None, ...]
-    volume: tuple[float | None, ...]
+    regime: str  # `Easy`, `Moderate` or `Hard`
+    labels: int  # number of cars that count
+    image: float | None  # of 2D boxes at an overlap of 0.7
+    orientation: float | None  # average orientation similarity (AOS); None where the source has no angles
+    ground: tuple[float | None, ...]  # from above, at each of `LEAST_OVERLAPS`
+    volume: tuple[float | None, ...]  # in 3D, likewise
 
 
 def summarise(vehicles: Sequence[LabelledBox]) -> dict[str, BoxesSummary]:

@@ -10,22 +10,15 @@ from fgrecon.core.text import markdown_row, number_or_dash
 from fgrecon_research.evaluation.bootstrap import Interval
 from fgrecon_research.evaluation.boxes_summary import LEAST_OVERLAPS, BoxesSummary, Precision
 
-__all__ = ["TEXTS", "BoxesTable", "markdown", "tables"]
-
 TEXTS = 2
 """Columns of texts, before those of numbers."""
 
 
 class BoxesTable(NamedTuple):
-    """A table.
+    """A table."""
 
-    Attributes:
-        headings: Of its columns.
-        rows: Cells of each row.
-    """
-
-    headings: list[str]
-    rows: list[list[str]]
+    headings: list[str]  # of its columns
+    rows: list[list[str]]  # cells of each row
 
 
 def tables(

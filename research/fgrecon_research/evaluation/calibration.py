@@ -12,18 +12,6 @@ from fgrecon.core.plain import finite
 from fgrecon.core.reconstruction import Status
 from fgrecon.core.reliability import Reliability, reliability
 
-__all__ = [
-    "WRONG",
-    "Calibration",
-    "Caution",
-    "Judged",
-    "StatusCount",
-    "calibrate",
-    "calibrate_boxes",
-    "calibration_document",
-    "judged",
-]
-
 FORMAT = "fgrecon.calibration/1"
 WRONG = (15.0, 0.2)
 """A result is wrong beyond so many degrees of yaw, or parts of the distance."""
@@ -33,78 +21,47 @@ _LEAST = (0.9, 0.95, 0.99)
 
 @dataclass(frozen=True)
 class StatusCount:
-    """Results of one status.
-
-    Attributes:
-        status: The status.
-        count: Number of results.
-        turned: Of these turned round, by more than 90 degrees.
-        wrong: Of these wrong (`WRONG`), turned ones included.
-    """
+    """Results of one status."""
 
     status: str
-    count: int
-    turned: int
-    wrong: int
+    count: int  # number of results
+    turned: int  # of these turned round, by more than 90 degrees
+    wrong: int  # of these wrong (`WRONG`), turned ones included
 
 
 @dataclass(frozen=True)
 class Caution:
-    """Who takes only results that are settled and whose facing has at least some probability, and what that costs.
+    """Who takes only results that are settled and whose facing has at least some probability, and what that costs."""
 
-    Attributes:
-        least: That probability.
-        turned: Number of results that are turned round.
-        turned_refused: Of these refused.
-        right: Number of the other results.
-        right_refused: Of these refused.
-        sure: Number of results that are `converged` and not refused.
-        sure_turned: Of these turned round.
-    """
-
-    least: float
-    turned: int
-    turned_refused: int
-    right: int
-    right_refused: int
-    sure: int
-    sure_turned: int
+    least: float  # that probability
+    turned: int  # number of results that are turned round
+    turned_refused: int  # of these refused
+    right: int  # number of the other results
+    right_refused: int  # of these refused
+    sure: int  # number of results that are `converged` and not refused
+    sure_turned: int  # of these turned round
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """What results of one method say, beside what is so.
+    """What results of one method say, beside what is so."""
 
-    Attributes:
-        regions: Of each quantity; vehicles turned round are left out, which the facing's probability is about.
-        facing: Of the facing's probability; without a bin where there is none.
-        statuses: By their names.
-        doubts: By the least probability of the facing.
-    """
-
+    # of each quantity; vehicles turned round are left out, which the facing's probability is about
     regions: tuple[Coverage, ...]
-    facing: Reliability
-    statuses: tuple[StatusCount, ...]
-    doubts: tuple[Caution, ...] = ()
+    facing: Reliability  # of the facing's probability; without a bin where there is none
+    statuses: tuple[StatusCount, ...]  # by their names
+    doubts: tuple[Caution, ...] = ()  # by the least probability of the facing
 
 
 @dataclass(frozen=True)
 class Judged:
-    """What one result says of itself, beside the truth.
-
-    Attributes:
-        status: Its status.
-        turned: Whether it is turned round.
-        wrong: Whether it is wrong (`WRONG`).
-        facing: Its facing's probability, or None.
-        regions: Its errors by the regions that it claims.
-    """
+    """What one result says of itself, beside the truth."""
 
     status: str
-    turned: bool
-    wrong: bool
-    facing: float | None
-    regions: tuple[Region, ...]
+    turned: bool  # whether it is turned round
+    wrong: bool  # whether it is wrong (`WRONG`)
+    facing: float | None  # its facing's probability, or None
+    regions: tuple[Region, ...]  # its errors by the regions that it claims
 
 
 def judged(found: BoxOutcome, group: str, distance: float, status: str) -> Judged:

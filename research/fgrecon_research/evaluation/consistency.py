@@ -14,8 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-__all__ = ["Consistency", "consistency"]
-
 Array = NDArray[np.float64]
 
 _SHARE = 0.95
@@ -23,22 +21,14 @@ _SHARE = 0.95
 
 @dataclass(frozen=True)
 class Consistency:
-    """How squared errors compare with their covariances.
+    """How squared errors compare with their covariances."""
 
-    Attributes:
-        mean: Of the normalised squared errors, by dimension; 1 where covariances are right.
-        low, high: Between which it is, 95 times of 100, where they are right.
-        median: The median over that of the chi-square distribution; 1 where covariances are right.
-        inside: Percent of the errors within their 95 % region.
-        count: Number of estimates.
-    """
-
-    mean: float
-    low: float
+    mean: float  # of the normalised squared errors, by dimension; 1 where covariances are right
+    low: float  # between which it is, 95 times of 100, where they are right
     high: float
-    median: float
-    inside: float
-    count: int
+    median: float  # the median over that of the chi-square distribution; 1 where covariances are right
+    inside: float  # percent of the errors within their 95 % region
+    count: int  # number of estimates
 
 
 def consistency(errors: Sequence[float], dimension: int, tracks: int) -> Consistency | None:

@@ -15,23 +15,16 @@ from fgrecon_research.evaluation.boxes_summary import BoxesSummary, Precision, b
 from fgrecon_research.evaluation.kitti_devkit import REGIMES
 from fgrecon_research.evaluation.kitti_images import Car, ImageFrame
 
-__all__ = ["ImageBoxes", "score_boxes"]
-
 
 @dataclass(frozen=True, eq=False)
 class ImageBoxes:
-    """Boxes of some images.
+    """Boxes of some images."""
 
-    Attributes:
-        results: What was found as KITTI's results, by frame; none in frames where nothing was.
-        vehicles: Every car that counts in some regime, with its box.
-        groups: Summaries of the regimes, which are cumulative, and of the last one by distance.
-        curves: Average precision by regime. There are no boxes but those of labelled cars, and so none that are wrong.
-    """
-
-    results: Mapping[str, Objects]
-    vehicles: Sequence[LabelledBox]
+    results: Mapping[str, Objects]  # what was found as KITTI's results, by frame; none in frames where nothing was
+    vehicles: Sequence[LabelledBox]  # every car that counts in some regime, with its box
+    # summaries of the regimes, which are cumulative, and of the last one by distance
     groups: Mapping[str, BoxesSummary]
+    # average precision by regime. There are no boxes but those of labelled cars, and so none that are wrong.
     curves: Sequence[Precision]
 
 

@@ -21,34 +21,18 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.kitti_files import Objects
 from fgrecon_research.evaluation.kitti_overlap import Space, overlap
 
-__all__ = [
-    "LEAST_LABELS",
-    "REGIMES",
-    "Curves",
-    "Regime",
-    "evaluate",
-    "regime_members",
-]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class Regime:
-    """Which labels a regime counts.
+    """Which labels a regime counts."""
 
-    Attributes:
-        name: `Easy`, `Moderate` or `Hard`.
-        height: 2D boxes must be higher than this, pixels.
-        occlusion: Largest occlusion.
-        truncation: Largest truncation.
-    """
-
-    name: str
-    height: float
-    occlusion: int
-    truncation: float
+    name: str  # `Easy`, `Moderate` or `Hard`
+    height: float  # 2D boxes must be higher than this, pixels
+    occlusion: int  # largest occlusion
+    truncation: float  # largest truncation
 
 
 REGIMES = (Regime("Easy", 40, 0, 0.15), Regime("Moderate", 25, 1, 0.30), Regime("Hard", 25, 2, 0.50))
@@ -62,17 +46,11 @@ LEAST_LABELS = _SAMPLES
 
 @dataclass(frozen=True)
 class Curves:
-    """One class in one space and one regime.
+    """One class in one space and one regime."""
 
-    Attributes:
-        precision: (41,) precision at evenly spaced recall, each the largest from there on.
-        similarity: (41,) orientation similarity likewise, or None where a detection has no valid alpha.
-        labels: Number of labels that count.
-    """
-
-    precision: Array
-    similarity: Array | None
-    labels: int
+    precision: Array  # (41,) precision at evenly spaced recall, each the largest from there on
+    similarity: Array | None  # (41,) orientation similarity likewise, or None where a detection has no valid alpha
+    labels: int  # number of labels that count
 
     @property
     def average_precision(self) -> tuple[float, float]:

@@ -28,94 +28,50 @@ from fgrecon.io.kitti_files import Defect, Fault, Objects, read_detections, read
 from fgrecon.perception.from_image import FromImage
 from fgrecon_research.evaluation.kitti_devkit import REGIMES, regime_members
 
-__all__ = [
-    "Car",
-    "ImageFrame",
-    "RegimeScore",
-    "document",
-    "read_frames",
-    "score_frame",
-    "summarise",
-]
-
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class ImageFrame:
-    """What there is of one image.
+    """What there is of one image."""
 
-    Attributes:
-        name: The frame.
-        image: Its file.
-        labels: All labelled objects.
-        detections: Detected objects, or None where the labelled boxes are the input.
-        calibration: Camera and label offset.
-    """
-
-    name: str
-    image: Path
-    labels: Objects
-    detections: Objects | None
-    calibration: KittiCalibration
+    name: str  # the frame
+    image: Path  # its file
+    labels: Objects  # all labelled objects
+    detections: Objects | None  # detected objects, or None where the labelled boxes are the input
+    calibration: KittiCalibration  # camera and label offset
 
 
 @dataclass(frozen=True)
 class Car:
-    """One labelled car that counts in some regime.
+    """One labelled car that counts in some regime."""
 
-    Attributes:
-        frame: Name of the frame.
-        index: Position in its label file.
-        regimes: (3,) whether Easy, Moderate and Hard count it.
-        box: (4,) the box that was looked at, or None without a detection that overlaps it enough.
-        score: Of that detection; None without one, and where the labelled box was looked at.
-        degrees: Orientation error; 180 without a result.
-        metres: Translation error; infinite without a result.
-        camera: The camera.
-        rotation_y: Labelled yaw, radians.
-        location: (3,) labelled location in the camera's frame, metres.
-        size: (3,) labelled length, width and height, metres.
-        found: What was found, or None without a box.
-        failure: Why there is no result, or None.
-    """
-
-    frame: str
-    index: int
-    regimes: NDArray[np.bool_]
-    box: Array | None
-    score: float | None
-    degrees: float
-    metres: float
+    frame: str  # name of the frame
+    index: int  # position in its label file
+    regimes: NDArray[np.bool_]  # (3,) whether Easy, Moderate and Hard count it
+    box: Array | None  # (4,) the box that was looked at, or None without a detection that overlaps it enough
+    score: float | None  # of that detection; None without one, and where the labelled box was looked at
+    degrees: float  # orientation error; 180 without a result
+    metres: float  # translation error; infinite without a result
     camera: Camera
-    rotation_y: float
-    location: Array
-    size: Array
-    found: FromImage | None
-    failure: str | None
+    rotation_y: float  # labelled yaw, radians
+    location: Array  # (3,) labelled location in the camera's frame, metres
+    size: Array  # (3,) labelled length, width and height, metres
+    found: FromImage | None  # what was found, or None without a box
+    failure: str | None  # why there is no result, or None
 
 
 @dataclass(frozen=True)
 class RegimeScore:
-    """A regime's numbers, over all of its cars (cumulative, as KITTI counts).
+    """A regime's numbers, over all of its cars (cumulative, as KITTI counts)."""
 
-    Attributes:
-        name: `Easy`, `Moderate` or `Hard`.
-        cars: Number of cars; those without a result are among them.
-        within: Number of cars within 5, 15 and 30 degrees.
-        mean_degrees: Mean orientation error.
-        median_degrees: Median orientation error.
-        median_metres: Median translation error.
-        failures: Cars without a result.
-    """
-
-    name: str
-    cars: int
-    within: tuple[int, ...]
-    mean_degrees: float
-    median_degrees: float
-    median_metres: float
-    failures: int
+    name: str  # `Easy`, `Moderate` or `Hard`
+    cars: int  # number of cars; those without a result are among them
+    within: tuple[int, ...]  # number of cars within 5, 15 and 30 degrees
+    mean_degrees: float  # mean orientation error
+    median_degrees: float  # median orientation error
+    median_metres: float  # median translation error
+    failures: int  # cars without a result
 
 
 def read_frames(

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from fgrecon.calibration.matching import box_overlap, shared_ratio
 from fgrecon.io.kitti_files import Objects
 
-__all__ = ["Space", "convex_intersection_area", "overlap"]
-
 Array = NDArray[np.float64]
 
 

@@ -30,18 +30,6 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.solve.vehicle.conditioning import of_fleet
 from fgrecon.solve.vehicle.model import prepare
 
-__all__ = [
-    "CONFIDENT",
-    "METHODS",
-    "NO_UPDATES",
-    "RANSAC_TOLERANCE",
-    "Estimate",
-    "Method",
-    "left_out",
-    "named_strategy",
-    "select",
-]
-
 CONFIDENT = 0.3
 """Confidence above which `sqpnp_confident` uses a point."""
 
@@ -58,15 +46,10 @@ _MINIMUM = 4  # fewer points leave several poses
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a method found.
+    """What a method found."""
 
-    Attributes:
-        camera_T_object: (4, 4) pose, maps object coordinates into the camera frame.
-        milliseconds: Wall time by stage, `pose` and, where the method has that stage, `shape`.
-    """
-
-    camera_T_object: NDArray[np.float64]
-    milliseconds: Mapping[str, float]
+    camera_T_object: NDArray[np.float64]  # (4, 4) pose, maps object coordinates into the camera frame
+    milliseconds: Mapping[str, float]  # wall time by stage, `pose` and, where the method has that stage, `shape`
 
 
 Solver = Callable[[Observation, Camera], Estimate]
@@ -75,24 +58,17 @@ Solver = Callable[[Observation, Camera], Estimate]
 
 @dataclass(frozen=True)
 class Method:
-    """A named method.
+    """A named method."""
 
-    Attributes:
-        name: Key in the registry and in every table.
-        summary: What it does, in a few words.
-        bind: Makes the solver for a scene; slow imports happen here, outside the time that is measured.
-        prior_name: Which shapes it fits, for the tables.
-        package: Python package that it needs and that fgrecon does without, or None.
-        reconstruct: For recordings: solves as the solver does, but keeps the history and gives the whole result; None
-            for a baseline, which has a pose alone.
-    """
-
-    name: str
-    summary: str
+    name: str  # key in the registry and in every table
+    summary: str  # what it does, in a few words
+    # makes the solver for a scene; slow imports happen here, outside the time that is measured
     bind: Callable[[SceneKnowledge], Solver]
-    prior_name: Callable[[SceneKnowledge], str]
+    prior_name: Callable[[SceneKnowledge], str]  # which shapes it fits, for the tables
+    # for recordings: solves as the solver does, but keeps the history and gives the whole result; None for a baseline,
+    # which has a pose alone
     reconstruct: Callable[[SceneKnowledge, Observation, Camera], Reconstruction] | None = None
-    package: str | None = None
+    package: str | None = None  # python package that it needs and that fgrecon does without, or None
 
     @property
     def installed(self) -> bool:

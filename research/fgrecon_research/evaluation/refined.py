@@ -32,8 +32,6 @@ from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.refine import refine_boxes
 from fgrecon.simulation.sample import disturbed_boxes
 
-__all__ = ["BoxError", "Comparison", "RefinedVehicle", "Refinement", "compare", "document", "refine_drive"]
-
 Array = NDArray[np.float64]
 
 _OVERLAP = 0.5  # in the image, above which a box is a labelled vehicle's
@@ -43,45 +41,27 @@ _DISTANCES = (0.0, 15.0, 30.0, np.inf)  # metres
 
 @dataclass(frozen=True)
 class BoxError:
-    """How far a box is off.
+    """How far a box is off."""
 
-    Attributes:
-        metres: Distance of the origins.
-        degrees: Yaw error on the full circle.
-        size: (3,) of length, width and height, metres, without sign.
-    """
-
-    metres: float
-    degrees: float
-    size: tuple[float, float, float]
+    metres: float  # distance of the origins
+    degrees: float  # yaw error on the full circle
+    size: tuple[float, float, float]  # (3,) of length, width and height, metres, without sign
 
 
 @dataclass(frozen=True)
 class RefinedVehicle:
-    """A labelled vehicle whose box was refined.
+    """A labelled vehicle whose box was refined."""
 
-    Attributes:
-        drive: Name of the drive.
-        frame: Number of the frame.
-        index: Position among the frame's labels.
-        kind: `Car` or `Van`.
-        distance: Of the labelled origin, metres.
-        before: Errors of the given box.
-        after: Errors of the better one.
-        message: What is said of it.
-        changed: Whether it is another box.
-        within: How far the better box is off, in its own standard deviations along the ray; NaN where it tells none.
-    """
-
-    drive: str
-    frame: int
-    index: int
-    kind: str
-    distance: float
-    before: BoxError
-    after: BoxError
-    message: str
-    changed: bool
+    drive: str  # name of the drive
+    frame: int  # number of the frame
+    index: int  # position among the frame's labels
+    kind: str  # `Car` or `Van`
+    distance: float  # of the labelled origin, metres
+    before: BoxError  # errors of the given box
+    after: BoxError  # errors of the better one
+    message: str  # what is said of it
+    changed: bool  # whether it is another box
+    # how far the better box is off, in its own standard deviations along the ray; NaN where it tells none
     within: float
 
     @property
@@ -92,58 +72,34 @@ class RefinedVehicle:
 
 @dataclass(frozen=True)
 class Comparison:
-    """A group of vehicles, before and after.
+    """A group of vehicles, before and after."""
 
-    Attributes:
-        vehicles: How many there are.
-        refined: How many boxes were changed.
-        mean_metres: Mean position error before and after, and so on.
-        median_metres: The median.
-        mean_degrees: Of the yaw, on the full circle.
-        median_degrees: The median.
-        turned: Vehicles turned by more than 90 degrees.
-        size: Mean errors of length, width and height without sign, metres.
-        worse: Vehicles that lie farther off by more than 5 % of their distance.
-        worst_metres: The largest rise of the position error, metres.
-        worst_percent: The largest rise in percent of the distance.
-        doubled: Vehicles whose position error more than doubled.
-        spread: Standard deviation of the errors along the ray in terms of their own; 1 where those are right.
-    """
-
-    vehicles: int
-    refined: int
-    mean_metres: tuple[float, float]
-    median_metres: tuple[float, float]
-    mean_degrees: tuple[float, float]
-    median_degrees: tuple[float, float]
-    turned: tuple[int, int]
+    vehicles: int  # how many there are
+    refined: int  # how many boxes were changed
+    mean_metres: tuple[float, float]  # mean position error before and after, and so on
+    median_metres: tuple[float, float]  # the median
+    mean_degrees: tuple[float, float]  # of the yaw, on the full circle
+    median_degrees: tuple[float, float]  # the median
+    turned: tuple[int, int]  # vehicles turned by more than 90 degrees
+    # mean errors of length, width and height without sign, metres
     size: tuple[tuple[float, float, float], tuple[float, float, float]]
-    worse: int
-    worst_metres: float
-    worst_percent: float
-    doubled: int
-    spread: float
+    worse: int  # vehicles that lie farther off by more than 5 % of their distance
+    worst_metres: float  # the largest rise of the position error, metres
+    worst_percent: float  # the largest rise in percent of the distance
+    doubled: int  # vehicles whose position error more than doubled
+    spread: float  # standard deviation of the errors along the ray in terms of their own; 1 where those are right
 
 
 @dataclass(frozen=True)
 class Refinement:
-    """How boxes are refined.
+    """How boxes are refined."""
 
-    Attributes:
-        detector: Finds the keypoints.
-        prior: Shape prior.
-        ground: Ground plane, or None.
-        errors: How far the boxes are taken to be off.
-        options: Settings.
-        size_prior: For boxes without a size, or None.
-    """
-
-    detector: KeypointCascade
-    prior: ShapePrior
-    ground: Ground | None
-    errors: BoxErrors
-    options: Options
-    size_prior: SizePrior | None = None
+    detector: KeypointCascade  # finds the keypoints
+    prior: ShapePrior  # shape prior
+    ground: Ground | None  # ground plane, or None
+    errors: BoxErrors  # how far the boxes are taken to be off
+    options: Options  # settings
+    size_prior: SizePrior | None = None  # for boxes without a size, or None
 
 
 def refine_drive(

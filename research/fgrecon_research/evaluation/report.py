@@ -30,8 +30,6 @@ from fgrecon.core.text import markdown_row, number_or_dash
 from fgrecon.io.track_file import Track
 from fgrecon_research.evaluation.run import MethodScores
 
-__all__ = ["document", "frames_document", "machine", "markdown", "settings", "summary", "table", "to_json", "versions"]
-
 FORMAT = "fgrecon_research.evaluation.tracks/1"
 STAGES = ("pose", "shape")
 _PACKAGES = ("fgrecon", "gtsam", "numpy", "scipy", "opencv-python-headless", "poselib")

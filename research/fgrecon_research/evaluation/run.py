@@ -17,30 +17,18 @@ from fgrecon.core.reconstruction import rotation_y
 from fgrecon.io.track_file import Track, TrackFrame
 from fgrecon_research.evaluation.methods import Estimate, Method, Solver, select
 
-__all__ = ["FrameScore", "MethodScores", "ScoredRivals", "score_pose", "score_tracks"]
-
 
 @dataclass(frozen=True)
 class FrameScore:
-    """One method on one frame.
+    """One method on one frame."""
 
-    Attributes:
-        frame: Name of the frame.
-        orientation_error: Degrees; 180 for a failure.
-        translation_error: Metres; infinite for a failure.
-        rotation_y: Estimated yaw, radians, or None for a failure.
-        location: (3,) estimated origin in the label's frame, metres, or None for a failure.
-        milliseconds: Wall time by stage; empty for a failure.
-        failure: Why the method gave no pose, or None.
-    """
-
-    frame: str
-    orientation_error: float
-    translation_error: float
-    rotation_y: float | None
-    location: NDArray[np.float64] | None
-    milliseconds: dict[str, float]
-    failure: str | None
+    frame: str  # name of the frame
+    orientation_error: float  # degrees; 180 for a failure
+    translation_error: float  # metres; infinite for a failure
+    rotation_y: float | None  # estimated yaw, radians, or None for a failure
+    location: NDArray[np.float64] | None  # (3,) estimated origin in the label's frame, metres, or None for a failure
+    milliseconds: dict[str, float]  # wall time by stage; empty for a failure
+    failure: str | None  # why the method gave no pose, or None
 
 
 @dataclass(frozen=True)

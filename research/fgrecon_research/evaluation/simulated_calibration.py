@@ -24,8 +24,6 @@ from fgrecon.solve.vehicle.model import prepare
 from fgrecon_research.evaluation.calibration import Judged, judged
 from fgrecon_research.simulation import simulate_many
 
-__all__ = ["judge_known", "judge_simulated", "keypoint_regions"]
-
 _GROUPS = 10  # that are left out of their own baselines in turn
 
 

@@ -11,8 +11,6 @@ from fgrecon.core.text import markdown_row, number_or_dash
 from fgrecon_research.evaluation.bootstrap import Interval
 from fgrecon_research.evaluation.video_summary import BoxSummary, group_boxes, methods_of, summarise_boxes
 
-__all__ = ["markdown"]
-
 _HEADINGS = (
     *("boxes", "method", *(f"AOP {threshold}° %" for threshold in THRESHOLDS), "turned %", "yaw °"),
     *("median m", "mean m", "size cm", "jitter °", "jitter m", *(f"{name} NEES" for name in DIMENSIONS)),

@@ -21,16 +21,6 @@ from fgrecon.core.reliability import Reliability, reliability
 from fgrecon_research.evaluation.bootstrap import Interval, mean_interval, median_interval
 from fgrecon_research.evaluation.consistency import Consistency, consistency
 
-__all__ = [
-    "BoxSummary",
-    "document",
-    "facing_reliability",
-    "group_boxes",
-    "methods_of",
-    "summarise_boxes",
-    "worst_boxes",
-]
-
 FORMAT = "fgrecon.video-images/1"
 _NEXT = 2  # frames: labelled boxes are in every second one at least
 _SIZES = (25.0, 40.0, 60.0, 120.0, np.inf)  # pixels of the box's height
@@ -63,45 +53,32 @@ _UNITS = {
 
 @dataclass(frozen=True)
 class BoxSummary:
-    """One method on a group of boxes. Shares are percent of all boxes of the group.
+    """One method on a group of boxes. Shares are percent of all boxes of the group."""
 
-    Attributes:
-        boxes: Number of boxes.
-        tracks: Number of tracks that they are of.
-        mean_degrees: Mean yaw error; a refused box counts 180.
-        aop: Share within 5, 15 and 30 degrees.
-        turned_round: Share more than 90 degrees off.
-        silent: Share that is turned round though the status is `converged`; None for a method without a status.
-        network_turned_round: Share for which the network finds the wrong half of all directions more probable, or no
-            half; None where it gives no directions.
-        median_metres: Median position error over the boxes with a pose; NaN without one.
-        mean_metres: Mean position error over them; NaN without one.
-        mean_size_error: Mean of estimated minus labelled length, width and height, metres; None where none is found.
-        refused: Number of boxes without a pose.
-        mean_absolute_size_error: Mean absolute error of length, width and height, metres; None where none is found.
-        jitter_degrees: Mean change of the yaw error from a box to the next one of its track; None where none is known.
-        jitter_metres: The same of the position error.
-        median_velocity: Median velocity error, metres per second; None where none is known.
-        consistency: Of what has covariances, by its name (`DIMENSIONS`).
-        intervals: Of the numbers above without one, by their names: position, size and velocity, where they are known.
-    """
-
-    boxes: int
-    tracks: int
-    mean_degrees: Interval
-    aop: Mapping[int, Interval]
-    turned_round: Interval
+    boxes: int  # number of boxes
+    tracks: int  # number of tracks that they are of
+    mean_degrees: Interval  # mean yaw error; a refused box counts 180
+    aop: Mapping[int, Interval]  # share within 5, 15 and 30 degrees
+    turned_round: Interval  # share more than 90 degrees off
+    # share that is turned round though the status is `converged`; None for a method without a status
     silent: Interval | None
+    # share for which the network finds the wrong half of all directions more probable, or no half; None where it gives
+    # no directions
     network_turned_round: Interval | None
-    median_metres: float
-    mean_metres: float
+    median_metres: float  # median position error over the boxes with a pose; NaN without one
+    mean_metres: float  # mean position error over them; NaN without one
+    # mean of estimated minus labelled length, width and height, metres; None where none is found
     mean_size_error: tuple[float, float, float] | None
-    refused: int
+    refused: int  # number of boxes without a pose
+    # mean absolute error of length, width and height, metres; None where none is found
     mean_absolute_size_error: float | None = None
+    # mean change of the yaw error from a box to the next one of its track; None where none is known
     jitter_degrees: float | None = None
-    jitter_metres: float | None = None
-    median_velocity: float | None = None
+    jitter_metres: float | None = None  # the same of the position error
+    median_velocity: float | None = None  # median velocity error, metres per second; None where none is known
+    # of what has covariances, by its name (`DIMENSIONS`)
     consistency: Mapping[str, Consistency] = field(default_factory=dict)
+    # of the numbers above without one, by their names: position, size and velocity, where they are known
     intervals: Mapping[str, Interval] = field(default_factory=dict)
 
 

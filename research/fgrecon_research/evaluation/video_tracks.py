@@ -41,18 +41,6 @@ from fgrecon.video.motion_estimator import MotionEstimator
 from fgrecon.video.records import FrameRecord, Sighting
 from fgrecon_research.evaluation.video_vote import vote
 
-__all__ = [
-    "ALONE",
-    "BATCH",
-    "BATCH_MOVING",
-    "ONLINE",
-    "ONLINE_MOVING",
-    "VOTE",
-    "VOTE_BATCH",
-    "follow_boxes",
-    "labelled_velocities",
-]
-
 Array = NDArray[np.float64]
 
 _Key = tuple[int, int]  # number of a frame, and position among its sightings; the first are those of the labelled boxes
@@ -120,20 +108,14 @@ def _records(seen: Sequence[ScoredFrame], drive: Drive, setup: Setup, *, moving:
 
 @dataclass(frozen=True, eq=False)
 class _Followed:
-    """What following a drive gave.
+    """What following a drive gave."""
 
-    Attributes:
-        online: Estimates of the sightings, each by its frame and those before.
-        batch: The same by all frames.
-        ids: The vehicle that each sighting was taken for.
-        world_T_camera: (4, 4) poses of the camera by the number of the frame; none without its motion.
-        velocities: Labelled ones as the estimates have theirs, but along the camera's axes; by frame and track.
-    """
-
-    online: Mapping[_Key, VehicleEstimate]
-    batch: Mapping[_Key, VehicleEstimate]
-    ids: Mapping[_Key, int]
+    online: Mapping[_Key, VehicleEstimate]  # estimates of the sightings, each by its frame and those before
+    batch: Mapping[_Key, VehicleEstimate]  # the same by all frames
+    ids: Mapping[_Key, int]  # the vehicle that each sighting was taken for
+    # (4, 4) poses of the camera by the number of the frame; none without its motion
     world_T_camera: Mapping[int, Array]
+    # labelled ones as the estimates have theirs, but along the camera's axes; by frame and track
     velocities: Mapping[tuple[int, int], Array]
 
 

@@ -18,8 +18,6 @@ from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.turned import HALF_TURN
 from fgrecon.perception.keypoints.decode import logit
 
-__all__ = ["vote"]
-
 Array = NDArray[np.float64]
 
 

@@ -28,16 +28,6 @@ from fgrecon_research.paper.shape import SimulatedView, StageScore, score_shape
 from fgrecon_research.training.priors.apollo79 import DUPLICATE, Apollo79
 from fgrecon_research.training.priors.pca import SurfaceSamples, pca_prior
 
-__all__ = [
-    "DEFAULT",
-    "STRATEGIES",
-    "StrategyScore",
-    "ablate",
-    "score_strategies",
-    "unsymmetrised_prior",
-    "variants",
-]
-
 DEFAULT = "default"
 """Name of the settings that the others are compared with."""
 
@@ -51,21 +41,13 @@ STRATEGIES = (*(name.value for name in StrategyName), NO_UPDATES)
 
 @dataclass(frozen=True)
 class StrategyScore:
-    """One robust strategy over all views.
+    """One robust strategy over all views."""
 
-    Attributes:
-        mean: Mean orientation error, degrees; a failure counts as 180.
-        median: Median orientation error, degrees.
-        aop: Percent of the views within 5, 15 and 30 degrees.
-        keypoint: Median distance of a 3D keypoint in the object frame, metres.
-        translation: Median distance of the origin, metres.
-    """
-
-    mean: float
-    median: float
-    aop: tuple[float, ...]
-    keypoint: float
-    translation: float
+    mean: float  # mean orientation error, degrees; a failure counts as 180
+    median: float  # median orientation error, degrees
+    aop: tuple[float, ...]  # percent of the views within 5, 15 and 30 degrees
+    keypoint: float  # median distance of a 3D keypoint in the object frame, metres
+    translation: float  # median distance of the origin, metres
 
 
 def unsymmetrised_prior(models: Apollo79, exclude: Sequence[str], basis: int = 5, seed: int = 0) -> ShapePrior:

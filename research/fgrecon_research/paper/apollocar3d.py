@@ -25,8 +25,6 @@ from fgrecon.io.annotations.offsets import robust_offset
 from fgrecon.io.json_fields import Fields, read_json
 from fgrecon_research.training.priors.apollo79 import Apollo79
 
-__all__ = ["CONSISTENT", "FEWEST_MARKS", "MarkedCar", "MarkedCars", "marking_offsets", "read_apollocar3d"]
-
 Array = NDArray[np.float64]
 
 FEWEST_MARKS = 5
@@ -48,29 +46,17 @@ _FROM_OBJECT = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])  #
 
 @dataclass(frozen=True)
 class MarkedCar:
-    """One car with known pose and shape.
+    """One car with known pose and shape."""
 
-    Attributes:
-        name: `<image>:<position in the image>`.
-        model: Name of its model.
-        keypoints: (14, 2) marks in pixels, NaN where there is none.
-        box: (4,) x1, y1, x2, y2.
-        camera_T_object: (4, 4) true pose, origin on the ground.
-        shape: (14, 3) true keypoints, object frame, metres.
-        size: (3,) true length, width and height, metres.
-        inconsistency: Median distance of the marks from the true keypoints, metres at their distance.
-        all_marks: (66, 2) marks in the order of `apollo66`, NaN where there is none.
-    """
-
-    name: str
-    model: str
-    keypoints: Array
-    box: Array
-    camera_T_object: Array
-    shape: Array
-    size: Array
-    inconsistency: float
-    all_marks: Array
+    name: str  # `<image>:<position in the image>`
+    model: str  # name of its model
+    keypoints: Array  # (14, 2) marks in pixels, NaN where there is none
+    box: Array  # (4,) x1, y1, x2, y2
+    camera_T_object: Array  # (4, 4) true pose, origin on the ground
+    shape: Array  # (14, 3) true keypoints, object frame, metres
+    size: Array  # (3,) true length, width and height, metres
+    inconsistency: float  # median distance of the marks from the true keypoints, metres at their distance
+    all_marks: Array  # (66, 2) marks in the order of `apollo66`, NaN where there is none
 
     @property
     def marks(self) -> int:
@@ -95,23 +81,14 @@ class MarkedCar:
 
 @dataclass(frozen=True)
 class MarkedCars:
-    """The cars that can be scored, and how many cannot.
-
-    Attributes:
-        camera: The camera.
-        cars: Cars with enough marks and consistent labels.
-        total: Number of cars in the file.
-        too_few: Cars with fewer than `FEWEST_MARKS` marks.
-        inconsistent: Names of cars whose labels disagree.
-        noise: Standard deviation of a mark per axis relative to the box's longer side, robust (from the median).
-    """
+    """The cars that can be scored, and how many cannot."""
 
     camera: Camera
-    cars: tuple[MarkedCar, ...]
-    total: int
-    too_few: int
-    inconsistent: tuple[str, ...]
-    noise: float
+    cars: tuple[MarkedCar, ...]  # cars with enough marks and consistent labels
+    total: int  # number of cars in the file
+    too_few: int  # cars with fewer than `FEWEST_MARKS` marks
+    inconsistent: tuple[str, ...]  # names of cars whose labels disagree
+    noise: float  # standard deviation of a mark per axis relative to the box's longer side, robust (from the median)
 
 
 def read_apollocar3d(path: Path, models: Apollo79) -> MarkedCars:

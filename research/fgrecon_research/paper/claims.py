@@ -13,23 +13,16 @@ from fgrecon_research.paper.numbers import PRINTED_MAE
 from fgrecon_research.paper.simulated_scores import CHAIN_ROWS, STAGE_ROWS, Scores
 from fgrecon_research.paper.tables import row_label
 
-__all__ = ["Claim", "claims", "decoupling_claim", "irls_claim", "ranking_claim"]
-
 _BASELINES = ("aspnp+size", "epnp+size", "sqpnp+size", "sqpnp_confident+size", "poselib_ransac+size")
 _CLAIMED = 90.0
 
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim of the paper and what the numbers say.
+    """One claim of the paper and what the numbers say."""
 
-    Attributes:
-        heading: The claim, and where there is one the verdict.
-        sentences: The numbers, a short sentence each.
-    """
-
-    heading: str
-    sentences: tuple[str, ...]
+    heading: str  # the claim, and where there is one the verdict
+    sentences: tuple[str, ...]  # the numbers, a short sentence each
 
     def __str__(self) -> str:
         """All of it in one paragraph."""

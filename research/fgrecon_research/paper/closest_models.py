@@ -16,8 +16,6 @@ from fgrecon_research.paper.apollocar3d import MarkedCar, MarkedCars
 from fgrecon_research.paper.known_shape import BASIS, KNOWN_SHAPE_OPTIONS, told_by_others
 from fgrecon_research.training.priors.apollo79 import DUPLICATE, Apollo79, apollo79_prior
 
-__all__ = ["CLOSEST_ROWS", "ClosestModelRanks", "car_models", "rank_models", "share_within"]
-
 Array = NDArray[np.float64]
 
 CLOSEST_ROWS = ("chance", "mean shape", "keypoints", "Hausdorff", "keypoints+others", "Hausdorff+others")
@@ -30,19 +28,14 @@ _SOLVED = CLOSEST_ROWS[2:4], CLOSEST_ROWS[4:6]
 
 @dataclass(frozen=True)
 class ClosestModelRanks:
-    """At which place the right model is.
+    """At which place the right model is."""
 
-    Attributes:
-        names: C names of cars.
-        count: How many different models there are; a car that has two names counts once.
-        ranks: (C,) place of the right model, from 1, by row but chance; last where solving failed.
-        margins: (C,) by how much the second model is farther than the first, metres, by the Hausdorff distance with
-            `+others`; NaN where solving failed.
-    """
-
-    names: tuple[str, ...]
-    count: int
+    names: tuple[str, ...]  # C names of cars
+    count: int  # how many different models there are; a car that has two names counts once
+    # (C,) place of the right model, from 1, by row but chance; last where solving failed
     ranks: Mapping[str, NDArray[np.int64]]
+    # (C,) by how much the second model is farther than the first, metres, by the Hausdorff distance with `+others`; NaN
+    # where solving failed
     margins: Array
 
     def share(self, row: str, first: int) -> float:

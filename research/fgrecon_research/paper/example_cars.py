@@ -17,34 +17,21 @@ from fgrecon_research.paper.apollocar3d import MarkedCar, MarkedCars
 from fgrecon_research.paper.known_shape import BASIS, KNOWN_SHAPE_OPTIONS, car_errors
 from fgrecon_research.training.priors.apollo79 import Apollo79, apollo79_prior
 
-__all__ = ["ExampleCar", "example_cars"]
-
 _EACH = 3
 
 
 @dataclass(frozen=True, eq=False)
 class ExampleCar:
-    """A car with its result and the truth.
+    """A car with its result and the truth."""
 
-    Attributes:
-        place: `best`, `median` or `worst`.
-        name: Of the car, `<image>:<position in the image>`.
-        observation: The marks.
-        camera: The camera.
-        result: The reconstruction from them, by a prior that has not learnt from the car's model.
-        camera_T_object: (4, 4) true pose.
-        size: (3,) true length, width and height, metres.
-        shape: (14, 3) true keypoints, object frame, metres.
-    """
-
-    place: str
-    name: str
-    observation: Observation
+    place: str  # `best`, `median` or `worst`
+    name: str  # of the car, `<image>:<position in the image>`
+    observation: Observation  # the marks
     camera: Camera
-    result: Reconstruction
-    camera_T_object: NDArray[np.float64]
-    size: NDArray[np.float64]
-    shape: NDArray[np.float64]
+    result: Reconstruction  # the reconstruction from them, by a prior that has not learnt from the car's model
+    camera_T_object: NDArray[np.float64]  # (4, 4) true pose
+    size: NDArray[np.float64]  # (3,) true length, width and height, metres
+    shape: NDArray[np.float64]  # (14, 3) true keypoints, object frame, metres
 
 
 def example_cars(cars: MarkedCars, models: Apollo79) -> tuple[ExampleCar, ...]:

@@ -14,8 +14,6 @@ from fgrecon.io.kitti_files import read_labels
 from fgrecon.io.track_file import GroundTruth, Track, TrackFrame
 from fgrecon_research.training.keypoints.marks import read_street_marks
 
-__all__ = ["read_hand_labels"]
-
 
 def read_hand_labels(path: Path, kitti: Path, category: Category) -> list[Track]:
     """Read the marks: visible points have confidence 1, hidden ones hold a guess and are left out.

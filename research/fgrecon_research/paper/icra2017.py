@@ -34,17 +34,6 @@ from fgrecon.core.size_prior import SIZE_PRIORS, SizePrior
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon_research.paper.icra2017_release import Icra2017Example, import_icra2017, load_icra2017_example
 
-__all__ = [
-    "EXAMPLES",
-    "GROUND",
-    "LABEL_OFFSET",
-    "Icra2017Result",
-    "evaluate_icra2017",
-    "settings",
-    "true_pose",
-    "with_sizes",
-]
-
 Array = NDArray[np.float64]
 
 EXAMPLES = ("01", "02")
@@ -60,23 +49,14 @@ _SPREAD = 3.0
 
 @dataclass(frozen=True)
 class Icra2017Result:
-    """Our result on one image.
+    """Our result on one image."""
 
-    Attributes:
-        name: Name of the image.
-        example: What was given.
-        reconstruction: What came out.
-        orientation_error: Difference from the labelled yaw, degrees.
-        centre_error: Distance between the centres of the estimated and the labelled box, metres.
-        milliseconds: Wall time of the stages, the best of several runs.
-    """
-
-    name: str
-    example: Icra2017Example
-    reconstruction: Reconstruction
-    orientation_error: float
-    centre_error: float
-    milliseconds: dict[str, float]
+    name: str  # name of the image
+    example: Icra2017Example  # what was given
+    reconstruction: Reconstruction  # what came out
+    orientation_error: float  # difference from the labelled yaw, degrees
+    centre_error: float  # distance between the centres of the estimated and the labelled box, metres
+    milliseconds: dict[str, float]  # wall time of the stages, the best of several runs
 
 
 def settings() -> Options:

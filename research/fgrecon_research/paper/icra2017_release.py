@@ -35,13 +35,6 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
 from fgrecon.io.catalogue import load_category
 
-__all__ = [
-    "AVERAGE_CAR",
-    "Icra2017Example",
-    "import_icra2017",
-    "load_icra2017_example",
-]
-
 Array = NDArray[np.float64]
 
 AVERAGE_CAR = SizePrior("icra2017", np.array([3.86, 1.6362, 1.5208]), np.array([0.44, 0.11, 0.14]))
@@ -56,29 +49,20 @@ _MIDPOINT = -0.007
 
 @dataclass(frozen=True)
 class Icra2017Example:
-    """One of the two images of the release, with what is known about the car in it.
+    """One of the two images of the release, with what is known about the car in it."""
 
-    Attributes:
-        observation: 36 keypoints and the box, in pixels. Every confidence is 1: the network's third number says
-            nothing about the error.
-        camera: The intrinsics that the release gives.
-        azimuth: First guess of rotation_y, radians.
-        cell: (2,) width and height of one cell of the network's 64 x 64 grid in pixels: what it resolves.
-        image: The photograph.
-        location: (3,) labelled centre of the box's bottom face in the frame of KITTI's labels, metres. The colour
-            camera's frame, to which keypoints and `camera` belong, has it 6 cm further to the right.
-        rotation_y: Labelled yaw, radians.
-        size: (3,) labelled length, width and height, metres.
-    """
-
+    # 36 keypoints and the box, in pixels. Every confidence is 1: the network's third number says nothing about the
+    # error.
     observation: Observation
-    camera: Camera
-    azimuth: float
-    cell: Array
-    image: Path
+    camera: Camera  # the intrinsics that the release gives
+    azimuth: float  # first guess of rotation_y, radians
+    cell: Array  # (2,) width and height of one cell of the network's 64 x 64 grid in pixels: what it resolves
+    image: Path  # the photograph
+    # (3,) labelled centre of the box's bottom face in the frame of KITTI's labels, metres. The colour camera's frame,
+    # to which keypoints and `camera` belong, has it 6 cm further to the right.
     location: Array
-    rotation_y: float
-    size: Array
+    rotation_y: float  # labelled yaw, radians
+    size: Array  # (3,) labelled length, width and height, metres
 
 
 def import_icra2017(folder: str | Path) -> ShapePrior:

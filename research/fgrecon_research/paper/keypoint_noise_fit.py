@@ -32,8 +32,6 @@ from fgrecon.simulation.keypoint_noise import OUTLIER, NoiseModel, Twins
 from fgrecon.simulation.vehicles import yaw_pose
 from fgrecon.solve.vehicle.visibility import TOLERANCE, clearance
 
-__all__ = ["PosedVehicle", "Residuals", "fit_noise_model", "read_vehicle", "residuals"]
-
 _CONFIDENT = 0.3
 _PIXEL_SIGMA = 0.02
 _SIZE_SIGMA = 0.02
@@ -41,38 +39,26 @@ _SIZE_SIGMA = 0.02
 
 @dataclass(frozen=True)
 class PosedVehicle:
-    """One vehicle in several images, at labelled poses.
-
-    Attributes:
-        camera: The camera.
-        observations: F observations, each with a box.
-        camera_T_object: (F, 4, 4) labelled poses.
-        box_size: (3,) labelled length, width and height, metres.
-    """
+    """One vehicle in several images, at labelled poses."""
 
     camera: Camera
-    observations: tuple[Observation, ...]
-    camera_T_object: NDArray[np.float64]
-    box_size: NDArray[np.float64]
+    observations: tuple[Observation, ...]  # F observations, each with a box
+    camera_T_object: NDArray[np.float64]  # (F, 4, 4) labelled poses
+    box_size: NDArray[np.float64]  # (3,) labelled length, width and height, metres
 
 
 @dataclass(frozen=True)
 class Residuals:
-    """What a network's keypoints differ from the truth, for F frames of K keypoints.
+    """What a network's keypoints differ from the truth, for F frames of K keypoints."""
 
-    Attributes:
-        errors: (F, K, 2) measured minus true pixels, in units of the box extent; NaN where not measured.
-        confidence: (F, K).
-        visible: (F, K) whether the vehicle itself does not hide the keypoint.
-        places: (F, K, 3) distance from each measurement to the true places of its rotated twin, mirror image and
-            swapped twin, in units of the box extent.
-        nearest: (F, K) distance to the nearest measurement of another keypoint that was found, in the same units.
-    """
-
+    # (F, K, 2) measured minus true pixels, in units of the box extent; NaN where not measured
     errors: NDArray[np.float64]
-    confidence: NDArray[np.float64]
-    visible: NDArray[np.bool_]
+    confidence: NDArray[np.float64]  # (F, K)
+    visible: NDArray[np.bool_]  # (F, K) whether the vehicle itself does not hide the keypoint
+    # (F, K, 3) distance from each measurement to the true places of its rotated twin, mirror image and swapped twin, in
+    # units of the box extent
     places: NDArray[np.float64]
+    # (F, K) distance to the nearest measurement of another keypoint that was found, in the same units
     nearest: NDArray[np.float64]
 
 

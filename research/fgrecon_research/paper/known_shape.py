@@ -35,16 +35,6 @@ from fgrecon_research.paper.apollocar3d import MarkedCar, MarkedCars, marking_of
 from fgrecon_research.paper.stages import solved_stages
 from fgrecon_research.training.priors.apollo79 import Apollo79, apollo79_prior, apollo79_size_relation
 
-__all__ = [
-    "BASIS",
-    "KNOWN_SHAPE_OPTIONS",
-    "KNOWN_SHAPE_ROWS",
-    "KnownShapeScores",
-    "car_errors",
-    "score_known_shapes",
-    "told_by_others",
-]
-
 Array = NDArray[np.float64]
 _Result = tuple[Array, list[str]]  # scores (R, 3) of one car, and why rows failed
 
@@ -79,27 +69,19 @@ size is not told, how frequent each model is."""
 
 @dataclass(frozen=True)
 class KnownShapeScores:
-    """C cars by R rows (`KNOWN_SHAPE_ROWS`).
+    """C cars by R rows (`KNOWN_SHAPE_ROWS`)."""
 
-    Attributes:
-        names: C names of cars, `<image>:<position in the image>`.
-        distance: (C,) distance of the car, metres.
-        marks: (C,) number of marked keypoints.
-        rotation: (C, R) angle between estimated and true rotation, degrees; 180 for a failure.
-        translation: (C, R) distance between the estimated and true centroid of the keypoints relative to the distance
-            of the true one; infinite for a failure.
-        keypoint: (C, R) mean distance of the 14 keypoints from the true ones, both about their centroid, in the camera
-            frame, metres; infinite for a failure.
-        failures: Why a row failed: `car row: reason`.
-    """
-
-    names: tuple[str, ...]
-    distance: Array
-    marks: NDArray[np.int64]
-    rotation: Array
+    names: tuple[str, ...]  # C names of cars, `<image>:<position in the image>`
+    distance: Array  # (C,) distance of the car, metres
+    marks: NDArray[np.int64]  # (C,) number of marked keypoints
+    rotation: Array  # (C, R) angle between estimated and true rotation, degrees; 180 for a failure
+    # (C, R) distance between the estimated and true centroid of the keypoints relative to the distance of the true one;
+    # infinite for a failure
     translation: Array
+    # (C, R) mean distance of the 14 keypoints from the true ones, both about their centroid, in the camera frame,
+    # metres; infinite for a failure
     keypoint: Array
-    failures: tuple[str, ...]
+    failures: tuple[str, ...]  # why a row failed: `car row: reason`
 
     @property
     def held_out(self) -> NDArray[np.bool_]:

@@ -24,8 +24,6 @@ from fgrecon_research.paper.apollocar3d import MarkedCar, MarkedCars
 from fgrecon_research.paper.known_shape import KNOWN_SHAPE_OPTIONS
 from fgrecon_research.training.priors.apollo79 import Apollo79, apollo79_prior
 
-__all__ = ["NOISES", "MarkedCalibration", "calibrate_marked", "halves"]
-
 NOISES = (0.01, 0.015, 0.02, 0.025, 0.035)
 """Standard deviations of a mark that are tried, as fractions of the box's longer side; what is fitted lies between."""
 
@@ -34,17 +32,11 @@ _BASIS = 5  # as the shipped prior
 
 @dataclass(frozen=True)
 class MarkedCalibration:
-    """What was fitted to either half of the images, and what results of the other half say of themselves with it.
+    """What was fitted to either half of the images, and what results of the other half say of themselves with it."""
 
-    Attributes:
-        sigma_relative: Fitted to the first and to the second half.
-        calibration: Of all cars, each with what was fitted without its half.
-        failures: Why cars could not be reconstructed, by their names.
-    """
-
-    sigma_relative: tuple[float, float]
-    calibration: Calibration
-    failures: tuple[str, ...]
+    sigma_relative: tuple[float, float]  # fitted to the first and to the second half
+    calibration: Calibration  # of all cars, each with what was fitted without its half
+    failures: tuple[str, ...]  # why cars could not be reconstructed, by their names
 
 
 def halves(cars: Sequence[MarkedCar]) -> tuple[list[MarkedCar], list[MarkedCar]]:

@@ -31,8 +31,6 @@ from fgrecon_research.training.keypoints.marks import read_street_marks
 from fgrecon_research.training.keypoints.posed_cars import read_posed_cars
 from fgrecon_research.training.keypoints.progress import Progress, no_progress
 
-__all__ = ["NetworkScores", "adjust_marked", "network_parts", "network_table", "parts_note", "score_network"]
-
 Array = NDArray[np.float64]
 
 _CAMERA_HEIGHT = 1.65  # of KITTI's cameras, metres
@@ -80,26 +78,18 @@ def adjust_marked(
 
 @dataclass(frozen=True)
 class NetworkScores:
-    """Marked street cars by rows: `network`, `initialisation` and fgrecon's stages `pose`, `sequential`, `joint`.
+    """Marked street cars by rows: `network`, `initialisation` and fgrecon's stages `pose`, `sequential`, `joint`."""
 
-    Attributes:
-        cars: (C,) frame of each car, and
-        groups: (C,) the regime that its label belongs to.
-        visible: (C, K) marked as visible: what is scored.
-        away: By row, (C, K) distance from the mark as a fraction of the box's longer side; infinite where refused.
-        placed: By row but the network's, (C,) Hausdorff distance of the placed wireframe from the initialisation's,
-            metres; infinite where refused.
-        orientation: By row but the network's, (C,) orientation error, degrees; 180 where refused.
-        observations: What the network found, by `frame:line of the label file`.
-    """
-
-    cars: tuple[str, ...]
-    groups: tuple[str, ...]
-    visible: NDArray[np.bool_]
+    cars: tuple[str, ...]  # (C,) frame of each car, and
+    groups: tuple[str, ...]  # (C,) the regime that its label belongs to
+    visible: NDArray[np.bool_]  # (C, K) marked as visible: what is scored
+    # by row, (C, K) distance from the mark as a fraction of the box's longer side; infinite where refused
     away: Mapping[str, Array]
+    # by row but the network's, (C,) Hausdorff distance of the placed wireframe from the initialisation's, metres;
+    # infinite where refused
     placed: Mapping[str, Array]
-    orientation: Mapping[str, Array]
-    observations: Mapping[str, Observation]
+    orientation: Mapping[str, Array]  # by row but the network's, (C,) orientation error, degrees; 180 where refused
+    observations: Mapping[str, Observation]  # what the network found, by `frame:line of the label file`
 
     def used(self, regime: str) -> NDArray[np.bool_]:
         """(C,) whether a regime, which holds the easier ones, counts a car."""

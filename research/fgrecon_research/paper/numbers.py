@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-__all__ = ["PRINTED_AOP", "PRINTED_APK", "PRINTED_HAUSDORFF", "PRINTED_MAE", "PRINTED_MS"]
-
 Nine = tuple[float, float, float, float, float, float, float, float, float]
 Three = tuple[float, float, float]
 

@@ -12,8 +12,6 @@ from fgrecon_research.evaluation.bootstrap import Interval
 from fgrecon_research.paper.run import Page
 from fgrecon_research.paper.tables import Cell, Table
 
-__all__ = ["FORMAT", "document", "html", "markdown"]
-
 FORMAT = "fgrecon_research.evaluation.paper/1"
 _NAMED = 20
 

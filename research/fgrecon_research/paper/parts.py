@@ -11,8 +11,6 @@ from pathlib import Path
 from fgrecon_research.paper.simulated_run import CONDITIONS
 from fgrecon_research.paper.simulated_scores import Scores
 
-__all__ = ["KNOWN_SHAPE", "delete_parts", "stored_parts"]
-
 KNOWN_SHAPE = "known_shape"
 """Folder of the cars of known shape."""
 

@@ -15,17 +15,6 @@ from fgrecon_research.paper.known_shape import KNOWN_SHAPE_ROWS, KnownShapeScore
 from fgrecon_research.paper.simulated_scores import STAGE_ROWS, Scores
 from fgrecon_research.paper.tables import APK_ALPHA, Table, row_label
 
-__all__ = [
-    "aop_plot",
-    "error_curves",
-    "known_shape_plot",
-    "noise_plot",
-    "per_part_plot",
-    "per_part_table",
-    "simulated_parts",
-    "svg_text",
-]
-
 _INK, _MUTED, _GRID = "#1b2733", "#6b7785", "#e3e8ee"
 _COLOURS = ("#8d99a6", "#4c78a8", "#e45756", "#54a24b", "#b279a2")
 _DASHES: tuple[Any, ...] = (

@@ -54,8 +54,6 @@ from fgrecon_research.paper.tables import (
 )
 from fgrecon_research.training.priors.apollo79 import Apollo79, load_apollo79
 
-__all__ = ["EvaluationSettings", "Page", "evaluate_paper"]
-
 _TRACK_FORMAT = "kitti_tracking_keypoints14"
 _SIMULATED_PARTS = "APK of each part on Hard (simulated)"
 _NETWORK_PARTS = "APK of each part on Hard (real images, own network)"
@@ -67,52 +65,30 @@ _SHOWN = ("initialisation", "epnp+size", "aspnp+size", "sqpnp_confident+size", "
 
 @dataclass(frozen=True)
 class EvaluationSettings:
-    """What to run on.
+    """What to run on."""
 
-    Attributes:
-        data: Folder of the data.
-        out: Folder for parts and KITTI result files.
-        scene: Prior, ground and fleet.
-        workers: Number of processes.
-        every: Take every so many-th part of the simulated set; 1 for all.
-        seed: Seed of everything random.
-        fresh: Work on everything again: stored parts are deleted once the data are read.
-    """
-
-    data: Path
-    out: Path
-    scene: SceneKnowledge
-    workers: int
-    every: int
-    seed: int
-    fresh: bool = False
+    data: Path  # folder of the data
+    out: Path  # folder for parts and KITTI result files
+    scene: SceneKnowledge  # prior, ground and fleet
+    workers: int  # number of processes
+    every: int  # take every so many-th part of the simulated set; 1 for all
+    seed: int  # seed of everything random
+    fresh: bool = False  # work on everything again: stored parts are deleted once the data are read
 
 
 @dataclass(frozen=True)
 class Page:
-    """What is shown.
+    """What is shown."""
 
-    Attributes:
-        conditions: What was run under which conditions, a paragraph each.
-        claims: What the numbers say about the paper's claims.
-        cars: Cars of known shape that came out best, in the middle and worst.
-        tables: The tables.
-        plots: SVG elements by caption.
-        problems: Defects of the files, counted by kind, and
-        defects: each by name.
-        failures: Instances that some row failed on, with the reason.
-        throughput: Simulated instances that were worked on now, seconds, and instances a second.
-    """
-
-    conditions: tuple[str, ...]
-    claims: tuple[Claim, ...]
+    conditions: tuple[str, ...]  # what was run under which conditions, a paragraph each
+    claims: tuple[Claim, ...]  # what the numbers say about the paper's claims
     tables: tuple[Table, ...]
-    plots: Mapping[str, str]
-    problems: Mapping[str, int]
-    defects: tuple[str, ...]
-    failures: tuple[str, ...]
-    throughput: Mapping[str, float]
-    cars: tuple[ExampleCar, ...] = ()
+    plots: Mapping[str, str]  # SVG elements by caption
+    problems: Mapping[str, int]  # defects of the files, counted by kind, and
+    defects: tuple[str, ...]  # each by name
+    failures: tuple[str, ...]  # instances that some row failed on, with the reason
+    throughput: Mapping[str, float]  # simulated instances that were worked on now, seconds, and instances a second
+    cars: tuple[ExampleCar, ...] = ()  # cars of known shape that came out best, in the middle and worst
 
 
 @dataclass(frozen=True)

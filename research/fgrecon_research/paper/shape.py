@@ -31,8 +31,6 @@ from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.vehicle.model import VehicleModel, prepare
 from fgrecon_research.training.priors.apollo79 import DUPLICATE, Apollo79
 
-__all__ = ["STAGES", "SimulatedView", "StageScore", "change", "held_out", "score_shape", "simulate_views"]
-
 Array = NDArray[np.float64]
 
 STAGES = ("mean, true pose", "shape, true pose", "mean, estimated pose", "pose stage", "shape, pose fixed", "joint")
@@ -55,23 +53,14 @@ class SimulatedView:
 
 @dataclass(frozen=True)
 class StageScore:
-    """Errors of one state over all views.
+    """Errors of one state over all views."""
 
-    Attributes:
-        keypoint: Median distance of a 3D keypoint from the truth in the object frame, metres.
-        centred: The same after moving both centroids together, so that shape alone counts, metres.
-        keypoint_rms: Root mean square of the distances, metres.
-        reprojection: Median reprojection error of the inliers, pixels.
-        orientation: Median orientation error, degrees.
-        squares: Mean squared distance of the 3D keypoints of each view, square metres.
-    """
-
-    keypoint: float
-    centred: float
-    keypoint_rms: float
-    reprojection: float
-    orientation: float
-    squares: tuple[float, ...]
+    keypoint: float  # median distance of a 3D keypoint from the truth in the object frame, metres
+    centred: float  # the same after moving both centroids together, so that shape alone counts, metres
+    keypoint_rms: float  # root mean square of the distances, metres
+    reprojection: float  # median reprojection error of the inliers, pixels
+    orientation: float  # median orientation error, degrees
+    squares: tuple[float, ...]  # mean squared distance of the 3D keypoints of each view, square metres
 
 
 def held_out(models: Apollo79, count: int = 20, seed: int = 0) -> tuple[str, ...]:

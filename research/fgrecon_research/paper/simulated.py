@@ -26,8 +26,6 @@ from fgrecon.simulation.vehicles import Vehicle, yaw_pose
 from fgrecon.solve.vehicle.visibility import TOLERANCE, clearance
 from fgrecon_research.evaluation.kitti_devkit import REGIMES, regime_members
 
-__all__ = ["Fleet", "KittiFrame", "SimulatedInstance", "hidden_by_boxes", "simulate_frame"]
-
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
@@ -40,51 +38,29 @@ _NEAREST = 0.3
 
 @dataclass(frozen=True)
 class SimulatedInstance:
-    """One labelled car that counts in some regime.
+    """One labelled car that counts in some regime."""
 
-    Attributes:
-        frame: Name of the frame.
-        index: Position in the frame's label file.
-        regimes: (3,) whether Easy, Moderate and Hard count it.
-        camera: The colour camera.
-        label_offset: (3,) a labelled point in the camera's frame is X + label_offset, metres.
-        camera_T_object: (4, 4) true pose in the camera's frame.
-        rotation_y: Labelled yaw, radians.
-        keypoints: (K, 3) true keypoints, object frame, metres.
-        projections: (K, 2) their true pixels.
-        visible: (K,) which of them can be seen.
-        detection: Position of its detection among the frame's, or -1: no detection overlaps enough.
-        observation: Simulated keypoints and the detected box; None without a detection.
-    """
-
-    frame: str
-    index: int
-    regimes: Mask
-    camera: Camera
-    label_offset: Array
-    camera_T_object: Array
-    rotation_y: float
-    keypoints: Array
-    projections: Array
-    visible: Mask
-    detection: int
-    observation: Observation | None
+    frame: str  # name of the frame
+    index: int  # position in the frame's label file
+    regimes: Mask  # (3,) whether Easy, Moderate and Hard count it
+    camera: Camera  # the colour camera
+    label_offset: Array  # (3,) a labelled point in the camera's frame is X + label_offset, metres
+    camera_T_object: Array  # (4, 4) true pose in the camera's frame
+    rotation_y: float  # labelled yaw, radians
+    keypoints: Array  # (K, 3) true keypoints, object frame, metres
+    projections: Array  # (K, 2) their true pixels
+    visible: Mask  # (K,) which of them can be seen
+    detection: int  # position of its detection among the frame's, or -1: no detection overlaps enough
+    observation: Observation | None  # simulated keypoints and the detected box; None without a detection
 
 
 @dataclass(frozen=True)
 class Fleet:
-    """What is simulated: shapes to draw from, the network's mistakes, and the seed of the whole run.
+    """What is simulated: shapes to draw from, the network's mistakes, and the seed of the whole run."""
 
-    Attributes:
-        vehicles: Shapes.
-        sizes: (len(vehicles), 3) length, width and height of their boxes, metres.
-        noise: The network's mistakes.
-        seed: Seed.
-    """
-
-    vehicles: Sequence[Vehicle]
-    sizes: Array
-    noise: NoiseModel = HOURGLASS
+    vehicles: Sequence[Vehicle]  # shapes
+    sizes: Array  # (len(vehicles), 3) length, width and height of their boxes, metres
+    noise: NoiseModel = HOURGLASS  # the network's mistakes
     seed: int = 0
 
 

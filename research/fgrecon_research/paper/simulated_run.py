@@ -35,34 +35,17 @@ from fgrecon_research.paper.simulated_scores import (
 from fgrecon_research.simulation import harder
 from fgrecon_research.training.priors.apollo79 import Apollo79
 
-__all__ = [
-    "CONDITIONS",
-    "Condition",
-    "ConditionResult",
-    "Validation",
-    "read_validation",
-    "run_conditions",
-    "vehicles_of",
-]
-
 _FRAMES_A_PART = 24
 
 
 @dataclass(frozen=True)
 class Condition:
-    """One set of rows under one level of noise.
-
-    Attributes:
-        name: Name.
-        severity: How much worse the keypoints are than the fitted network's (`NoiseModel.harder`).
-        every: Take every so many-th part of the frames.
-        rows: What runs.
-    """
+    """One set of rows under one level of noise."""
 
     name: str
-    severity: float
-    every: int
-    rows: tuple[str, ...]
+    severity: float  # how much worse the keypoints are than the fitted network's (`NoiseModel.harder`)
+    every: int  # take every so many-th part of the frames
+    rows: tuple[str, ...]  # what runs
 
 
 CONDITIONS = (
@@ -75,32 +58,20 @@ CONDITIONS = (
 
 @dataclass(frozen=True)
 class Validation:
-    """KITTI's validation set as it was read.
+    """KITTI's validation set as it was read."""
 
-    Attributes:
-        frames: The frames that have labels and a camera.
-        problems: What was wrong with the files.
-    """
-
-    frames: tuple[KittiFrame, ...]
-    problems: tuple[Fault, ...]
+    frames: tuple[KittiFrame, ...]  # the frames that have labels and a camera
+    problems: tuple[Fault, ...]  # what was wrong with the files
 
 
 @dataclass(frozen=True)
 class ConditionResult:
-    """Result of a condition.
-
-    Attributes:
-        condition: The condition.
-        scores: All instances, in the order of frames and label files.
-        solved: Instances that were worked on now; the others had been stored.
-        seconds: Wall time of that.
-    """
+    """Result of a condition."""
 
     condition: Condition
-    scores: Scores
-    solved: int
-    seconds: float
+    scores: Scores  # all instances, in the order of frames and label files
+    solved: int  # instances that were worked on now; the others had been stored
+    seconds: float  # wall time of that
 
 
 def read_validation(folder: Path, image_set: str = "val") -> Validation:

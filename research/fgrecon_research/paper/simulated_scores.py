@@ -30,8 +30,6 @@ from fgrecon_research.evaluation.methods import select
 from fgrecon_research.paper.simulated import SimulatedInstance
 from fgrecon_research.paper.stages import StageEstimate, algorithm1_state, initial_state, noisy_azimuth, stages
 
-__all__ = ["CHAIN_ROWS", "MAIN_ROWS", "STAGE_ROWS", "Scores", "row_solvers", "score_instances"]
-
 Array = NDArray[np.float64]
 
 STAGE_ROWS = ("initialisation", "pose", "sequential", "joint")
@@ -51,46 +49,27 @@ _AZIMUTH_STREAM = 1  # apart from the stream that made the instance
 
 @dataclass(frozen=True)
 class Scores:
-    """I instances by R rows; an instance without a detection, or that a row fails on, is wrong everywhere.
+    """I instances by R rows; an instance without a detection, or that a row fails on, is wrong everywhere."""
 
-    Attributes:
-        frame: (I,) frames, and
-        index: (I,) places in their label files.
-        regimes: (I, 3) which regimes count an instance.
-        detection: (I,) place of its detection, or -1.
-        visible: (I, K) visible keypoints.
-        measured: (I, K) distance of each simulated measurement from the truth relative to the box's longer side.
-        yaw: (I, R) estimated rotation_y, radians; NaN without an estimate.
-        location: (I, R, 3) estimated origin in the label's frame, metres; NaN without one.
-        size: (I, R, 3) estimated length, width and height, metres.
-        orientation: (I, R) orientation error, degrees; 180 without an estimate.
-        translation: (I, R) distance of the origins, metres; infinite without an estimate.
-        reprojection: (I, R, K) distance of each projected keypoint from its true place relative to the box's longer
-            side; infinite without an estimate.
-        shape: (I, R) mean distance of a keypoint from its true place in the object frame, metres.
-        from_mean: (I, R) Hausdorff distance of the wireframe from the mean shape, both in the object frame, metres.
-        from_start: (I, R) Hausdorff distance of the placed wireframe from the initialisation's, metres.
-        from_before: (I, R) the same from the stage before, for rows that have one.
-        failures: Why a row failed: `frame:index row: reason`.
-    """
-
-    frame: NDArray[np.str_]
-    index: NDArray[np.int64]
-    regimes: NDArray[np.bool_]
-    detection: NDArray[np.int64]
-    visible: NDArray[np.bool_]
-    measured: Array
-    yaw: Array
-    location: Array
-    size: Array
-    orientation: Array
-    translation: Array
+    frame: NDArray[np.str_]  # (I,) frames, and
+    index: NDArray[np.int64]  # (I,) places in their label files
+    regimes: NDArray[np.bool_]  # (I, 3) which regimes count an instance
+    detection: NDArray[np.int64]  # (I,) place of its detection, or -1
+    visible: NDArray[np.bool_]  # (I, K) visible keypoints
+    measured: Array  # (I, K) distance of each simulated measurement from the truth relative to the box's longer side
+    yaw: Array  # (I, R) estimated rotation_y, radians; NaN without an estimate
+    location: Array  # (I, R, 3) estimated origin in the label's frame, metres; NaN without one
+    size: Array  # (I, R, 3) estimated length, width and height, metres
+    orientation: Array  # (I, R) orientation error, degrees; 180 without an estimate
+    translation: Array  # (I, R) distance of the origins, metres; infinite without an estimate
+    # (I, R, K) distance of each projected keypoint from its true place relative to the box's longer side; infinite
+    # without an estimate
     reprojection: Array
-    shape: Array
-    from_mean: Array
-    from_start: Array
-    from_before: Array
-    failures: NDArray[np.str_]
+    shape: Array  # (I, R) mean distance of a keypoint from its true place in the object frame, metres
+    from_mean: Array  # (I, R) Hausdorff distance of the wireframe from the mean shape, both in the object frame, metres
+    from_start: Array  # (I, R) Hausdorff distance of the placed wireframe from the initialisation's, metres
+    from_before: Array  # (I, R) the same from the stage before, for rows that have one
+    failures: NDArray[np.str_]  # why a row failed: `frame:index row: reason`
 
     def __len__(self) -> int:
         """Number of instances."""

@@ -27,8 +27,6 @@ from fgrecon_research.paper.simulated_run import Validation
 from fgrecon_research.paper.simulated_scores import row_solvers
 from fgrecon_research.paper.tables import Table
 
-__all__ = ["Measured", "measure", "some_instances"]
-
 _TIMED = 40
 _REAL_TRACKS = ("real_tracks", "Real tracks: network keypoints on KITTI tracking")
 _REAL_IMAGES = ("real_images", "Real images: keypoints marked by hand on KITTI cars")
@@ -37,19 +35,12 @@ _NETWORK_IMAGES = ("network_images", "Real images: own network's keypoints on th
 
 @dataclass(frozen=True)
 class Measured:
-    """What was measured.
+    """What was measured."""
 
-    Attributes:
-        real: Tables of real keypoints.
-        times: Milliseconds on each simulated instance, by the name of what was timed.
-        load: The machine's load after that.
-        network: What the network found on real images.
-    """
-
-    real: tuple[Table, ...]
-    times: dict[str, list[float]]
-    load: float
-    network: NetworkScores
+    real: tuple[Table, ...]  # tables of real keypoints
+    times: dict[str, list[float]]  # milliseconds on each simulated instance, by the name of what was timed
+    load: float  # the machine's load after that
+    network: NetworkScores  # what the network found on real images
 
 
 def measure(

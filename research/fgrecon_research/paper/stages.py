@@ -21,18 +21,6 @@ from fgrecon.solve.proposals.problem import Problem
 from fgrecon.solve.proposals.starts import at_azimuths
 from fgrecon.solve.vehicle.model import VehicleModel
 
-__all__ = [
-    "AZIMUTH_GROSS",
-    "AZIMUTH_SIGMA",
-    "StageEstimate",
-    "algorithm1_state",
-    "initial_state",
-    "noisy_azimuth",
-    "solved_stages",
-    "stages",
-    "stages_of",
-]
-
 Array = NDArray[np.float64]
 
 AZIMUTH_SIGMA = 8.5
@@ -46,17 +34,11 @@ AZIMUTH_GROSS = 0.075
 
 @dataclass(frozen=True)
 class StageEstimate:
-    """Where a stage leaves a vehicle.
+    """Where a stage leaves a vehicle."""
 
-    Attributes:
-        camera_T_object: (4, 4) pose.
-        keypoints: (K, 3) wireframe, object frame, metres.
-        box_size: (3,) length, width and height, metres.
-    """
-
-    camera_T_object: Array
-    keypoints: Array
-    box_size: Array
+    camera_T_object: Array  # (4, 4) pose
+    keypoints: Array  # (K, 3) wireframe, object frame, metres
+    box_size: Array  # (3,) length, width and height, metres
 
     def in_camera(self) -> Array:
         """(K, 3) wireframe in the camera frame."""

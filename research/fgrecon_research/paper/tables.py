@@ -16,19 +16,6 @@ from fgrecon_research.paper.known_shape import KNOWN_SHAPE_ROWS, KnownShapeScore
 from fgrecon_research.paper.numbers import PRINTED_AOP, PRINTED_APK, PRINTED_HAUSDORFF, PRINTED_MAE, PRINTED_MS
 from fgrecon_research.paper.simulated_scores import CHAIN_ROWS, STAGE_ROWS, Scores
 
-__all__ = [
-    "APK_ALPHA",
-    "LABELS",
-    "Table",
-    "aop_table",
-    "decoupling_table",
-    "known_shape_tables",
-    "mae_table",
-    "ms_table",
-    "row_label",
-    "stage_table",
-]
-
 Array = NDArray[np.float64]
 Cell = Interval | float | None
 
@@ -59,25 +46,15 @@ LABELS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Table:
-    """One table.
+    """One table."""
 
-    Attributes:
-        key: Name in the JSON document.
-        title: Heading.
-        note: What to know when reading it.
-        columns: Headings of the columns after the first.
-        rows: Label and cells of each row.
-        printed: Labels of rows that are the paper's own figures.
-        decimals: Digits after the point.
-    """
-
-    key: str
-    title: str
-    note: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, tuple[Cell, ...]], ...]
-    printed: frozenset[str] = frozenset()
-    decimals: int = 1
+    key: str  # name in the JSON document
+    title: str  # heading
+    note: str  # what to know when reading it
+    columns: tuple[str, ...]  # headings of the columns after the first
+    rows: tuple[tuple[str, tuple[Cell, ...]], ...]  # label and cells of each row
+    printed: frozenset[str] = frozenset()  # labels of rows that are the paper's own figures
+    decimals: int = 1  # digits after the point
 
     def text(self, cell: Cell) -> str:
         """A cell as text; an interval as its value and half its width."""

@@ -12,7 +12,7 @@ from factors.lazy import lazy_names
 if TYPE_CHECKING:  # imported when used
     from fgrecon_research.training.priors.compare import PriorComparison, compare_priors
     from fgrecon_research.training.priors.learn import LearntPrior, learn_prior
-    from fgrecon_research.training.priors.nrsfm_options import NrsfmOptions
+    from fgrecon_research.training.priors.nrsfm import NrsfmOptions
 
 __all__ = ["LearntPrior", "NrsfmOptions", "PriorComparison", "compare_priors", "learn_prior"]
 

@@ -24,8 +24,6 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
     from fgrecon.io.kitti_files import Objects
     from fgrecon_research.evaluation.boxes_tables import BoxesTable
 
-__all__ = ["boxes_command", "boxes_tables"]
-
 
 def boxes_command(
     folder: Annotated[

@@ -19,8 +19,6 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
 
     from fgrecon_research.evaluation.calibration import Calibration
 
-__all__ = ["calibration_command", "regions_table", "status_table"]
-
 _SIMULATION = "simulation"
 
 

@@ -16,8 +16,6 @@ from fgrecon.core.errors import InvalidInputError
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from fgrecon.cli.terminal import Screen
 
-__all__ = ["score_drives"]
-
 
 def score_drives(
     how: DriveOptions,

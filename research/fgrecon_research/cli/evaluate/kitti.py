@@ -36,8 +36,6 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
     from fgrecon.viz import Sight
     from fgrecon_research.evaluation.kitti_images import Car
 
-__all__ = ["kitti_command"]
-
 
 def _folder(what: str, name: str) -> Any:
     default = f"DATA/kitti_object/training/{name}"

@@ -13,8 +13,6 @@ from fgrecon.io.track_file import Track
 from fgrecon.viz import Recording, TrackSight, track_recording_of
 from fgrecon_research.evaluation.methods import Method
 
-__all__ = ["recorded", "recordings"]
-
 
 def recorded(methods: Sequence[Method]) -> Method:
     """The method that is recorded: the last one with a result to play back.

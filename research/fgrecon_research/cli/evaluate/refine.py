@@ -22,8 +22,6 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
 
     from fgrecon_research.evaluation.refined import RefinedVehicle
 
-__all__ = ["refine_evaluation_command"]
-
 
 def refine_evaluation_command(
     folders: Annotated[

@@ -20,8 +20,6 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
     from fgrecon.core.size_prior import SizePrior
     from fgrecon_research.evaluation.run import MethodScores
 
-__all__ = ["tracks_command"]
-
 _FAILURES_SHOWN = 5
 _WIDE = 160  # columns of the terminal that the whole table needs
 

@@ -26,8 +26,6 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
     from fgrecon.viz import Sight
     from fgrecon_research.evaluation.bootstrap import Interval
 
-__all__ = ["video_command"]
-
 _WORST = 20
 _RIVAL = "sqpnp_confident"
 _COLUMNS = 5

@@ -19,8 +19,6 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
     from fgrecon.viz import Sight
     from fgrecon_research.paper.icra2017 import Icra2017Result
 
-__all__ = ["icra2017_command"]
-
 FORMAT = "fgrecon_research.evaluation.icra2017/1"
 _RELEASE = {"01": (2.2, 0.96), "02": (7.0, 0.44)}
 """Errors of the authors' C++ release, degrees and metres."""

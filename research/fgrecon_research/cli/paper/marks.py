@@ -9,8 +9,6 @@ from fgrecon.cli.options import DATA, DataOption, JsonOption
 from fgrecon.cli.terminal import Terminal
 from fgrecon_research.cli.evaluate.calibration import regions_table, status_table
 
-__all__ = ["marks_command"]
-
 _METHOD = "reconstruct"
 
 

@@ -13,8 +13,6 @@ from fgrecon.core.text import markdown_row
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from fgrecon_research.paper.closest_models import ClosestModelRanks
 
-__all__ = ["models_command"]
-
 FORMAT = "fgrecon_research.evaluation.models/1"
 _FIRST = (1, 5)
 _HEADS = ("models in the order of", "right one first %", "in the first 5 %", "median place")

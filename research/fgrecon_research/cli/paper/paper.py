@@ -15,8 +15,6 @@ from fgrecon.cli.terminal import Terminal
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from fgrecon_research.paper.example_cars import ExampleCar
 
-__all__ = ["paper_command"]
-
 
 def paper_command(
     labelled: LabelledScene,

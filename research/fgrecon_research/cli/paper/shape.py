@@ -23,8 +23,6 @@ if TYPE_CHECKING:  # the command line must start fast: what the commands need is
     from fgrecon_research.paper.shape import SimulatedView, StageScore
     from fgrecon_research.training.priors.apollo79 import Apollo79
 
-__all__ = ["shape_command"]
-
 FORMAT = "fgrecon_research.evaluation.shape/1"
 _UNITS = {
     "keypoint": "metres, median distance of a 3D keypoint in the object frame",

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from fgrecon_research.training.keypoints.posed_cars import PosedCar
     from fgrecon_research.training.keypoints.settings import TrainingSettings
 
-__all__ = ["evaluate_command", "silhouettes_command", "train_command"]
-
 
 def _settings() -> list[str]:
     from fgrecon_research.training.keypoints.settings import shipped_settings

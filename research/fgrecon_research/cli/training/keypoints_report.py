@@ -25,8 +25,6 @@ from fgrecon_research.training.keypoints.evaluate import (
 )
 from fgrecon_research.training.keypoints.trainer import TrainingProgress
 
-__all__ = ["TrainingDisplay", "after_adjustment", "end_to_end", "marks_document", "print_marks"]
-
 _SIZES = (0.0, 60.0, 120.0)  # pixels of the box's longer side from which street cars are counted
 
 

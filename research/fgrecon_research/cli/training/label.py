@@ -19,8 +19,6 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
     from fgrecon.calibration.selection import Wanted
     from fgrecon_research.annotation.unboxed import Unboxed
 
-__all__ = ["label_command"]
-
 
 @dataclass(frozen=True)
 class WantedOptions:

@@ -31,8 +31,6 @@ from fgrecon_research.annotation.labels import vehicle_labels
 from fgrecon_research.annotation.unboxed import Unboxed
 from fgrecon_research.training.keypoints.progress import Progress
 
-__all__ = ["Labelled", "document", "draw", "label_drives", "label_street", "labels_of", "show"]
-
 _DRAWN = 24  # vehicles of a picture, at most
 _TERMS = (
     "The images are under the terms of their owners. The keypoints come from a network that has learnt from images of "

@@ -18,8 +18,6 @@ if TYPE_CHECKING:  # the command line must start fast: what a command needs is i
     from fgrecon.core.shape_prior import ShapePrior
     from fgrecon_research.training.priors.apollo79 import Apollo79, LeaveOneOut
 
-__all__ = ["build_command"]
-
 _LOCATED = "car14"
 _COUNTS = (0, 1, 2, 3, 5, 8, 10)
 

@@ -14,8 +14,6 @@ from fgrecon.cli.terminal import Quiet
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from fgrecon_research.training.priors.compare import PriorComparison
 
-__all__ = ["compare_command"]
-
 
 def compare_command(
     first: PriorArgument,

@@ -18,8 +18,6 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
     from fgrecon_research.training.priors.learn import LearntPrior
     from fgrecon_research.training.priors.nrsfm import NrsfmOptions, ProgressCallback
 
-__all__ = ["learn_command"]
-
 
 @dataclass(frozen=True)
 class AnnotationOptions:

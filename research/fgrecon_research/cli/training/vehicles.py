@@ -10,8 +10,6 @@ import typer
 from fgrecon.cli.common import check_output
 from fgrecon.cli.terminal import Quiet
 
-__all__ = ["convert_command"]
-
 
 def convert_command(
     out: Annotated[Path, typer.Option(metavar="FILE", help="ONNX file to write.")],

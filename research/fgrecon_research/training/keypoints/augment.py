@@ -21,8 +21,6 @@ from fgrecon_research.training.keypoints.deform import Field, deform, deform_poi
 from fgrecon_research.training.keypoints.labelled_view import LabelledView
 from fgrecon_research.training.keypoints.raise_cabin import belt_of, raise_cabin
 
-__all__ = ["Another", "Sample", "Street"]
-
 Array = NDArray[np.float64]
 Pixels = NDArray[np.uint8]
 
@@ -35,19 +33,12 @@ _LEAST_SEEN = 0.3  # of a car's longer side: detectors hardly find one of which 
 
 @dataclass(frozen=True)
 class Sample:
-    """What a network is trained on.
+    """What a network is trained on."""
 
-    Attributes:
-        crop: (S, S, 3) RGB.
-        keypoints: (K, 2) pixels of the crop; NaN where unknown.
-        visible: (K,) probability that each can be seen.
-        azimuth: As in `LabelledView`.
-    """
-
-    crop: Pixels
-    keypoints: Array
-    visible: Array
-    azimuth: float
+    crop: Pixels  # (S, S, 3) RGB
+    keypoints: Array  # (K, 2) pixels of the crop; NaN where unknown
+    visible: Array  # (K,) probability that each can be seen
+    azimuth: float  # as in `LabelledView`
 
 
 Another = Callable[[float | None], LabelledView]
@@ -56,53 +47,34 @@ Another = Callable[[float | None], LabelledView]
 
 @dataclass(frozen=True)
 class Street:
-    """How photographs are turned into samples; the numbers are probabilities where nothing else is said.
+    """How photographs are turned into samples; the numbers are probabilities where nothing else is said."""
 
-    Attributes:
-        size: Side S of the crop, pixels.
-        cut_out: The car alone is placed before another background.
-        neighbour: Another car behind.
-        covered: Another car in front.
-        aligned: Other cars point the same way.
-        block: A block in front.
-        backlit: The car is in the shade, before something too bright for the camera.
-        dull: The picture has little colour, and what is dark in it is black, as a camera for driving sees a shade.
-        truncated: The image's border cuts the car off.
-        seen_alone: The box is around what can be seen of a hidden car, as a detector's mostly is, and not around all of
-            it.
-        extent: Range of the car's longer side in pixels before it is resampled to the crop.
-        jitter: Standard deviation of the box's centre, and of its size, as a fraction of its longer side; that of the
-            median box, since some are much worse than others.
-        roll: Standard deviation of the rotation in the image, degrees.
-        stretch: Standard deviation of the logarithm of the car's aspect ratio.
-        bend: Largest standard deviation of a smooth displacement of the car's parts, as a fraction of the crop's side.
-        moved: A pair of parts is moved towards another pair.
-        raised: The cabin is made higher, up to that of a large van.
-        as_it_is: A car in its street, which a camera of the street saw, is not degraded further.
-        moves: Keypoints that may be moved, each with the one towards which.
-        belt: Keypoints above which the cabin is; none is raised where it is empty.
-    """
-
-    size: int = 96
-    cut_out: float = 0.45
-    neighbour: float = 0.35
-    covered: float = 0.4
-    aligned: float = 0.6
-    block: float = 0.2
-    backlit: float = 0.15
+    size: int = 96  # side S of the crop, pixels
+    cut_out: float = 0.45  # the car alone is placed before another background
+    neighbour: float = 0.35  # another car behind
+    covered: float = 0.4  # another car in front
+    aligned: float = 0.6  # other cars point the same way
+    block: float = 0.2  # a block in front
+    backlit: float = 0.15  # the car is in the shade, before something too bright for the camera
+    # the picture has little colour, and what is dark in it is black, as a camera for driving sees a shade
     dull: float = 0.5
-    truncated: float = 0.12
+    truncated: float = 0.12  # the image's border cuts the car off
+    # the box is around what can be seen of a hidden car, as a detector's mostly is, and not around all of it
     seen_alone: float = 0.4
+    # range of the car's longer side in pixels before it is resampled to the crop
     extent: tuple[float, float] = (24.0, 220.0)
+    # standard deviation of the box's centre, and of its size, as a fraction of its longer side; that of the median box,
+    # since some are much worse than others
     jitter: float = 0.035
-    roll: float = 3.0
-    stretch: float = 0.08
+    roll: float = 3.0  # standard deviation of the rotation in the image, degrees
+    stretch: float = 0.08  # standard deviation of the logarithm of the car's aspect ratio
+    # largest standard deviation of a smooth displacement of the car's parts, as a fraction of the crop's side
     bend: float = 0.025
-    moved: float = 0.5
-    raised: float = 0.2
-    as_it_is: float = 0.6
-    moves: tuple[tuple[int, int], ...] = ()
-    belt: tuple[int, ...] = ()
+    moved: float = 0.5  # a pair of parts is moved towards another pair
+    raised: float = 0.2  # the cabin is made higher, up to that of a large van
+    as_it_is: float = 0.6  # a car in its street, which a camera of the street saw, is not degraded further
+    moves: tuple[tuple[int, int], ...] = ()  # keypoints that may be moved, each with the one towards which
+    belt: tuple[int, ...] = ()  # keypoints above which the cabin is; none is raised where it is empty
 
     def shaping(self, prior: ShapePrior) -> Street:
         """The same for cars of a prior: `moves` along the sides of faces off the ground, and `belt`."""

@@ -15,8 +15,6 @@ from fgrecon.io.files import write_text
 from fgrecon.io.json_fields import read_json
 from fgrecon_research.training.keypoints.labelling import Source
 
-__all__ = ["begin_alike", "different", "file_hash", "files_hash", "source_hash", "state_hash", "text_hash"]
-
 _DIGITS = 16  # of a hash: enough to tell inputs apart
 
 

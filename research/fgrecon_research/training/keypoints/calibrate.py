@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.reliability import Reliability, reliability
 from fgrecon.perception.keypoints.crops import MARGIN
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration, logit, sigmoid
 from fgrecon.perception.keypoints.detect import REACH, KeypointCascade
@@ -15,8 +14,6 @@ from fgrecon_research.training.keypoints.augment import Street
 from fgrecon_research.training.keypoints.dataset import Photographs
 from fgrecon_research.training.keypoints.labels import SEEN
 from fgrecon_research.training.keypoints.views import azimuth_weights
-
-__all__ = ["SCORED", "Reliability", "calibrate", "fit_confidence", "fit_direction", "fit_spread", "reliability"]
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,6 @@ import torch
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import write_bytes
 
-__all__ = ["follow", "load_checkpoint", "restore_checkpoint", "save_checkpoint"]
-
 _STATES = "network", "average", "optimizer"
 _KINDS: Mapping[str, type] = {**dict.fromkeys(_STATES, dict), "step": int, "settings": dict}
 _FIX = "Give a checkpoint that the training wrote."

@@ -27,17 +27,6 @@ from fgrecon_research.training.keypoints.posed_cars import PosedCar
 from fgrecon_research.training.keypoints.progress import Progress, no_progress
 from fgrecon_research.training.keypoints.views import Views
 
-__all__ = [
-    "LAST",
-    "SIDE",
-    "Photographs",
-    "check_prepared",
-    "draw_mask",
-    "fill_faces",
-    "prepare_photographs",
-    "read_silhouette",
-]
-
 SIDE = 192
 """Longest side of the prepared photographs, pixels."""
 
@@ -72,25 +61,15 @@ def check_prepared(folder: Path) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Photographs(Views):
-    """Prepared photographs, read from disk on use.
+    """Prepared photographs, read from disk on use."""
 
-    Attributes:
-        images: (2 M, 192, 192, 3) RGB, each in the upper left corner.
-        masks: (2 M, 192, 192) 255 on the car.
-        sizes: (2 M, 2) width and height; 0 where there is no distant one.
-        scales: (M,) prepared pixels per pixel of the file.
-        keypoints: (2 M, K, 2) labels in prepared pixels; NaN where unknown.
-        visible: (2 M, K) probability that each keypoint can be seen.
-        azimuth: (2 M,) direction from the car to the camera, radians.
-    """
-
-    images: NDArray[np.uint8]
-    masks: NDArray[np.uint8]
-    sizes: NDArray[np.int64]
-    scales: Array
-    keypoints: Array
-    visible: Array
-    azimuth: Array
+    images: NDArray[np.uint8]  # (2 M, 192, 192, 3) RGB, each in the upper left corner
+    masks: NDArray[np.uint8]  # (2 M, 192, 192) 255 on the car
+    sizes: NDArray[np.int64]  # (2 M, 2) width and height; 0 where there is no distant one
+    scales: Array  # (M,) prepared pixels per pixel of the file
+    keypoints: Array  # (2 M, K, 2) labels in prepared pixels; NaN where unknown
+    visible: Array  # (2 M, K) probability that each keypoint can be seen
+    azimuth: Array  # (2 M,) direction from the car to the camera, radians
 
     @classmethod
     def load(cls, folder: Path, labels: Labels, azimuth: Array) -> Photographs:

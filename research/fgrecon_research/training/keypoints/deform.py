@@ -13,8 +13,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Field", "deform", "deform_points", "move_points", "random_field", "sampled"]
-
 Array = NDArray[np.float64]
 Field = NDArray[np.float32]
 

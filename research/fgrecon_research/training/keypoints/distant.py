@@ -23,8 +23,6 @@ from fgrecon.simulation.render import Fragments, rasterise
 from fgrecon_research.training.keypoints.labels import ShapeFit, surface_of
 from fgrecon_research.training.keypoints.posed_cars import PosedCar
 
-__all__ = ["DistantView", "distant_view", "dolly_zoom", "random_distant_view"]
-
 Array = NDArray[np.float64]
 Pixels = NDArray[np.uint8]
 
@@ -41,22 +39,14 @@ _NEAR = 7  # pixels around a keypoint of which one has to be shown, for its labe
 
 @dataclass(frozen=True)
 class DistantView:
-    """A photograph seen again.
+    """A photograph seen again."""
 
-    Attributes:
-        image: (H, W, 3) RGB.
-        mask: (H, W) 255 on the car.
-        car: The photograph with the camera that would take this image; its `size` is that of the image.
-        scale: Pixels of this image per pixel of the photograph, at the car's middle.
-        made_up: Share of the car that the photograph shows from neither side.
-        valid: (H, W) where the image is what the photograph shows of the car's shape, or a drawn mirror.
-    """
-
-    image: Pixels
-    mask: Pixels
-    car: PosedCar
-    scale: float
-    made_up: float
+    image: Pixels  # (H, W, 3) RGB
+    mask: Pixels  # (H, W) 255 on the car
+    car: PosedCar  # the photograph with the camera that would take this image; its `size` is that of the image
+    scale: float  # pixels of this image per pixel of the photograph, at the car's middle
+    made_up: float  # share of the car that the photograph shows from neither side
+    # (H, W) where the image is what the photograph shows of the car's shape, or a drawn mirror
     valid: NDArray[np.bool_]
 
     def believes(self, keypoints: Array) -> NDArray[np.bool_]:

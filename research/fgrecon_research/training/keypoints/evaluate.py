@@ -13,24 +13,12 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.geometry import view_azimuth
 from fgrecon.core.metrics import average_precision
+from fgrecon.core.reliability import Reliability, reliability
 from fgrecon.io.images import read_image
 from fgrecon.perception.keypoints.detect import REACH, Detection, KeypointCascade
-from fgrecon_research.training.keypoints.calibrate import Reliability, reliability
 from fgrecon_research.training.keypoints.marks import Mark
 from fgrecon_research.training.keypoints.posed_cars import PosedCar
 from fgrecon_research.training.keypoints.progress import Progress, no_progress
-
-__all__ = [
-    "GROUPS",
-    "Localisation",
-    "PosedScore",
-    "Scored",
-    "adjusted",
-    "azimuth_errors",
-    "localisation",
-    "marks_reliability",
-    "score_marks",
-]
 
 Array = NDArray[np.float64]
 
@@ -45,43 +33,27 @@ GROUPS: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Scored:
-    """A marked car, what was found, and how far off that is.
+    """A marked car, what was found, and how far off that is."""
 
-    Attributes:
-        mark: The car.
-        detection: What the network found.
-        error: (K,) distances as fractions of the box's longer side, for visible and hidden keypoints alike.
-    """
-
-    mark: Mark
-    detection: Detection
-    error: Array
+    mark: Mark  # the car
+    detection: Detection  # what the network found
+    error: Array  # (K,) distances as fractions of the box's longer side, for visible and hidden keypoints alike
 
 
 @dataclass(frozen=True)
 class Localisation:
-    """How well visible keypoints are found in a group of cars.
+    """How well visible keypoints are found in a group of cars."""
 
-    Attributes:
-        cars: Number of cars.
-        points: Number of visible points.
-        within_tenth: Share of them within 0.1 of the box's longer side (PCK).
-        within_twentieth: Within 0.05.
-        median: Median distance, same unit.
-        keypoints: (K, 2) both shares by keypoint, NaN where none is visible.
-        precisions: (K, 2) average precision by keypoint (APK) at the same distances, likewise: of all cars' points by
-            their confidences, of which hidden ones are wrong.
-        counts: (K,) number of visible points by keypoint.
-    """
-
-    cars: int
-    points: int
-    within_tenth: float
-    within_twentieth: float
-    median: float
-    keypoints: Array
+    cars: int  # number of cars
+    points: int  # number of visible points
+    within_tenth: float  # share of them within 0.1 of the box's longer side (PCK)
+    within_twentieth: float  # within 0.05
+    median: float  # median distance, same unit
+    keypoints: Array  # (K, 2) both shares by keypoint, NaN where none is visible
+    # (K, 2) average precision by keypoint (APK) at the same distances, likewise: of all cars' points by their
+    # confidences, of which hidden ones are wrong
     precisions: Array
-    counts: NDArray[np.int64]
+    counts: NDArray[np.int64]  # (K,) number of visible points by keypoint
 
 
 def score_marks(detector: KeypointCascade, marks: Sequence[Mark], progress: Progress = no_progress) -> list[Scored]:
@@ -157,13 +129,9 @@ def adjusted(scored: Sequence[Scored], projections: Sequence[Array | None]) -> l
 
 @dataclass(frozen=True)
 class PosedScore:
-    """Directions of photographs of known pose.
+    """Directions of photographs of known pose."""
 
-    Attributes:
-        errors: (M,) degrees on the full circle; 180 where the car was refused.
-    """
-
-    errors: Array
+    errors: Array  # (M,) degrees on the full circle; 180 where the car was refused
 
     @property
     def median(self) -> float:

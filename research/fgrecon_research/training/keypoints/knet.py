@@ -25,22 +25,14 @@ from fgrecon.perception.keypoints.layout import (
     Layer,
 )
 
-__all__ = ["KNet", "KNetOutput", "load_imagenet"]
-
 
 @dataclass(frozen=True)
 class KNetOutput:
-    """What the network says about B crops; all logits.
+    """What the network says about B crops; all logits."""
 
-    Attributes:
-        maps: (B, K, S / 2, S / 2); the softmax over all cells is the distribution of the keypoint's position.
-        visible: (B, K).
-        azimuth: (B, 36).
-    """
-
-    maps: Any
-    visible: Any
-    azimuth: Any
+    maps: Any  # (B, K, S / 2, S / 2); the softmax over all cells is the distribution of the keypoint's position
+    visible: Any  # (B, K)
+    azimuth: Any  # (B, 36)
 
 
 class _Same(nn.Module):  # type: ignore[misc]

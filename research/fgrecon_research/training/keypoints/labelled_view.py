@@ -7,30 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LabelledView"]
-
 Array = NDArray[np.float64]
 Pixels = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
 class LabelledView:
-    """A photograph of a car with its labels.
+    """A photograph of a car with its labels."""
 
-    Attributes:
-        image: (H, W, 3) RGB.
-        mask: (H, W) 255 on the car, 0 elsewhere.
-        keypoints: (K, 2) pixels; NaN where unknown.
-        visible: (K,) probability that each can be seen.
-        azimuth: Direction from the car to the camera, radians; 0 ahead, pi / 2 to its left.
-        within: (4,) box of the car x1, y1, x2, y2 in pixels, where the image shows more than the car; else None.
-    """
-
-    image: Pixels
-    mask: Pixels
-    keypoints: Array
-    visible: Array
-    azimuth: float
+    image: Pixels  # (H, W, 3) RGB
+    mask: Pixels  # (H, W) 255 on the car, 0 elsewhere
+    keypoints: Array  # (K, 2) pixels; NaN where unknown
+    visible: Array  # (K,) probability that each can be seen
+    azimuth: float  # direction from the car to the camera, radians; 0 ahead, pi / 2 to its left
+    # (4,) box of the car x1, y1, x2, y2 in pixels, where the image shows more than the car; else None
     within: Array | None = None
 
     @property

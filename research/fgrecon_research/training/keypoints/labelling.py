@@ -35,8 +35,6 @@ from fgrecon_research.training.keypoints.relabel import Found, relabel_shape, wi
 from fgrecon_research.training.keypoints.silhouettes import Outline, contradicted, fit_outlines, read_outline
 from fgrecon_research.training.priors.apollo79 import load_apollo79
 
-__all__ = ["Labelling", "Source", "corrected", "first_labelling", "open_photographs", "read_source"]
-
 Array = NDArray[np.float64]
 
 _BATCH = 32
@@ -44,20 +42,13 @@ _BATCH = 32
 
 @dataclass(frozen=True)
 class Source:
-    """What the training reads.
+    """What the training reads."""
 
-    Attributes:
-        cars: All photographs.
-        learn: (N,) indices of those to learn from.
-        validate: Indices of those set aside.
-        prior: Model of the shapes in the unit of the photographs' poses.
-        marks: (M, K, 2) keypoints marked by hand in all M photographs, pixels; NaN where none is, None without any.
-    """
-
-    cars: Sequence[PosedCar]
-    learn: NDArray[np.intp]
-    validate: NDArray[np.intp]
-    prior: ShapePrior
+    cars: Sequence[PosedCar]  # all photographs
+    learn: NDArray[np.intp]  # (N,) indices of those to learn from
+    validate: NDArray[np.intp]  # indices of those set aside
+    prior: ShapePrior  # model of the shapes in the unit of the photographs' poses
+    # (M, K, 2) keypoints marked by hand in all M photographs, pixels; NaN where none is, None without any
     marks: Array | None = None
 
     @property
@@ -68,21 +59,13 @@ class Source:
 
 @dataclass(frozen=True)
 class Labelling:
-    """Labels of all photographs, and the shapes behind them.
+    """Labels of all photographs, and the shapes behind them."""
 
-    Attributes:
-        labels: Keypoints in pixels of the files, and visibilities.
-        fits: The shapes by name.
-        cars: The photographs with their poses as corrected so far.
-        trusted: (M,) which photographs to learn from.
-        outlined: (M,) which poses were corrected by a silhouette.
-    """
-
-    labels: Labels
-    fits: dict[str, ShapeFit]
-    cars: Sequence[PosedCar]
-    trusted: NDArray[np.bool_]
-    outlined: NDArray[np.bool_]
+    labels: Labels  # keypoints in pixels of the files, and visibilities
+    fits: dict[str, ShapeFit]  # the shapes by name
+    cars: Sequence[PosedCar]  # the photographs with their poses as corrected so far
+    trusted: NDArray[np.bool_]  # (M,) which photographs to learn from
+    outlined: NDArray[np.bool_]  # (M,) which poses were corrected by a silhouette
 
     def samples(self, photographs: Photographs, among: NDArray[np.intp]) -> NDArray[np.intp]:
         """Rows of the trusted photographs among some, and of their distant ones."""

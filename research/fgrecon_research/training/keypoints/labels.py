@@ -22,8 +22,6 @@ from fgrecon_research.training.keypoints.posed_cars import PosedCar
 from fgrecon_research.training.priors.apollo79 import Apollo79
 from fgrecon_research.training.priors.half_mesh import mirrored_half
 
-__all__ = ["SEEN", "Labels", "ShapeFit", "fit_shape", "project_labels", "surface_of", "unit_prior", "unmodelled"]
-
 Array = NDArray[np.float64]
 
 SEEN = 0.5
@@ -41,31 +39,21 @@ within the same outline."""
 
 @dataclass(frozen=True)
 class ShapeFit:
-    """The shape behind a group of photographs.
+    """The shape behind a group of photographs."""
 
-    Attributes:
-        coefficients: (N,) of the linear model.
-        offsets: (K, 3) of the keypoints beside the model, in the unit of the poses; zero after the fit to boxes.
-        edge_error: (M, 4) distance of the projected surface's edges from the box's, per photograph, as a fraction of
-            the box's longer side.
-    """
-
-    coefficients: Array
-    offsets: Array
+    coefficients: Array  # (N,) of the linear model
+    offsets: Array  # (K, 3) of the keypoints beside the model, in the unit of the poses; zero after the fit to boxes
+    # (M, 4) distance of the projected surface's edges from the box's, per photograph, as a fraction of the box's longer
+    # side
     edge_error: Array
 
 
 @dataclass(frozen=True)
 class Labels:
-    """Keypoints of photographs.
+    """Keypoints of photographs."""
 
-    Attributes:
-        keypoints: (M, K, 2) pixels; NaN where unknown.
-        visible: (M, K) probability that each is visible; 0 outside the photograph.
-    """
-
-    keypoints: Array
-    visible: Array
+    keypoints: Array  # (M, K, 2) pixels; NaN where unknown
+    visible: Array  # (M, K) probability that each is visible; 0 outside the photograph
 
 
 def unit_prior(models: Apollo79, basis: int = 10) -> ShapePrior:

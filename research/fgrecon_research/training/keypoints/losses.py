@@ -10,8 +10,6 @@ from torch.nn import functional
 from fgrecon.perception.keypoints.layout import AZIMUTH_BINS, STRIDE
 from fgrecon_research.training.keypoints.knet import KNetOutput
 
-__all__ = ["gaussian_maps", "knet_loss", "map_loss"]
-
 HIDDEN_WEIGHT = 0.25
 """How much the place of a hidden keypoint counts beside a visible one's."""
 

@@ -13,30 +13,19 @@ from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.json_fields import Fields, read_json
 
-__all__ = ["Mark", "read_given_marks", "read_photograph_marks", "read_street_marks"]
-
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Mark:
-    """One car with its keypoints.
+    """One car with its keypoints."""
 
-    Attributes:
-        image: The photograph's file.
-        name: Name of the car.
-        group: What it is counted under: `photographs`, or `easy`, `moderate`, `hard`.
-        box: (4,) x1, y1, x2, y2 in pixels.
-        keypoints: (K, 2) pixels.
-        visible: (K,) whether each can be seen; others hold a guess and are not scored.
-    """
-
-    image: Path
-    name: str
-    group: str
-    box: Array
-    keypoints: Array
-    visible: NDArray[np.bool_]
+    image: Path  # the photograph's file
+    name: str  # name of the car
+    group: str  # what it is counted under: `photographs`, or `easy`, `moderate`, `hard`
+    box: Array  # (4,) x1, y1, x2, y2 in pixels
+    keypoints: Array  # (K, 2) pixels
+    visible: NDArray[np.bool_]  # (K,) whether each can be seen; others hold a guess and are not scored
 
     @property
     def extent(self) -> float:

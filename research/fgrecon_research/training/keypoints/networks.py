@@ -32,65 +32,42 @@ from fgrecon_research.training.keypoints.train_refine import RefineTraining, tra
 from fgrecon_research.training.keypoints.trainer import TrainingProgress
 from fgrecon_research.training.keypoints.views import TrainingSet
 
-__all__ = ["Beginning", "Display", "Plan", "photographs_hash", "train_networks"]
-
 
 @dataclass(frozen=True)
 class Beginning:
-    """What a training begins with.
+    """What a training begins with."""
 
-    Attributes:
-        imagenet: Weights of the encoder (torch), or None for random ones.
-        start: A trained network to go on from instead, which corrects the first labels as well.
-        start_share: Share of that network in the resulting weights, 0 to 1.
-        silhouettes: Folder of silhouettes for the first labels, or None.
-        marks: Keypoints marked by hand in photographs that are learnt from (JSON), or None.
-        street: Street cars that are learnt from beside the photographs (COCO, of `fgrecon keypoints label`), or None.
-        street_share: Their share of the samples, 0 to 1.
-        without: Drives of theirs that are left out.
-    """
-
-    imagenet: Path | None = None
-    start: Path | None = None
-    start_share: float = 0.5
-    silhouettes: Path | None = None
-    marks: Path | None = None
+    imagenet: Path | None = None  # weights of the encoder (torch), or None for random ones
+    start: Path | None = None  # a trained network to go on from instead, which corrects the first labels as well
+    start_share: float = 0.5  # share of that network in the resulting weights, 0 to 1
+    silhouettes: Path | None = None  # folder of silhouettes for the first labels, or None
+    marks: Path | None = None  # keypoints marked by hand in photographs that are learnt from (JSON), or None
+    # street cars that are learnt from beside the photographs (COCO, of `fgrecon keypoints label`), or None
     street: Path | None = None
-    street_share: float = 0.5
-    without: tuple[str, ...] = ()
+    street_share: float = 0.5  # their share of the samples, 0 to 1
+    without: tuple[str, ...] = ()  # drives of theirs that are left out
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How much is trained, and where.
+    """How much is trained, and where."""
 
-    Attributes:
-        steps: Gradient steps of KNet.
-        batch: Samples per step.
-        relabel_at: Steps at which the labels are corrected, in rising order.
-        refine_steps: Gradient steps of the refinement networks; 0 leaves those that the training begins with, if any.
-        rate: KNet's learning rate; lower where a trained network goes on.
-        decay: Share of KNet's steps over which the rate falls to zero.
-        dull: Share of the degraded samples that have little colour (`Street`).
-        raised: Share of the samples whose cabin is made higher (`Street`).
-        seen_alone: Share of the hidden cars whose box is around what is seen of them (`Street`).
-        seed: Seed of everything random.
-        device: Torch's name of the device.
-        workers: Processes that make samples.
-    """
-
-    steps: int = count(5150, least=1)
-    batch: int = count(32, least=1)
-    relabel_at: tuple[int, ...] = (650, 2050, 3450)
+    steps: int = count(5150, least=1)  # gradient steps of KNet
+    batch: int = count(32, least=1)  # samples per step
+    relabel_at: tuple[int, ...] = (650, 2050, 3450)  # steps at which the labels are corrected, in rising order
+    # gradient steps of the refinement networks; 0 leaves those that the training begins with, if any
     refine_steps: int = count(7000, least=0)
-    rate: float = number(1e-3, least=0.0)
-    decay: float = number(0.25, least=0.0, most=1.0)
+    rate: float = number(1e-3, least=0.0)  # KNet's learning rate; lower where a trained network goes on
+    decay: float = number(0.25, least=0.0, most=1.0)  # share of KNet's steps over which the rate falls to zero
+    # share of the degraded samples that have little colour (`Street`)
     dull: float = number(Street.dull, least=0.0, most=1.0)
+    # share of the samples whose cabin is made higher (`Street`)
     raised: float = number(Street.raised, least=0.0, most=1.0)
+    # share of the hidden cars whose box is around what is seen of them (`Street`)
     seen_alone: float = number(Street.seen_alone, least=0.0, most=1.0)
-    seed: int = count(0, least=0)
-    device: str = "cpu"
-    workers: int = count(1, least=0)
+    seed: int = count(0, least=0)  # seed of everything random
+    device: str = "cpu"  # Torch's name of the device
+    workers: int = count(1, least=0)  # processes that make samples
 
     def __post_init__(self) -> None:
         """Check what is given.

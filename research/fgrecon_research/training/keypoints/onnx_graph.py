@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["OnnxGraph"]
-
 _OPSET, _IR = 13, 8  # old enough for OpenCV 4.10
 
 

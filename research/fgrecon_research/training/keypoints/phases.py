@@ -28,8 +28,6 @@ from fgrecon_research.training.keypoints.street_cars import check_drives
 from fgrecon_research.training.keypoints.tensors import load_tensors
 from fgrecon_research.training.keypoints.trainer import TrainingProgress
 
-__all__ = ["Labeller", "train_phases"]
-
 Labeller = Callable[[Sequence[Path], Path, Path, Progress], None]
 """Labels the street cars of drives (folders) by a network, to a file (COCO), and shows how far it has come."""
 
@@ -78,25 +76,15 @@ def train_phases(
 
 @dataclass
 class _Chain:
-    """The phases so far.
+    """The phases so far."""
 
-    Attributes:
-        settings: Of all.
-        data: Data folder.
-        work: Folder of the phases' folders.
-        label: Labels street cars.
-        display: Shows how it goes.
-        left: Drives that a phase so far would have learnt from.
-        done: Records of the phases so far.
-    """
-
-    settings: TrainingSettings
-    data: Path
-    work: Path
-    label: Labeller
-    display: Display
-    left: tuple[str, ...] = ()
-    done: tuple[Mapping[str, Any], ...] = ()
+    settings: TrainingSettings  # of all
+    data: Path  # data folder
+    work: Path  # folder of the phases' folders
+    label: Labeller  # labels street cars
+    display: Display  # shows how it goes
+    left: tuple[str, ...] = ()  # drives that a phase so far would have learnt from
+    done: tuple[Mapping[str, Any], ...] = ()  # records of the phases so far
 
     def run(self, phase: Phase, before: Path | None) -> Path:
         """The phase's network, trained, taken over or as given.

@@ -17,30 +17,18 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import view_azimuth
 from fgrecon.io.json_fields import Fields, read_json
 
-__all__ = ["PosedCar", "groups", "read_posed_cars", "read_validation_ids"]
-
 
 @dataclass(frozen=True)
 class PosedCar:
-    """One photograph.
+    """One photograph."""
 
-    Attributes:
-        image: Its file.
-        size: (width, height) in pixels; the car fills it.
-        cad_id: Name of the 3D model that the pose was measured with; the same one does for several models of cars.
-        matrix: (3, 3) intrinsics.
-        rotation: (3, 3) of camera_T_object; object frame x forward, y down, z left.
-        translation: (3,) of camera_T_object, in diagonals of the car's box.
-        name: Of the car's model, with the kind of its body, such as `Audi TTS Coupe 2012`; empty if unknown.
-    """
-
-    image: Path
-    size: tuple[int, int]
-    cad_id: str
-    matrix: NDArray[np.float64]
-    rotation: NDArray[np.float64]
-    translation: NDArray[np.float64]
-    name: str = ""
+    image: Path  # its file
+    size: tuple[int, int]  # (width, height) in pixels; the car fills it
+    cad_id: str  # name of the 3D model that the pose was measured with; the same one does for several models of cars
+    matrix: NDArray[np.float64]  # (3, 3) intrinsics
+    rotation: NDArray[np.float64]  # (3, 3) of camera_T_object; object frame x forward, y down, z left
+    translation: NDArray[np.float64]  # (3,) of camera_T_object, in diagonals of the car's box
+    name: str = ""  # of the car's model, with the kind of its body, such as `Audi TTS Coupe 2012`; empty if unknown
 
     @property
     def shape(self) -> str:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-__all__ = ["Progress", "no_progress"]
-
 Progress = Callable[[Sequence[Any], str], Iterable[Any]]
 """Goes through the items of a loop and shows, under a description, how many are done."""
 

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from fgrecon.core.category import Category
 from fgrecon_research.training.keypoints.labelled_view import LabelledView
 
-__all__ = ["belt_of", "raise_cabin"]
-
 Array = NDArray[np.float64]
 
 _STEEPEST = 0.5  # slope of a belt that is believed: in a picture it is about level

@@ -7,8 +7,6 @@ from torch.nn import functional
 
 from fgrecon.perception.keypoints.layout import MEAN, SPREAD, Layer, RefineLayout, RefineSettings
 
-__all__ = ["RefineNet"]
-
 
 class _Grouped(nn.Module):  # type: ignore[misc]
     """Convolution in K groups, batch normalisation, ReLU."""

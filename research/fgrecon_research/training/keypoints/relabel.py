@@ -31,8 +31,6 @@ from fgrecon.io.annotations.offsets import robust_offset
 from fgrecon_research.training.keypoints.labels import ShapeFit
 from fgrecon_research.training.keypoints.posed_cars import PosedCar
 
-__all__ = ["SHIFT_SIGMA", "TURN_SIGMA", "Found", "Relabelled", "relabel_shape", "without_bias"]
-
 Array = NDArray[np.float64]
 
 TURN_SIGMA = np.deg2rad(5.0)  # of the measured poses
@@ -56,36 +54,22 @@ _SUPPORT = 0.4  # share of the confidence that has to agree with the shape
 
 @dataclass(frozen=True)
 class Found:
-    """What the network found in M photographs.
+    """What the network found in M photographs."""
 
-    Attributes:
-        keypoints: (M, K, 2) pixels.
-        confidence: (M, K).
-        covariance: (M, K, 2, 2) square pixels.
-    """
-
-    keypoints: Array
-    confidence: Array
-    covariance: Array
+    keypoints: Array  # (M, K, 2) pixels
+    confidence: Array  # (M, K)
+    covariance: Array  # (M, K, 2, 2) square pixels
 
 
 @dataclass(frozen=True)
 class Relabelled:
-    """The corrected shape and poses of a group.
+    """The corrected shape and poses of a group."""
 
-    Attributes:
-        fit: The shape, with free offsets.
-        cars: The photographs with corrected poses.
-        trusted: (M,) whether a photograph agrees with the shape well enough to learn from.
-        keypoints: (M, K, 2) labels in pixels: projections of each photograph's own shape.
-        marked: (K,) which keypoints are where marks say.
-    """
-
-    fit: ShapeFit
-    cars: tuple[PosedCar, ...]
-    trusted: NDArray[np.bool_]
-    keypoints: Array
-    marked: NDArray[np.bool_]
+    fit: ShapeFit  # the shape, with free offsets
+    cars: tuple[PosedCar, ...]  # the photographs with corrected poses
+    trusted: NDArray[np.bool_]  # (M,) whether a photograph agrees with the shape well enough to learn from
+    keypoints: Array  # (M, K, 2) labels in pixels: projections of each photograph's own shape
+    marked: NDArray[np.bool_]  # (K,) which keypoints are where marks say
 
 
 def relabel_shape(

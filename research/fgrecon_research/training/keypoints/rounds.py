@@ -38,8 +38,6 @@ from fgrecon_research.training.keypoints.train import Training, train_knet
 from fgrecon_research.training.keypoints.trainer import TrainingProgress
 from fgrecon_research.training.keypoints.validate import HeldOut
 
-__all__ = ["train_in_rounds"]
-
 Array = NDArray[np.float64]
 
 

@@ -22,8 +22,6 @@ from fgrecon.io.files import write_bytes
 from fgrecon.io.images import read_image
 from fgrecon_research.training.keypoints.posed_cars import PosedCar, groups
 
-__all__ = ["assemble", "draw_silhouettes", "in_order", "resized"]
-
 _MODEL = "/models/medium"
 _TRAINED_SIDE = 1024
 _MIDDLE, _SPREAD = 128.0, 256.0  # of the network's pixel values

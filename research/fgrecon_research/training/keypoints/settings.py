@@ -17,8 +17,6 @@ from fgrecon.core.settings import check_settings, count, flag, number
 from fgrecon.io.json_fields import read_toml
 from fgrecon_research.training.keypoints.networks import Plan
 
-__all__ = ["NEEDED", "Phase", "TrainingSettings", "read_settings", "shipped_settings"]
-
 NEEDED = ("imagenet", "start", "silhouettes", "marks")
 """Inputs that a file may say it needs: who runs it has to name them where the file does not."""
 
@@ -30,29 +28,19 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 
 @dataclass(frozen=True)
 class Phase:
-    """One training.
+    """One training."""
 
-    Attributes:
-        name: Of its folder.
-        plan: How much is trained; device and workers are those of `TrainingSettings`.
-        start_share: Share of the network before in the resulting weights, 0 to 1.
-        street: Street cars (COCO, of `fgrecon keypoints label`), or None.
-        drives: Folders of drives in the data folder, whose street cars the network before labels first.
-        street_share: Share of the samples that show street cars, 0 to 1.
-        silhouettes: Whether silhouettes make the first labels.
-        marks: Whether marks are learnt from.
-        trained: A network that takes the place of this training and of those before, or None.
-    """
-
-    name: str
-    plan: Plan = field(default_factory=Plan)
+    name: str  # of its folder
+    plan: Plan = field(default_factory=Plan)  # how much is trained; device and workers are those of `TrainingSettings`
+    # share of the network before in the resulting weights, 0 to 1
     start_share: float = number(0.5, least=0.0, most=1.0)
-    street: Path | None = None
+    street: Path | None = None  # street cars (COCO, of `fgrecon keypoints label`), or None
+    # folders of drives in the data folder, whose street cars the network before labels first
     drives: tuple[str, ...] = ()
-    street_share: float = number(0.5, least=0.0, most=1.0)
-    silhouettes: bool = flag(default=True)
-    marks: bool = flag(default=True)
-    trained: Path | None = None
+    street_share: float = number(0.5, least=0.0, most=1.0)  # share of the samples that show street cars, 0 to 1
+    silhouettes: bool = flag(default=True)  # whether silhouettes make the first labels
+    marks: bool = flag(default=True)  # whether marks are learnt from
+    trained: Path | None = None  # a network that takes the place of this training and of those before, or None
 
     def __post_init__(self) -> None:
         """Check what is given.
@@ -76,29 +64,17 @@ class Phase:
 
 @dataclass(frozen=True)
 class TrainingSettings:
-    """Trainings in a chain.
+    """Trainings in a chain."""
 
-    Attributes:
-        phases: The trainings, at least one.
-        needs: Names of the inputs without which they are not run (`NEEDED`).
-        imagenet: Weights of the encoder that the first begins with (torch), or None for random ones.
-        start: A trained network that the first goes on from instead, or None.
-        silhouettes: Folder of silhouettes, or None.
-        marks: Keypoints marked by hand in photographs that are learnt from (JSON), or None.
-        without: Drives whose street cars no phase learns from.
-        device: Torch's name of the device.
-        workers: Processes that make samples.
-    """
-
-    phases: tuple[Phase, ...]
-    needs: tuple[str, ...] = ()
-    imagenet: Path | None = None
-    start: Path | None = None
-    silhouettes: Path | None = None
-    marks: Path | None = None
-    without: tuple[str, ...] = ()
-    device: str = "cpu"
-    workers: int = count(1, least=0)
+    phases: tuple[Phase, ...]  # the trainings, at least one
+    needs: tuple[str, ...] = ()  # names of the inputs without which they are not run (`NEEDED`)
+    imagenet: Path | None = None  # weights of the encoder that the first begins with (torch), or None for random ones
+    start: Path | None = None  # a trained network that the first goes on from instead, or None
+    silhouettes: Path | None = None  # folder of silhouettes, or None
+    marks: Path | None = None  # keypoints marked by hand in photographs that are learnt from (JSON), or None
+    without: tuple[str, ...] = ()  # drives whose street cars no phase learns from
+    device: str = "cpu"  # Torch's name of the device
+    workers: int = count(1, least=0)  # processes that make samples
 
     def __post_init__(self) -> None:
         """Check what is given.

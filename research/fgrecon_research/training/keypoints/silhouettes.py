@@ -27,8 +27,6 @@ from fgrecon_research.training.keypoints.labels import ShapeFit, surface_of
 from fgrecon_research.training.keypoints.posed_cars import PosedCar
 from fgrecon_research.training.keypoints.relabel import SHIFT_SIGMA, TURN_SIGMA
 
-__all__ = ["Outline", "OutlineFit", "contradicted", "fit_outlines", "read_outline"]
-
 Array = NDArray[np.float64]
 
 _SIDE = 192  # pixels of the silhouette's longer side
@@ -49,17 +47,11 @@ _ENOUGH = 5  # photographs that can tell
 
 @dataclass(frozen=True)
 class Outline:
-    """A car's silhouette.
+    """A car's silhouette."""
 
-    Attributes:
-        mask: (288, 288) 1 on the car, 0 elsewhere: the photograph at `scale`, 48 pixels in.
-        distance: Signed distance from the outline, positive outside, pixels of the mask.
-        scale: Pixels of the mask per pixel of the photograph.
-    """
-
-    mask: NDArray[np.uint8]
-    distance: Array
-    scale: float
+    mask: NDArray[np.uint8]  # (288, 288) 1 on the car, 0 elsewhere: the photograph at `scale`, 48 pixels in
+    distance: Array  # signed distance from the outline, positive outside, pixels of the mask
+    scale: float  # pixels of the mask per pixel of the photograph
 
     @classmethod
     def of(cls, likelihood: NDArray[np.uint8]) -> Outline | None:
@@ -99,17 +91,11 @@ class Outline:
 
 @dataclass(frozen=True)
 class OutlineFit:
-    """What the silhouettes say.
+    """What the silhouettes say."""
 
-    Attributes:
-        fit: The shape.
-        cars: The photographs, with corrected poses where the silhouette was believed.
-        used: (M,) where it was.
-    """
-
-    fit: ShapeFit
-    cars: tuple[PosedCar, ...]
-    used: NDArray[np.bool_]
+    fit: ShapeFit  # the shape
+    cars: tuple[PosedCar, ...]  # the photographs, with corrected poses where the silhouette was believed
+    used: NDArray[np.bool_]  # (M,) where it was
 
 
 @dataclass

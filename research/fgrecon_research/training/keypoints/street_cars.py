@@ -22,8 +22,6 @@ from fgrecon_research.training.keypoints.labelled_view import LabelledView
 from fgrecon_research.training.keypoints.progress import Progress, no_progress
 from fgrecon_research.training.keypoints.views import Together, TrainingSet, Views, azimuth_weights
 
-__all__ = ["LAST", "StreetCars", "StreetShare", "check_drives", "learning", "prepare_street_cars"]
-
 _AROUND = 1.5  # side of what is kept relative to the box's longer side
 _FILES = "images.npy", "masks.npy"
 LAST = "cars.npz"
@@ -36,29 +34,17 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class StreetCars(Views):
-    """Cars in their street, read from disk on use.
+    """Cars in their street, read from disk on use."""
 
-    Attributes:
-        images: (M, 192, 192, 3) RGB around each car.
-        masks: (M, 192, 192) 255 on what can be seen of the car.
-        boxes: (M, 4) 2D box in them.
-        keypoints: (M, K, 2) pixels.
-        visible: (M, K) probability that each can be seen.
-        azimuth: (M,) direction from the car to the camera, radians.
-        drives: (M,) names.
-        tracks: (M,) number of the vehicle within its drive.
-        kinds: (M,) as labelled.
-    """
-
-    images: NDArray[np.uint8]
-    masks: NDArray[np.uint8]
-    boxes: Array
-    keypoints: Array
-    visible: Array
-    azimuth: Array
-    drives: NDArray[np.str_]
-    tracks: NDArray[np.int64]
-    kinds: NDArray[np.str_]
+    images: NDArray[np.uint8]  # (M, 192, 192, 3) RGB around each car
+    masks: NDArray[np.uint8]  # (M, 192, 192) 255 on what can be seen of the car
+    boxes: Array  # (M, 4) 2D box in them
+    keypoints: Array  # (M, K, 2) pixels
+    visible: Array  # (M, K) probability that each can be seen
+    azimuth: Array  # (M,) direction from the car to the camera, radians
+    drives: NDArray[np.str_]  # (M,) names
+    tracks: NDArray[np.int64]  # (M,) number of the vehicle within its drive
+    kinds: NDArray[np.str_]  # (M,) as labelled
 
     @classmethod
     def load(cls, folder: Path) -> StreetCars:
@@ -99,17 +85,11 @@ class StreetCars(Views):
 
 @dataclass(frozen=True, eq=False)
 class StreetShare:
-    """Street cars beside photographs.
+    """Street cars beside photographs."""
 
-    Attributes:
-        cars: The street cars.
-        share: Of the samples that show one.
-        without: Drives whose cars are not learnt from.
-    """
-
-    cars: StreetCars
-    share: float
-    without: tuple[str, ...] = ()
+    cars: StreetCars  # the street cars
+    share: float  # of the samples that show one
+    without: tuple[str, ...] = ()  # drives whose cars are not learnt from
 
     def __post_init__(self) -> None:
         """Refuse names that leave nothing out: a mistyped one would let the network learn from what it is scored on.

@@ -12,8 +12,6 @@ from torch import from_numpy
 
 from fgrecon.perception.keypoints.weights import Stored, load_weights
 
-__all__ = ["load_tensors", "mean_state"]
-
 
 def load_tensors(path: Path) -> Stored:
     """`fgrecon.perception.keypoints.weights.load_weights`, in tensors.

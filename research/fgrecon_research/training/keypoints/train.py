@@ -21,26 +21,17 @@ from fgrecon_research.training.keypoints.trainer import Schedule, Trainer, Train
 from fgrecon_research.training.keypoints.validate import HeldOut
 from fgrecon_research.training.keypoints.views import TrainingSet
 
-__all__ = ["Training", "train_knet"]
-
 _CLIP = 5.0  # largest norm of a step's gradient
 
 
 @dataclass(frozen=True)
 class Training(Schedule):
-    """How KNet is trained: see `Schedule`; the pretrained encoder's learning rate is half of the others'.
+    """How KNet is trained: see `Schedule`; the pretrained encoder's learning rate is half of the others'."""
 
-    Attributes:
-        sigma: Standard deviation of the target Gaussians, pixels of the crop.
-        workers: Processes that make samples; 0 makes them in this one.
-        network: Sizes.
-        street: Augmentation.
-    """
-
-    sigma: float = 2.5
-    workers: int = 1
-    network: KNetSettings = field(default_factory=KNetSettings)
-    street: Street = field(default_factory=Street)
+    sigma: float = 2.5  # standard deviation of the target Gaussians, pixels of the crop
+    workers: int = 1  # processes that make samples; 0 makes them in this one
+    network: KNetSettings = field(default_factory=KNetSettings)  # sizes
+    street: Street = field(default_factory=Street)  # augmentation
 
 
 class _Samples(Dataset):  # type: ignore[misc]

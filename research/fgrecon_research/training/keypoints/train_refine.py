@@ -20,8 +20,6 @@ from fgrecon_research.training.keypoints.refine_net import RefineNet
 from fgrecon_research.training.keypoints.trainer import Schedule, Trainer, TrainingProgress
 from fgrecon_research.training.keypoints.views import TrainingSet
 
-__all__ = ["RefineTraining", "train_refinement"]
-
 Array = NDArray[np.float64]
 
 _SEED = 7_000_000  # keeps the samples apart from KNet's
@@ -29,14 +27,7 @@ _SEED = 7_000_000  # keeps the samples apart from KNet's
 
 @dataclass(frozen=True)
 class RefineTraining(Schedule):
-    """How the refinement networks are trained: see `Schedule`; each sample has a patch for every keypoint.
-
-    Attributes:
-        sigma: Standard deviation of the target Gaussians, pixels of the patch.
-        estimate: Standard deviation of KNet's estimate around the label, as a fraction of the car's longer side.
-        network: Sizes.
-        street: Augmentation; without much occlusion, since hidden points teach little.
-    """
+    """How the refinement networks are trained: see `Schedule`; each sample has a patch for every keypoint."""
 
     steps: int = 2000
     decay: float = 0.3
@@ -45,9 +36,11 @@ class RefineTraining(Schedule):
     warmup: int = 0
     average: float = 0.995
     save_every: int = 50
-    sigma: float = 2.2
+    sigma: float = 2.2  # standard deviation of the target Gaussians, pixels of the patch
+    # standard deviation of KNet's estimate around the label, as a fraction of the car's longer side
     estimate: float = 0.035
-    network: RefineSettings = field(default_factory=RefineSettings)
+    network: RefineSettings = field(default_factory=RefineSettings)  # sizes
+    # augmentation; without much occlusion, since hidden points teach little
     street: Street = field(default_factory=lambda: replace(Street(), covered=0.15, block=0.1, truncated=0.06))
 
 

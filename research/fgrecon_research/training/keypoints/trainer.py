@@ -13,34 +13,21 @@ import torch
 from fgrecon.io.stored import stored
 from fgrecon_research.training.keypoints.checkpoint import follow, load_checkpoint, restore_checkpoint, save_checkpoint
 
-__all__ = ["Schedule", "Trainer", "TrainingProgress"]
-
 Network = TypeVar("Network", bound=torch.nn.Module)
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """How long and how fast a network is trained.
+    """How long and how fast a network is trained."""
 
-    Attributes:
-        steps: Gradient steps in all; the last `decay` of them lower the rate to zero.
-        decay: Share of the steps.
-        batch: Samples per step.
-        rate: TrainingSet rate.
-        warmup: Steps over which the rate rises.
-        average: Decay per step of the moving average of the weights, which is what is kept.
-        seed: Of samples and first weights.
-        save_every: Steps between checkpoints.
-    """
-
-    steps: int = 4000
-    decay: float = 0.25
-    batch: int = 32
-    rate: float = 1e-3
-    warmup: int = 100
-    average: float = 0.998
-    seed: int = 0
-    save_every: int = 100
+    steps: int = 4000  # gradient steps in all; the last `decay` of them lower the rate to zero
+    decay: float = 0.25  # share of the steps
+    batch: int = 32  # samples per step
+    rate: float = 1e-3  # trainingSet rate
+    warmup: int = 100  # steps over which the rate rises
+    average: float = 0.998  # decay per step of the moving average of the weights, which is what is kept
+    seed: int = 0  # of samples and first weights
+    save_every: int = 100  # steps between checkpoints
 
     def rate_at(self, step: int) -> float:
         """TrainingSet rate of a step: up, level, and down to zero."""
@@ -51,18 +38,12 @@ class Schedule:
 
 @dataclass(frozen=True)
 class TrainingProgress:
-    """How far a training has come.
+    """How far a training has come."""
 
-    Attributes:
-        step: Steps done.
-        steps: Of how many.
-        losses: Mean of each part of the loss since the last report.
-        score: Score of the averaged network on held-out samples (PCK at 0.1 of KNet); None where there are none.
-    """
-
-    step: int
-    steps: int
-    losses: dict[str, float]
+    step: int  # steps done
+    steps: int  # of how many
+    losses: dict[str, float]  # mean of each part of the loss since the last report
+    # score of the averaged network on held-out samples (PCK at 0.1 of KNet); None where there are none
     score: float | None = None
 
 

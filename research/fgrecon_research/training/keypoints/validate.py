@@ -18,21 +18,15 @@ from fgrecon_research.training.keypoints.dataset import Photographs
 from fgrecon_research.training.keypoints.labels import SEEN
 from fgrecon_research.training.keypoints.views import azimuth_weights
 
-__all__ = ["HeldOut"]
-
 _BATCH = 32
 _SEED = 12_000_000  # of the samples
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Samples of held-out photographs, drawn once.
+    """Samples of held-out photographs, drawn once."""
 
-    Attributes:
-        samples: Degraded as those that are learnt from.
-    """
-
-    samples: Sequence[Sample]
+    samples: Sequence[Sample]  # degraded as those that are learnt from
 
     @classmethod
     def draw(

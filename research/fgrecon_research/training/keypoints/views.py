@@ -13,8 +13,6 @@ from fgrecon.core.metrics import wrap_angle
 from fgrecon_research.training.keypoints.augment import Sample, Street
 from fgrecon_research.training.keypoints.labelled_view import LabelledView
 
-__all__ = ["Together", "TrainingSet", "Views", "azimuth_weights"]
-
 _BINS = 36
 _TRIES = 12
 
@@ -68,17 +66,11 @@ class Together(Views):
 
 @dataclass(frozen=True, eq=False)
 class TrainingSet:
-    """What is learnt from.
-
-    Attributes:
-        views: The views.
-        chosen: (N,) which of them.
-        weights: (N,) probability of drawing each.
-    """
+    """What is learnt from."""
 
     views: Views
-    chosen: NDArray[np.intp]
-    weights: Array
+    chosen: NDArray[np.intp]  # (N,) which of them
+    weights: Array  # (N,) probability of drawing each
 
     def draw(self, street: Street, partner: NDArray[np.intp], seed: Sequence[int]) -> Sample:
         """A sample, fully determined by the seed."""

@@ -22,19 +22,6 @@ from fgrecon.solve.vehicle.conditioning import SizeRelation, express, learn_size
 from fgrecon_research.training.priors.half_mesh import mirrored_half
 from fgrecon_research.training.priors.pca import SurfaceSamples, pca_prior
 
-__all__ = [
-    "DUPLICATE",
-    "Apollo79",
-    "LeaveOneOut",
-    "apollo79_prior",
-    "apollo79_size_relation",
-    "kept_models",
-    "leave_one_out",
-    "load_apollo79",
-    "rounded",
-    "surface_samples",
-]
-
 DUPLICATE = ("fengtian-puladuo-06", "guangqi-chuanqi-GS4-2015")
 """Two names of one and the same car: it is learnt from once, and held out by either name."""
 
@@ -49,29 +36,21 @@ _DECIMALS = 6
 
 @dataclass(frozen=True)
 class Apollo79:
-    """The 79 car models, oversize ones brought to their real length. Object frame, metres.
+    """The 79 car models, oversize ones brought to their real length. Object frame, metres."""
 
-    Attributes:
-        names: Names of the models.
-        keypoints: (79, 14, 3) keypoints in the order of `car14`, located on every model, exactly symmetric.
-        keypoints_mesh: (79, 14, 3) the same keypoints as fixed points of the common topology: 2 cm from `keypoints`
-            on average, left and right differ by 2 to 3 cm RMS.
-        vertices: (79, 1352, 3) vertices of the meshes; the topology is not symmetric.
-        mirrored: (79, 1352, 3) the point that each vertex's mirror image about z = 0 should be: interpolated on the
-            opposite side of the same mesh and reflected.
-        faces: (2700, 3) triangles, the same for all.
-        size: (79, 3) length, width without mirrors, and height of each model's box.
-        scale: (79,) factor by which the file's numbers were multiplied; 1 for all but four models.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # names of the models
+    # (79, 14, 3) keypoints in the order of `car14`, located on every model, exactly symmetric
     keypoints: NDArray[np.float64]
+    # (79, 14, 3) the same keypoints as fixed points of the common topology: 2 cm from `keypoints` on average, left and
+    # right differ by 2 to 3 cm RMS
     keypoints_mesh: NDArray[np.float64]
-    vertices: NDArray[np.float64]
+    vertices: NDArray[np.float64]  # (79, 1352, 3) vertices of the meshes; the topology is not symmetric
+    # (79, 1352, 3) the point that each vertex's mirror image about z = 0 should be: interpolated on the opposite side
+    # of the same mesh and reflected
     mirrored: NDArray[np.float64]
-    faces: NDArray[np.int32]
-    size: NDArray[np.float64]
-    scale: NDArray[np.float64]
+    faces: NDArray[np.int32]  # (2700, 3) triangles, the same for all
+    size: NDArray[np.float64]  # (79, 3) length, width without mirrors, and height of each model's box
+    scale: NDArray[np.float64]  # (79,) factor by which the file's numbers were multiplied; 1 for all but four models
 
     def index(self, names: Sequence[str]) -> NDArray[np.intp]:
         """Indices of models by name.
@@ -177,21 +156,13 @@ def apollo79_size_relation(models: Apollo79, prior: ShapePrior, exclude: Sequenc
 
 @dataclass(frozen=True)
 class LeaveOneOut:
-    """How well the first N vectors express a car that they were not learnt from (least-squares coefficients).
+    """How well the first N vectors express a car that they were not learnt from (least-squares coefficients)."""
 
-    Attributes:
-        basis: Number N of vectors.
-        explained: Fraction of the variance that they explain in the data itself.
-        keypoint_rms: Root mean square distance of a keypoint, metres.
-        keypoint_median: Median distance of a keypoint, metres.
-        vertex_rms: Root mean square distance of a vertex of the surface, metres.
-    """
-
-    basis: int
-    explained: float
-    keypoint_rms: float
-    keypoint_median: float
-    vertex_rms: float
+    basis: int  # number N of vectors
+    explained: float  # fraction of the variance that they explain in the data itself
+    keypoint_rms: float  # root mean square distance of a keypoint, metres
+    keypoint_median: float  # median distance of a keypoint, metres
+    vertex_rms: float  # root mean square distance of a vertex of the surface, metres
 
 
 def leave_one_out(

@@ -19,8 +19,6 @@ from fgrecon_research.training.priors.em_acceleration import EmState, em, start_
 from fgrecon_research.training.priors.em_ppca import Data
 from fgrecon_research.training.priors.symmetric_subspace import SymmetricSubspace
 
-__all__ = ["bootstrapped_means", "vehicle_numbers"]
-
 Array = NDArray[np.float64]
 _ITERATIONS = 60  # of EM in a draw, from where learning ended
 _TOLERANCE = 5e-5  # nats per keypoint and iteration

@@ -9,8 +9,6 @@ from fgrecon.core.category import Category
 from fgrecon.core.errors import DegenerateProblemError
 from fgrecon.core.size_prior import SizePrior
 
-__all__ = ["at_ground_level", "levelled", "metric_scale", "metric_stretch", "object_axes"]
-
 Array = NDArray[np.float64]
 _SEPARATION = 0.05
 

@@ -11,8 +11,6 @@ from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior
 
-__all__ = ["PriorComparison", "align", "compare_priors", "expression_error", "mean_error"]
-
 Array = NDArray[np.float64]
 _ITERATIONS = 10
 

@@ -25,8 +25,6 @@ from fgrecon_research.training.priors.em_ppca import (
 )
 from fgrecon_research.training.priors.symmetric_subspace import SymmetricSubspace
 
-__all__ = ["EmState", "Report", "em", "start_state"]
-
 Array = NDArray[np.float64]
 Report = Callable[[int, float], None]
 """Called after each iteration with its number and the bound per seen keypoint (nats)."""
@@ -37,19 +35,13 @@ _NOISE_FLOOR = 1e-8
 
 @dataclass(frozen=True)
 class EmState:
-    """Everything that EM iterates on.
+    """Everything that EM iterates on."""
 
-    Attributes:
-        model: The shape model, scaled so that the mean's keypoints lie at an RMS distance of 1 from the origin.
-        cameras: One per instance.
-        posterior: The latent variables under both.
-        bound: The bound of all instances together, nats.
-    """
-
+    # the shape model, scaled so that the mean's keypoints lie at an RMS distance of 1 from the origin
     model: ShapeModel
-    cameras: Cameras
-    posterior: Posterior
-    bound: float
+    cameras: Cameras  # one per instance
+    posterior: Posterior  # the latent variables under both
+    bound: float  # the bound of all instances together, nats
 
 
 def start_state(

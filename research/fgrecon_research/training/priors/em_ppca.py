@@ -37,36 +37,17 @@ from numpy.typing import NDArray
 
 from fgrecon_research.training.priors.symmetric_subspace import SymmetricSubspace
 
-__all__ = [
-    "Cameras",
-    "Data",
-    "Posterior",
-    "ShapeModel",
-    "bound",
-    "e_step",
-    "expected_shapes",
-    "model_step",
-    "orthonormal_rows",
-    "pose_step",
-]
-
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Data:
-    """The annotations, ready for use.
+    """The annotations, ready for use."""
 
-    Attributes:
-        points: (M, K, 2) image points; unseen ones hold zeros.
-        seen: (M, K) 1.0 where a keypoint was annotated, else 0.0.
-        importance: (M,) factor on each instance's log likelihood; ones where all count alike.
-        freedom: Fitted camera parameters that the noise estimate allows for: 6, or 0 for the plain likelihood.
-    """
-
-    points: Array
-    seen: Array
-    importance: Array
+    points: Array  # (M, K, 2) image points; unseen ones hold zeros
+    seen: Array  # (M, K) 1.0 where a keypoint was annotated, else 0.0
+    importance: Array  # (M,) factor on each instance's log likelihood; ones where all count alike
+    # fitted camera parameters that the noise estimate allows for: 6, or 0 for the plain likelihood
     freedom: float = 6.0
 
     @property
@@ -95,19 +76,12 @@ class Cameras:
 
 @dataclass(frozen=True)
 class Posterior:
-    """What the E-step knows about the latent variables.
+    """What the E-step knows about the latent variables."""
 
-    Attributes:
-        mean: (M, N) posterior mean of the coefficients.
-        covariance: (M, N, N) their posterior covariance.
-        weight: (M, K) expected precision factor u of each keypoint, 1 for Gaussian noise and 0 where unseen.
-        squared: (M, K) expected squared residual in the object's units.
-    """
-
-    mean: Array
-    covariance: Array
-    weight: Array
-    squared: Array
+    mean: Array  # (M, N) posterior mean of the coefficients
+    covariance: Array  # (M, N, N) their posterior covariance
+    weight: Array  # (M, K) expected precision factor u of each keypoint, 1 for Gaussian noise and 0 where unseen
+    squared: Array  # (M, K) expected squared residual in the object's units
 
 
 def expected_shapes(model: ShapeModel, coefficients: Array) -> Array:

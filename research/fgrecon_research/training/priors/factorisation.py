@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from fgrecon_research.training.priors.symmetric_subspace import SymmetricSubspace
 
-__all__ = ["affine_factorisation", "metric_upgrade"]
-
 Array = NDArray[np.float64]
 
 

@@ -13,24 +13,16 @@ from numpy.typing import NDArray
 
 from fgrecon.core.geometry import MIRROR
 
-__all__ = ["SymmetricMesh", "mirrored_half"]
-
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class SymmetricMesh:
-    """Shapes in one topology that is its own mirror image.
+    """Shapes in one topology that is its own mirror image."""
 
-    Attributes:
-        vertices: (M, V, 3) vertices of each shape; z = 0 on the seam.
-        faces: (F, 3) triangles, the first half on the left (z >= 0).
-        mirror: (V,) index of each vertex's mirror image; its own index on the seam.
-    """
-
-    vertices: Array
-    faces: NDArray[np.int32]
-    mirror: NDArray[np.intp]
+    vertices: Array  # (M, V, 3) vertices of each shape; z = 0 on the seam
+    faces: NDArray[np.int32]  # (F, 3) triangles, the first half on the left (z >= 0)
+    mirror: NDArray[np.intp]  # (V,) index of each vertex's mirror image; its own index on the seam
 
 
 def mirrored_half(vertices: Array, faces: NDArray[np.int32], seam_width: float = 0.01) -> SymmetricMesh:

@@ -15,8 +15,6 @@ from fgrecon.core.size_prior import SIZE_PRIORS, SizePrior
 from fgrecon_research.training.priors.canonical_frame import at_ground_level, levelled, metric_scale, metric_stretch
 from fgrecon_research.training.priors.nrsfm import NrsfmOptions, NrsfmResult, ProgressCallback, fit_nrsfm
 
-__all__ = ["PROPORTIONS", "LearntPrior", "default_size", "learn_prior", "to_prior"]
-
 Array = NDArray[np.float64]
 
 PROPORTIONS = 0.75

@@ -25,8 +25,6 @@ from fgrecon.io.keypoints.names import parse_names
 from fgrecon_research.training.priors.apollo79 import Apollo79, kept_models, surface_samples
 from fgrecon_research.training.priors.pca import pca_prior
 
-__all__ = ["SCHEME", "LocatedPoints", "PosedMarks", "located_points", "marked_prior"]
-
 Array = NDArray[np.float64]
 
 SCHEME = "apollo66"
@@ -41,32 +39,20 @@ _WEAK = 1e-3  # draws the common offset to the vertex
 
 @dataclass(frozen=True, eq=False)
 class PosedMarks:
-    """The marks of one car of known pose and model.
+    """The marks of one car of known pose and model."""
 
-    Attributes:
-        model: Index of its model.
-        pixels: (P, 2) marks, NaN where there is none.
-        camera_T_object: (4, 4) pose, metres, of the model in the size in which its pose was labelled.
-    """
-
-    model: int
-    pixels: Array
-    camera_T_object: Array
+    model: int  # index of its model
+    pixels: Array  # (P, 2) marks, NaN where there is none
+    camera_T_object: Array  # (4, 4) pose, metres, of the model in the size in which its pose was labelled
 
 
 @dataclass(frozen=True, eq=False)
 class LocatedPoints:
-    """Where the points are.
+    """Where the points are."""
 
-    Attributes:
-        points: (M, P, 3) in the object frame, metres, exactly mirror-symmetric.
-        marks: (M, P) number of marks of each point of each model and of its mirror image; 0: imputed.
-        residual: (P,) median distance of the marks from the points, metres at their distance; NaN without marks.
-    """
-
-    points: Array
-    marks: NDArray[np.int64]
-    residual: Array
+    points: Array  # (M, P, 3) in the object frame, metres, exactly mirror-symmetric
+    marks: NDArray[np.int64]  # (M, P) number of marks of each point of each model and of its mirror image; 0: imputed
+    residual: Array  # (P,) median distance of the marks from the points, metres at their distance; NaN without marks
 
 
 def located_points(cars: Sequence[PosedMarks], camera: Camera, models: Apollo79, category: Category) -> LocatedPoints:

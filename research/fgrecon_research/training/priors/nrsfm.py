@@ -13,6 +13,7 @@ Above `NrsfmOptions.start_images` images, the restarts run on a part, whose winn
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,12 +27,9 @@ from fgrecon_research.training.priors.canonical_frame import object_axes
 from fgrecon_research.training.priors.em_acceleration import EmState, em, start_state
 from fgrecon_research.training.priors.em_ppca import Cameras, Data, ShapeModel, expected_shapes
 from fgrecon_research.training.priors.factorisation import affine_factorisation, metric_upgrade
-from fgrecon_research.training.priors.nrsfm_options import NrsfmOptions, NrsfmProgress, ProgressCallback
 from fgrecon_research.training.priors.perspective import draw_nearer, estimate_nearness, without_perspective
 from fgrecon_research.training.priors.pose_search import search_cameras, uniform_rotations
 from fgrecon_research.training.priors.symmetric_subspace import SymmetricSubspace
-
-__all__ = ["NrsfmOptions", "NrsfmProgress", "NrsfmResult", "ProgressCallback", "fit_nrsfm"]
 
 Array = NDArray[np.float64]
 _FACTORISATIONS = 4
@@ -45,40 +43,98 @@ _MOST_IMPORTANT = 8.0
 
 
 @dataclass(frozen=True)
-class NrsfmResult:
-    """What was learnt, in the object frame up to scale and origin (see `training.priors.learn` for metres).
+class NrsfmOptions:
+    """How to learn.
 
     Attributes:
-        mean: (K, 3) mean shape; x forward, y down, z left; RMS distance of its keypoints from the origin 1.
-        basis: (N, K, 3) basis vectors for unit coefficients, orthogonal, the strongest first.
-        sigma: Noise (1 sigma per axis) in the same unit; the scale parameter of Student's t where dof is given.
-        used: (M,) which of the given images were learnt from; the arrays below have one row for each of them.
-        coefficients: (M', N) posterior mean of the coefficients.
-        cameras: The scaled-orthographic cameras, in the given pixels.
-        weights: (M', K) robust weights; 0 where unseen, 1 for Gaussian noise.
-        residual_sigma: (K,) root mean square of each keypoint's weighted residual per axis.
-        history: Bound after each pair of iterations of the last stage, nats; it never falls.
-        converged: Whether the last stage ended by its tolerance.
-        restart_bounds: Bound per keypoint at the end of each restart.
-        nearness: Inverse distance of the cameras per unit of the shape; 0 for scaled orthography.
-        reversed: Whether the depth of the factorisation had to be reversed to make the object frame right-handed.
-        drawn: (B, K, 3) means by other draws of the vehicles (`bootstrap`), fitted to the mean; B is 0 where none were
-            made.
+        basis: Number N of basis vectors.
+        symmetric: Keep mean and basis mirror-symmetric (the category's pairs); without pairs nothing is imposed.
+        perspective: Estimate the cameras' common distance and take perspective out of the annotations to first order;
+            else it appears as a mode that tells front from rear views.
+        dof: Degrees of freedom of Student's t noise, which bears wrong annotations; None for Gaussian noise.
+        restricted: Estimate noise and shape by the restricted likelihood, which allows for the fitted cameras; else
+            by the plain likelihood of Torresani et al.
+        min_visible: Images with fewer annotated keypoints are left out.
+        restarts: Random starts; the one that ends at the best likelihood is kept.
+        iterations: Most EM iterations of the last stage.
+        tolerance: It ends when the bound rises by less, in nats per keypoint and iteration.
+        start_images: Restarts use at most so many images.
+        rotations: Starts of the global search for each camera.
+        seed: Seed of everything random.
+        bootstrap: Draws of the vehicles by which the mean's standard deviation is estimated; 0 for none. They change
+            nothing else.
     """
 
-    mean: Array
-    basis: Array
-    sigma: float
+    basis: int = 5
+    symmetric: bool = True
+    perspective: bool = False
+    dof: float | None = 2.0
+    restricted: bool = True
+    min_visible: int = 8
+    restarts: int = 3
+    iterations: int = 600
+    tolerance: float = 5e-6
+    start_images: int = 2000
+    rotations: int = 24
+    seed: int = 0
+    bootstrap: int = 12
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            InvalidInputError: A number is out of its range.
+        """
+        for field, lowest in (("basis", 0), ("min_visible", 4), ("restarts", 1), ("iterations", 2), ("rotations", 0)):
+            if getattr(self, field) < lowest:
+                raise InvalidInputError(f"options.{field}", getattr(self, field), f"Give at least {lowest}.")
+        if self.bootstrap < 0 or self.bootstrap == 1:
+            raise InvalidInputError("options.bootstrap", self.bootstrap, "Give 0, or 2 draws and more.")
+        if self.dof is not None and not self.dof > 0:
+            raise InvalidInputError("options.dof", self.dof, "Give a positive number, or None for Gaussian noise.")
+        if not self.tolerance > 0:
+            raise InvalidInputError("options.tolerance", self.tolerance, "Give a positive number.")
+
+
+@dataclass(frozen=True)
+class NrsfmProgress:
+    """How far learning has come.
+
+    Attributes:
+        stage: What is being done, in words.
+        fraction: Share of all the work that is behind, an estimate.
+        iteration: Iteration within the stage.
+        bound: Log likelihood (or its lower bound) per keypoint, nats.
+    """
+
+    stage: str
+    fraction: float
+    iteration: int
+    bound: float
+
+
+ProgressCallback = Callable[[NrsfmProgress], None]
+
+
+@dataclass(frozen=True)
+class NrsfmResult:
+    """What was learnt, in the object frame up to scale and origin (see `training.priors.learn` for metres)."""
+
+    mean: Array  # (K, 3) mean shape; x forward, y down, z left; RMS distance of its keypoints from the origin 1
+    basis: Array  # (N, K, 3) basis vectors for unit coefficients, orthogonal, the strongest first
+    sigma: float  # noise (1 sigma per axis) in the same unit; the scale parameter of Student's t where dof is given
+    # (M,) which of the given images were learnt from; the arrays below have one row for each of them
     used: NDArray[np.bool_]
-    coefficients: Array
-    cameras: Cameras
-    weights: Array
-    residual_sigma: Array
-    history: tuple[float, ...]
-    converged: bool
-    restart_bounds: tuple[float, ...]
-    nearness: float
-    reversed: bool
+    coefficients: Array  # (M', N) posterior mean of the coefficients
+    cameras: Cameras  # the scaled-orthographic cameras, in the given pixels
+    weights: Array  # (M', K) robust weights; 0 where unseen, 1 for Gaussian noise
+    residual_sigma: Array  # (K,) root mean square of each keypoint's weighted residual per axis
+    history: tuple[float, ...]  # bound after each pair of iterations of the last stage, nats; it never falls
+    converged: bool  # whether the last stage ended by its tolerance
+    restart_bounds: tuple[float, ...]  # bound per keypoint at the end of each restart
+    nearness: float  # inverse distance of the cameras per unit of the shape; 0 for scaled orthography
+    reversed: bool  # whether the depth of the factorisation had to be reversed to make the object frame right-handed
+    # (B, K, 3) means by other draws of the vehicles (`bootstrap`), fitted to the mean; B is 0 where none were made
     drawn: Array
 
     def predict(self) -> Array:

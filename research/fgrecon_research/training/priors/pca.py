@@ -20,23 +20,16 @@ from fgrecon.core.geometry import MIRROR
 from fgrecon.core.shape_prior import ShapePrior, Surface
 from fgrecon_research.training.priors.ppca import LinearModel, fit_linear_model
 
-__all__ = ["SurfaceSamples", "pca_prior"]
-
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class SurfaceSamples:
-    """Surfaces of the training shapes in one mesh topology.
+    """Surfaces of the training shapes in one mesh topology."""
 
-    Attributes:
-        vertices: (M, V, 3) vertices of each shape, object frame, metres.
-        faces: (F, 3) triangles.
-        mirror: (V,) index of each vertex's mirror image about z = 0, or None where the topology is not symmetric.
-    """
-
-    vertices: Array
-    faces: NDArray[np.int32]
+    vertices: Array  # (M, V, 3) vertices of each shape, object frame, metres
+    faces: NDArray[np.int32]  # (F, 3) triangles
+    # (V,) index of each vertex's mirror image about z = 0, or None where the topology is not symmetric
     mirror: NDArray[np.intp] | None = None
 
 

@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 from fgrecon_research.training.priors.em_acceleration import EmState
 from fgrecon_research.training.priors.em_ppca import Data, expected_shapes
 
-__all__ = ["draw_nearer", "estimate_nearness", "without_perspective"]
-
 Array = NDArray[np.float64]
 _LEAST_FACTOR = 0.5
 """Bound on 1 + d zeta for points of mistaken cameras."""

@@ -19,8 +19,6 @@ from fgrecon_research.training.priors.em_ppca import (
     pose_step,
 )
 
-__all__ = ["search_cameras", "uniform_rotations"]
-
 Array = NDArray[np.float64]
 
 

@@ -17,33 +17,21 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.checks import as_finite, as_shape
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
 
-__all__ = ["LinearModel", "fit_linear_model"]
-
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class LinearModel:
-    """A fitted linear model of rows.
+    """A fitted linear model of rows."""
 
-    Attributes:
-        mean: (D,) mean row.
-        directions: (D, N) orthonormal directions, the one of largest variance first.
-        std: (N,) standard deviation of the data along each direction (unbiased).
-        explained: (N,) fraction of the total variance along each direction.
-        scores: (M, N) each row's coefficients lambda, of unit variance over the data.
-        residual: (D,) mean square of what the directions leave unexplained in the data itself, per coordinate.
-        effective: Number of rows that count: (sum w)^2 / sum w^2 for weights w.
-        log_likelihood: Log-likelihood of the observed entries after each EM iteration; empty for the closed form.
-    """
-
-    mean: Array
-    directions: Array
-    std: Array
-    explained: Array
-    scores: Array
-    residual: Array
-    effective: float
+    mean: Array  # (D,) mean row
+    directions: Array  # (D, N) orthonormal directions, the one of largest variance first
+    std: Array  # (N,) standard deviation of the data along each direction (unbiased)
+    explained: Array  # (N,) fraction of the total variance along each direction
+    scores: Array  # (M, N) each row's coefficients lambda, of unit variance over the data
+    residual: Array  # (D,) mean square of what the directions leave unexplained in the data itself, per coordinate
+    effective: float  # number of rows that count: (sum w)^2 / sum w^2 for weights w
+    # log-likelihood of the observed entries after each EM iteration; empty for the closed form
     log_likelihood: list[float] = field(default_factory=list)
 
     @property

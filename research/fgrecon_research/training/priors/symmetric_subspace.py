@@ -8,23 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Orbit", "SymmetricSubspace"]
-
 _MIRROR = np.diag([1.0, 1.0, -1.0])
 _MEDIAL = np.eye(3)[:, :2]
 
 
 @dataclass(frozen=True)
 class Orbit:
-    """Keypoints that share their unknowns: a mirrored pair, a point on the medial plane, or one free point.
+    """Keypoints that share their unknowns: a mirrored pair, a point on the medial plane, or one free point."""
 
-    Attributes:
-        keypoints: (P,) their indices.
-        maps: (P, 3, D) from the D shared unknowns to each keypoint's coordinates.
-    """
-
-    keypoints: NDArray[np.intp]
-    maps: NDArray[np.float64]
+    keypoints: NDArray[np.intp]  # (P,) their indices
+    maps: NDArray[np.float64]  # (P, 3, D) from the D shared unknowns to each keypoint's coordinates
 
     @property
     def size(self) -> int:
@@ -39,14 +32,10 @@ class SymmetricSubspace:
     A pair has the unknowns (x, y, z) of its left point, whose image is (x, y, -z); a keypoint without a partner lies
     on the medial plane and has (x, y). The rank of the mean and basis thus halves, and no coefficient can break the
     symmetry; mirrored copies of the data would impose it on the mean alone and cost twice the time.
-
-    Attributes:
-        orbits: The groups of keypoints, which together contain each keypoint once.
-        mirror: (K,) index of each keypoint's mirror image, or None where symmetry is not imposed.
     """
 
-    orbits: tuple[Orbit, ...]
-    mirror: NDArray[np.intp] | None
+    orbits: tuple[Orbit, ...]  # the groups of keypoints, which together contain each keypoint once
+    mirror: NDArray[np.intp] | None  # (K,) index of each keypoint's mirror image, or None where symmetry is not imposed
 
     @classmethod
     def of(cls, size: int, pairs: Sequence[tuple[int, int]], symmetric: bool) -> SymmetricSubspace:
