@@ -9,9 +9,8 @@ import numpy as np
 
 from fgrecon.core.metrics import THRESHOLDS
 from fgrecon_research.evaluation.kitti_devkit import REGIMES
-from fgrecon_research.paper.numbers import PRINTED_MAE
 from fgrecon_research.paper.simulated_scores import CHAIN_ROWS, STAGE_ROWS, Scores
-from fgrecon_research.paper.tables import row_label
+from fgrecon_research.paper.tables import PRINTED_MAE, row_label
 
 _BASELINES = ("aspnp+size", "epnp+size", "sqpnp+size", "sqpnp_confident+size", "poselib_ransac+size")
 _CLAIMED = 90.0

@@ -13,7 +13,7 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.vehicle_mesh import VehicleMesh, model_distances
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon_research.paper.apollocar3d import MarkedCar, MarkedCars
-from fgrecon_research.paper.known_shape import BASIS, KNOWN_SHAPE_OPTIONS, told_by_others
+from fgrecon_research.paper.known_shape import BASIS, KNOWN_SHAPE_OPTIONS, learnt_from_others
 from fgrecon_research.training.priors.apollo79 import DUPLICATE, Apollo79, apollo79_prior
 
 Array = NDArray[np.float64]
@@ -83,7 +83,7 @@ def rank_models(
     margins: dict[str, float] = {}
     for name in sorted({car.model for car in cars.cars}):
         group = [car for car in cars.cars if car.model == name]
-        offsets, frequency = told_by_others(models, cars, group)
+        offsets, frequency = learnt_from_others(models, cars, group)
         plain = apollo79_prior(models, basis=BASIS, exclude=[name])
         frequent = apollo79_prior(models, basis=BASIS, exclude=[name], weights=frequency)
         mean = _ranked(plain.mean, library, name)

@@ -3,32 +3,26 @@
 from __future__ import annotations
 
 import hashlib
-import io
-import json
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
-from importlib import metadata
 from multiprocessing import get_context
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
-from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.errors import FgreconError
 from fgrecon.core.geometry import transform
 from fgrecon.core.metrics import FAILURE_DEGREES, keypoint_error, rotation_error
+from fgrecon.core.observation import Observation
 from fgrecon.core.options import BoxModel, KeypointOptions, Options, ShapeOptions
 from fgrecon.core.processes import one_thread_each
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior
-from fgrecon.io.arrays import read_arrays
 from fgrecon.io.catalogue import load_category
-from fgrecon.io.files import write_bytes
-from fgrecon.io.stored import MADE_AGAIN, stored
 from fgrecon.solve.pipeline import reconstruct
 from fgrecon.solve.vehicle.conditioning import given_size
 from fgrecon_research.paper.apollocar3d import MarkedCar, MarkedCars, marking_offsets
@@ -91,44 +85,26 @@ class KnownShapeScores:
 
 
 def score_known_shapes(
-    cars: MarkedCars,
-    models: Apollo79,
-    *,
-    folder: Path | None = None,
-    workers: int = 1,
-    advance: Callable[[int, int], None] = lambda *_: None,
+    cars: MarkedCars, models: Apollo79, *, workers: int = 1, advance: Callable[[int, int], None] = lambda *_: None
 ) -> KnownShapeScores:
     """Fit every car with a prior that knows neither it nor, where it has two names, its duplicate.
 
     Args:
         cars: What to fit.
         models: The 79 models.
-        folder: Where the results of one model's cars are stored, and taken from where an earlier run with the same
-            inputs left them; None stores nothing.
         workers: Number of processes; the result does not depend on it.
         advance: Told how many cars are done, and how many there are.
     """
     groups = [[c for c in cars.cars if c.model == model] for model in sorted({car.model for car in cars.cars})]
     found: dict[str, _Result] = {}
-    todo: list[tuple[list[MarkedCar], Path | None]] = []
-    for group in groups:
-        path = None if folder is None else folder / f"{group[0].model}-{_digest(models, cars, group)}.npz"
-        known = None if path is None else stored(path, _read)
-        if known is not None and len(known) == len(group):
-            found.update(zip((car.name for car in group), known, strict=True))
-        else:
-            todo.append((group, path))
-    advance(len(found), len(cars.cars))
+    advance(0, len(cars.cars))
     with one_thread_each(), ProcessPoolExecutor(workers, get_context("spawn")) as pool:
         waiting = {
-            pool.submit(_score_model, models, cars.camera, group, told_by_others(models, cars, group)): (group, path)
-            for group, path in todo
+            pool.submit(_score_model, models, cars.camera, group, learnt_from_others(models, cars, group)): group
+            for group in groups
         }
         for future in as_completed(waiting):
-            (group, path), results = waiting[future], future.result()
-            found.update(zip((car.name for car in group), results, strict=True))
-            if path is not None:
-                _write(path, results)
+            found.update(zip((car.name for car in waiting[future]), future.result(), strict=True))
             advance(len(found), len(cars.cars))
     table = np.array([found[car.name][0] for car in cars.cars]).reshape(len(cars.cars), len(KNOWN_SHAPE_ROWS), 3)
     return KnownShapeScores(
@@ -142,37 +118,7 @@ def score_known_shapes(
     )
 
 
-def _digest(models: Apollo79, everyone: MarkedCars, cars: Sequence[MarkedCar]) -> str:
-    """Changes with everything that the results depend on, save for unreleased changes of the code."""
-    options = replace(KNOWN_SHAPE_OPTIONS, disabled_terms=frozenset())  # a set has no order to print
-    disabled = sorted(KNOWN_SHAPE_OPTIONS.disabled_terms)
-    plain = (metadata.version("fgrecon"), BASIS, EACH_MODEL, options, disabled, KNOWN_SHAPE_ROWS, cars[0].model)
-    digest = hashlib.sha256(repr(plain).encode())
-    for array in (models.keypoints, models.vertices, models.size, everyone.camera.matrix):
-        digest.update(np.ascontiguousarray(array).tobytes())
-    for car in everyone.cars:  # all of them tell where marks lie
-        for array in (car.keypoints, car.box, car.camera_T_object, car.shape, car.size):
-            digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()[:12]
-
-
-def _write(path: Path, results: Sequence[_Result]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    buffer = io.BytesIO()
-    failures = np.array([json.dumps(reasons) for _, reasons in results])
-    np.savez(buffer, allow_pickle=False, table=np.array([table for table, _ in results]), failures=failures)
-    write_bytes(path, buffer.getvalue())
-
-
-def _read(path: Path) -> list[_Result]:
-    try:
-        archive = read_arrays(path, str(path), MADE_AGAIN)
-        return [(table, json.loads(str(f))) for table, f in zip(archive["table"], archive["failures"], strict=True)]
-    except (OSError, ValueError, KeyError) as error:
-        raise InvalidInputError(str(path), str(error), MADE_AGAIN) from error
-
-
-def told_by_others(models: Apollo79, cars: MarkedCars, group: Sequence[MarkedCar]) -> tuple[Array, Array]:
+def learnt_from_others(models: Apollo79, cars: MarkedCars, group: Sequence[MarkedCar]) -> tuple[Array, Array]:
     """What all other models' cars tell: how their marks lie (14, 3), and how much each model counts (79,)."""
     others = [car for car in cars.cars if car.model != group[0].model]
     found = Counter(car.model for car in others)
@@ -243,3 +189,54 @@ def car_errors(car: MarkedCar, camera_T_object: Array, shape: Array) -> tuple[fl
     centre, true_centre = points.mean(axis=0), truth.mean(axis=0)
     away = float(np.linalg.norm(centre - true_centre) / np.linalg.norm(true_centre))
     return float(turn), away, float(keypoint_error(points - centre, truth - true_centre).mean())
+
+
+_EACH = 3
+
+
+@dataclass(frozen=True, eq=False)
+class ExampleCar:
+    """A car with its result and the truth."""
+
+    place: str  # `best`, `median` or `worst`
+    name: str  # of the car, `<image>:<position in the image>`
+    observation: Observation  # the marks
+    camera: Camera
+    result: Reconstruction  # the reconstruction from them, by a prior that has not learnt from the car's model
+    camera_T_object: NDArray[np.float64]  # (4, 4) true pose
+    size: NDArray[np.float64]  # (3,) true length, width and height, metres
+    shape: NDArray[np.float64]  # (14, 3) true keypoints, object frame, metres
+
+
+def example_cars(cars: MarkedCars, models: Apollo79) -> tuple[ExampleCar, ...]:
+    """Three cars each of the smallest, the median and the largest error of their keypoints in the camera frame.
+
+    Args:
+        cars: The cars; all are solved. One that fails is left out.
+        models: The 79 models.
+    """
+    found: list[tuple[float, ExampleCar]] = []
+    for model in sorted({car.model for car in cars.cars}):
+        prior = apollo79_prior(models, basis=BASIS, exclude=[model])
+        for car in (car for car in cars.cars if car.model == model):
+            if (example := _solved(car, cars.camera, prior)) is not None:
+                result = example.result
+                found.append((car_errors(car, result.camera_T_object, result.wireframe)[2], example))
+    ordered = [example for _, example in sorted(found, key=lambda pair: pair[0])]
+    each = min(_EACH, len(ordered) // 3)
+    middle = (len(ordered) - each) // 2
+    places = {"best": 0, "median": middle, "worst": len(ordered) - each}
+    return tuple(replace(one, place=place) for place, at in places.items() for one in ordered[at : at + each])
+
+
+def _solved(car: MarkedCar, camera: Camera, prior: ShapePrior) -> ExampleCar | None:
+    marked = np.isfinite(car.keypoints[:, 0]).astype(np.float64)
+    try:
+        result = reconstruct(
+            car.keypoints, camera, confidence=marked, box=car.box, prior=prior, options=KNOWN_SHAPE_OPTIONS
+        )
+    except FgreconError:
+        return None
+    seen = Observation(car.keypoints, marked, box=car.box)
+    found = np.isfinite(result.camera_T_object).all()
+    return ExampleCar("", car.name, seen, camera, result, car.camera_T_object, car.size, car.shape) if found else None

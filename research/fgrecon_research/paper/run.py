@@ -14,15 +14,18 @@ from fgrecon.io.kitti_files import Objects, count_defects, write_results
 from fgrecon.io.track_file import Track, read_track
 from fgrecon_research.evaluation.kitti_devkit import evaluate
 from fgrecon_research.evaluation.kitti_overlap import Space
-from fgrecon_research.evaluation.methods import METHODS, select
 from fgrecon_research.paper.apollocar3d import CONSISTENT, FEWEST_MARKS, MarkedCars, read_apollocar3d
 from fgrecon_research.paper.claims import Claim, claims
-from fgrecon_research.paper.example_cars import ExampleCar, example_cars
-from fgrecon_research.paper.hand_labels import read_hand_labels
 from fgrecon_research.paper.keypoint_noise_fit import Residuals, read_vehicle, residuals
-from fgrecon_research.paper.known_shape import BASIS, KNOWN_SHAPE_OPTIONS, KnownShapeScores, score_known_shapes
-from fgrecon_research.paper.network import NetworkScores, network_parts, network_table, parts_note
-from fgrecon_research.paper.parts import KNOWN_SHAPE, delete_parts
+from fgrecon_research.paper.known_shape import (
+    BASIS,
+    KNOWN_SHAPE_OPTIONS,
+    ExampleCar,
+    KnownShapeScores,
+    example_cars,
+    score_known_shapes,
+)
+from fgrecon_research.paper.network import NetworkScores, network_parts, network_table, parts_note, read_hand_labels
 from fgrecon_research.paper.plots import (
     aop_plot,
     error_curves,
@@ -36,6 +39,7 @@ from fgrecon_research.paper.simulated import Fleet
 from fgrecon_research.paper.simulated_run import (
     CONDITIONS,
     ConditionResult,
+    PaperSettings,
     Validation,
     read_validation,
     run_conditions,
@@ -64,19 +68,6 @@ _SHOWN = ("initialisation", "epnp+size", "aspnp+size", "sqpnp_confident+size", "
 
 
 @dataclass(frozen=True)
-class EvaluationSettings:
-    """What to run on."""
-
-    data: Path  # folder of the data
-    out: Path  # folder for parts and KITTI result files
-    scene: SceneKnowledge  # prior, ground and fleet
-    workers: int  # number of processes
-    every: int  # take every so many-th part of the simulated set; 1 for all
-    seed: int  # seed of everything random
-    fresh: bool = False  # work on everything again: stored parts are deleted once the data are read
-
-
-@dataclass(frozen=True)
 class Page:
     """What is shown."""
 
@@ -102,7 +93,7 @@ class _Inputs:
     validation: Validation
 
     @classmethod
-    def read(cls, settings: EvaluationSettings) -> _Inputs:
+    def read(cls, settings: PaperSettings) -> _Inputs:
         data, category = settings.data, settings.scene.prior.category
         models = load_apollo79(data)
         marks = data / "hand_labels" / "kitti_object_keypoints14.json"
@@ -115,51 +106,35 @@ class _Inputs:
         )
 
 
-def evaluate_paper(settings: EvaluationSettings, advance: Callable[[str, int, int], None] = lambda *_: None) -> Page:
-    """Run everything.
+def evaluate_paper(settings: PaperSettings, advance: Callable[[str, int, int], None] = lambda *_: None) -> Page:
+    """Run everything: the simulated set, the cars of known shape, real tracks and images, and run times.
 
     Args:
         settings: What to run on.
         advance: Told the step, how much of it is done, and how much there is.
 
     Raises:
-        InvalidInputError: Something of the data is missing or cannot be used, or the package of a baseline is not
-            installed. Nothing is deleted then.
+        InvalidInputError: Something of the data is missing or cannot be used.
     """
-    select(METHODS)
     inputs = _Inputs.read(settings)
-    parts = settings.out / "parts"
-    if settings.fresh:
-        delete_parts(parts)
-    outcomes = run_conditions(
-        inputs.validation,
-        CONDITIONS,
-        settings.scene,
-        inputs.models,
-        parts,
-        seed=settings.seed,
-        workers=settings.workers,
-        every=settings.every,
-        advance=advance,
-    )
+    outcomes = run_conditions(inputs.validation, CONDITIONS, inputs.models, settings, advance)
     known = score_known_shapes(
         inputs.cars,
         inputs.models,
-        folder=parts / KNOWN_SHAPE,
         workers=settings.workers,
         advance=lambda done, total: advance("known shape", done, total),
     )
     fleet = Fleet(vehicles_of(inputs.models), inputs.models.size, seed=settings.seed)
     instances = some_instances(inputs.validation, fleet)
-    seen = measure(inputs.tracks, inputs.images, instances, settings.data, settings.scene, settings.seed, advance)
+    measured = measure(inputs.tracks, inputs.images, instances, settings, advance)
     main, chain = outcomes["validation"], outcomes["chain"]
     solved, seconds = sum(o.solved for o in outcomes.values()), sum(o.seconds for o in outcomes.values())
-    tables = _tables(inputs, settings, outcomes, known, seen)
+    tables = _tables(inputs, settings, outcomes, known, measured)
     return Page(
         conditions=_conditions(settings, outcomes, inputs.validation),
         claims=claims(main.scores, main.condition.rows, chain.scores, chain.condition.rows),
         tables=tables,
-        plots=_plots(settings, main, known, seen.network, tables[0]),
+        plots=_plots(settings, main, known, measured.network, tables[0]),
         problems=count_defects(inputs.validation.problems),
         defects=tuple(map(str, inputs.validation.problems)),
         failures=(*(f for o in outcomes.values() for f in o.scores.failures.tolist()), *known.failures),
@@ -170,10 +145,10 @@ def evaluate_paper(settings: EvaluationSettings, advance: Callable[[str, int, in
 
 def _tables(
     inputs: _Inputs,
-    settings: EvaluationSettings,
+    settings: PaperSettings,
     outcomes: Mapping[str, ConditionResult],
     known: KnownShapeScores,
-    seen: Measured,
+    measured: Measured,
 ) -> tuple[Table, ...]:
     """Every table, Table I first."""
     main, rows = outcomes["validation"].scores, outcomes["validation"].condition.rows
@@ -189,25 +164,25 @@ def _tables(
     )
     title_3 = "Table III: orientation error (simulated keypoints)"
     detected = f"Over the {found[0]} / {found[1]} / {found[2]} detected cars."
-    on_images = network_parts(seen.network)
+    on_images = network_parts(measured.network)
     return (
         aop_table("table_1", "Table I: orientation precision (simulated keypoints)", main, rows, note),
         stage_table(main, rows),
         mae_table("table_3", title_3, main, rows, detected),
-        ms_table(seen.times, seen.load),
+        ms_table(measured.times, measured.load),
         per_part_table("per_part", _SIMULATED_PARTS, _PARTS_NOTE, simulated_parts(main, rows), category),
-        network_table(seen.network),
-        per_part_table("per_part_real", _NETWORK_PARTS, parts_note(seen.network), on_images, category),
+        network_table(measured.network),
+        per_part_table("per_part_real", _NETWORK_PARTS, parts_note(measured.network), on_images, category),
         decoupling_table(main, rows, chain, chain_rows),
         *_variants(outcomes),
         _kitti_table(inputs.validation, main, rows, settings.out),
         *known_shape_tables(known, _known_note(inputs.cars)),
-        *seen.real,
+        *measured.real,
     )
 
 
 def _plots(
-    settings: EvaluationSettings, main: ConditionResult, known: KnownShapeScores, network: NetworkScores, table_1: Table
+    settings: PaperSettings, main: ConditionResult, known: KnownShapeScores, network: NetworkScores, table_1: Table
 ) -> dict[str, str]:
     """SVG elements by caption."""
     scores, rows, category = main.scores, main.condition.rows, settings.scene.prior.category
@@ -229,7 +204,7 @@ def _network(data: Path, scene: SceneKnowledge) -> list[Residuals]:
 
 
 def _conditions(
-    settings: EvaluationSettings, outcomes: Mapping[str, ConditionResult], validation: Validation
+    settings: PaperSettings, outcomes: Mapping[str, ConditionResult], validation: Validation
 ) -> tuple[str, ...]:
     scene, main = settings.scene, outcomes["validation"].scores
     length, width, height = scene.size.mean

@@ -39,6 +39,19 @@ _FRAMES_A_PART = 24
 
 
 @dataclass(frozen=True)
+class PaperSettings:
+    """What `evaluate_paper` runs on."""
+
+    data: Path  # folder of the data
+    out: Path  # folder for parts and KITTI result files
+    scene: SceneKnowledge  # prior, ground and fleet
+    workers: int = 1  # number of processes; results do not depend on it
+    every: int = 1  # take every so many-th part of the simulated set; 1 for all
+    seed: int = 0  # seed of everything random
+    fresh: bool = False  # work on everything again, whatever parts are stored
+
+
+@dataclass(frozen=True)
 class Condition:
     """One set of rows under one level of noise."""
 
@@ -135,42 +148,34 @@ class _Worker:
 def run_conditions(
     validation: Validation,
     conditions: Sequence[Condition],
-    scene: SceneKnowledge,
     models: Apollo79,
-    folder: Path,
-    *,
-    seed: int = 0,
-    workers: int = 1,
-    every: int = 1,
+    settings: PaperSettings,
     advance: Callable[[str, int, int], None] = lambda *_: None,
 ) -> Mapping[str, ConditionResult]:
     """Score every condition; parts that an earlier run finished with the same inputs are read, not made again.
 
+    A whole run takes over the parts of one that took every so many-th part of what a condition takes.
+
     Args:
         validation: Frames.
         conditions: What to run.
-        scene: What the methods know.
         models: Car models to draw from.
-        folder: Where parts are stored.
-        seed: Seed of everything random.
-        workers: Number of processes; the result does not depend on it.
-        every: Take every so many-th part of what a condition takes, for a first look. A whole run later takes these
-            parts over.
+        settings: What the methods know, where parts are stored, and how much is run.
         advance: Told condition, parts done and parts in all.
 
     Returns:
         Outcomes by the conditions' names.
     """
-    vehicles = vehicles_of(models)
     outcomes: dict[str, ConditionResult] = {}
-    with processes_with(partial(_Worker, scene, vehicles, models.size, seed), workers) as (pool, run):
+    make = partial(_Worker, settings.scene, vehicles_of(models), models.size, settings.seed)
+    with processes_with(make, settings.workers) as (pool, run):
         for condition in conditions:
-            place = folder / condition.name
+            place = settings.out / "parts" / condition.name
             place.mkdir(parents=True, exist_ok=True)
-            parts = _parts(validation)[:: condition.every * every]
-            inputs = _digest(condition, scene, models, seed)
+            parts = _parts(validation)[:: condition.every * settings.every]
+            inputs = _digest(condition, settings.scene, models, settings.seed)
             jobs = [_Job(condition, part, place / f"{part[0].name}-{_part_digest(inputs, part)}.npz") for part in parts]
-            missing = [job for job in jobs if stored(job.path, Scores.read) is None]
+            missing = [job for job in jobs if settings.fresh or stored(job.path, Scores.read) is None]
             advance(condition.name, len(jobs) - len(missing), len(jobs))
             started, solved = time.perf_counter(), 0
             waiting = [pool.submit(run, job) for job in missing]

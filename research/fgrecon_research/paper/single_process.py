@@ -11,7 +11,6 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import islice
 from multiprocessing import get_context
-from pathlib import Path
 from time import perf_counter
 
 from fgrecon.calibration.setup import SceneKnowledge
@@ -23,7 +22,7 @@ from fgrecon_research.evaluation.methods import METHODS, select
 from fgrecon_research.evaluation.run import MethodScores, score_tracks
 from fgrecon_research.paper.network import NetworkScores, score_network
 from fgrecon_research.paper.simulated import Fleet, SimulatedInstance, simulate_frame
-from fgrecon_research.paper.simulated_run import Validation
+from fgrecon_research.paper.simulated_run import PaperSettings, Validation
 from fgrecon_research.paper.simulated_scores import row_solvers
 from fgrecon_research.paper.tables import Table
 
@@ -47,9 +46,7 @@ def measure(
     tracks: Sequence[Track],
     images: Sequence[Track],
     instances: Sequence[SimulatedInstance],
-    data: Path,
-    scene: SceneKnowledge,
-    seed: int,
+    settings: PaperSettings,
     advance: Callable[[str, int, int], None] = lambda *_: None,
 ) -> Measured:
     """Measure everything.
@@ -58,25 +55,24 @@ def measure(
         tracks: Real tracks with a network's keypoints.
         images: Cars marked by hand, as tracks of one frame.
         instances: Simulated instances to take the time on.
-        data: Folder of the data.
-        scene: What the methods know.
-        seed: Seed of everything random.
+        settings: Data, seed, and what the methods know.
         advance: Told the step, how much of it is done, and how much there is.
     """
+    step, scene, seed = "real keypoints, run times", settings.scene, settings.seed
     with one_thread_each(), ProcessPoolExecutor(1, get_context("spawn")) as alone:
         by_hand = [alone.submit(_real_table, *_REAL_TRACKS, tracks, scene)]
         by_hand += [alone.submit(_real_table, *_REAL_IMAGES, images, scene)]
         timed = alone.submit(_times, instances, scene, seed)
         real = []
         for done, future in enumerate(by_hand):
-            advance("real keypoints, run times", done, 5)
+            advance(step, done, 5)
             real.append(future.result())
         times, load = timed.result(), os.getloadavg()[0]
-        advance("real keypoints, run times", 3, 5)
-        network = alone.submit(score_network, data, seed).result()
-        advance("real keypoints, run times", 4, 5)
+        advance(step, 3, 5)
+        network = alone.submit(score_network, settings.data, seed).result()
+        advance(step, 4, 5)
         real.append(alone.submit(_real_table, *_NETWORK_IMAGES, _observed(images, network), scene).result())
-        advance("real keypoints, run times", 5, 5)
+        advance(step, 5, 5)
     return Measured(tuple(real), times, load, network)
 
 

@@ -14,8 +14,7 @@ from fgrecon.core.vehicle_mesh import VehicleMesh
 from fgrecon_research.cli.paper.paper import _pictures
 from fgrecon_research.paper.apollocar3d import read_apollocar3d
 from fgrecon_research.paper.closest_models import CLOSEST_ROWS, ClosestModelRanks, _ranked, rank_models
-from fgrecon_research.paper.example_cars import example_cars
-from fgrecon_research.paper.known_shape import car_errors
+from fgrecon_research.paper.known_shape import car_errors, example_cars
 from fgrecon_research.training.priors.apollo79 import DUPLICATE, load_apollo79
 
 SHAPE = np.arange(42, dtype=np.float64).reshape(14, 3)

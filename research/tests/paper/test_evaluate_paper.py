@@ -12,9 +12,7 @@ from fgrecon.cli.main import app
 from fgrecon.core.camera import Ground
 from fgrecon.core.size_prior import size_prior
 from fgrecon.io.catalogue import load_prior
-from fgrecon_research.paper.apollocar3d import read_apollocar3d
-from fgrecon_research.paper.known_shape import score_known_shapes
-from fgrecon_research.paper.simulated_run import CONDITIONS, read_validation, run_conditions
+from fgrecon_research.paper.simulated_run import CONDITIONS, PaperSettings, read_validation, run_conditions
 from fgrecon_research.training.priors.apollo79 import load_apollo79
 
 FRAMES = ["000035", "000499"]  # the second has no detection
@@ -103,7 +101,7 @@ def test_a_small_run_is_whole_goes_on_and_does_not_depend_on_processes(few, tmp_
     assert "000499" in document["defects"][0]
     assert "Defects of the files: missing frame: 1." in text
 
-    again(few, out / "parts", tmp_path / "two")
+    again(few, out / "parts", tmp_path / "two" / "parts")
 
 
 def again(data, parts, folder):
@@ -117,10 +115,9 @@ def again(data, parts, folder):
     models = load_apollo79(data)
     scene = SceneKnowledge(load_prior("car14"), Ground.level(1.65), size_prior("kitti"))
     validation = read_validation(data / "kitti_object")
-    outcomes = run_conditions(validation, CONDITIONS, scene, models, folder, workers=2)
+    settings = PaperSettings(data, folder.parent, scene, workers=2)
+    outcomes = run_conditions(validation, CONDITIONS, models, settings)
     assert {name for name, outcome in outcomes.items() if not outcome.solved} == {"harder"}
-    cars = read_apollocar3d(data / "apollocar3d_val" / "annotations.json", models)
-    score_known_shapes(cars, models, folder=folder / "known_shape", workers=2)
     assert sorted(path.relative_to(folder) for path in folder.rglob("*.npz")) == stored
     for path in stored:
         with np.load(parts / path) as first, np.load(folder / path) as second:

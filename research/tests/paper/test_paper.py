@@ -15,9 +15,9 @@ from fgrecon.io.kitti_files import Objects
 from fgrecon_research.evaluation import report
 from fgrecon_research.evaluation.bootstrap import Interval
 from fgrecon_research.paper.claims import Claim, claims, decoupling_claim, irls_claim, ranking_claim
-from fgrecon_research.paper.hand_labels import read_hand_labels
 from fgrecon_research.paper.keypoint_noise_fit import Residuals
 from fgrecon_research.paper.known_shape import KNOWN_SHAPE_ROWS, KnownShapeScores
+from fgrecon_research.paper.network import read_hand_labels
 from fgrecon_research.paper.page import document, html, markdown
 from fgrecon_research.paper.plots import (
     aop_plot,

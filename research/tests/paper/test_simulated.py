@@ -14,7 +14,7 @@ from fgrecon.simulation.vehicles import Vehicle
 from fgrecon.solve.vehicle.conditioning import of_fleet
 from fgrecon.solve.vehicle.model import prepare
 from fgrecon_research.paper.simulated import Fleet, KittiFrame, hidden_by_boxes, simulate_frame
-from fgrecon_research.paper.simulated_run import Condition, Validation, run_conditions
+from fgrecon_research.paper.simulated_run import Condition, PaperSettings, Validation, run_conditions
 from fgrecon_research.paper.simulated_scores import Scores, row_solvers, score_instances
 from fgrecon_research.paper.stages import AZIMUTH_GROSS, initial_state, noisy_azimuth, stages
 from fgrecon_research.training.priors.apollo79 import Apollo79
@@ -183,12 +183,13 @@ def test_a_run_can_be_taken_up_again_and_does_not_depend_on_processes(scene, fle
     faces = fleet.vehicles[0].faces
     models = Apollo79(("a", "b", "c"), keypoints, keypoints, vertices, vertices, faces, fleet.sizes, np.ones(3))
     validation, condition = Validation(frames, ()), Condition("few", 0.0, 1, ("initialisation", "sqpnp_confident+size"))
-    told = SceneKnowledge(scene.prior, scene.ground, scene.size)
+    known = SceneKnowledge(scene.prior, scene.ground, scene.size)
     calls = []
 
-    def run(folder, workers):
+    def run(folder, workers, fresh=False):
         tell = lambda *what: calls.append(what)  # noqa: E731
-        return run_conditions(validation, (condition,), told, models, folder, workers=workers, advance=tell)["few"]
+        settings = PaperSettings(tmp_path, folder, known, workers, fresh=fresh)
+        return run_conditions(validation, (condition,), models, settings, tell)["few"]
 
     first = run(tmp_path / "a", 1)
     assert (len(first.scores), first.solved) == (60, 60)
@@ -198,7 +199,9 @@ def test_a_run_can_be_taken_up_again_and_does_not_depend_on_processes(scene, fle
     again = run(tmp_path / "a", 1)
     assert again.solved == 48  # 24 frames of two cars
     other = run(tmp_path / "b", 2)
-    other_seed = run_conditions(validation, (condition,), told, models, tmp_path / "a", every=2, seed=1)["few"]
+    assert run(tmp_path / "b", 1, fresh=True).solved == 60
+    half = PaperSettings(tmp_path, tmp_path / "a", known, every=2, seed=1)
+    other_seed = run_conditions(validation, (condition,), models, half)["few"]
     assert other_seed.solved == len(other_seed.scores) == 48
     assert not np.array_equal(other_seed.scores.yaw, first.scores.yaw[:48])
     for name in ("frame", "index", "yaw", "location", "reprojection", "measured", "from_start"):

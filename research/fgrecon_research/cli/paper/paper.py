@@ -13,7 +13,7 @@ from fgrecon.cli.options import DATA, DataOption, LabelledScene
 from fgrecon.cli.terminal import Terminal
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
-    from fgrecon_research.paper.example_cars import ExampleCar
+    from fgrecon_research.paper.known_shape import ExampleCar
 
 
 def paper_command(
@@ -31,7 +31,7 @@ def paper_command(
     ] = 1,
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
     fresh: Annotated[
-        bool, typer.Option("--fresh", help="Work on everything again: delete the stored parts first.")
+        bool, typer.Option("--fresh", help="Work on everything again, whatever parts are stored.")
     ] = False,
 ) -> None:
     """Make every table of the paper: real tracks, real images, simulated validation set, cars of known shape.
@@ -43,11 +43,12 @@ def paper_command(
     """
     from fgrecon_research.evaluation import report
     from fgrecon_research.paper import page as paper_page
-    from fgrecon_research.paper.run import EvaluationSettings, evaluate_paper
+    from fgrecon_research.paper.run import evaluate_paper
+    from fgrecon_research.paper.simulated_run import PaperSettings
 
     screen = terminal.screen()
     scene = labelled.scene()
-    settings = EvaluationSettings(data, out, scene, workers or os.cpu_count() or 1, every, seed, fresh)
+    settings = PaperSettings(data, out, scene, workers or os.cpu_count() or 1, every, seed, fresh)
     with screen.bar() as advance:
         page = evaluate_paper(settings, advance)
     pictures = _pictures(page.cars)

@@ -8,17 +8,16 @@ was no better on the 79 car models (leave-one-out, 5 vectors: keypoints 6.1 cm R
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fgrecon.core.category import Category
-from fgrecon.core.checks import as_finite, as_shape
-from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.checks import as_finite
+from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
 from fgrecon.core.geometry import MIRROR
 from fgrecon.core.shape_prior import ShapePrior, Surface
-from fgrecon_research.training.priors.ppca import LinearModel, fit_linear_model
 
 Array = NDArray[np.float64]
 
@@ -31,6 +30,69 @@ class SurfaceSamples:
     faces: NDArray[np.int32]  # (F, 3) triangles
     # (V,) index of each vertex's mirror image about z = 0, or None where the topology is not symmetric
     mirror: NDArray[np.intp] | None = None
+
+
+@dataclass(frozen=True)
+class LinearModel:
+    """Rows y (D,) as mean + directions diag(std) lambda, with lambda ~ N(0, I) over the data."""
+
+    mean: Array  # (D,)
+    directions: Array  # (D, N) orthonormal, the one of largest variance first
+    std: Array  # (N,) standard deviation of the data along each direction (unbiased)
+    explained: Array  # (N,) fraction of the total variance along each direction
+    scores: Array  # (M, N) each row's coefficients lambda, of unit variance over the data
+    residual: Array  # (D,) mean square of what the directions leave unexplained in the data itself, per coordinate
+    effective: float  # number of rows that count: (sum w)^2 / sum w^2 for weights w
+
+    @property
+    def predicted_residual(self) -> Array:
+        """(D,) mean square of what the directions leave unexplained in a row that they were not learnt from.
+
+        In-sample residuals are too small by one minus the row's leverage; the mean leverage is (1 + N) / M, which
+        gives M / (M - 1 - N) (the leave-one-out formula of regression, PRESS, with every leverage at its mean).
+        """
+        freedom = max(self.effective - 1.0 - len(self.std), 1.0)
+        return self.residual * (self.effective / freedom) ** 2
+
+
+def fit_linear_model(rows: ArrayLike, count: int, weights: ArrayLike | None = None) -> LinearModel:
+    """Fit `count` principal directions to rows (M, D), each counting by its weight (M,) >= 0; alike by default.
+
+    Raises:
+        InvalidInputError: Wrong shapes, numbers that are not finite, or negative weights.
+        DegenerateProblemError: Too few rows for so many directions.
+    """
+    data = as_finite("rows", rows, (None, None))
+    w = np.ones(len(data)) if weights is None else as_finite("weights", weights, (len(data),))
+    if (w < 0).any() or not w.any():
+        raise InvalidInputError("weights", w.min() if len(w) else "none", "Give weights >= 0, not all of them zero.")
+    keep = w > 0
+    effective = float(w[keep].sum() ** 2 / (w[keep] ** 2).sum())
+    used, size = int(keep.sum()), data.shape[1]
+    if not 0 <= count < used or count > size:
+        fix = f"Give 0 to {max(min(used - 1, size), 0)} directions for {used} rows of {size} numbers, or more rows."
+        raise DegenerateProblemError("count", count, fix)
+    model = _closed_form(data[keep], count, w[keep] / w[keep].mean(), effective)
+    if keep.all():
+        return model
+    scores = np.zeros((len(data), count))  # a row that is not used is as probable as the mean
+    scores[keep] = model.scores
+    return replace(model, scores=scores)
+
+
+def _closed_form(data: Array, count: int, weights: Array, effective: float) -> LinearModel:
+    total = weights.sum()
+    mean = weights @ data / total
+    centred = data - mean
+    singular, right = np.linalg.svd(np.sqrt(weights)[:, None] * centred, full_matrices=False)[1:]
+    variance = singular**2 / total * effective / (effective - 1.0) if effective > 1 else np.zeros(len(singular))
+    directions = right[:count].T
+    std = np.sqrt(variance[:count])
+    projected = centred @ directions
+    scores = np.divide(projected, std, out=np.zeros_like(projected), where=std > 0)
+    residual = weights @ (centred - projected @ directions.T) ** 2 / total
+    explained = variance[:count] / max(variance.sum(), np.finfo(float).tiny)
+    return LinearModel(mean, directions, std, explained, scores, residual, effective)
 
 
 def pca_prior(
@@ -46,13 +108,13 @@ def pca_prior(
 ) -> ShapePrior:
     """Learn a shape prior from 3D keypoints in the object frame.
 
-    With `symmetric` each shape is averaged with its mirror image, and where one of two mirror images is missing it
-    takes the place of the other; mean, basis and surface are then mirror-symmetric to the last bit, hence every shape.
+    With `symmetric` each shape is averaged with its mirror image; mean, basis and surface are then mirror-symmetric to
+    the last bit, hence every shape.
     Signs are chosen so that a positive coefficient makes the dimension that it changes most larger.
 
     Args:
         category: Names and symmetry of the K keypoints.
-        shapes: (M, K, 3) keypoints of M shapes, metres; NaN where a keypoint is missing.
+        shapes: (M, K, 3) keypoints of M shapes, metres.
         basis: Number N of basis vectors.
         symmetric: Whether to impose left-right symmetry.
         weights: (M,) how much each shape counts; equal by default.
@@ -64,19 +126,16 @@ def pca_prior(
         The prior, with `offset_sigma` as predicted for shapes that it was not learnt from.
 
     Raises:
-        InvalidInputError: Wrong shapes or values, or a surface without a mirror map although symmetry is asked for.
+        InvalidInputError: Wrong shapes or values, or a surface without a mirror map although symmetry is imposed.
         DegenerateProblemError: Too few shapes for so many basis vectors.
     """
-    points = as_shape("shapes", shapes, (None, category.size, 3))
-    complete = bool(np.isfinite(points).all())
+    points = as_finite("shapes", shapes, (None, category.size, 3))
     frame = _symmetric_frame(category) if symmetric else np.eye(3 * category.size)
-    rows = _rows(_with_mirror_images(points, category) if symmetric else points, frame)
-    model = fit_linear_model(rows, basis, weights)
+    model = fit_linear_model(points.reshape(len(points), -1) @ frame, basis, weights)
     mean = (frame @ model.mean).reshape(-1, 3)
     directions = (frame @ (model.directions * model.std)).T.reshape(basis, category.size, 3)
     signs = _signs(category, directions)
     residual = frame**2 @ model.predicted_residual
-    how = "closed form" if complete else "EM over missing points"
     return ShapePrior(
         category=category,
         mean=mean,
@@ -87,7 +146,7 @@ def pca_prior(
         name=name,
         provenance={
             **(provenance or {}),
-            "method": f"PCA of {len(points)} shapes ({how}), {'symmetric' if symmetric else 'as they are'}",
+            "method": f"PCA of {len(points)} shapes (closed form), {'symmetric' if symmetric else 'as they are'}",
         },
     )
 
@@ -106,20 +165,6 @@ def _symmetric_frame(category: Category) -> Array:
             column[medial, axis] = 1.0
             columns.append(column)
     return np.array(columns).reshape(len(columns), -1).T
-
-
-def _with_mirror_images(points: Array, category: Category) -> Array:
-    """Each missing keypoint replaced by the mirror image of its partner, where that one is there."""
-    return np.where(np.isnan(points), points[:, category.mirror] * MIRROR, points)
-
-
-def _rows(points: Array, frame: Array) -> Array:
-    """(M, D) coordinates of shapes (M, K, 3) in a frame (3K, D); NaN where a keypoint that they need is missing."""
-    missing = np.repeat(np.isnan(points).any(axis=2), 3, axis=1)
-    flat = np.where(missing, 0.0, points.reshape(len(points), -1))
-    rows: Array = flat @ frame
-    rows[(missing.astype(np.float64) @ np.abs(frame)) > 0] = np.nan
-    return rows
 
 
 def _signs(category: Category, directions: Array) -> Array:
