@@ -19,12 +19,14 @@ from numpy.typing import NDArray
 from fgrecon.calibration.labelled_boxes import TURNED_ROUND
 from fgrecon.core.metrics import THRESHOLDS
 from fgrecon.core.plain import finite
+from fgrecon.core.text import number_or_dash
 from fgrecon.io.kitti_drives import Drive, DriveFrame
 from fgrecon.io.kitti_files import Objects
 from fgrecon_research.evaluation.bootstrap import Interval, mean_interval, median_interval
 from fgrecon_research.evaluation.boxes3d import LabelledBox
 from fgrecon_research.evaluation.kitti_devkit import LEAST_LABELS, REGIMES, evaluate
 from fgrecon_research.evaluation.kitti_overlap import Space
+from fgrecon_research.evaluation.text_table import TextTable
 
 LEAST_OVERLAPS = (0.5, 0.7)
 """Overlaps from which on a box counts as right."""
@@ -34,7 +36,7 @@ _UNKNOWN = 3  # KITTI's grade of occlusion
 
 
 @dataclass(frozen=True)
-class BoxesSummary:
+class OverlapSummary:
     """A group of vehicles; shares in percent of all of them, found or not, errors over the found ones."""
 
     vehicles: int  # how many there are
@@ -43,7 +45,7 @@ class BoxesSummary:
     right: tuple[Interval, ...]  # share with a 3D overlap of at least each of `LEAST_OVERLAPS`
     ground: tuple[Interval, ...]  # share with such an overlap from above
     within: tuple[Interval, ...]  # share within 5, 15 and 30 degrees
-    turned: float  # share of the found ones that is turned by more than 90 degrees
+    flipped: float  # share of the found ones with a heading flip: off by more than 90 degrees
     mean_metres: Interval | None  # mean distance of the origins; None where none is found
     median_metres: float  # the median
     depth: float  # median relative error of the depth, percent
@@ -65,7 +67,7 @@ class Precision:
     volume: tuple[float | None, ...]  # in 3D, likewise
 
 
-def summarise(vehicles: Sequence[LabelledBox]) -> dict[str, BoxesSummary]:
+def summarise(vehicles: Sequence[LabelledBox]) -> dict[str, OverlapSummary]:
     """Summaries of each kind, of all where there are vans, and of cars by distance; groups without any are left out."""
     cars, vans = ([one for one in vehicles if one.kind == kind] for kind in ("Car", "Van"))
     groups = {"cars": cars, "vans": vans, "all": list(vehicles) if vans else []} | by_distance("cars", cars)
@@ -81,7 +83,7 @@ def by_distance(name: str, vehicles: Sequence[LabelledBox]) -> dict[str, list[La
     return bands
 
 
-def summarise_group(vehicles: Sequence[LabelledBox]) -> BoxesSummary:
+def summarise_group(vehicles: Sequence[LabelledBox]) -> OverlapSummary:
     """Summary of a group.
 
     Raises:
@@ -111,14 +113,14 @@ def summarise_group(vehicles: Sequence[LabelledBox]) -> BoxesSummary:
             "absolute_size": mean_interval(np.abs(sizes).mean(axis=1), own),
         }
     values = {name: one.value for name, one in intervals.items()}
-    return BoxesSummary(
+    return OverlapSummary(
         vehicles=len(vehicles),
         tracks=int(groups.max()) + 1,
         found=int(got.sum()),
         right=shares("overlap"),
         ground=shares("footprint"),
         within=tuple(share(degrees <= most) for most in THRESHOLDS),
-        turned=100.0 * float((degrees[got] > TURNED_ROUND).mean()) if got.any() else np.nan,
+        flipped=100.0 * float((degrees[got] > TURNED_ROUND).mean()) if got.any() else np.nan,
         mean_metres=mean_interval(metres, own) if got.any() else None,
         median_metres=values.get("median_metres", np.nan),
         depth=values.get("depth", np.nan),
@@ -139,10 +141,10 @@ def precisions(labels: Mapping[str, Objects], results: Mapping[str, Objects]) ->
         [evaluate(labels, results, space=space, minimum_overlap=least) for least in LEAST_OVERLAPS]
         for space in (Space.GROUND, Space.VOLUME)
     )
-    told = []
+    found = []
     for i, regime in enumerate(REGIMES):
         enough, similarity = image[i].labels >= LEAST_LABELS, image[i].orientation_similarity
-        told.append(
+        found.append(
             Precision(
                 regime.name,
                 image[i].labels,
@@ -152,7 +154,7 @@ def precisions(labels: Mapping[str, Objects], results: Mapping[str, Objects]) ->
                 tuple(curves[i].average_precision[1] if enough else None for curves in volume),
             )
         )
-    return told
+    return found
 
 
 def precisions_of_drives(
@@ -182,7 +184,7 @@ def document(scored: Mapping[str, Sequence[LabelledBox]], curves: Mapping[str, S
 
 
 def plain_boxes(
-    groups: Mapping[str, BoxesSummary], curves: Sequence[Precision], vehicles: Sequence[LabelledBox]
+    groups: Mapping[str, OverlapSummary], curves: Sequence[Precision], vehicles: Sequence[LabelledBox]
 ) -> dict[str, Any]:
     """Plain values of one source: groups by name, average precision by regime, and every vehicle."""
     return {
@@ -195,3 +197,56 @@ def plain_boxes(
 def _counting(frame: DriveFrame) -> Objects:
     """The labels; those that something is drawn over as KITTI's of unknown occlusion, which no regime counts."""
     return replace(frame.objects, occlusion=np.where(frame.usable, frame.objects.occlusion, _UNKNOWN))
+
+
+def tables(
+    summaries: Mapping[str, Mapping[str, OverlapSummary]], curves: Mapping[str, Sequence[Precision]]
+) -> tuple[TextTable, TextTable, TextTable]:
+    """Overlaps and angles, errors of the found vehicles, and average precision.
+
+    Args:
+        summaries: Of each source its groups.
+        curves: Of each source its regimes.
+    """
+    spaces = [f"{space} IoU ≥ {least:g} %" for space in ("3D", "BEV") for least in LEAST_OVERLAPS]
+    shares: list[list[str]] = []
+    errors: list[list[str]] = []
+    precision: list[list[str]] = []
+    for group in dict.fromkeys(group for groups in summaries.values() for group in groups):
+        for name, groups in summaries.items():
+            one = groups[group]
+            intervals = [_shown(share, one, 0) for share in (*one.right, *one.ground, *one.within)]
+            shares.append([group, name, str(one.vehicles), str(one.found), *intervals])
+            errors.append([group, name, *_error_cells(one)])
+    places = [f"{space} {least:g}" for space in ("BEV", "3D") for least in LEAST_OVERLAPS]
+    for i in range(max(map(len, curves.values()), default=0)):
+        for name, regimes in curves.items():
+            one_regime = regimes[i]
+            values = (one_regime.image, one_regime.orientation, *one_regime.ground, *one_regime.volume)
+            cells = [number_or_dash(value, ".1f") for value in values]
+            precision.append([f"cars, {one_regime.regime}", name, str(one_regime.labels), *cells])
+    heads = (
+        ["", "source", "labels", "found", *spaces, *(f"within {most}° %" for most in THRESHOLDS)],
+        ["", "source", "mean m", "median m", "depth %", "flipped %", "size cm", "l, w, h m"],
+        ["AP at 40 points", "source", "labels", "2D 0.7", "AOS", *places],
+    )
+    first, second, third = (TextTable(*made, texts=2) for made in zip(heads, (shares, errors, precision), strict=True))
+    return first, second, third
+
+
+def _error_cells(one: OverlapSummary) -> list[str]:
+    if one.mean_metres is None:
+        return ["-"] * 6
+    return [
+        _shown(one.mean_metres, one, 2),
+        _shown(one.intervals["median_metres"], one, 2),
+        f"{one.depth:+.1f}",
+        f"{one.flipped:.1f}",
+        _shown(one.intervals["absolute_size"], one, 0, 100.0),
+        ", ".join(f"{error:+.2f}" for error in one.size),
+    ]
+
+
+def _shown(interval: Interval, of: OverlapSummary, digits: int, factor: float = 1.0) -> str:
+    """With its interval, where there are several tracks to draw."""
+    return interval.shown(digits, factor) if of.tracks > 1 else f"{factor * interval.value:.{digits}f}"

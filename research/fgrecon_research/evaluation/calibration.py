@@ -25,32 +25,32 @@ class StatusCount:
 
     status: str
     count: int  # number of results
-    turned: int  # of these turned round, by more than 90 degrees
+    flipped: int  # of these flipped, by more than 90 degrees
     wrong: int  # of these wrong (`WRONG`), turned ones included
 
 
 @dataclass(frozen=True)
-class Caution:
+class Acceptance:
     """Who takes only results that are settled and whose facing has at least some probability, and what that costs."""
 
     least: float  # that probability
-    turned: int  # number of results that are turned round
-    turned_refused: int  # of these refused
+    flipped: int  # number of results that are flipped
+    flipped_refused: int  # of these refused
     right: int  # number of the other results
     right_refused: int  # of these refused
     sure: int  # number of results that are `converged` and not refused
-    sure_turned: int  # of these turned round
+    sure_flipped: int  # of these flipped
 
 
 @dataclass(frozen=True)
 class Calibration:
     """What results of one method say, beside what is so."""
 
-    # of each quantity; vehicles turned round are left out, which the facing's probability is about
+    # of each quantity; vehicles flipped are left out, which the facing's probability is about
     regions: tuple[Coverage, ...]
     facing: Reliability  # of the facing's probability; without a bin where there is none
     statuses: tuple[StatusCount, ...]  # by their names
-    doubts: tuple[Caution, ...] = ()  # by the least probability of the facing
+    acceptance: tuple[Acceptance, ...] = ()  # by the least probability of the facing
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Judged:
     """What one result says of itself, beside the truth."""
 
     status: str
-    turned: bool  # whether it is turned round
+    flipped: bool  # whether it is flipped
     wrong: bool  # whether it is wrong (`WRONG`)
     facing: float | None  # its facing's probability, or None
     regions: tuple[Region, ...]  # its errors by the regions that it claims
@@ -73,9 +73,9 @@ def judged(found: BoxOutcome, group: str, distance: float, status: str) -> Judge
         distance: Of the vehicle from the camera, metres.
         status: Its status.
     """
-    turned = found.degrees > TURNED_ROUND
+    flipped = found.degrees > TURNED_ROUND
     off = found.degrees > WRONG[0] or found.metres > WRONG[1] * distance
-    return Judged(status, turned, off, found.facing, claimed_regions(found, group))
+    return Judged(status, flipped, off, found.facing, claimed_regions(found, group))
 
 
 def calibrate_boxes(boxes: Sequence[VideoBox], method: str) -> Calibration:
@@ -87,26 +87,26 @@ def calibrate_boxes(boxes: Sequence[VideoBox], method: str) -> Calibration:
 def calibrate(results: Sequence[Judged]) -> Calibration:
     """Compare what results say of themselves with the truth; groups are left out of their own baselines."""
     regions = [region for one in results for region in one.regions]
-    faced = [(one.facing, not one.turned) for one in results if one.facing is not None]
+    faced = [(one.facing, not one.flipped) for one in results if one.facing is not None]
     counts: dict[str, list[Judged]] = {}
     for one in results:
         counts.setdefault(one.status, []).append(one)
     statuses = [
-        StatusCount(status, len(some), sum(one.turned for one in some), sum(one.wrong for one in some))
+        StatusCount(status, len(some), sum(one.flipped for one in some), sum(one.wrong for one in some))
         for status, some in sorted(counts.items())
     ]
     facing = reliability([sure for sure, _ in faced], [right for _, right in faced])
-    doubts = tuple(_doubt(results, least) for least in _LEAST)
-    return Calibration(tuple(coverage(regions)), facing, tuple(statuses), doubts)
+    acceptance = tuple(_acceptance(results, least) for least in _LEAST)
+    return Calibration(tuple(coverage(regions)), facing, tuple(statuses), acceptance)
 
 
-def _doubt(results: Sequence[Judged], least: float) -> Caution:
+def _acceptance(results: Sequence[Judged], least: float) -> Acceptance:
     refused = [not Status(one.status).settled or (one.facing is not None and one.facing < least) for one in results]
-    turned = [no for one, no in zip(results, refused, strict=True) if one.turned]
-    right = [no for one, no in zip(results, refused, strict=True) if not one.turned]
+    flipped = [no for one, no in zip(results, refused, strict=True) if one.flipped]
+    right = [no for one, no in zip(results, refused, strict=True) if not one.flipped]
     pairs = zip(results, refused, strict=True)
-    sure = [one.turned for one, no in pairs if not no and one.status == Status.CONVERGED.value]
-    return Caution(least, len(turned), sum(turned), len(right), sum(right), len(sure), sum(sure))
+    sure = [one.flipped for one, no in pairs if not no and one.status == Status.CONVERGED.value]
+    return Acceptance(least, len(flipped), sum(flipped), len(right), sum(right), len(sure), sum(sure))
 
 
 def calibration_document(found: Calibration, given: dict[str, Any]) -> dict[str, Any]:
@@ -132,8 +132,8 @@ def calibration_document(found: Calibration, given: dict[str, Any]) -> dict[str,
             "count": found.facing.count.tolist(),
         },
         "statuses": [
-            {"status": one.status, "count": one.count, "turned_round": one.turned, "wrong": one.wrong}
+            {"status": one.status, "count": one.count, "flipped": one.flipped, "wrong": one.wrong}
             for one in found.statuses
         ],
-        "doubts": [asdict(one) for one in found.doubts],
+        "acceptance": [asdict(one) for one in found.acceptance],
     }

@@ -11,7 +11,13 @@ from fgrecon.io.export.kitti import kitti_objects
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.kitti_files import Objects
 from fgrecon_research.evaluation.boxes3d import LabelledBox, scored_box
-from fgrecon_research.evaluation.boxes_summary import BoxesSummary, Precision, by_distance, precisions, summarise_group
+from fgrecon_research.evaluation.boxes_summary import (
+    OverlapSummary,
+    Precision,
+    by_distance,
+    precisions,
+    summarise_group,
+)
 from fgrecon_research.evaluation.kitti_devkit import REGIMES
 from fgrecon_research.evaluation.kitti_images import Car, ImageFrame
 
@@ -23,7 +29,7 @@ class ImageBoxes:
     results: Mapping[str, Objects]  # what was found as KITTI's results, by frame; none in frames where nothing was
     vehicles: Sequence[LabelledBox]  # every car that counts in some regime, with its box
     # summaries of the regimes, which are cumulative, and of the last one by distance
-    groups: Mapping[str, BoxesSummary]
+    groups: Mapping[str, OverlapSummary]
     # average precision by regime. There are no boxes but those of labelled cars, and so none that are wrong.
     curves: Sequence[Precision]
 

@@ -2,7 +2,7 @@
 
 Vehicles count as in `fgrecon.calibration.labelled_boxes` (`wanted`). Those that a detector did not find are left out:
 there is nothing to refine. A disturbed box lies farther or nearer on its ray, is seen some pixels aside, is turned, and
-some are turned round; the 2D box is the labelled one.
+some have a heading flip; the 2D box is the labelled one.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class Comparison:
     median_metres: tuple[float, float]  # the median
     mean_degrees: tuple[float, float]  # of the yaw, on the full circle
     median_degrees: tuple[float, float]  # the median
-    turned: tuple[int, int]  # vehicles turned by more than 90 degrees
+    flipped: tuple[int, int]  # heading flips: vehicles off by more than 90 degrees
     # mean errors of length, width and height without sign, metres
     size: tuple[tuple[float, float, float], tuple[float, float, float]]
     worse: int  # vehicles that lie farther off by more than 5 % of their distance
@@ -233,7 +233,7 @@ def _comparison(vehicles: Sequence[RefinedVehicle]) -> Comparison:
         median_metres=_pair(np.median(metres, axis=1)),
         mean_degrees=_pair(degrees.mean(axis=1)),
         median_degrees=_pair(np.median(degrees, axis=1)),
-        turned=(int((degrees[0] > TURNED_ROUND).sum()), int((degrees[1] > TURNED_ROUND).sum())),
+        flipped=(int((degrees[0] > TURNED_ROUND).sum()), int((degrees[1] > TURNED_ROUND).sum())),
         size=(_three(sizes[0]), _three(sizes[1])),
         worse=int((worse > _WORSE).sum()),
         worst_metres=float((metres[1] - metres[0]).max()),

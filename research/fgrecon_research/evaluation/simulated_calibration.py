@@ -82,8 +82,8 @@ def judge_known(
     yaw = float(np.arctan2(-camera_T_object[2, 0], camera_T_object[0, 0]))
     off = outcome(result, GroundTruth(place, yaw), size, np.zeros(3))
     one = judged(off, group, float(np.linalg.norm(place)), result.status.value)
-    extra = () if one.turned else keypoint_regions(result, keypoints, group)
-    return Judged(one.status, one.turned, one.wrong, one.facing, (*one.regions, *extra))
+    extra = () if one.flipped else keypoint_regions(result, keypoints, group)
+    return Judged(one.status, one.flipped, one.wrong, one.facing, (*one.regions, *extra))
 
 
 def keypoint_regions(result: Reconstruction, keypoints: NDArray[np.float64], group: str) -> tuple[Region, ...]:

@@ -6,7 +6,7 @@ Boxes of one track show one vehicle and go wrong together, so the intervals draw
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from itertools import pairwise
 from typing import Any
 
@@ -29,9 +29,9 @@ _OCCLUSIONS = {0: "fully visible", 1: "partly occluded", 2: "largely occluded"}
 _UNITS = {
     "mean_degrees": "degrees of yaw error on the full circle; a refused box counts 180",
     "aop": "percent of all boxes with a yaw error of at most 5, 15 and 30 degrees",
-    "turned_round": "percent of all boxes with a yaw error above 90 degrees",
-    "silent": "percent of all boxes that are turned round and have the status converged; null for a rival",
-    "network_turned_round": "percent of all boxes where the directions within 90 degrees of the labelled one have at "
+    "heading_flips": "percent of all boxes with a yaw error above 90 degrees",
+    "silent": "percent of all boxes with a heading flip that have the status converged; null for a rival",
+    "network_heading_flips": "percent of all boxes where the directions within 90 degrees of the labelled one have at "
     "most half of the network's probability; null where it gives no directions",
     "median_metres": "between estimated and labelled origin, over the boxes with a pose",
     "mean_metres": "the same",
@@ -43,7 +43,7 @@ _UNITS = {
     "median_velocity": "metres per second over the ground, estimated minus labelled; labels within 0.2 s make a line, "
     "and are carried into the world by the camera's estimated motion where that is known",
     "consistency": "normalised squared errors by dimension (NEES): mean, its 95 % bounds for as many draws as tracks, "
-    "median over that of the chi-square distribution, percent within the 95 % region; boxes turned round are left out",
+    "median over that of the chi-square distribution, percent within the 95 % region; without heading flips",
     "intervals": "of the numbers of the same names",
     "interval": "95 % by bootstrap over tracks; null where there is one track",
     "facing": "probability of the directions within 90 degrees of the labelled one; the bins, of equally many boxes, "
@@ -52,19 +52,19 @@ _UNITS = {
 
 
 @dataclass(frozen=True)
-class BoxSummary:
+class PoseSummary:
     """One method on a group of boxes. Shares are percent of all boxes of the group."""
 
     boxes: int  # number of boxes
     tracks: int  # number of tracks that they are of
     mean_degrees: Interval  # mean yaw error; a refused box counts 180
     aop: Mapping[int, Interval]  # share within 5, 15 and 30 degrees
-    turned_round: Interval  # share more than 90 degrees off
-    # share that is turned round though the status is `converged`; None for a method without a status
+    heading_flips: Interval  # share more than 90 degrees off
+    # share of heading flips though the status is `converged`; None for a method without a status
     silent: Interval | None
     # share for which the network finds the wrong half of all directions more probable, or no half; None where it gives
     # no directions
-    network_turned_round: Interval | None
+    network_heading_flips: Interval | None
     median_metres: float  # median position error over the boxes with a pose; NaN without one
     mean_metres: float  # mean position error over them; NaN without one
     # mean of estimated minus labelled length, width and height, metres; None where none is found
@@ -80,6 +80,10 @@ class BoxSummary:
     consistency: Mapping[str, Consistency] = field(default_factory=dict)
     # of the numbers above without one, by their names: position, size and velocity, where they are known
     intervals: Mapping[str, Interval] = field(default_factory=dict)
+
+
+Summaries = Mapping[str, Mapping[str, Mapping[str, PoseSummary]]]
+"""By what the groups are formed by, by their names, and by method."""
 
 
 def methods_of(boxes: Sequence[VideoBox]) -> tuple[str, ...]:
@@ -128,7 +132,7 @@ def _bands(
     return found
 
 
-def summarise_boxes(boxes: Sequence[VideoBox], method: str) -> BoxSummary:
+def summarise_boxes(boxes: Sequence[VideoBox], method: str) -> PoseSummary:
     """One method's numbers on a group of boxes.
 
     Raises:
@@ -142,8 +146,8 @@ def summarise_boxes(boxes: Sequence[VideoBox], method: str) -> BoxSummary:
     def share(members: Sequence[bool]) -> Interval:
         return mean_interval(100.0 * np.array(members, dtype=np.float64), tracks)
 
-    turned = [one.degrees > TURNED_ROUND for one in found]
-    silent = [off and one.status == Status.CONVERGED.value for off, one in zip(turned, found, strict=True)]
+    flips = [one.degrees > TURNED_ROUND for one in found]
+    silent = [off and one.status == Status.CONVERGED.value for off, one in zip(flips, found, strict=True)]
     metres = np.array([one.metres for one in found])
     sizes = [one.size for one in found if one.size is not None]
     absolute = np.array([np.nan if one.size is None else float(np.mean(np.abs(one.size))) for one in found])
@@ -161,14 +165,14 @@ def summarise_boxes(boxes: Sequence[VideoBox], method: str) -> BoxSummary:
         if (known := np.isfinite(errors)).any()
     }
     values = {name: one.value for name, one in intervals.items()}
-    return BoxSummary(
+    return PoseSummary(
         boxes=len(boxes),
         tracks=len(numbers),
         mean_degrees=mean_interval([one.degrees for one in found], tracks),
         aop={threshold: share([one.degrees <= threshold for one in found]) for threshold in THRESHOLDS},
-        turned_round=share(turned),
+        heading_flips=share(flips),
         silent=share(silent) if method == SYSTEM else None,
-        network_turned_round=share([value <= 0.5 for value in facing]) if len(facing) == len(boxes) else None,
+        network_heading_flips=share([value <= 0.5 for value in facing]) if len(facing) == len(boxes) else None,
         median_metres=values.get("median_metres", np.nan),
         mean_metres=values.get("mean_metres", np.nan),
         mean_size_error=(length, width, height) if sizes else None,
@@ -233,18 +237,27 @@ def worst_boxes(boxes: Sequence[VideoBox], count: int) -> list[VideoBox]:
     return list(tracks.values())[:count]
 
 
+def summarise_groups(boxes: Sequence[VideoBox]) -> Summaries:
+    """The numbers of every group of `group_boxes` by every method."""
+    methods = methods_of(boxes)
+    return {
+        by: {name: {method: summarise_boxes(some, method) for method in methods} for name, some in named.items()}
+        for by, named in group_boxes(boxes).items()
+    }
+
+
 def document(
-    boxes: Sequence[VideoBox], given: Mapping[str, Any], networks: Sequence[Mapping[str, Any]]
+    boxes: Sequence[VideoBox], summaries: Summaries, given: Mapping[str, Any], networks: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
     """Everything as plain values for JSON.
 
     Args:
         boxes: Every box.
+        summaries: Their numbers.
         given: What was given.
         networks: Of each network its file, the drives that it scored, and what it has learnt from.
     """
     facing = facing_reliability(boxes)
-    groups = group_boxes(boxes)
     return {
         "format": FORMAT,
         "given": dict(given),
@@ -252,8 +265,7 @@ def document(
         "units": _UNITS,
         "methods": {
             method: {
-                by: {name: _plain(summarise_boxes(some, method)) for name, some in named.items()}
-                for by, named in groups.items()
+                by: {name: _plain(scores[method]) for name, scores in named.items()} for by, named in summaries.items()
             }
             for method in methods_of(boxes)
         },
@@ -268,33 +280,14 @@ def document(
     }
 
 
-def _plain(summary: BoxSummary) -> dict[str, Any]:
-    def interval(found: Interval | None) -> dict[str, float | None] | None:
-        if found is None:
-            return None
-        alone = summary.tracks < 2  # nothing to draw from: the interval would look certain
-        return {
-            "value": found.value,
-            "low": None if alone else found.low,
-            "high": None if alone else found.high,
-        }
+def _plain(summary: PoseSummary) -> dict[str, Any]:
+    """By the names of its numbers; of a single track nothing can be drawn, so that its intervals would look certain."""
 
-    return {
-        "boxes": summary.boxes,
-        "tracks": summary.tracks,
-        "mean_degrees": interval(summary.mean_degrees),
-        "aop": {str(threshold): interval(found) for threshold, found in summary.aop.items()},
-        "turned_round": interval(summary.turned_round),
-        "silent": interval(summary.silent),
-        "network_turned_round": interval(summary.network_turned_round),
-        "median_metres": finite(summary.median_metres),
-        "mean_metres": finite(summary.mean_metres),
-        "mean_size_error": None if summary.mean_size_error is None else list(summary.mean_size_error),
-        "refused": summary.refused,
-        "mean_absolute_size_error": summary.mean_absolute_size_error,
-        "jitter_degrees": summary.jitter_degrees,
-        "jitter_metres": summary.jitter_metres,
-        "median_velocity": summary.median_velocity,
-        "consistency": {name: asdict(one) for name, one in summary.consistency.items()},
-        "intervals": {name: interval(one) for name, one in summary.intervals.items()},
-    }
+    def plain(value: Any) -> Any:
+        if isinstance(value, Interval):
+            return asdict(value) if summary.tracks > 1 else {"value": value.value, "low": None, "high": None}
+        if isinstance(value, Mapping):
+            return {str(name): plain(one) for name, one in value.items()}
+        return asdict(value) if isinstance(value, Consistency) else finite(value)
+
+    return {entry.name: plain(getattr(summary, entry.name)) for entry in fields(summary)}

@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from fgrecon.core.text import markdown_row
 from fgrecon_research.evaluation import report
 from fgrecon_research.evaluation.bootstrap import Interval
+from fgrecon_research.evaluation.text_table import TextTable
 from fgrecon_research.paper.run import Page
 from fgrecon_research.paper.tables import Cell, Table
 
@@ -44,9 +44,8 @@ def markdown(page: Page) -> str:
         parts.append(f"## {table.title}\n")
         if table.note:
             parts.append(f"{table.note}\n")
-        rows = [("", *table.columns), ("---", *("---:" for _ in table.columns))]
-        rows += [(label, *(table.text(cell) for cell in cells)) for label, cells in table.rows]
-        parts.append("".join(map(markdown_row, rows)))
+        rows = [(label, *(table.text(cell) for cell in cells)) for label, cells in table.rows]
+        parts.append(TextTable(("", *table.columns), rows).markdown())
     parts.append("## Run\n")
     parts.append("\n\n".join(_run(page)) + "\n")
     return "\n".join(parts)

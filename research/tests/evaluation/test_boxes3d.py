@@ -64,7 +64,7 @@ def test_labels_as_results_are_perfect(drive, tmp_path):
     )  # two decimals are written
     whole = summarise(vehicles)["cars"]
     assert [share.value for share in (*whole.right, *whole.ground, *whole.within)] == [100.0] * 7
-    assert (whole.turned, whole.mean_metres.value) == (0.0, pytest.approx(0.0, abs=1e-3))
+    assert (whole.flipped, whole.mean_metres.value) == (0.0, pytest.approx(0.0, abs=1e-3))
     hard = precisions_of(drive, boxes, numbers)[2]
     assert (hard.image, hard.orientation, hard.volume[1]) == pytest.approx((100.0, 100.0, 100.0))
     assert hard.labels > 41
@@ -79,7 +79,7 @@ def test_errors_are_those_that_were_made(drive, tmp_path):
     groups = summarise(vehicles)
     cars = groups["cars"]
     assert cars.mean_metres.value == pytest.approx(1.0, abs=1e-3)
-    assert (cars.turned, cars.within[2].value) == (100.0, 0.0)
+    assert (cars.flipped, cars.within[2].value) == (100.0, 0.0)
     np.testing.assert_allclose(cars.size, [0.2, 0.0, 0.0], atol=1e-3)
     assert cars.intervals["absolute_size"].value == pytest.approx(0.2 / 3.0, abs=1e-3)
     assert cars.intervals["median_metres"].value == cars.median_metres == pytest.approx(1.0, abs=1e-3)

@@ -29,7 +29,7 @@ BOXES = [
 
 def test_statuses_facings_and_regions():
     found = calibrate_boxes(BOXES, "system")
-    assert [(s.status, s.count, s.turned, s.wrong) for s in found.statuses] == [
+    assert [(s.status, s.count, s.flipped, s.wrong) for s in found.statuses] == [
         ("ambiguous", 1, 1, 1),
         ("converged", 2, 0, 1),
         ("weak", 1, 0, 1),
@@ -44,11 +44,11 @@ def test_statuses_facings_and_regions():
 
 def test_what_it_costs_to_take_sure_facings_alone():
     found = calibrate_boxes([*BOXES, box(170.0, 0.5, facing=0.97), box(1.0, 0.5, facing=1.0)], "system")
-    told = [(one.least, one.turned_refused, one.right_refused, one.sure, one.sure_turned) for one in found.doubts]
+    told = [(one.least, one.flipped_refused, one.right_refused, one.sure, one.sure_flipped) for one in found.acceptance]
     assert told == [(0.9, 1, 0, 4, 1), (0.95, 1, 2, 2, 1), (0.99, 2, 2, 1, 0)]
-    assert {(one.turned, one.right) for one in found.doubts} == {(2, 4)}
+    assert {(one.flipped, one.right) for one in found.acceptance} == {(2, 4)}
     document = json.loads(json.dumps(calibration_document(found, {}), allow_nan=False))
-    assert document["doubts"][0]["sure_turned"] == 1
+    assert document["acceptance"][0]["sure_flipped"] == 1
 
 
 def test_the_document_is_json_and_the_picture_is_drawn(tmp_path):

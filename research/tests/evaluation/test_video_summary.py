@@ -11,6 +11,7 @@ from fgrecon_research.evaluation.video_summary import (
     facing_reliability,
     group_boxes,
     summarise_boxes,
+    summarise_groups,
     worst_boxes,
 )
 
@@ -54,9 +55,9 @@ def test_the_numbers_of_a_group():
     assert (found.boxes, found.tracks, found.refused) == (8, 5, 1)
     assert found.mean_degrees.value == pytest.approx((5 + 15 + 90 + 91 + 170 + 180 + 30.1) / 8)
     assert {t: share.value for t, share in found.aop.items()} == {5: 25.0, 15: 37.5, 30: 37.5}
-    assert found.turned_round.value == 37.5
+    assert found.heading_flips.value == 37.5
     assert found.silent.value == 12.5  # ambiguous and refused ones do not hide it
-    assert found.network_turned_round.value == 25.0
+    assert found.network_heading_flips.value == 25.0
     assert (found.median_metres, found.mean_metres) == (2.0, pytest.approx(20.0 / 7))
     assert found.mean_size_error == pytest.approx((0.1, 0.0, -0.2))
 
@@ -65,7 +66,7 @@ def test_intervals_draw_whole_tracks():
     one_track = [box(180.0 * (number % 2)) for number in range(40)]
     many = [box(180.0 * (number % 2), track=number) for number in range(40)]
     together = [box(180.0 * (number % 2), track=number % 2) for number in range(40)]
-    shares = [summarise_boxes(boxes, SYSTEM).turned_round for boxes in (one_track, many, together)]
+    shares = [summarise_boxes(boxes, SYSTEM).heading_flips for boxes in (one_track, many, together)]
     assert [share.value for share in shares] == [50.0] * 3
     assert (shares[0].low, shares[0].high) == (50.0, 50.0)
     assert 30.0 < shares[1].low < 40.0
@@ -86,8 +87,8 @@ def test_a_rival_has_no_status_and_a_group_may_lack_every_pose():
     whole, rival = (summarise_boxes(boxes, method) for method in (SYSTEM, "pnp"))
     assert (whole.silent.value, whole.refused, whole.mean_size_error) == (0.0, 1, None)
     assert np.isnan([whole.median_metres, whole.mean_metres]).all()
-    assert (rival.silent, rival.mean_size_error, rival.network_turned_round) == (None, None, None)
-    assert rival.turned_round.value == 100.0
+    assert (rival.silent, rival.mean_size_error, rival.network_heading_flips) == (None, None, None)
+    assert rival.heading_flips.value == 100.0
 
 
 def test_groups():
@@ -145,16 +146,16 @@ def test_the_worst_box_of_each_of_the_worst_tracks():
 def test_the_document_is_plain_and_whole():
     boxes = [box(0.0), box(100.0, track=1), box(metres=np.inf, track=1, facing=0.3, azimuth=3.0)]
     networks = [{"file": "a", "drives": ["d"], "provenance": {"data": "x"}}]
-    made = document(boxes, {"box_model": "cuboid"}, networks)
+    made = document(boxes, summarise_groups(boxes), {"box_model": "cuboid"}, networks)
     made = json.loads(json.dumps(made, allow_nan=False))
     assert made["format"] == "fgrecon.video-images/1"
     assert (made["given"], made["networks"]) == ({"box_model": "cuboid"}, networks)
     groups = made["methods"][SYSTEM]
     assert list(groups) == ["drive", "regime", "view", "height", "occlusion", "distance"]
     assert groups["regime"]["all"] == groups["drive"]["d"]
-    assert groups["regime"]["all"]["turned_round"]["value"] == pytest.approx(200.0 / 3)
+    assert groups["regime"]["all"]["heading_flips"]["value"] == pytest.approx(200.0 / 3)
     rear = groups["view"]["rear"]  # one track, refused
-    assert rear["turned_round"] == {"value": 100.0, "low": None, "high": None}
+    assert rear["heading_flips"] == {"value": 100.0, "low": None, "high": None}
     assert (rear["median_metres"], rear["mean_metres"], rear["mean_size_error"]) == (None, None, None)
     assert sum(entry["boxes"] for entry in made["facing"]["bins"]) == 3
     assert made["facing"]["expected_calibration_error"] == pytest.approx(0.7 / 3)

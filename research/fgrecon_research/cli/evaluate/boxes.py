@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli.common import check_outputs, headed_table
+from fgrecon.cli.common import check_outputs
 from fgrecon.cli.labelled_drives import check_names
 from fgrecon.cli.options import JsonOption, MarkdownOption
 from fgrecon.cli.terminal import Terminal
@@ -18,11 +18,8 @@ from fgrecon.core.text import counted
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from collections.abc import Sequence
 
-    from rich.table import Table
-
     from fgrecon.io.kitti_drives import Drive
     from fgrecon.io.kitti_files import Objects
-    from fgrecon_research.evaluation.boxes_tables import BoxesTable
 
 
 def boxes_command(
@@ -62,9 +59,7 @@ def boxes_command(
     """
     from fgrecon.core.errors import InvalidInputError
     from fgrecon_research.evaluation.boxes3d import score_drives
-    from fgrecon_research.evaluation.boxes_summary import document, precisions_of_drives, summarise
-    from fgrecon_research.evaluation.boxes_tables import markdown as side_by_side
-    from fgrecon_research.evaluation.boxes_tables import tables
+    from fgrecon_research.evaluation.boxes_summary import document, precisions_of_drives, summarise, tables
 
     check_outputs(json_out, markdown)
     screen = terminal.screen(json_out)
@@ -89,30 +84,17 @@ def boxes_command(
     screen.print(f"{what}." if len(drives) == 1 else f"{counted(len(spoken_of), 'drive')}, {what}.")
     if silent := [drive.name for drive in drives if not frames[drive.name]]:
         screen.print(f"Left out, since not every source speaks of them: {', '.join(silent)}.")
-    screen.print(*boxes_tables(made))
+    screen.print(*(one.shown(wrap=True) for one in made))
     for name, vehicles in scored.items():
         for one in vehicles:
             place = one.frame if len(drives) == 1 else f"{one.drive}/{one.frame}"
             told = f"{one.metres:.2f} m, {one.degrees:.1f} degrees, IoU {one.overlap:.2f}" if one.found else "no box"
             screen.detail(f"{name} {place}/{one.index} {one.kind}: {told}")
     screen.write_json(json.dumps(document(scored, curves), indent=1, allow_nan=False) + "\n")
-    screen.write_text(markdown, side_by_side(made))
+    screen.write_text(markdown, "\n".join(one.markdown() for one in made))
     if not any(one.found for vehicles in scored.values() for one in vehicles):
         screen.fail("No labelled vehicle got a box.")
         raise typer.Exit(1)
-
-
-def boxes_tables(made: Sequence[BoxesTable]) -> list[Table]:
-    """The tables as the terminal shows them."""
-    from fgrecon_research.evaluation.boxes_tables import TEXTS
-
-    shown = []
-    for one in made:
-        table = headed_table(*one.headings, left=TEXTS, wrap=True)
-        for row in one.rows:
-            table.add_row(*row)
-        shown.append(table)
-    return shown
 
 
 def _drives(folder: Path, following: Sequence[str]) -> tuple[list[Drive], list[str]]:

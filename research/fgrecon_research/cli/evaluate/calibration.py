@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fgrecon.cli.common import check_outputs, headed_table
+from fgrecon.cli.common import check_outputs
 from fgrecon.cli.labelled_drives import DriveOptions, DrivesArgument
 from fgrecon.cli.options import JsonOption, LabelledScene
 from fgrecon.cli.terminal import Terminal
 from fgrecon_research.cli.evaluate.followed_drives import score_drives
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
-    from rich.table import Table
-
     from fgrecon_research.evaluation.calibration import Calibration
+    from fgrecon_research.evaluation.text_table import TextTable
 
 _SIMULATION = "simulation"
 
@@ -41,8 +40,8 @@ def calibration_command(
     """Compare what results say of themselves with labels: regions, the facing's probability, and the status.
 
     A region of 68 or 95 % should hold so many errors, and be no wider than one that is made to hold: by scaling the
-    covariances, or of one size for all, with the drive (of simulated cars a tenth) left out of the fit. Vehicles turned
-    round count for the facing alone. Wrong are results more than 15 degrees or 20 % of the distance off. With
+    covariances, or of one size for all, with the drive (of simulated cars a tenth) left out of the fit. Heading flips
+    count for the facing alone. Wrong are results more than 15 degrees or 20 % of the distance off. With
     --detect a labelled box is judged by the detected one that overlaps it most, by more than half. --verbose tells
     every box.
 
@@ -84,7 +83,8 @@ def calibration_command(
                 advance("Simulated cars", done, simulated)
         found[_SIMULATION] = calibrate(judged)
     for method, one in found.items():
-        screen.print(regions_table(method, one), status_table(method, one), doubt_table(method, one), _in_words(one))
+        made = [*calibration_tables(method, one), _acceptance_table(method, one)]
+        screen.print(*(table.shown() for table in made), _in_words(one))
     documents = [calibration_document(one, {"method": method, **given}) for method, one in found.items()]
     screen.write_json(json.dumps(documents, indent=1, allow_nan=False) + "\n")
     first = next(iter(found.values()))
@@ -98,14 +98,15 @@ def calibration_command(
         raise typer.Exit(1)
 
 
-def regions_table(method: str, found: Calibration) -> Table:
-    """Shares inside the regions of each quantity, and their radii."""
+def calibration_tables(method: str, found: Calibration) -> list[TextTable]:
+    """Regions of each quantity, and statuses: how many hold what they promise."""
     from fgrecon.core.coverage import SIGMAS
+    from fgrecon_research.evaluation.text_table import TextTable
 
     kinds = ("claimed", "scaled", "constant")
-    headings = [f"{kind} {100 * level:.0f} %" for level in SIGMAS for kind in kinds]
-    table = headed_table(f"{method}: inside, radius", "results", *headings)
+    heads = [f"{kind} {100 * level:.0f} %" for level in SIGMAS for kind in kinds]
     units = {"yaw": "°", "velocity": " m/s"}
+    regions = []
     for one in found.regions:
         unit = units.get(one.quantity, " m")
         cells = [
@@ -113,30 +114,33 @@ def regions_table(method: str, found: Calibration) -> Table:
             for level in SIGMAS
             for kind in kinds
         ]
-        table.add_row(one.quantity, str(one.count), *cells)
-    return table
+        regions.append([one.quantity, str(one.count), *cells])
+    statuses = [
+        [one.status, str(one.count), str(one.flipped), str(one.wrong), f"{100 * one.wrong / one.count:.1f}"]
+        for one in found.statuses
+    ]
+    return [
+        TextTable([f"{method}: inside, radius", "results", *heads], regions),
+        TextTable([f"{method}: status", "results", "flipped", "wrong", "wrong %"], statuses),
+    ]
 
 
-def status_table(method: str, found: Calibration) -> Table:
-    """How many results of each status are wrong."""
-    table = headed_table(f"{method}: status", "results", "turned round", "wrong", "wrong %")
-    for one in found.statuses:
-        table.add_row(one.status, str(one.count), str(one.turned), str(one.wrong), f"{100 * one.wrong / one.count:.1f}")
-    return table
-
-
-def doubt_table(method: str, found: Calibration) -> Table:
+def _acceptance_table(method: str, found: Calibration) -> TextTable:
     """What it costs and brings to take settled results alone whose facing has some probability at least."""
-    table = headed_table(f"{method}: facing at least", "turned, refused", "right, refused", "converged", "turned round")
-    for one in found.doubts:
-        table.add_row(
+    from fgrecon_research.evaluation.text_table import TextTable
+
+    heads = [f"{method}: facing at least", "flipped, refused", "right, refused", "converged", "flipped"]
+    rows = [
+        [
             f"{one.least:g}",
-            f"{one.turned_refused} of {one.turned}",
+            f"{one.flipped_refused} of {one.flipped}",
             f"{one.right_refused} of {one.right} ({100 * one.right_refused / max(one.right, 1):.1f} %)",
             str(one.sure),
-            f"{one.sure_turned} ({100 * one.sure_turned / max(one.sure, 1):.1f} %)",
-        )
-    return table
+            f"{one.sure_flipped} ({100 * one.sure_flipped / max(one.sure, 1):.1f} %)",
+        ]
+        for one in found.acceptance
+    ]
+    return TextTable(heads, rows)
 
 
 def _in_words(found: Calibration) -> str:

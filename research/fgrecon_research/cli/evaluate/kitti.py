@@ -27,14 +27,12 @@ from fgrecon.cli.terminal import Terminal
 from fgrecon.core.choices import BoxModel, TrafficSide
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.text import counted
-from fgrecon_research.cli.evaluate.boxes import boxes_tables
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
-    from rich.table import Table
-
     from fgrecon.calibration.setup import Setup
     from fgrecon.viz import Sight
     from fgrecon_research.evaluation.kitti_images import Car
+    from fgrecon_research.evaluation.text_table import TextTable
 
 
 def _folder(what: str, name: str) -> Any:
@@ -127,9 +125,7 @@ def kitti_command(
     """
     from fgrecon.io.kitti_files import read_image_set, write_results
     from fgrecon_research.evaluation import kitti_images
-    from fgrecon_research.evaluation.boxes_summary import plain_boxes
-    from fgrecon_research.evaluation.boxes_tables import markdown as side_by_side
-    from fgrecon_research.evaluation.boxes_tables import tables
+    from fgrecon_research.evaluation.boxes_summary import plain_boxes, tables
     from fgrecon_research.evaluation.kitti_boxes import score_boxes
 
     check_outputs(json_out, markdown, picture=picture)
@@ -150,7 +146,8 @@ def kitti_command(
     images = counted(len(frames), "image")
     found = score_boxes(frames, cars)
     made = tables({f"{kind} boxes": found.groups}, {f"{kind} boxes": found.curves})
-    screen.print(f"{images}, {counted(len(cars), 'car')}, {kind} boxes; {origin}.", _table(cars), *boxes_tables(made))
+    screen.print(f"{images}, {counted(len(cars), 'car')}, {kind} boxes; {origin}.", _table(cars).shown())
+    screen.print(*(one.shown(wrap=True) for one in made))
     for car in cars:
         error = car.failure or f"{car.degrees:.1f} degrees, {car.metres:.2f} m"
         screen.detail(f"{car.frame}/{car.index}: {error}")
@@ -169,7 +166,7 @@ def kitti_command(
     told = kitti_images.document(cars, given)
     told["boxes"] = plain_boxes(found.groups, found.curves, found.vehicles)
     screen.write_json(json.dumps(told, indent=1, allow_nan=False) + "\n")
-    screen.write_text(markdown, side_by_side(made))
+    screen.write_text(markdown, "\n".join(one.markdown() for one in made))
     if results_out is not None:
         write_results(results_out, found.results)
         screen.wrote(results_out)
@@ -207,22 +204,18 @@ def _setup(
     return setup, told.origin
 
 
-def _table(cars: list[Car]) -> Table:
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
+def _table(cars: list[Car]) -> TextTable:
     from fgrecon.core.metrics import THRESHOLDS
     from fgrecon_research.evaluation.kitti_images import summarise
+    from fgrecon_research.evaluation.text_table import TextTable
 
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    headings = [*(f"AOP {threshold}°" for threshold in THRESHOLDS), "mean °", "median °", "median m", "failed"]
-    for heading in ("regime", "cars", *headings):
-        table.add_column(heading, justify="left" if heading == "regime" else "right")
+    rows = []
     for score in summarise(cars):
         shares = [f"{100 * count / score.cars:.1f} ({count})" for count in score.within]
         numbers = [f"{score.mean_degrees:.1f}", f"{score.median_degrees:.1f}", f"{score.median_metres:.2f}"]
-        table.add_row(score.name, str(score.cars), *shares, *numbers, str(score.failures))
-    return table
+        rows.append([score.name, str(score.cars), *shares, *numbers, str(score.failures)])
+    headings = [*(f"AOP {threshold}°" for threshold in THRESHOLDS), "mean °", "median °", "median m", "failed"]
+    return TextTable(["regime", "cars", *headings], rows)
 
 
 def _sights(cars: list[Car], images: dict[str, Path]) -> list[Sight]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fgrecon.cli.box_errors import BoxErrorOptions
-from fgrecon.cli.common import check_outputs, headed_table
+from fgrecon.cli.common import check_outputs
 from fgrecon.cli.labelled_drives import FoldOption, read_folds
 from fgrecon.cli.options import JsonOption, SceneOptions, WeightsOption
 from fgrecon.cli.progress import counting
@@ -18,9 +18,8 @@ from fgrecon.cli.terminal import Terminal
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from collections.abc import Sequence
 
-    from rich.table import Table
-
     from fgrecon_research.evaluation.refined import RefinedVehicle
+    from fgrecon_research.evaluation.text_table import TextTable
 
 
 def refine_evaluation_command(
@@ -46,7 +45,7 @@ def refine_evaluation_command(
     fold: FoldOption = None,
     json_out: JsonOption = None,
 ) -> None:
-    """Score 3D boxes before and after they are refined: position, yaw, turned round, size, and how many got worse.
+    """Score 3D boxes before and after they are refined: position, yaw, heading flips, size, and how many got worse.
 
     Without --boxes each labelled box is disturbed by the errors that the options say, with a fixed seed. Cars and vans
     count as in `evaluate video`. --verbose tells every vehicle.
@@ -97,7 +96,7 @@ def refine_evaluation_command(
             vehicles += refine_drive(drive, source, how, every=every, advance=count)
     if not vehicles:
         raise InvalidInputError("drives", ", ".join(d.name for d in drives), "Give drives with labelled boxes.")
-    screen.print(_table(vehicles))
+    screen.print(_table(vehicles).shown())
     for one in vehicles:
         told = (
             f"{one.before.metres:.2f} -> {one.after.metres:.2f} m, {one.before.degrees:.1f} -> {one.after.degrees:.1f}"
@@ -118,27 +117,22 @@ def refine_evaluation_command(
         raise typer.Exit(1)
 
 
-def _table(vehicles: Sequence[RefinedVehicle]) -> Table:
+def _table(vehicles: Sequence[RefinedVehicle]) -> TextTable:
     from fgrecon_research.evaluation.refined import compare
+    from fgrecon_research.evaluation.text_table import TextTable
 
-    headings = ("mean m", "median m", "mean °", "median °", "turned", "l, w, h cm", "> 5 % worse", "worst", "doubled")
-    table = headed_table("before -> after", "boxes", "refined", *headings, "spread")
+    headings = ("mean m", "median m", "mean °", "median °", "flipped", "l, w, h cm", "> 5 % worse", "worst", "doubled")
+    rows = []
     for name, one in compare(vehicles).items():
         sizes = [", ".join(f"{100.0 * value:.0f}" for value in size) for size in one.size]
-        table.add_row(
-            name,
-            str(one.vehicles),
-            str(one.refined),
+        cells = [
             *(_arrow(pair, ".2f") for pair in (one.mean_metres, one.median_metres)),
             *(_arrow(pair, ".1f") for pair in (one.mean_degrees, one.median_degrees)),
-            _arrow(one.turned, "d"),
-            " -> ".join(sizes),
-            str(one.worse),
-            f"{one.worst_metres:+.2f} m, {one.worst_percent:+.1f} %",
-            str(one.doubled),
-            f"{one.spread:.2f}",
-        )
-    return table
+            *(_arrow(one.flipped, "d"), " -> ".join(sizes), str(one.worse)),
+            *(f"{one.worst_metres:+.2f} m, {one.worst_percent:+.1f} %", str(one.doubled), f"{one.spread:.2f}"),
+        ]
+        rows.append([name, str(one.vehicles), str(one.refined), *cells])
+    return TextTable(["before -> after", "boxes", "refined", *headings, "spread"], rows)
 
 
 def _arrow(pair: tuple[float, float], digits: str) -> str:

@@ -9,22 +9,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli.common import check_folder, check_outputs, headed_table
+from fgrecon.cli.common import check_folder, check_outputs
 from fgrecon.cli.labelled_drives import DriveOptions, DrivesArgument
 from fgrecon.cli.options import UNTOLD, JsonOption, LabelledScene, MarkdownOption, ResultsOption, fitting_names
 from fgrecon.cli.terminal import Terminal
-from fgrecon.core.text import number_or_dash
 from fgrecon_research.cli.evaluate.followed_drives import score_drives
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
-    from rich.table import Table
-
-    from fgrecon.calibration.labelled_boxes import VideoBox
     from fgrecon.calibration.labelled_frames import ScoredFrame
     from fgrecon.cli.labelled_drives import ScoredDrives
     from fgrecon.core.reliability import Reliability
     from fgrecon.viz import Sight
-    from fgrecon_research.evaluation.bootstrap import Interval
 
 _WORST = 20
 _RIVAL = "sqpnp_confident"
@@ -97,8 +92,8 @@ def video_command(
     from fgrecon.core.errors import InvalidInputError
     from fgrecon.io.export.files import TABLE_FORMATS, export_rows
     from fgrecon.io.files import check_ending
-    from fgrecon_research.evaluation.video_markdown import markdown as side_by_side
-    from fgrecon_research.evaluation.video_summary import document, facing_reliability, methods_of
+    from fgrecon_research.evaluation.video_summary import document, facing_reliability, methods_of, summarise_groups
+    from fgrecon_research.evaluation.video_tables import tables
 
     check_outputs(json_out, table, markdown, picture=picture)
     if forget_ids and not track:
@@ -124,10 +119,10 @@ def video_command(
     boxes = scored.boxes
 
     screen.print(scored.in_words())
-    for method in methods_of(boxes):
-        screen.print(_table(boxes, method))
-    if track:
-        screen.print(_consistency_table(boxes))
+    summaries = summarise_groups(boxes)
+    made = {f"By {by}:": one for by, one in tables(summaries).items()}
+    for heading, one in made.items():
+        screen.print(heading, one.filled().shown(wrap=True))
     screen.print(_in_words(facing_reliability(boxes)))
     for box in boxes:
         for method, found in box.outcomes.items():
@@ -148,12 +143,14 @@ def video_command(
         "boxes": how.boxes,
         "missed": scored.missed,
     }
-    screen.write_json(json.dumps(document(boxes, given, scored.networks()), indent=1, allow_nan=False) + "\n")
+    screen.write_json(
+        json.dumps(document(boxes, summaries, given, scored.networks()), indent=1, allow_nan=False) + "\n"
+    )
     if results_out is not None:
         screen.wrote(*_write_results(results_out, scored.frames))
     if table is not None:
         screen.wrote(export_rows(table, [row for box in boxes for row in box.rows()]))
-    screen.write_text(markdown, side_by_side(boxes))
+    screen.write_text(markdown, "\n".join(f"{heading}\n\n{one.markdown()}" for heading, one in made.items()))
     if picture is not None and (sights := _sights(scored)):
         from fgrecon.viz import contact_sheet, save_picture
 
@@ -175,71 +172,6 @@ def _write_results(folder: Path, frames: Sequence[ScoredFrame]) -> list[Path]:
             write_text(path, "".join(box.line for box in frame.boxes))
             folders.add(path.parent)
     return sorted(folders)
-
-
-def _table(boxes: list[VideoBox], method: str) -> Table:
-    from fgrecon.calibration.labelled_boxes import SYSTEM
-    from fgrecon.core.metrics import THRESHOLDS
-    from fgrecon_research.evaluation.video_summary import group_boxes, summarise_boxes
-
-    whole = method == SYSTEM
-    shares = [f"AOP {threshold}° %" for threshold in THRESHOLDS]
-    silent = ["silent %", "network %"] if whole else []
-    jitter = ["size cm", "jitter °", "jitter m"]
-    numbers = ["boxes", "tracks", "mean °", *shares, "turned %", *silent, "median m", "mean m", *jitter, "refused"]
-    table = headed_table(method, *numbers)
-    for by, named in group_boxes(boxes).items():
-        if not whole and by not in ("drive", "regime"):
-            continue
-        for name, some in named.items():
-            score = summarise_boxes(some, method)
-            first, *others = (score.aop[threshold] for threshold in THRESHOLDS)
-            table.add_row(
-                name,
-                str(score.boxes),
-                str(score.tracks),
-                f"{score.mean_degrees.value:.1f}",
-                _cell(first, score.tracks),
-                *(f"{share.value:.1f}" for share in others),
-                _cell(score.turned_round, score.tracks),
-                *(["-" if s is None else f"{s.value:.1f}" for s in (score.silent, score.network_turned_round)] * whole),
-                f"{score.median_metres:.2f}",
-                f"{score.mean_metres:.2f}",
-                number_or_dash(score.mean_absolute_size_error, ".0f", 100.0),
-                number_or_dash(score.jitter_degrees, ".2f"),
-                number_or_dash(score.jitter_metres, ".2f"),
-                str(score.refused),
-            )
-        table.add_section()
-    return table
-
-
-def _consistency_table(boxes: list[VideoBox]) -> Table:
-    """How sure the methods are that have covariances, against how far they are off."""
-    from fgrecon.calibration.regions import DIMENSIONS
-    from fgrecon_research.evaluation.video_summary import methods_of, summarise_boxes
-
-    headings = [heading for name in DIMENSIONS for heading in (f"{name} mean", "median", "in 95 %")]
-    table = headed_table("squared errors by covariance", *headings, "velocity m/s")
-    for method in methods_of(boxes):
-        score = summarise_boxes(boxes, method)
-        if not score.consistency:
-            continue
-        cells = []
-        for name in DIMENSIONS:
-            one = score.consistency.get(name)
-            cells += ["-"] * 3 if one is None else [f"{one.mean:.2f}", f"{one.median:.2f}", f"{one.inside:.1f}"]
-        table.add_row(method, *cells, number_or_dash(score.median_velocity, ".2f"))
-    sure = summarise_boxes(boxes, methods_of(boxes)[0]).consistency
-    bounds = [(one.low, one.high) for one in sure.values()]
-    if bounds:
-        cells = [text for low, high in bounds for text in (f"{low:.2f}-{high:.2f}", "1.00", "95.0")]
-        table.add_row("right covariances", *cells)
-    return table
-
-
-def _cell(share: Interval, tracks: int) -> str:
-    return f"{share.value:.1f}" if tracks < 2 else f"{share.value:.1f} ({share.low:.0f}-{share.high:.0f})"
 
 
 def _in_words(facing: Reliability) -> str:

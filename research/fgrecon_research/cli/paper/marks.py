@@ -7,7 +7,7 @@ import json
 from fgrecon.cli.common import check_outputs
 from fgrecon.cli.options import DATA, DataOption, JsonOption
 from fgrecon.cli.terminal import Terminal
-from fgrecon_research.cli.evaluate.calibration import regions_table, status_table
+from fgrecon_research.cli.evaluate.calibration import calibration_tables
 
 _METHOD = "reconstruct"
 
@@ -32,7 +32,7 @@ def marks_command(terminal: Terminal, data: DataOption = DATA, json_out: JsonOpt
     first, second = found.sigma_relative
     screen.print(f"{len(cars.cars)} cars, {len(found.failures)} of them refused. Marks are known to")
     screen.print(f"{100 * first:.2f} % of the box by one half of the images, {100 * second:.2f} % by the other.")
-    screen.print(regions_table(_METHOD, found.calibration), status_table(_METHOD, found.calibration))
+    screen.print(*(table.shown() for table in calibration_tables(_METHOD, found.calibration)))
     screen.detail(*found.failures)
     given = {"method": _METHOD, "sigma_relative": list(found.sigma_relative), "refused": list(found.failures)}
     document = calibration_document(found.calibration, given)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from fgrecon.cli.common import check_outputs
 from fgrecon.cli.options import DATA, DataOption, JsonOption, MarkdownOption
 from fgrecon.cli.terminal import Terminal
-from fgrecon.core.text import markdown_row
+from fgrecon_research.evaluation.text_table import TextTable
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from fgrecon_research.paper.closest_models import ClosestModelRanks
@@ -38,9 +38,8 @@ def models_command(
     rows = _rows(found)
     note = _note(found)
     screen.print(f"{len(found.names)} cars, {found.count} models")
-    for row in (_HEADS, *rows):
-        screen.print("  ".join(f"{cell:>17}" if i else f"{cell:22}" for i, cell in enumerate(row)))
-    screen.print(note)
+    table = TextTable(_HEADS, rows)
+    screen.print(table.shown(), note)
     screen.detail(*(f"{name}: {place}" for name, place in zip(found.names, found.ranks["Hausdorff"], strict=True)))
     document = {
         "format": FORMAT,
@@ -52,9 +51,7 @@ def models_command(
         "margins": {"cars": found.names, "metres": [round(float(m), 4) for m in found.margins]},
     }
     screen.write_json(json.dumps(document, indent=2) + "\n")
-    lines = [_HEADS, ("---", *("---:" for _ in _HEADS[1:])), *rows]
-    text = "".join(map(markdown_row, lines))
-    screen.write_text(markdown, f"{len(found.names)} cars, {found.count} models.\n\n{text}\n{note}\n")
+    screen.write_text(markdown, f"{len(found.names)} cars, {found.count} models.\n\n{table.markdown()}\n{note}\n")
 
 
 def _rows(found: ClosestModelRanks) -> list[tuple[str, ...]]:

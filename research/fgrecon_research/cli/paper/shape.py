@@ -13,7 +13,7 @@ from fgrecon.cli.common import check_outputs
 from fgrecon.cli.options import DATA, KITTI_CAMERA_HEIGHT, DataOption, JsonOption, MarkdownOption
 from fgrecon.cli.progress import counting
 from fgrecon.cli.terminal import Terminal
-from fgrecon.core.text import markdown_row
+from fgrecon_research.evaluation.text_table import TextTable
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from fgrecon.cli.terminal import Screen
@@ -32,8 +32,6 @@ _UNITS = {
     "orientation": "degrees, median",
 }
 _FIXED, _JOINT = ("mean, true pose", "shape, true pose"), ("mean, estimated pose", "joint")
-
-Cells = list[list[str]]
 
 
 def shape_command(
@@ -75,15 +73,15 @@ def shape_command(
         "settings": {"held_out": list(names), "views_per_car": views, "views": len(seen), "seed": seed},
         "stages": _plain(stages),
     }
-    parts: list[tuple[str, Cells]] = [(f"{len(seen)} views of cars held out", _stage_table(stages))]
+    tables = [_stage_table(f"{len(seen)} views of cars held out", stages)]
     if ablation:
         harder = shape.simulate_views(models, names, views, seed, HARD)
-        numbers, tables = _ablated(models, names, prior, seen, harder, seed, ground, screen)
+        numbers, more = _ablated(models, names, prior, seen, harder, seed, ground, screen)
         document |= numbers
-        parts += tables
-    _print(parts, screen)
+        tables += more
+    screen.print(*(table.shown() for table in tables))
     screen.write_json(json.dumps(document, indent=2, allow_nan=False) + "\n")
-    screen.write_text(markdown, "\n".join(_markdown(title, rows) for title, rows in parts))
+    screen.write_text(markdown, "\n".join(table.markdown() for table in tables))
 
 
 def _ablated(
@@ -95,7 +93,7 @@ def _ablated(
     seed: int,
     ground: Ground,
     screen: Screen,
-) -> tuple[dict[str, Any], list[tuple[str, Cells]]]:
+) -> tuple[dict[str, Any], list[TextTable]]:
     """Numbers and tables of energies without each term, with two priors, and of robust strategies."""
     from fgrecon.core.options import Options
     from fgrecon.core.size_prior import SIZE_PRIORS
@@ -115,9 +113,9 @@ def _ablated(
         "strategies": _plain(strategies),
     }
     return numbers, [
-        ("Energy terms, symmetric prior", _ablation_table(symmetric)),
-        ("Energy terms, unsymmetrised prior", _ablation_table(loose)),
-        ("Robust strategies on harder keypoints", _strategy_table(strategies)),
+        _ablation_table("Energy terms, symmetric prior", symmetric),
+        _ablation_table("Energy terms, unsymmetrised prior", loose),
+        _strategy_table("Robust strategies on harder keypoints", strategies),
     ]
 
 
@@ -125,12 +123,13 @@ def _plain(rows: Mapping[str, Any]) -> dict[str, Any]:
     return {name: asdict(row) for name, row in rows.items()}
 
 
-def _stage_table(stages: Mapping[str, StageScore]) -> Cells:
-    rows = [["state", "median cm", "centred cm", "RMS cm", "inliers px", "orientation °", "change of median %"]]
+def _stage_table(title: str, stages: Mapping[str, StageScore]) -> TextTable:
+    heads = ["state", "median cm", "centred cm", "RMS cm", "inliers px", "orientation °", "change of median %"]
+    rows = []
     for name, score in stages.items():
         before = stages[_FIXED[0] if name.endswith("true pose") else _JOINT[0]]
         rows.append([name, *_numbers(score), f"{100 * (score.keypoint / before.keypoint - 1):+.1f}"])
-    return rows
+    return TextTable(heads, rows, title=title)
 
 
 def _numbers(score: StageScore) -> list[str]:
@@ -138,7 +137,7 @@ def _numbers(score: StageScore) -> list[str]:
     return [*(f"{100 * length:.2f}" for length in lengths), f"{score.reprojection:.2f}", f"{score.orientation:.2f}"]
 
 
-def _ablation_table(rows: Mapping[str, Mapping[str, StageScore]]) -> Cells:
+def _ablation_table(title: str, variants: Mapping[str, Mapping[str, StageScore]]) -> TextTable:
     """Errors with every variant, and what it costs in mean square against the default, with the 95 % interval."""
     import numpy as np
 
@@ -146,39 +145,23 @@ def _ablation_table(rows: Mapping[str, Mapping[str, StageScore]]) -> Cells:
     from fgrecon_research.paper.ablation import DEFAULT
 
     costs = "cost cm² (95 %)"
-    table = [["energy", "true pose cm", "RMS cm", costs, "joint cm", "RMS cm", costs, "joint inliers px"]]
-    whole = rows[DEFAULT]
-    for name, stages in rows.items():
+    heads = ["energy", "true pose cm", "RMS cm", costs, "joint cm", "RMS cm", costs, "joint inliers px"]
+    rows, whole = [], variants[DEFAULT]
+    for name, stages in variants.items():
         cells = [name]
         for stage in (_FIXED[1], _JOINT[1]):
             score = stages[stage]
             cost = mean_interval(1e4 * np.subtract(score.squares, whole[stage].squares))
             cells += [f"{100 * score.keypoint:.2f}", f"{100 * score.keypoint_rms:.2f}"]
             cells.append("-" if name == DEFAULT else f"{cost.value:+.1f} ({cost.low:+.1f}, {cost.high:+.1f})")
-        table.append([*cells, f"{stages[_JOINT[1]].reprojection:.2f}"])
-    return table
+        rows.append([*cells, f"{stages[_JOINT[1]].reprojection:.2f}"])
+    return TextTable(heads, rows, title=title)
 
 
-def _strategy_table(rows: Mapping[str, StrategyScore]) -> Cells:
-    table = [["strategy", "mean °", "median °", "AOP 5° %", "AOP 15° %", "AOP 30° %", "keypoints cm", "origin m"]]
-    for name, score in rows.items():
+def _strategy_table(title: str, scores: Mapping[str, StrategyScore]) -> TextTable:
+    heads = ["strategy", "mean °", "median °", "AOP 5° %", "AOP 15° %", "AOP 30° %", "keypoints cm", "origin m"]
+    rows = []
+    for name, score in scores.items():
         errors = [f"{score.mean:.2f}", f"{score.median:.2f}", *(f"{share:.1f}" for share in score.aop)]
-        table.append([name, *errors, f"{100 * score.keypoint:.2f}", f"{score.translation:.2f}"])
-    return table
-
-
-def _print(parts: Sequence[tuple[str, Cells]], screen: Screen) -> None:
-    from rich.table import Table
-
-    for title, rows in parts:
-        table = Table(title=title)
-        for i, heading in enumerate(rows[0]):
-            table.add_column(heading, justify="right" if i else "left", no_wrap=True)
-        for row in rows[1:]:
-            table.add_row(*row)
-        screen.print(table)
-
-
-def _markdown(title: str, rows: Cells) -> str:
-    alignment = f"|---{'|---:' * (len(rows[0]) - 1)}|\n"
-    return "".join([f"**{title}**\n\n", markdown_row(rows[0]), alignment, *map(markdown_row, rows[1:])])
+        rows.append([name, *errors, f"{100 * score.keypoint:.2f}", f"{score.translation:.2f}"])
+    return TextTable(heads, rows, title=title)

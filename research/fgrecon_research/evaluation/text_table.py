@@ -1,0 +1,52 @@
+"""A table of texts, for the terminal and as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from fgrecon.core.text import markdown_row
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """Headings and rows; the first columns hold texts, the others numbers."""
+
+    headings: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    texts: int = 1  # how many columns of texts
+    title: str = ""
+
+    def markdown(self) -> str:
+        """As Markdown, the title above it in bold."""
+        rule = ["---"] * self.texts + ["---:"] * (len(self.headings) - self.texts)
+        title = f"**{self.title}**\n\n" if self.title else ""
+        return title + "".join(map(markdown_row, (self.headings, rule, *self.rows)))
+
+    def shown(self, *, wrap: bool = False) -> Table:
+        """As the terminal shows it; with `wrap` numbers may be wrapped where it is narrow."""
+        from rich.box import SIMPLE_HEAD
+        from rich.markup import escape
+        from rich.table import Table
+
+        table = Table(box=SIMPLE_HEAD, pad_edge=False, title=self.title or None)
+        for number, heading in enumerate(self.headings):
+            is_text = number < self.texts
+            table.add_column(heading, justify="left" if is_text else "right", no_wrap=is_text or not wrap)
+        for row in self.rows:
+            table.add_row(*map(escape, row))
+        return table
+
+    def filled(self) -> TextTable:
+        """The same without columns of numbers that hold dashes alone."""
+        some = [
+            number
+            for number in range(len(self.headings))
+            if number < self.texts or any(row[number] != "-" for row in self.rows)
+        ]
+        rows = [[row[number] for number in some] for row in self.rows]
+        return TextTable([self.headings[number] for number in some], rows, self.texts, self.title)
