@@ -190,18 +190,11 @@ def reconstruct_image(
         options = for_detected(options)
     networks = shipped_cascade() if keypoint_detector is None else keypoint_detector
     detections = find_keypoints(networks, pixels, corners, shape_prior.category)
-    vehicles = reconstruct_detections(
-        detections,
-        sized,
-        prior=shape_prior,
-        ground=ground,
-        size_prior=size_prior,
-        options=options,
-        together=together,
-    )
-    if known is None and vehicles and any(one.result is not None for one in vehicles):
-        assert vehicles[0].camera is not None
-        _warn_of_camera(vehicles[0].camera)
+    how: dict[str, Any] = {"ground": ground, "size_prior": size_prior, "options": options, "together": together}
+    vehicles = reconstruct_detections(detections, sized, prior=shape_prior, **how)
+    estimated = next((one.camera for one in vehicles if one.result is not None), None)
+    if known is None and estimated is not None:
+        _warn_of_camera(estimated)
     return vehicles
 
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import MIN_DEPTH, Camera, Ground
 from fgrecon.core.checks import as_instance, as_list, as_rows, as_shape
-from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.geometry import box_around
 from fgrecon.core.observation import Observation
 from fgrecon.core.options import BoxModel, BoxOptions, Options, checked_options
@@ -78,34 +78,41 @@ def refine_boxes(
     seen_by = Camera.of(camera)
     if seen_by.image_size is None:
         seen_by = seen_by.with_size_of(pixels)
-    given = np.full((len(boxes), 4), np.nan)
-    if corners is not None:
-        given = as_shape("corners", as_rows("corners", corners, 4), given.shape)
-    own: NDArray[np.bool_] = np.all(np.isfinite(given), axis=1)
-    limits = np.array([pixels.shape[1], pixels.shape[0]] * 2) - 1.0
-    where = np.array([g if o else _projected(b, seen_by) for b, g, o in zip(boxes, given, own, strict=True)])
-    where = np.clip(where.reshape(-1, 4), 0.0, limits)
+    where, own = _where(boxes, corners, seen_by, pixels)
     looked = np.flatnonzero(large_enough(where)).tolist()
     shape_prior = load_prior(prior)
     networks = shipped_cascade() if keypoint_detector is None else keypoint_detector
     found = find_keypoints(networks, pixels, where[looked], shape_prior.category) if len(looked) else []
+    how: dict[str, Any] = {"prior": shape_prior, "ground": ground, "size_prior": size_prior, "options": settings}
     scene = reconstruct_scene(
         [_observed(one.evidence, own=bool(own[i])) for i, one in zip(looked, found, strict=True)],
         seen_by,
-        prior=shape_prior,
-        ground=ground,
-        size_prior=size_prior,
-        options=settings,
         boxes=[boxes[i] for i in looked],
         box_errors=errors,
+        **how,
     )
     solved = {looked[n]: vehicle for n, vehicle in zip(scene.numbers, scene.vehicles, strict=True)}
-    refused = {looked[n]: error for n, error in scene.refused.items()}
-    for i, box in enumerate(where):
-        if i not in solved and i not in refused:
-            fix = f"It takes at least {SMALLEST_BOX} pixels of it."
-            refused[i] = InvalidInputError(f"boxes[{i}]", f"{box.round(1).tolist()} in the image", fix)
+    refused = {i: _too_small(i, where[i]) for i in range(len(boxes)) if i not in looked}
+    refused |= {looked[n]: error for n, error in scene.refused.items()}
     return [refined(box, errors, solved.get(i), refused.get(i)) for i, box in enumerate(boxes)]
+
+
+def _too_small(number: int, box: Array) -> FgreconError:
+    fix = f"It takes at least {SMALLEST_BOX} pixels of it."
+    return InvalidInputError(f"boxes[{number}]", f"{box.round(1).tolist()} in the image", fix)
+
+
+def _where(
+    boxes: Sequence[Box3D], corners: ArrayLike | None, camera: Camera, image: NDArray[np.uint8]
+) -> tuple[Array, NDArray[np.bool_]]:
+    """2D boxes (N, 4) within the image, and whether (N,) they are the detector's; else they are projected."""
+    given = np.full((len(boxes), 4), np.nan)
+    if corners is not None:
+        given = as_shape("corners", as_rows("corners", corners, 4), given.shape)
+    own: NDArray[np.bool_] = np.all(np.isfinite(given), axis=1)
+    limits = np.array([image.shape[1], image.shape[0]] * 2) - 1.0
+    where = np.array([g if o else _projected(b, camera) for b, g, o in zip(boxes, given, own, strict=True)])
+    return np.clip(where.reshape(-1, 4), 0.0, limits), own
 
 
 def _observed(seen: Observation, *, own: bool) -> Observation:

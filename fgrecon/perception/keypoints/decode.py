@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.detection import half_around
+from fgrecon.perception.keypoints.layout import SETTINGS
 
 __all__ = [
     "ConfidenceCalibration",
@@ -24,9 +25,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-_WINDOW = 3  # cells around the peak over which position and covariance are taken
 _TINY = 1e-6
-_SMEARED = 4.0  # power; chosen on street cars of drives that networks had not learnt from
 
 
 @dataclass(frozen=True)
@@ -116,7 +115,7 @@ def left_probability(azimuth: Array) -> float:
     bins, probability = len(azimuth), 0.0
     ahead, left = half_around(0.0, bins), half_around(np.pi / 2.0, bins)
     for half in (ahead, 1.0 - ahead):
-        sharp = (half * azimuth) ** _SMEARED
+        sharp = (half * azimuth) ** SETTINGS.side_power
         probability += float(half @ azimuth * (left @ sharp) / max(float(sharp.sum()), _TINY**4))
     return min(probability, 1.0)
 
@@ -175,7 +174,7 @@ def peak(likelihood: Array) -> tuple[Array, Array]:
     rows = padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]
     smooth = rows[..., :-2] + rows[..., 1:-1] + rows[..., 2:]
     r0, c0 = np.divmod(smooth.reshape(len(flat), -1).argmax(axis=1), width)
-    span = np.arange(-_WINDOW, _WINDOW + 1)
+    span = np.arange(-SETTINGS.peak_reach_cells, SETTINGS.peak_reach_cells + 1)
     r, c = r0[:, None, None] + span[:, None], c0[:, None, None] + span
     inside = (r >= 0) & (r < height) & (c >= 0) & (c < width)
     many = np.arange(len(flat))[:, None, None]

@@ -25,7 +25,7 @@ from fgrecon.perception.keypoints.decode import (
     peak,
     softmax,
 )
-from fgrecon.perception.keypoints.layout import PATCH, KNetLayout, KNetSettings, RefineLayout, RefineSettings
+from fgrecon.perception.keypoints.layout import PATCH, SETTINGS, KNetLayout, KNetSettings, RefineLayout, RefineSettings
 from fgrecon.perception.keypoints.patches import cut_patches, fuse, patch_offsets, run_networks, window_of
 from fgrecon.perception.keypoints.sessions import Network, chosen_runtime, threads_of_torch
 from fgrecon.perception.keypoints.weights import WITHOUT_STREET, check_arrays, load_weights, shipped
@@ -53,9 +53,6 @@ _EVEN = 0.5  # these confidences are probabilities: right as often as wrong at a
 
 SMALLEST_BOX = 8.0
 """Pixels of the longer side: a smaller vehicle has no keypoints to see."""
-
-_PATCHES = 4  # per keypoint
-_INSIDE = 0.2  # share of the box that must lie in the image
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -224,7 +221,7 @@ class KeypointCascade:
         fine = np.stack([extract(image, crop_of(box, finer)) for image, box in zip(images, boxes, strict=True)])
         ratio = finer / size
         centres = np.rint((first.points + 0.5) * ratio - 0.5).astype(np.int64)
-        offsets = patch_offsets(_PATCHES, centres.shape[1])
+        offsets = patch_offsets(SETTINGS.patches, centres.shape[1])
         corners = centres[:, None] + offsets - PATCH // 2
         patches = run_networks(networks, cut_patches(fine, corners))
         before = window_of(likelihood, centres, finer)
@@ -325,5 +322,5 @@ def check_box(box: Array, image: NDArray[np.uint8], field: str = "box") -> None:
     if not large_enough(box):
         raise InvalidInputError(field, box.tolist(), f"Give a vehicle of at least {SMALLEST_BOX:g} pixels.")
     inner = np.minimum(box[2:], [width - 0.5, height - 0.5]) - np.maximum(box[:2], -0.5)
-    if not (inner > 0).all() or inner.prod() < _INSIDE * size.prod():
+    if not (inner > 0).all() or inner.prod() < SETTINGS.min_inside * size.prod():
         raise InvalidInputError(field, box.tolist(), f"Give a box inside the image of {width} x {height} pixels.")

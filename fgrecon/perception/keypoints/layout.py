@@ -15,9 +15,11 @@ __all__ = [
     "MEAN",
     "PATCH",
     "PYRAMID",
+    "SETTINGS",
     "SPREAD",
     "STRIDE",
     "Block",
+    "CascadeSettings",
     "KNetLayout",
     "KNetSettings",
     "Layer",
@@ -92,6 +94,33 @@ class RefineSettings:
     def to_dict(self) -> dict[str, int]:
         """Plain numbers for a file."""
         return asdict(self)
+
+
+@dataclass(frozen=True)
+class CascadeSettings:
+    """How the networks are asked and their maps are read. Set by hand and not tuned, but for what says otherwise.
+
+    Attributes:
+        patches: For each keypoint.
+        patch_sigma_px: Of the patches' centres around the estimate, pixels of the finer crop.
+        max_patch_offset_px: The estimate stays well inside every patch.
+        fusion_window_px: Side of the window over which the patches' likelihoods are averaged: holds every patch whole.
+        peak_reach_cells: Around a map's peak, over which position and covariance are taken.
+        side_power: Sharpens the directions within the front and the rear half, for the probability of the left side;
+            chosen on street cars of drives that networks had not learnt from.
+        min_inside: Share of a box that must be in the image.
+    """
+
+    patches: int = 4
+    patch_sigma_px: float = 3.0
+    max_patch_offset_px: float = 7.0
+    fusion_window_px: int = 48
+    peak_reach_cells: int = 3
+    side_power: float = 4.0
+    min_inside: float = 0.2
+
+
+SETTINGS = CascadeSettings()
 
 
 @dataclass(frozen=True)

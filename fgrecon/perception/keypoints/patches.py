@@ -6,22 +6,21 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from fgrecon.perception.keypoints.layout import PATCH
+from fgrecon.perception.keypoints.layout import PATCH, SETTINGS
 from fgrecon.perception.keypoints.sessions import Network
 
 __all__ = ["cut_patches", "fuse", "patch_offsets", "run_networks", "window_of"]
 
 Array = NDArray[np.float64]
 
-_SPREAD = 3.0  # standard deviation of the patches' centres around the estimate, pixels of the finer crop
-_FURTHEST = 7.0  # the estimate stays well inside every patch
-_WINDOW = 48  # side of the window over which the patches' likelihoods are averaged: holds every patch whole
+_WINDOW = SETTINGS.fusion_window_px
 
 
 def patch_offsets(count: int, keypoints: int, seed: int = 0) -> NDArray[np.int64]:
     """(N, K, 2) whole pixels by which patches' centres are off the estimate; the first is centred."""
     rng = np.random.default_rng(seed)
-    drawn = np.clip(rng.normal(0.0, _SPREAD, (count, keypoints, 2)), -_FURTHEST, _FURTHEST)
+    most = SETTINGS.max_patch_offset_px
+    drawn = np.clip(rng.normal(0.0, SETTINGS.patch_sigma_px, (count, keypoints, 2)), -most, most)
     drawn[:1] = 0.0
     return np.rint(drawn).astype(np.int64)
 
