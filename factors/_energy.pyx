@@ -161,7 +161,7 @@ cdef void unpack(const double[:, :] pose, double *R, double *t) noexcept:
 
 
 cdef class Observation:
-    """What is seen of a vehicle in an image, and how its residuals follow from pose and shape.
+    """What is observed of a vehicle in an image, and how its residuals follow from pose and shape.
 
     Rows are, in this order: two for each of the K keypoints, four for the box's edges, one for the height over the
     ground, three for the lean, four for creases of the outline. What does not apply is zero.
@@ -436,21 +436,21 @@ cdef class Observation:
         if not self.is_bound:
             raise ValueError("bind the observation by `search_by` first")
         if pose.shape[0] != 4 or pose.shape[1] != 4:
-            raise ValueError("a pose (4, 4) is wanted")
+            raise ValueError("a pose (4, 4) is expected")
         unpack(pose, R, t)
         self.visible(R, t, &visibility[0])
         return np.asarray(visibility)
 
     cdef void densities(self, int k, double visibility, double *right, double *wrong) noexcept nogil:
         """Densities of a right and of a wrong point k (`fgrecon.core.robust.RobustStrategy.densities`)."""
-        cdef double seen, hidden, unsure
+        cdef double believed, hidden, unsure
         if not self.measured[k]:
             right[0], wrong[0] = 0.0, 1.0
             return
-        seen, hidden = visibility * self.right[k], 1.0 - visibility
+        believed, hidden = visibility * self.right[k], 1.0 - visibility
         unsure = (visibility * self.missed + hidden * (1.0 - self.false_alarm)) * (1.0 - self.right[k])
-        right[0] = seen * (1.0 - self.gross)
-        wrong[0] = (seen * self.gross + unsure + hidden * self.false_alarm * self.right[k]) * self.outlier[k]
+        right[0] = believed * (1.0 - self.gross)
+        wrong[0] = (believed * self.gross + unsure + hidden * self.false_alarm * self.right[k]) * self.outlier[k]
 
     def rows_at(
         self, const double[:, :] pose, const double[::1] x, const double[::1] offsets, const double[::1] right,
@@ -490,13 +490,13 @@ cdef class Observation:
         if x.shape[0] != N or right.shape[0] != K or wrong.shape[0] != K or residual.shape[0] != self.rows:
             raise ValueError("arrays of another number of keypoints or coefficients")
         if edges.shape[0] != 4 or pose.shape[0] != 4 or pose.shape[1] != 4:
-            raise ValueError("a pose (4, 4) and four edges are wanted")
+            raise ValueError("a pose (4, 4) and four edges are expected")
         if offsets is not None:
             if offsets.shape[0] != 3 * K:
-                raise ValueError("offsets (3K,) are wanted")
+                raise ValueError("offsets (3K,) are expected")
             o = &offsets[0]
         if jacobian is not None and (jacobian.shape[0] != self.rows or jacobian.shape[1] != D + 3 * K):
-            raise ValueError("a Jacobian (rows, 6 + N + 3K) is wanted")
+            raise ValueError("a Jacobian (rows, 6 + N + 3K) is expected")
         unpack(pose, R, t)
         with nogil:
             if jacobian is not None:
@@ -582,7 +582,7 @@ cdef class Observation:
             raise ValueError("arrays of another number of keypoints or coefficients")
         if offsets is not None:
             if offsets.shape[0] != 3 * K:
-                raise ValueError("offsets (3K,) are wanted")
+                raise ValueError("offsets (3K,) are expected")
             o = &offsets[0]
         unpack(pose, R, t)
         with nogil:
@@ -603,8 +603,8 @@ cdef class Observation:
                         edges[i] = inlier / (inlier + self.box_wrong)
                         box_energy -= log(inlier + self.box_wrong)
                         losses += log((1.0 + self.box_wrong) / (inlier + self.box_wrong))
-        told = np.asarray(weights), np.asarray(right), np.asarray(wrong), np.asarray(edges)
-        return *told, keypoint_energy, box_energy, losses
+        assessed = np.asarray(weights), np.asarray(right), np.asarray(wrong), np.asarray(edges)
+        return *assessed, keypoint_energy, box_energy, losses
 
 
 cdef double evaluate(

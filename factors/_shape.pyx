@@ -81,11 +81,11 @@ cdef class Shape:
         if x.shape[0] != N or residual.shape[0] != self.rows or plane.shape[0] != 4:
             raise ValueError("arrays of another number of keypoints or coefficients")
         if tangent.shape[0] != 3 or tangent.shape[1] != 2:
-            raise ValueError("a tangent basis (3, 2) is wanted")
+            raise ValueError("a tangent basis (3, 2) is expected")
         if offsets is not None and offsets.shape[0] != 3 * K:
-            raise ValueError("offsets (3K,) are wanted")
+            raise ValueError("offsets (3K,) are expected")
         if jacobian is not None and (jacobian.shape[0] != self.rows or jacobian.shape[1] != N + width):
-            raise ValueError("a Jacobian (rows, N + 3K + 3) is wanted")
+            raise ValueError("a Jacobian (rows, N + 3K + 3) is expected")
         cdef bint want = jacobian is not None
         with nogil:
             memcpy(&X[0], &self.mean[0, 0], 3 * K * sizeof(double))

@@ -31,15 +31,15 @@ def finite_array(field: str, value: ArrayLike, shape: tuple[int | None, ...]) ->
     return array
 
 
-def has_shape(shape: tuple[int, ...], wanted: tuple[int | None, ...]) -> bool:
-    """Whether a shape is the wanted one, of which `None` matches any length."""
-    return shape == wanted or (
-        len(shape) == len(wanted) and all(w is None or n == w for n, w in zip(shape, wanted, strict=True))
+def has_shape(shape: tuple[int, ...], expected: tuple[int | None, ...]) -> bool:
+    """Whether a shape is the expected one, of which `None` matches any length."""
+    return shape == expected or (
+        len(shape) == len(expected) and all(w is None or n == w for n, w in zip(shape, expected, strict=True))
     )
 
 
 def shape_words(shape: tuple[int | None, ...]) -> str:
-    """A wanted shape for an error's text."""
+    """A expected shape for an error's text."""
     return "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
 
 

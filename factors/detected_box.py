@@ -1,4 +1,4 @@
-"""The pose of a 3D box that another detector found, as evidence about the pose: where it is seen, how far, and its yaw.
+"""The pose of a 3D box that another detector gives, as evidence about the pose: direction, distance and yaw.
 
     r = ( x/z - x0/z0,  y/z - y0/z0,  log(z / z0) )     the origin, 3 rows: tangents of angles, and a ratio
     r = yaw - yaw0, modulo half a turn                  the yaw, 1 row: radians
@@ -39,10 +39,10 @@ def detected_origin_factor(pose_key: int, origin: ArrayLike, noise: Noise) -> gt
     Raises:
         InvalidInputError: The origin is not finite or not in front of the camera, or the noise has another dimension.
     """
-    seen = finite_array("origin", origin, (3,))
-    if seen[2] <= _NEAREST:
-        raise InvalidInputError("origin", seen.tolist(), "Give an origin in front of the camera (z > 0).")
-    return guarded_factor("detected origin", noise, (pose_key,), (6,), 3, _Origin(pose_key, seen))
+    detected = finite_array("origin", origin, (3,))
+    if detected[2] <= _NEAREST:
+        raise InvalidInputError("origin", detected.tolist(), "Give an origin in front of the camera (z > 0).")
+    return guarded_factor("detected origin", noise, (pose_key,), (6,), 3, _Origin(pose_key, detected))
 
 
 def detected_yaw_factor(pose_key: int, yaw: float, noise: Noise) -> gtsam.CustomFactor:

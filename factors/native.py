@@ -1,4 +1,4 @@
-"""The compiled kernels, where they are there and wanted.
+"""The compiled kernels, where they are there and not switched off.
 
 The modules `factors._energy`, `factors._shape` and `fgrecon.solve._native` are built when the package is installed, if
 there is a C compiler. Without them, or with the environment variable ``FGRECON_KERNEL`` set to
@@ -23,15 +23,15 @@ _FOUND: dict[str, ModuleType | None] = {}
 
 
 def native(name: str) -> ModuleType | None:
-    """A compiled module by its name, or None where it was not built or is not wanted.
+    """A compiled module by its name, or None where it was not built or is switched off.
 
     Raises:
         InvalidInputError: The environment variable has another value.
     """
-    wanted = os.environ.get(_VARIABLE)
-    if wanted:
-        if wanted != "numpy":
-            raise InvalidInputError(_VARIABLE, wanted, "Set the environment variable to numpy, or not at all.")
+    choice = os.environ.get(_VARIABLE)
+    if choice:
+        if choice != "numpy":
+            raise InvalidInputError(_VARIABLE, choice, "Set the environment variable to numpy, or not at all.")
         return None
     if name not in _FOUND:
         try:

@@ -79,11 +79,11 @@ class ObservationRows:
         self.right, self.wrong, self.edge_weights = np.zeros(size), np.ones(size), np.ones(4)
         shape = self.kernel.shape
         count, width = len(shape.basis), 6 + len(shape.basis) + 3 * size
-        wanted = np.zeros(width, dtype=bool)
-        wanted[:6] = self.kernel.pose_key is not None
-        wanted[6 : 6 + count] = shape.coefficients_key is not None
-        wanted[6 + count :] = shape.offsets_key is not None
-        self._width, self._columns = width, None if wanted.all() else np.flatnonzero(wanted)
+        variable = np.zeros(width, dtype=bool)
+        variable[:6] = self.kernel.pose_key is not None
+        variable[6 : 6 + count] = shape.coefficients_key is not None
+        variable[6 + count :] = shape.offsets_key is not None
+        self._width, self._columns = width, None if variable.all() else np.flatnonzero(variable)
 
     @property
     def rows(self) -> int:

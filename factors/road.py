@@ -6,7 +6,7 @@ The change G(t') of the plane from its nominal one (`factors.contact`) should be
 
     kept * carried(G(t))
 
-`carried` is the same plane seen from where the camera is then: with its motion (R, p) = camera_now_T_camera_next the
+`carried` is the same plane in the camera frame of then: with the camera's motion (R, p) = camera_now_T_camera_next the
 plane n . x = d becomes R' n . x = d - n . p. Where the motion is not known it is G(t) itself: the camera goes along the
 road. `kept`, below one, draws the plane back to the nominal one.
 """
@@ -74,16 +74,16 @@ class _Road:
         return residual, np.hstack([-self.kept * by_change, np.eye(3)]) if want_jacobian else None
 
     def _carried(self, change: Array, rotation: Array, way: Array) -> tuple[Array, Array]:
-        """The plane's change seen from the next camera, and its derivative."""
+        """The plane's change in the next camera's frame, and its derivative."""
         now, then = self.frames
         normal, by_ab = now.turned(change)
         distance = now.distance + float(change[0])
-        seen, seen_by_ab = rotation.T @ normal, rotation.T @ by_ab
-        ahead = float(then.normal @ seen)
-        sideways = then.across @ seen / ahead
+        turned, turned_by_ab = rotation.T @ normal, rotation.T @ by_ab
+        ahead = float(then.normal @ turned)
+        sideways = then.across @ turned / ahead
         carried = np.array([distance - normal @ way - then.distance, *sideways])
         jacobian = np.zeros((3, 3))
         jacobian[0, 0] = 1.0
         jacobian[0, 1:] = -way @ by_ab
-        jacobian[1:, 1:] = (then.across @ seen_by_ab - np.outer(sideways, then.normal @ seen_by_ab)) / ahead
+        jacobian[1:, 1:] = (then.across @ turned_by_ab - np.outer(sideways, then.normal @ turned_by_ab)) / ahead
         return carried, jacobian

@@ -82,11 +82,11 @@ class ShapeTerms:
         self._keys = (*shape.keys, *(() if plane_key is None else (plane_key,)))
         self._dims = (*shape.dims, *(() if plane_key is None else (3,)))
         self._width = len(shape.basis) + 3 * count + 3
-        wanted = np.zeros(self._width, dtype=bool)
-        wanted[: len(shape.basis)] = shape.coefficients_key is not None
-        wanted[len(shape.basis) : -3] = shape.offsets_key is not None
-        wanted[-3:] = plane_key is not None
-        self._columns = None if wanted.all() else np.flatnonzero(wanted)
+        variable = np.zeros(self._width, dtype=bool)
+        variable[: len(shape.basis)] = shape.coefficients_key is not None
+        variable[len(shape.basis) : -3] = shape.offsets_key is not None
+        variable[-3:] = plane_key is not None
+        self._columns = None if variable.all() else np.flatnonzero(variable)
 
     def factor(self) -> gtsam.CustomFactor:
         """The factor."""

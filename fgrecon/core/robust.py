@@ -195,11 +195,11 @@ class RobustStrategy:
         Where nothing was measured they are 0 and 1.
         """
         right, hidden = evidence.right, 1.0 - visibility
-        seen = visibility * right
+        believed = visibility * right
         unsure = (visibility * self.missed + hidden * (1.0 - self.false_alarm)) * (1.0 - right)
-        outlier = (seen * self.gross + unsure + hidden * self.false_alarm * right) * evidence.outlier
+        outlier = (believed * self.gross + unsure + hidden * self.false_alarm * right) * evidence.outlier
         measured = evidence.measured
-        return np.where(measured, seen * (1.0 - self.gross), 0.0), np.where(measured, outlier, 1.0)
+        return np.where(measured, believed * (1.0 - self.gross), 0.0), np.where(measured, outlier, 1.0)
 
 
 def strategy(value: RobustStrategy | StrategyName | str) -> RobustStrategy:

@@ -21,11 +21,10 @@ from fgrecon.core.text import counted
 from fgrecon.solve.box_check import box_excess
 from fgrecon.solve.graph.covariance import Covariances, Spread, factorise, read_covariances
 from fgrecon.solve.graph.graph import Graph, GraphObservation
-from fgrecon.solve.graph.history import iterations
 from fgrecon.solve.graph.multi_start import MultiStartResult
 from fgrecon.solve.graph.observation_part import ObservationPart, Weights
 from fgrecon.solve.graph.optimise import Optimum
-from fgrecon.solve.graph.structure import graph_factors
+from fgrecon.solve.graph.records import graph_factors, iterations
 from fgrecon.solve.pose_probability import facing_by_energies, with_probabilities
 from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.proposals.problem import Problem, keypoint_covariances

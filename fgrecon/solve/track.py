@@ -35,9 +35,8 @@ from fgrecon.core.size_prior import SizesLike
 from fgrecon.core.track_reconstruction import JointStep, TrackReconstruction
 from fgrecon.solve.facing import single_pose
 from fgrecon.solve.graph.graph import GraphObservation
-from fgrecon.solve.graph.history import joint_steps
 from fgrecon.solve.graph.multi_start import minimise_from_proposals
-from fgrecon.solve.graph.structure import graph_factors
+from fgrecon.solve.graph.records import graph_factors, joint_steps
 from fgrecon.solve.inputs import SolveSetup, as_cameras, as_extra_factors, observe
 from fgrecon.solve.proposals.pose_search import PoseEstimate
 from fgrecon.solve.result import results

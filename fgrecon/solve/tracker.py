@@ -31,7 +31,7 @@ from fgrecon.core.vehicle_estimate import VehicleEstimate
 from fgrecon.solve.box_check import box_excess, boxes_off
 from fgrecon.solve.facing import couple_facings
 from fgrecon.solve.frame_vehicles import FrameContext, FrameVehicles, VehicleTrack, look_at_vehicles
-from fgrecon.solve.graph.structure import graph_factors
+from fgrecon.solve.graph.records import graph_factors
 from fgrecon.solve.inputs import SolveSetup, as_camera_pose, as_ground, as_motion_covariance, calibrated, observe
 from fgrecon.solve.result import marginalise, results
 from fgrecon.solve.road import CameraFrame, Road

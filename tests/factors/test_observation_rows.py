@@ -241,7 +241,7 @@ def test_arrays_that_do_not_fit_are_refused_at_the_border():
     arrays = [np.eye(4), np.zeros(2), np.zeros(12), np.ones(4), np.ones(4), np.ones(4), 1.0, 0, np.empty(20), None]
     seen.rows_at(*arrays)
     for place, wrong in [(0, np.eye(3)), (1, np.zeros(3)), (2, np.zeros(9)), (3, np.ones(3)), (5, np.ones(3))]:
-        with pytest.raises(ValueError, match=r"wanted|number of"):
+        with pytest.raises(ValueError, match=r"expected|number of"):
             seen.rows_at(*arrays[:place], wrong, *arrays[place + 1 :])
     with pytest.raises(ValueError, match="Jacobian"):
         seen.rows_at(*arrays[:9], np.empty((20, 5)))

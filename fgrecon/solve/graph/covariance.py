@@ -61,17 +61,17 @@ class Spread:
 
     @classmethod
     def of(
-        cls, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, wanted: Collection[int] | None = None
+        cls, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, selected: Collection[int] | None = None
     ) -> Spread | None:
         """That of variables of a graph at its minimum, None for all; None where it does not determine its variables."""
         keys = list(values.keys())
-        if wanted is not None:
-            keys.sort(key=lambda key: key in wanted)  # the last rows of a triangular factor are the marginal's
+        if selected is not None:
+            keys.sort(key=lambda key: key in selected)  # the last rows of a triangular factor are the marginal's
         dims, ordering, places, start, cut = values.zeroVectors(), gtsam.Ordering(), {}, 0, 0
         for key in keys:
             ordering.push_back(key)
             end = start + len(dims.at(key))
-            if wanted is None or key in wanted:
+            if selected is None or key in selected:
                 places[key] = np.arange(start - cut, end - cut)
             else:
                 cut = end
@@ -134,7 +134,7 @@ def undetermined(graph: Graph, values: gtsam.Values, weights: Sequence[Weights])
             if number is not None:
                 factors[number].add(factor)
     dims = values.zeroVectors()
-    found = set()
+    undetermined_vehicles = set()
     for number, own in factors.items():
         keys = sorted(own.keyVector(), key=lambda key: _vehicle(key) != number)
         ordering = gtsam.Ordering()
@@ -143,8 +143,8 @@ def undetermined(graph: Graph, values: gtsam.Values, weights: Sequence[Weights])
         count = sum(len(dims.at(key)) for key in keys if _vehicle(key) == number)
         information = np.linalg.eigvalsh(own.linearize(values).hessian(ordering)[0][:count, :count])
         if information[0] <= SETTINGS.undetermined_share * information[-1]:
-            found.add(number)
-    return found
+            undetermined_vehicles.add(number)
+    return undetermined_vehicles
 
 
 def _vehicle(key: int) -> int | None:
@@ -170,7 +170,7 @@ def read_covariances(
         weights: Its weights.
         values: The graph's minimum.
         marginals: Its marginals there.
-        shapes: What was found for the shapes of vehicles so far, by number; they are seen in many images.
+        shapes: Covariances of the vehicles' shapes so far, by number: a vehicle is in many images.
     """
     if marginals is None:
         return None
@@ -202,7 +202,7 @@ def projected_covariances(part: ObservationPart, values: gtsam.Values, marginals
     """(K, 2, 2) covariances of an observation's projected keypoints, pose and shape together, square pixels.
 
     What pose and shape are unsure of is not independent: an image that leaves open which of them moves a keypoint may
-    well tell where it is seen.
+    well determine where it is in the image.
 
     Args:
         part: The observation's part of the graph, with the pose as a variable.

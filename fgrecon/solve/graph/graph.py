@@ -81,7 +81,7 @@ class Graph:
 
     def __init__(
         self,
-        seen: Sequence[GraphObservation],
+        observations: Sequence[GraphObservation],
         state: State,
         *,
         pose_free: bool,
@@ -92,7 +92,7 @@ class Graph:
         """Prepare the graph.
 
         Args:
-            seen: At least one observation.
+            observations: At least one observation.
             state: Where it starts: constants are taken from there.
             pose_free: Whether the poses are variables.
             hold_shape: Whether the shapes are constants.
@@ -102,14 +102,14 @@ class Graph:
         Raises:
             InvalidInputError: A factor of the caller's own has a key of no variable.
         """
-        self.options: Options = seen[0].problem.options
+        self.options: Options = observations[0].problem.options
         self._built: gtsam.NonlinearFactorGraph | None = None
         self._observed, self._own = gtsam.NonlinearFactorGraph(), gtsam.NonlinearFactorGraph()  # its two parts
         self.vehicles: dict[int, VehiclePart] = {}
         self.observations: list[ObservationPart] = []
-        counts = Counter(one.vehicle for one in seen)
+        counts = Counter(one.vehicle for one in observations)
         self._more = {number: count - 1 + earlier for number, count in counts.items()}  # images beside one of its own
-        for one, pose in zip(seen, state.poses, strict=True):
+        for one, pose in zip(observations, state.poses, strict=True):
             if one.vehicle not in self.vehicles:
                 model, number = one.problem.model, one.vehicle
                 if hold_shape:
@@ -214,12 +214,12 @@ class Graph:
             form: How a mixture is handed to the solver: with these weights, or with its loss and curvature.
         """
         pairs = zip(self.observations, weights, strict=True)
-        told = [factor for part, weight in pairs for factor in part.solved(weight, form)]
+        observed = [factor for part, weight in pairs for factor in part.solved(weight, form)]
         if self._built is not None and self.is_robust:
             return self._built  # the same factors, which know what has changed
         own = [factor for vehicle in self.vehicles.values() for factor in vehicle.solved]
         self._built, self._observed, self._own = (gtsam.NonlinearFactorGraph() for _ in range(3))
-        for factor in told:
+        for factor in observed:
             self._observed.add(factor)
         for factor in [*own, *self.extra]:
             self._own.add(factor)
@@ -266,13 +266,13 @@ class Graph:
 
     def own_energies(self, values: gtsam.Values) -> dict[str, float]:
         """Energy of the terms that belong to no single observation, nats."""
-        told: dict[str, float] = {}
+        energies: dict[str, float] = {}
         for vehicle in self.vehicles.values():
             for name, energy in vehicle.energies(values):
-                told[name] = told.get(name, 0.0) + energy
+                energies[name] = energies.get(name, 0.0) + energy
         if self.extra:
-            told[EXTRA] = sum(factor.error(values) for factor in self.extra)
-        return told
+            energies[EXTRA] = sum(factor.error(values) for factor in self.extra)
+        return energies
 
     def energies(self, values: gtsam.Values, weights: Sequence[Weights]) -> dict[str, float]:
         """Energy of each term over everything, nats; see `ObservationPart.energies`."""

@@ -1,10 +1,10 @@
-"""Which of its basins each image of a vehicle is in: a discrete factor graph over the images, a chain.
+"""Which of its modes each image of a vehicle is in: a discrete factor graph over the images, a chain.
 
-    basin(0) ---- turn ---- basin(1) ---- turn ---- basin(2) ...
+    mode(0) ---- turn ---- mode(1) ---- turn ---- mode(2) ...
         |                       |                       |
      energy                  energy                  energy
 
-An image's factor is the energy of its basins, but not without limit: a network that takes a front for a rear does so
+An image's factor is the energy of its modes, but not without limit: a network that takes a front for a rear does so
 with all its keypoints, and how well they fit says nothing about that. Between neighbours of a sequence a turn costs. So
 a few images that take the front for the rear are outvoted by the others, and the marginals tell how sure it all is.
 """
@@ -31,23 +31,23 @@ def is_flipped(first: Array, second: Array) -> bool:
     return float(np.vdot(first[:3, :3], second[:3, :3])) < 1.0  # the trace is 1 + 2 cos
 
 
-def select_modes(basins: Sequence[Sequence[Alternative]], *, in_order: bool) -> tuple[list[int], list[Array]]:
-    """Choose a basin for each image.
+def select_modes(modes: Sequence[Sequence[Alternative]], *, in_order: bool) -> tuple[list[int], list[Array]]:
+    """Choose a mode for each image.
 
     Args:
-        basins: Of each image of one vehicle its basins, with their energies in nats.
+        modes: Of each image of one vehicle its modes, with their energies in nats.
         in_order: Whether the images were taken one after the other.
 
     Returns:
-        The index of each image's basin in the most probable choice; and for each image how many nats its basins are
-        behind the chosen one, whatever basins the other images are in.
+        The index of each image's mode in the most probable choice; and for each image how many nats its modes are
+        behind the chosen one, whatever modes the other images are in.
     """
     unary, between = [], []
-    for own in basins:
-        energy = np.array([basin.excess for basin in own])
-        told = energy - energy.min()
-        unary.append(-np.minimum(told, SETTINGS.image_evidence_nats) if in_order else -told)
-    for before, after in pairwise(basins):
+    for own in modes:
+        energy = np.array([mode.excess for mode in own])
+        above_least = energy - energy.min()
+        unary.append(-np.minimum(above_least, SETTINGS.image_evidence_nats) if in_order else -above_least)
+    for before, after in pairwise(modes):
         turns = [[turn_between(a.camera_T_object, b.camera_T_object) for b in after] for a in before]
         cost = np.minimum(np.square(np.array(turns) / SETTINGS.turn_sigma_radians) / 2.0, SETTINGS.most_turn_nats)
         between.append(-cost if in_order else np.zeros_like(cost))

@@ -1,8 +1,8 @@
-"""From proposals to the minimum: every basin that matters is refined in the graph, and the full energy decides.
+"""From proposals to the minimum: every mode that matters is refined in the graph, and the full energy decides.
 
 One car in one image: each proposal that came close is refined with a shape of its own, and the lowest energy wins.
 Where that rests on few keypoints, it is searched once more from there (`fgrecon.solve.proposals.restarts`).
-Where a vehicle is seen in several images, its shape is everybody's: the best proposals are solved together; then every
+Where a vehicle is in several images, its shape is everybody's: the best proposals are solved together; then every
 image's other proposals are refined with that shape held, a discrete graph over the images decides between them
 (`fgrecon.solve.graph.mode_selection`), and where an image changes over everything is solved once more.
 
@@ -78,7 +78,7 @@ class MultiStartResult:
 
 
 def minimise_from_proposals(
-    seen: Sequence[GraphObservation],
+    observations: Sequence[GraphObservation],
     starts: Sequence[PoseEstimate],
     extra: Sequence[gtsam.NonlinearFactor] = (),
     *,
@@ -88,7 +88,7 @@ def minimise_from_proposals(
     """Minimise the full energy from the proposals.
 
     Args:
-        seen: The observations.
+        observations: The observations.
         starts: The proposals of each.
         extra: Factors of the caller's own.
         in_order: Whether the images of a vehicle were taken one after the other, so that it is seldom turned round from
@@ -101,20 +101,20 @@ def minimise_from_proposals(
     Raises:
         InvalidInputError: A factor of the caller's own has a key of no variable.
     """
-    start = start_state(seen, starts)
+    start = start_state(observations, starts)
     if extra:  # refuses those on variables that there are not, whatever the stages hold
-        Graph(seen, start, pose_free=True, extra=extra)
-    best = _run(seen, start, extra, steady)
-    if len(seen) == 1:
-        return _decide(seen, best, starts[0], extra, steady)
-    return _change_over(seen, best, starts, extra, in_order=in_order)
+        Graph(observations, start, pose_free=True, extra=extra)
+    best = _run(observations, start, extra, steady)
+    if len(observations) == 1:
+        return _decide(observations, best, starts[0], extra, steady)
+    return _change_over(observations, best, starts, extra, in_order=in_order)
 
 
-def start_state(seen: Sequence[GraphObservation], starts: Sequence[PoseEstimate]) -> State:
+def start_state(observations: Sequence[GraphObservation], starts: Sequence[PoseEstimate]) -> State:
     """Each observation at its best proposal, each vehicle with the mean of its proposals' shapes."""
     shapes = {}
-    for number in dict.fromkeys(one.vehicle for one in seen):
-        own = [start.coefficients for one, start in zip(seen, starts, strict=True) if one.vehicle == number]
+    for number in dict.fromkeys(one.vehicle for one in observations):
+        own = [start.coefficients for one, start in zip(observations, starts, strict=True) if one.vehicle == number]
         shapes[number] = (sum(own[1:], own[0]) / len(own), np.zeros((len(starts[0].weights), 3)))
     poses = [gtsam.Pose3(start.camera_T_object) for start in starts]
     return State(poses, shapes, [_weights(start) for start in starts])
@@ -131,19 +131,24 @@ def _stage_names(options: Options) -> tuple[str, ...]:
 
 
 def _run(
-    seen: Sequence[GraphObservation], start: State, extra: Sequence[gtsam.NonlinearFactor], steady: float | None = None
+    observations: Sequence[GraphObservation],
+    start: State,
+    extra: Sequence[gtsam.NonlinearFactor],
+    steady: float | None = None,
 ) -> MultiStartResult:
     """All stages from one state."""
     stages: list[SolvedStage] = []
     iterations, gain, state = 0, 0.0, start
-    for name in _stage_names(seen[0].problem.options):
-        graph = Graph(seen, state, pose_free=name == "joint", extra=extra)
+    for name in _stage_names(observations[0].problem.options):
+        graph = Graph(observations, state, pose_free=name == "joint", extra=extra)
         optimum = optimise(graph, state, steady=steady)
         stages.append(SolvedStage(name, graph, optimum.steps))
         iterations, gain, state = iterations + optimum.iterations, gain + optimum.gain, optimum.state
         if optimum.failure is not None:
             break
-    return MultiStartResult(replace(optimum, iterations=iterations, gain=gain), tuple(stages), ((),) * len(seen))
+    return MultiStartResult(
+        replace(optimum, iterations=iterations, gain=gain), tuple(stages), ((),) * len(observations)
+    )
 
 
 def _matter(start: PoseEstimate) -> list[Alternative]:
@@ -152,7 +157,7 @@ def _matter(start: PoseEstimate) -> list[Alternative]:
 
 
 def _decide(
-    seen: Sequence[GraphObservation],
+    observations: Sequence[GraphObservation],
     first: MultiStartResult,
     start: PoseEstimate,
     extra: Sequence[gtsam.NonlinearFactor],
@@ -162,7 +167,7 @@ def _decide(
 
     def refine(other: Alternative) -> MultiStartResult:
         moved = replace(start, camera_T_object=other.camera_T_object, coefficients=other.coefficients)
-        return _run(seen, start_state(seen, [moved]), extra, steady)
+        return _run(observations, start_state(observations, [moved]), extra, steady)
 
     solved = [one for one in [first, *map(refine, _matter(start))] if one.optimum.failure is None]
     if not solved:
@@ -170,13 +175,13 @@ def _decide(
     best = min(solved, key=lambda one: one.optimum.energy)
     least = -np.inf
     if start.everywhere and not extra:  # of which the search knows nothing
-        best, more = _searched_on(seen[0], best, refine)
+        best, more = _searched_on(observations[0], best, refine)
         solved += more
         least = 0.0 if more else least  # what is lower by so little that it is no other result
     others = [
         Alternative(
             one.optimum.state.poses[0].matrix(),
-            one.optimum.state.shapes[seen[0].vehicle][0],
+            one.optimum.state.shapes[observations[0].vehicle][0],
             max(one.optimum.energy - best.optimum.energy, least),
         )
         for one in solved
@@ -189,7 +194,7 @@ def _decide(
 def _searched_on(
     one: GraphObservation, best: MultiStartResult, refine: Callable[[Alternative], MultiStartResult]
 ) -> tuple[MultiStartResult, list[MultiStartResult]]:
-    """A result that rests on few keypoints, or a better one that is found from there; and all that was refined."""
+    """A result that rests on few keypoints, or a better one from a search from there; and all that was refined."""
     tried: list[MultiStartResult] = []
     for again in range(SETTINGS.most_restarts):
         if not _rests_on_few(one.problem, best.optimum):
@@ -218,7 +223,7 @@ def _rests_on_few(problem: Problem, optimum: Optimum) -> bool:
 
 
 def _change_over(
-    seen: Sequence[GraphObservation],
+    observations: Sequence[GraphObservation],
     best: MultiStartResult,
     starts: Sequence[PoseEstimate],
     extra: Sequence[gtsam.NonlinearFactor],
@@ -226,33 +231,33 @@ def _change_over(
     in_order: bool,
 ) -> MultiStartResult:
     """Several images: those whose other proposals are more probable under the common shape change over to them."""
-    alternatives: list[tuple[Alternative, ...]] = [() for _ in seen]
+    alternatives: list[tuple[Alternative, ...]] = [() for _ in observations]
     for _ in range(SETTINGS.mode_rounds):
         if best.optimum.failure is not None:
             return best
         state = best.optimum.state
-        basins = _basins(seen, state, starts, extra, in_order=in_order)
-        chosen = [0] * len(seen)
+        modes = _modes_of(observations, state, starts, extra, in_order=in_order)
+        chosen = [0] * len(observations)
         for number in state.shapes:
-            own = [i for i, one in enumerate(seen) if one.vehicle == number]
-            choice, behind = select_modes([basins[i] for i in own], in_order=in_order)
+            own = [i for i, one in enumerate(observations) if one.vehicle == number]
+            choice, behind = select_modes([modes[i] for i in own], in_order=in_order)
             for i, index, nats in zip(own, choice, behind, strict=True):
                 chosen[i] = index
-                told = [replace(basin, excess=float(n)) for basin, n in zip(basins[i], nats, strict=True)]
-                pose = gtsam.Pose3(basins[i][index].camera_T_object)
-                alternatives[i] = _distinct(pose, [one for j, one in enumerate(told) if j != index])
+                ranked = [replace(mode, excess=float(n)) for mode, n in zip(modes[i], nats, strict=True)]
+                pose = gtsam.Pose3(modes[i][index].camera_T_object)
+                alternatives[i] = _distinct(pose, [one for j, one in enumerate(ranked) if j != index])
         if not any(chosen):
             break
-        poses = [gtsam.Pose3(basins[i][index].camera_T_object) for i, index in enumerate(chosen)]
-        moved = _run(seen, State(poses, state.shapes, state.weights), extra)
+        poses = [gtsam.Pose3(modes[i][index].camera_T_object) for i, index in enumerate(chosen)]
+        moved = _run(observations, State(poses, state.shapes, state.weights), extra)
         if moved.optimum.failure is not None:
             break
         best = replace(moved, stages=best.stages + moved.stages)
     return replace(best, alternatives=tuple(alternatives))
 
 
-def _basins(
-    seen: Sequence[GraphObservation],
+def _modes_of(
+    observations: Sequence[GraphObservation],
     state: State,
     starts: Sequence[PoseEstimate],
     extra: Sequence[gtsam.NonlinearFactor],
@@ -264,18 +269,18 @@ def _basins(
     Where neighbours of a sequence are turned round against each other, every image has the pose turned round as well.
     """
     poses = [pose.matrix() for pose in state.poses]
-    pairs = zip(seen, seen[1:], poses, poses[1:], strict=False)
+    pairs = zip(observations, observations[1:], poses, poses[1:], strict=False)
     doubt = in_order and any(a.vehicle == b.vehicle and is_flipped(p, q) for a, b, p, q in pairs)
-    found = []
-    for i, (one, start) in enumerate(zip(seen, starts, strict=True)):
+    modes = []
+    for i, (one, start) in enumerate(zip(observations, starts, strict=True)):
         here = State([state.poses[i]], {one.vehicle: state.shapes[one.vehicle]}, [state.weights[i]])
         others = [other.camera_T_object for other in _matter(start)]
         if others or turn_between(poses[i], start.camera_T_object) > POSE_SEARCH.distinct_turn_radians:
             others.append(start.camera_T_object)
         if doubt and not any(is_flipped(poses[i], other) for other in others):
             others.append(poses[i] @ HALF_TURN)
-        found.append(_held(one, here, others, extra))
-    return found
+        modes.append(_held(one, here, others, extra))
+    return modes
 
 
 def _held(
@@ -287,16 +292,16 @@ def _held(
         return [Alternative(here.poses[0].matrix(), coefficients, 0.0)]
     graph = Graph([one], here, pose_free=True, hold_shape=True, extra=extra)
     present = sum(graph.energies(graph.values(here), here.weights).values())
-    found = [Alternative(here.poses[0].matrix(), coefficients, present)]
+    modes = [Alternative(here.poses[0].matrix(), coefficients, present)]
     for pose in others:
         moved = State([gtsam.Pose3(pose)], here.shapes, here.weights)
         optimum = optimise(Graph([one], moved, pose_free=True, hold_shape=True, extra=extra), moved)
         refined = optimum.state.poses[0].matrix()
         if optimum.failure is None and all(
-            turn_between(refined, a.camera_T_object) > POSE_SEARCH.distinct_turn_radians for a in found
+            turn_between(refined, a.camera_T_object) > POSE_SEARCH.distinct_turn_radians for a in modes
         ):
-            found.append(Alternative(refined, coefficients, optimum.energy))
-    return found
+            modes.append(Alternative(refined, coefficients, optimum.energy))
+    return modes
 
 
 def _distinct(pose: gtsam.Pose3, others: Sequence[Alternative]) -> tuple[Alternative, ...]:

@@ -6,7 +6,7 @@ steps shrink by a factor of 0.1 to 0.5 from one to the next; Anderson's accelera
 takes the iteration to where they would lead: ten iterations where forty of re-weighting were needed.
 
 A step that does not lower the energy, visibility held, is given up for the plain one. Where that leads up as well, the
-energy bends more than the factors say: a car seen square on lies on a crease of its outline, the loss of a keypoint
+energy bends more than the factors say: a car observed square on is on a crease of its outline, the loss of a keypoint
 that is mostly wrong bends the other way. From there on the steps are those of a parabola that lies above the energy
 (`Form.MAJORISED`), accelerated likewise, and where these fail a damped one of Levenberg-Marquardt's.
 
@@ -262,7 +262,7 @@ class _Swinging:
         self._changes: list[Array] = []
 
     def watch(self, before: Sequence[Weights], after: Sequence[Weights]) -> set[int]:
-        """Take note of an iteration; the images that are now seen to swing."""
+        """Take note of an iteration; the images that now swing."""
         if not self._several:
             return set()
         pairs = zip(before, after, strict=True)

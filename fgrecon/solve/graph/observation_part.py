@@ -4,7 +4,7 @@
     L(v), O(v) --------------------------------- X(v,t) --- height, upright (the ground)
 
 All of it is one factor for the solver (`factors.observation_rows`). With the mixture it has the robust loss
-inside and is told what changes; with other strategies it has the weights, and an m-estimator where the strategy is one.
+inside and gets what changes; with other strategies it has the weights, and an m-estimator where the strategy is one.
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ class ObservationPart:
         return self._mixture and self.rows is not None
 
     def solved(self, weights: Weights, form: Form = Form.NEWTON) -> list[gtsam.NonlinearFactor]:
-        """The factor of all terms as the solver gets it: the same one whatever the weights, which it is told.
+        """The factor of all terms as the solver gets it: the same one whatever the weights, which are set on it.
 
         Args:
             weights: The weights; of the mixture those are used that `form` says.
@@ -224,7 +224,7 @@ class ObservationPart:
         return terms
 
     def loss(self, values: gtsam.Values, weights: Weights) -> float:
-        """Error of the factor that `solved` told of the weights, nats: at the values where these were made for nothing.
+        """Error of the factor that `solved` set the weights of, nats: at the values where these were made for nothing.
 
         It is what a step is judged by, and differs from the energy by what does not change as long as visibility does
         not.
@@ -253,25 +253,27 @@ class ObservationPart:
         if self._mixture and last is not None and last.values is values and last.answers(visibility):
             return last
         if self.compiled is not None:
-            shape, seen = self.vehicle.shape, np.empty(self.vehicle.shape.size) if visibility is None else visibility
+            shape, visible = self.vehicle.shape, np.empty(self.vehicle.shape.size) if visibility is None else visibility
             weights, right, wrong, edges, *energies, loss = self.compiled.assess(
-                self.kernel.pose(values), shape.coefficients(values), shape.offsets(values), seen, visibility is None
+                self.kernel.pose(values), shape.coefficients(values), shape.offsets(values), visible, visibility is None
             )
             densities = right, wrong
         else:
             energy, term, box = self.problem.energy, self.problem.energy.keypoints, self.problem.energy.box
-            seen = energy.visibility(self.kernel.pose(values)[None])[0] if visibility is None else visibility
+            visible = energy.visibility(self.kernel.pose(values)[None])[0] if visibility is None else visibility
             squares = np.square(term.rows.residual(self.kernel.evaluate(values).pixels)).sum(axis=1)
-            weights, robust = term.strategy.evaluate(squares, term.evidence, seen, previous=previous, progress=progress)
+            weights, robust = term.strategy.evaluate(
+                squares, term.evidence, visible, previous=previous, progress=progress
+            )
             edges, losses, box_energy = np.zeros(4), np.zeros(4), np.zeros(())
             if box is not None and self._outline is not None:
                 extents = projected_extents(self._outline, values, box.rows.softness)[0]
                 edges, losses, box_energy = box.rows.assess(box.rows.residual(extents))
             energies = [float(robust), float(box_energy)]
-            densities = term.strategy.densities(term.evidence, seen)
+            densities = term.strategy.densities(term.evidence, visible)
             loss = energies[0] + float(np.log(sum(densities)).sum() + losses.sum()) if self._mixture else math.nan
         self._last = _Assessed(
-            values, seen, visibility is None, densities, weights, edges, (energies[0], energies[1]), loss
+            values, visible, visibility is None, densities, weights, edges, (energies[0], energies[1]), loss
         )
         return self._last
 

@@ -118,12 +118,12 @@ class _Loop:
 
     def run(self) -> None:
         updates = max(self.strategy.updates, 1)
-        wanted = (
+        updates_to_make = (
             updates if self.strategy.anneals or not self.strategy.descends else REWEIGHTING.refreshed_updates * updates
         )
         best: tuple[float, gtsam.Values, list[Weights]] | None = None
         settled = False
-        for update in range(wanted):
+        for update in range(updates_to_make):
             change = self.reweigh(min(update / max(updates - 1, 1), 1.0))
             energy = self.energy()
             self.first = energy if update == 0 else self.first
@@ -132,7 +132,7 @@ class _Loop:
             settled = update > 0 and change < REWEIGHTING.settled_weight_change and not self.strategy.anneals
             if settled and self.strategy.descends:
                 break  # what is left is for the second part
-            last = settled or update == wanted - 1
+            last = settled or update == updates_to_make - 1
             final = last and not self.strategy.descends
             self.solve(REWEIGHTING.final_relative_decrease if final else REWEIGHTING.early_relative_decrease)
             if last:

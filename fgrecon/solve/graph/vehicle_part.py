@@ -1,4 +1,4 @@
-"""What a graph holds of a vehicle once, in however many images it is seen: its shape, and the terms about it.
+"""What a graph holds of a vehicle once, in however many images it is: its shape, and the terms about it.
 
     prior --- L(v) ---+-----------+-------------+-----------+
     N(0, I) (lambda)  |           |             |           |
@@ -226,10 +226,10 @@ def _medial_plane(key: int) -> gtsam.Values:
 
 
 def is_any_fleets(model: VehicleModel, options: Options) -> bool:
-    """Whether a vehicle may be of another fleet than its prior's: none is told, and nobody says that it is that one."""
-    return not (model.fleet_told or options.shape.own_fleet)
+    """Whether a vehicle may be of another fleet than its prior's: none is given, nor is that one assumed."""
+    return not (model.fleet_given or options.shape.own_fleet)
 
 
 def fleet_prior(model: VehicleModel) -> gtsam.PriorFactorVector:
-    """What is known of the mean size of a fleet S that nobody told."""
+    """What is known of the mean size of a fleet S that is not given."""
     return spread_prior(S(), model.fleet_spread)

@@ -107,10 +107,10 @@ def _from_seeds(derivatives: Array, L: Array) -> tuple[Array, Array]:
     kernel = native("fgrecon.solve._native")
     if kernel is None:
         return _polish(derivatives, L, _descend(derivatives, L, starts))
-    found, value = kernel.descend(
+    q, value = kernel.descend(
         np.ascontiguousarray(derivatives), np.ascontiguousarray(L), starts, _DESCENT_STEPS, _CONVERGED, _SAME
     )
-    return found, value
+    return q, value
 
 
 def _stationary_directions(S: Array, L: Array) -> tuple[Array, bool]:
@@ -120,18 +120,18 @@ def _stationary_directions(S: Array, L: Array) -> tuple[Array, bool]:
     objects with the same spread along all axes come near to that.
     """
     table = _tables()
-    found: list[Array] = []
+    real_roots: list[Array] = []
     complete = False
     for turn, turn_products in table.turns:
         minors = _minors(_gradient(turn_products.T @ S @ turn_products), turn.T @ L @ turn, table.gather_quartics)
         roots = _common_roots(minors)
         residuals = np.prod(roots[:, table.quartic_factors], axis=2) @ minors.T
         real = roots.real[np.abs(roots.imag).max(axis=1) < _REAL]
-        found.append(real @ turn.T)
+        real_roots.append(real @ turn.T)
         complete = bool(np.abs(residuals).max() < _RESIDUAL)
         if complete:
             break
-    directions = np.concatenate(found)
+    directions = np.concatenate(real_roots)
     return directions / np.linalg.norm(directions, axis=1, keepdims=True), complete
 
 

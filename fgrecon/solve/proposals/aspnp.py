@@ -75,7 +75,7 @@ def aspnp(
 
     Args:
         points: (N, 3) points in the object frame.
-        image_points: (N, 2) where they are seen, as normalised image coordinates (x / z, y / z).
+        image_points: (N, 2) where they are observed, as normalised image coordinates (x / z, y / z).
         weights: (N,) non-negative weights of the squared errors, or None for ones. Rows of weight zero are ignored,
             whatever they hold.
         tolerance: How much larger a solution's rms may be than the best one's, relative to the weighted rms distance
@@ -99,10 +99,10 @@ def aspnp(
     X, scale = _scaled(points - centroid, w)
     A, b = _residuals(X, image_points, w)
     linear = (-2 * b @ A)[None].dot(_FORMS.reshape(9, 16)).reshape(4, 4)
-    found = _polynomial.minima(_ROWS.T @ (A.T @ A) @ _ROWS, linear, every=every)
+    minima = _polynomial.minima(_ROWS.T @ (A.T @ A) @ _ROWS, linear, every=every)
 
-    squared_length = (found.q * found.q).sum(axis=1)
-    r = _polynomial.products(found.q) @ _ROWS.T
+    squared_length = (minima.q * minima.q).sum(axis=1)
+    r = _polynomial.products(minima.q) @ _ROWS.T
     rms = np.linalg.norm(r @ A.T - b, axis=1)
     relative_depth = 1 + r[:, 6:] @ X.T
     weight_in_front = 1 - (relative_depth <= 0) @ w  # exactly 1 where no point is behind
@@ -159,8 +159,8 @@ def _checked(points: ArrayLike, image_points: ArrayLike, weights: ArrayLike | No
     used = weights > 0
     count = np.count_nonzero(used)
     if count < 3:
-        found = f"{count} of {len(points)} above zero"
-        raise DegenerateProblemError("weights", found, "Give at least three points a positive weight.")
+        usable = f"{count} of {len(points)} above zero"
+        raise DegenerateProblemError("weights", usable, "Give at least three points a positive weight.")
     if count < len(points):  # whatever the others hold
         points, image_points = np.where(used[:, None], points, 0.0), np.where(used[:, None], image_points, 0.0)
     as_finite("points", points, (None, 3))

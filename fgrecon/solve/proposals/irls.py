@@ -62,21 +62,21 @@ def algorithm1(problem: Problem, *, every_solve_global: bool = False) -> Algorit
 
     # Before a pose is known the visibility of every keypoint is even.
     weights = term.strategy.initial_weights(term.evidence, np.full(len(term.mean), 0.5))
-    found = aspnp(points, rays, weights[used])
-    pose = found[0].camera_T_object
+    solutions = aspnp(points, rays, weights[used])
+    pose = solutions[0].camera_T_object
     poses, trace = [pose], [weights]
     for update in range(updates):
         visibility = energy.visibility(pose[None])[0]
         squared = _squared_distances(energy, pose)
         weights = term.strategy.weights(squared, term.evidence, visibility, previous=weights)
         if every_solve_global or update == updates - 1:
-            found = aspnp(points, rays, weights[used])
-            pose = found[0].camera_T_object
+            solutions = aspnp(points, rays, weights[used])
+            pose = solutions[0].camera_T_object
         else:
             pose = refine_pose(points, rays, weights[used], pose)
         poses.append(pose)
         trace.append(weights)
-    return Algorithm1Result(np.array(poses), np.array(trace), tuple(s.camera_T_object for s in found[1:]))
+    return Algorithm1Result(np.array(poses), np.array(trace), tuple(s.camera_T_object for s in solutions[1:]))
 
 
 def refine_pose(points: Array, rays: Array, weights: Array, camera_T_object: Array, iterations: int = 10) -> Array:

@@ -36,7 +36,7 @@ class Problem:
         ground: Ground plane, or None.
         options: Settings.
         energy: The terms that apply, for many poses at once.
-        assumed: Whether no detector has told how far the keypoints are off.
+        assumed: Whether no detector has said how far the keypoints are off.
     """
 
     observation: Observation
@@ -81,8 +81,8 @@ class Problem:
 
     def on(self, ground: Ground | None) -> Problem:
         """The same on another ground, or on none."""
-        told = None if ground is None or "ground" in self.options.disabled_terms else GroundTerm(ground)
-        return replace(self, ground=ground, energy=replace(self.energy, ground=told))
+        term = None if ground is None or "ground" in self.options.disabled_terms else GroundTerm(ground)
+        return replace(self, ground=ground, energy=replace(self.energy, ground=term))
 
 
 def _check_points(observation: Observation) -> None:

@@ -2,7 +2,7 @@
 
 The first search moves the mean shape, which is quick, and enough wherever many keypoints hold the vehicle. Where three
 or four do, another shape meets one keypoint more, or the same ones from metres further away or with another tilt. Such
-a minimum faces the same way as the one that was found, and the mean shape has none there. Whether a pose rests on few
+a minimum faces the same way as the estimated pose, and the mean shape has none there. Whether a pose rests on few
 keypoints is known only at its end.
 
 A keypoint that the result takes for wrong pulls at nothing, so that no start comes to where it is right unless it is
@@ -63,13 +63,13 @@ def lower_poses(problem: Problem, camera_T_object: Array, coefficients: Array, a
     for keypoint in wrong[np.argsort(-right[wrong], kind="stable")][: RESTARTS.most_assumed_right].tolist():
         assumed = _assumed_right(problem.energy, keypoint)
         left.append(search(assumed, each, RESTARTS.keypoint_iterations, each_kept).hypotheses)
-    found = search(problem.energy, Hypotheses.joined(left), RESTARTS.last_iterations, {})
-    poses, kept = found.hypotheses.matrices(), [camera_T_object]
+    refined = search(problem.energy, Hypotheses.joined(left), RESTARTS.last_iterations, {})
+    poses, kept = refined.hypotheses.matrices(), [camera_T_object]
     lower: list[Alternative] = []
-    for i in np.flatnonzero(found.energy < energy - RESTARTS.energy_gap_nats).tolist():
+    for i in np.flatnonzero(refined.energy < energy - RESTARTS.energy_gap_nats).tolist():
         if not _is_one_of(poses[i], kept):
             kept.append(poses[i])
-            lower.append(Alternative(poses[i], found.hypotheses.coefficients[i], float(found.energy[i]) - energy))
+            lower.append(Alternative(poses[i], refined.hypotheses.coefficients[i], float(refined.energy[i]) - energy))
             if len(lower) == RESTARTS.most_poses:
                 break
     return lower

@@ -44,7 +44,7 @@ class PoseEnergy:
         box: Box term, or None.
         size: Size term, or None.
         ground: Ground term, or None.
-        direction: Term of the direction that the vehicle is seen from, or None.
+        direction: Term of the direction that the vehicle is observed from, or None.
     """
 
     keypoints: KeypointTerm

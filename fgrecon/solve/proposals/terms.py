@@ -266,9 +266,9 @@ class GroundTerm:
 
 @dataclass(frozen=True)
 class DirectionTerm:
-    """From which direction a vehicle is seen: minus the logarithm of its probability, 0 for the most probable one.
+    """From which direction a vehicle is observed: minus the logarithm of its probability, 0 for the most probable one.
 
-    Keypoints of a car seen from ahead and of one seen from behind can look much alike: both poses are minima of the
+    Keypoints of a car from ahead and of one from behind can look much alike: both poses are minima of the
     energy, and the wrong one may be a few nats lower. This term decides between them. Within one minimum the keypoints
     tell the direction far better, so it has no gradient.
 

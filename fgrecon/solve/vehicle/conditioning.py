@@ -157,7 +157,7 @@ def express(prior: ShapePrior, shapes: ArrayLike) -> tuple[Array, Array]:
     if observed.all():
         coefficients[:] = np.linalg.lstsq(columns, difference.T, rcond=None)[0].T
     else:
-        for row, seen, values in zip(coefficients, observed, difference, strict=True):
-            row[:] = np.linalg.lstsq(columns[seen], values[seen], rcond=None)[0]
+        for row, present, values in zip(coefficients, observed, difference, strict=True):
+            row[:] = np.linalg.lstsq(columns[present], values[present], rcond=None)[0]
     residual: Array = difference - coefficients @ columns.T
     return coefficients, residual.reshape(points.shape)

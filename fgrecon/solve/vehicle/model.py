@@ -43,7 +43,7 @@ class VehicleModel:
         prior: The prior; where a size was given that of the fleet, or conditioned on the size of the one vehicle
             (`fgrecon.solve.vehicle.conditioning.is_one_vehicle` decides).
         size: The fleet's size prior; None where none was given, and where the prior holds it already.
-        fleet_told: Whether one was given.
+        fleet_given: Whether one was given.
         visibility: How visible each keypoint of the mean shape is from everywhere.
         outline: Surface points that can lie on the outline, for tight 2D boxes; the box's corners without a surface.
         corners: The eight corners of the vehicle's 3D box.
@@ -53,7 +53,7 @@ class VehicleModel:
 
     prior: ShapePrior
     size: SizePrior | None
-    fleet_told: bool
+    fleet_given: bool
     visibility: VisibilityTable
     outline: LinearPoints
     corners: LinearPoints
@@ -77,12 +77,12 @@ class VehicleModel:
 
     @property
     def fleet_spread(self) -> Array:
-        """(3, 3) covariance of the mean size of the vehicles' fleet, where none is told."""
+        """(3, 3) covariance of the mean size of the vehicles' fleet, where none is given."""
         return other_fleets(self.dimension_mean)
 
     @property
     def any_fleet_spread(self) -> Array:
-        """(N, N) covariance of lambda where no fleet is told: the prior's within a fleet, and how far fleets differ."""
+        """(N, N) covariance of lambda where no fleet is given: the prior's within one, and how far fleets differ."""
         by_size = self.by_size
         fleets: Array = by_size @ self.fleet_spread @ by_size.T
         return np.eye(len(fleets)) + fleets
@@ -122,7 +122,7 @@ def prepare(prior: ShapePrior, size: SizePrior | None = None, basis_vectors: int
             raise InvalidInputError("options.shape.basis_vectors", basis_vectors, fix)
         prior = prior.truncated(basis_vectors)
     prior, left = _brought_to(prior, size)
-    return _model(prior, left, VisibilityTable.build(prior), fleet_told=size is not None)
+    return _model(prior, left, VisibilityTable.build(prior), fleet_given=size is not None)
 
 
 def sized(model: VehicleModel, size: SizePrior) -> VehicleModel:
@@ -135,7 +135,7 @@ def sized(model: VehicleModel, size: SizePrior) -> VehicleModel:
         size: The vehicle's.
     """
     prior, left = _brought_to(model.prior, size)
-    return _model(prior, left, model.visibility, fleet_told=True)
+    return _model(prior, left, model.visibility, fleet_given=True)
 
 
 def _brought_to(prior: ShapePrior, size: SizePrior | None) -> tuple[ShapePrior, SizePrior | None]:
@@ -147,13 +147,15 @@ def _brought_to(prior: ShapePrior, size: SizePrior | None) -> tuple[ShapePrior, 
     return of_fleet(prior, size), size
 
 
-def _model(prior: ShapePrior, size: SizePrior | None, visibility: VisibilityTable, *, fleet_told: bool) -> VehicleModel:
+def _model(
+    prior: ShapePrior, size: SizePrior | None, visibility: VisibilityTable, *, fleet_given: bool
+) -> VehicleModel:
     operator = prior.category.dimension_operator
     mean = np.tensordot(operator, prior.mean, axes=2)
     basis = np.tensordot(operator, prior.basis, axes=((1, 2), (1, 2)))
     corners = LinearPoints(box_corners(mean), np.array([box_corners(column) for column in basis.T]).reshape(-1, 8, 3))
     outline = corners if prior.surface is None else _outline(prior)
-    return VehicleModel(prior, size, fleet_told, visibility, outline, corners, mean, basis)
+    return VehicleModel(prior, size, fleet_given, visibility, outline, corners, mean, basis)
 
 
 def _outline(prior: ShapePrior) -> LinearPoints:

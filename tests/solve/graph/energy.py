@@ -63,7 +63,7 @@ class Energy:
 
     def _whitened(self, coefficients):
         """By the prior; where no fleet is told, by that and by how far fleets differ."""
-        if self.problem.model.fleet_told or not len(coefficients):
+        if self.problem.model.fleet_given or not len(coefficients):
             return coefficients
         sizes = np.einsum("dki,nki->dn", self.category.dimension_operator, self.prior.basis)
         by_size, mean = np.linalg.pinv(sizes), self.prior.box_size(np.zeros(self.prior.dimension))

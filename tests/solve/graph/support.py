@@ -13,9 +13,9 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior
 from fgrecon.solve.graph.graph import Graph, GraphObservation, State
-from fgrecon.solve.graph.history import iterations
 from fgrecon.solve.graph.multi_start import MultiStartResult, minimise_from_proposals
 from fgrecon.solve.graph.observation_part import Weights
+from fgrecon.solve.graph.records import iterations
 from fgrecon.solve.proposals.pose_search import PoseEstimate, search_pose
 from fgrecon.solve.proposals.problem import Problem, keypoint_covariances
 from fgrecon.solve.proposals.terms import Hypotheses

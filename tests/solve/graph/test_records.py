@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from factors import key_name
-from fgrecon.solve.graph.structure import graph_factors
+from fgrecon.solve.graph.records import graph_factors
 from tests.solve.graph.support import graph_at, problem_of, proposal, terms_of
 
 
