@@ -21,7 +21,7 @@ import fgrecon
 from fgrecon.cli.deliver import deliver
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate_track
 from fgrecon.solve.track import reconstruct_track
-from fgrecon.viz import Recording, Sight, TrackSight, recording_of, track_recording_of
+from fgrecon.viz import Recording, SolvedVehicle, TrackInputs, recording_of, track_recording_of
 from fgrecon_research.simulation import simulate_many
 
 CARS, FRAMES, ROUNDS = 30, 15, 3
@@ -54,13 +54,13 @@ def cars(folder: Path) -> None:
         return fgrecon.reconstruct(o.keypoints, KITTI_CAMERA, options=fgrecon.Options(keep_history=keep), **given)
 
     first = solve(seen[0], keep=True)
-    opening = milliseconds(lambda: recording_of(Sight(first, seen[0], KITTI_CAMERA)).write(folder / "car.rrd"))
+    opening = milliseconds(lambda: recording_of(SolvedVehicle(first, seen[0], KITTI_CAMERA)).write(folder / "car.rrd"))
     for _ in range(ROUNDS):
         made = []
         for observation in seen:
             off = milliseconds(lambda o=observation: solve(o, keep=False))
             on = milliseconds(lambda o=observation: solve(o, keep=True))
-            recording = recording_of(Sight(solve(observation, keep=True), observation, KITTI_CAMERA))
+            recording = recording_of(SolvedVehicle(solve(observation, keep=True), observation, KITTI_CAMERA))
             made.append((str(len(made)), recording))
             rows.append((off, on, *cost(recording, folder / "car.rrd"), again(folder / "car.rrd", folder)))
         solving = milliseconds(lambda: [solve(o, keep=False) for o in seen], time.perf_counter)
@@ -106,7 +106,7 @@ def track(folder: Path) -> None:
         return reconstruct_track(seen, KITTI_CAMERA, ground=1.65, options=fgrecon.Options(keep_history=keep))
 
     result = reconstruct_track(seen, KITTI_CAMERA, ground=1.65)
-    recording = track_recording_of(result, TrackSight(seen, [KITTI_CAMERA] * len(seen)))
+    recording = track_recording_of(result, TrackInputs(seen, [KITTI_CAMERA] * len(seen)))
     recording.write(folder / "track.rrd")
     off, on = (float(np.median([milliseconds(lambda k=k: solve(keep=k)) for _ in range(5)])) for k in (False, True))
     own, threads = np.median([cost(recording, folder / "track.rrd") for _ in range(5)], axis=0)

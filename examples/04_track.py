@@ -16,7 +16,7 @@ import numpy as np
 
 import fgrecon
 from fgrecon.simulation import KITTI_CAMERA, Vehicle, simulate_track
-from fgrecon.viz import TrackSight, Truth, track_recording_of
+from fgrecon.viz import TrackInputs, Truth, track_recording_of
 
 
 def main(recording: str | None) -> None:
@@ -44,7 +44,7 @@ def main(recording: str | None) -> None:
 
     if recording is not None:  # watch it: fgrecon replay FILE.rrd
         known = [Truth(truth.camera_T_object, keypoints=car.keypoints) for truth in truths]
-        track_recording_of(track, TrackSight(seen, [KITTI_CAMERA] * len(seen), truths=known)).write(recording)
+        track_recording_of(track, TrackInputs(seen, [KITTI_CAMERA] * len(seen), truths=known)).write(recording)
 
 
 if __name__ == "__main__":

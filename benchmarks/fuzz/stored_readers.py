@@ -160,7 +160,7 @@ def _recordings() -> Mapping[str, bytes]:
     import fgrecon
     from fgrecon.core.observation import Observation
     from fgrecon.simulation.vehicles import yaw_pose
-    from fgrecon.viz import Sight, recording_of
+    from fgrecon.viz import SolvedVehicle, recording_of
 
     pose, matrix = yaw_pose(0.5, np.array([1.0, 1.6, 12.0])), np.array([[700.0, 0, 600], [0, 700, 180], [0, 0, 1]])
     seen = load_prior("car14").mean @ pose[:3, :3].T + pose[:3, 3]
@@ -168,7 +168,7 @@ def _recordings() -> Mapping[str, bytes]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "r.rrd"
         observation, camera = Observation(pixels, np.ones(len(pixels))), fgrecon.Camera(matrix)
-        recording_of(Sight(fgrecon.reconstruct(observation, camera), observation, camera)).write(path)
+        recording_of(SolvedVehicle(fgrecon.reconstruct(observation, camera), observation, camera)).write(path)
         return {"r.rrd": path.read_bytes()}
 
 

@@ -13,7 +13,7 @@ import typer
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from fgrecon.cli.terminal import Screen
     from fgrecon.core.camera import Ground
-    from fgrecon.viz import Recording, Sight
+    from fgrecon.viz import Recording, SolvedVehicle
 
 __all__ = ["Delivery", "Viewer", "check_delivery", "deliver", "recordings_of"]
 
@@ -113,7 +113,7 @@ def deliver(
     return written
 
 
-def recordings_of(sights: Sequence[Sight], ground: Ground | None) -> list[tuple[str, Recording]]:
+def recordings_of(sights: Sequence[SolvedVehicle], ground: Ground | None) -> list[tuple[str, Recording]]:
     """Title and recording of vehicles.
 
     Args:

@@ -41,7 +41,7 @@ def demo_command(
     from fgrecon.io.images import write_png
     from fgrecon.simulation.demo import demo_scene
     from fgrecon.solve.pipeline import reconstruct
-    from fgrecon.viz import Sight, animate, picture, recording_of, save_picture
+    from fgrecon.viz import SolvedVehicle, animate, picture, recording_of, save_picture
     from fgrecon.viz.animation import check_format
 
     check_delivery(None, viewer.connect)
@@ -62,7 +62,7 @@ def demo_command(
     write_png(out / "image.png", image)
     write_text(out / "keypoints.json", json.dumps(report.keypoint_file(scene, prior.category), indent=1) + "\n")
     write_text(out / "result.json", document)
-    sight = Sight(result, seen, camera, image, truth)
+    sight = SolvedVehicle(result, seen, camera, image, truth)
     save_picture(out / "picture.png", picture(sight))
     save_picture(out / "scene.jpg", report.street_picture(prior, seed), dpi=_DPI)
     recording = recording_of(sight, ground=scene.ground)

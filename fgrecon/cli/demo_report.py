@@ -18,7 +18,7 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.simulation.demo import DemoScene
 from fgrecon.simulation.sample import GROUND, sample_street
 from fgrecon.solve.pipeline import reconstruct
-from fgrecon.viz import Shown, Truth, scene_picture
+from fgrecon.viz import DrawnVehicle, Truth, scene_picture
 from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR
 
 __all__ = [
@@ -150,7 +150,7 @@ def street_picture(prior: ShapePrior, seed: int) -> Any:
         result = reconstruct(
             seen.keypoints, street.camera, confidence=seen.confidence, box=seen.box, prior=prior, ground=GROUND
         )
-        shown.append(Shown(number, car.truth.box, result, truth=truth))
+        shown.append(DrawnVehicle(number, car.truth.box, result, truth=truth))
     return scene_picture(street.image, shown, street.camera, ground=GROUND, before=True, beside=True)
 
 

@@ -17,11 +17,11 @@ from fgrecon.io.frames import FrameSource
 from fgrecon.io.video import write_video
 from fgrecon.video.follow import TrackedFrame
 from fgrecon.video.rows import motion_of
-from fgrecon.viz import Shown, save_picture, scene_picture
+from fgrecon.viz import DrawnVehicle, save_picture, scene_picture
 from fgrecon.viz.entities import SIZES
 from fgrecon.viz.overlay import annotated
 from fgrecon.viz.scene_recording import state_in_words
-from fgrecon.viz.video_recording import ShownFrame
+from fgrecon.viz.video_recording import RecordedFrame
 
 __all__ = ["Showing", "film", "recorded", "still"]
 
@@ -43,16 +43,16 @@ class Showing:
         self._trails: dict[int, list[NDArray[np.float64]]] = {}  # where each vehicle was, in the world
         self._seen: set[int] = set()
 
-    def vehicles(self, frame: TrackedFrame) -> tuple[Shown, ...]:
+    def vehicles(self, frame: TrackedFrame) -> tuple[DrawnVehicle, ...]:
         """The vehicles of a frame as they are drawn."""
         shown = []
         for identity, box in frame.boxes.items():
             estimate = frame.estimates.get(identity)
             if estimate is None:
-                shown.append(Shown(identity, box))
+                shown.append(DrawnVehicle(identity, box))
                 continue
             trail = None if frame.world_T_camera is None else self._trail(estimate, frame.world_T_camera)
-            shown.append(Shown(identity, box, estimate.reconstruction, self._words(estimate), trail))
+            shown.append(DrawnVehicle(identity, box, estimate.reconstruction, self._words(estimate), trail))
         return tuple(shown)
 
     def _trail(self, estimate: VehicleEstimate, world_T_camera: NDArray[np.float64]) -> NDArray[np.float64] | None:
@@ -74,12 +74,12 @@ class Showing:
             words.append(f"{3.6 * estimate.speed:.0f} km/h")
         return ", ".join(words)
 
-    def frame(self, frame: TrackedFrame, image: NDArray[np.uint8] | None) -> ShownFrame:
+    def frame(self, frame: TrackedFrame, image: NDArray[np.uint8] | None) -> RecordedFrame:
         """A frame as it is recorded."""
         states: dict[int, str | None] = dict.fromkeys(self._seen - set(frame.boxes))
         states |= {identity: _state(frame.estimates.get(identity)) for identity in frame.boxes}
         self._seen = set(frame.boxes)
-        return ShownFrame(
+        return RecordedFrame(
             number=frame.number,
             time=frame.time,
             image=image,
@@ -154,7 +154,7 @@ def still(
     return False
 
 
-def recorded(source: FrameSource, frames: Sequence[TrackedFrame]) -> Iterator[ShownFrame]:
+def recorded(source: FrameSource, frames: Sequence[TrackedFrame]) -> Iterator[RecordedFrame]:
     """The frames as they are recorded, read once more."""
     by_number = {frame.number: frame for frame in frames}
     showing = Showing()

@@ -28,9 +28,9 @@ from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.text import printable
 from fgrecon.solve.track import TrackReconstruction
 from fgrecon.viz import (
+    DrawnVehicle,
     Recording,
-    Shown,
-    Sight,
+    SolvedVehicle,
     animate,
     contact_sheet,
     picture,
@@ -235,7 +235,7 @@ def draw(
     return [save_picture(path, contact_sheet(sights))]
 
 
-def _shown(outcomes: Sequence[Outcome]) -> list[Shown]:
+def _shown(outcomes: Sequence[Outcome]) -> list[DrawnVehicle]:
     """The vehicles as a scene shows them; with long names they are numbered."""
     names = [printable(outcome.name, 80) for outcome in outcomes]
     short = max(map(len, names)) <= _PLATE
@@ -250,7 +250,9 @@ def _shown(outcomes: Sequence[Outcome]) -> list[Shown]:
             box = box_around(measured)
         words = "" if short else name if len(name) <= _WORDS else f"{name[: _WORDS - 1]}…"
         model = None if outcome.closest is None else outcome.closest.model
-        shown.append(Shown(number, box, outcome.result, words, name=name if short else str(number + 1), model=model))
+        shown.append(
+            DrawnVehicle(number, box, outcome.result, words, name=name if short else str(number + 1), model=model)
+        )
     return shown
 
 
@@ -295,9 +297,9 @@ def _by_image(outcomes: Sequence[Outcome]) -> dict[tuple[str | None, bytes], lis
     return images
 
 
-def _sights(outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None) -> list[Sight]:
+def _sights(outcomes: Sequence[Outcome], image: NDArray[np.uint8] | None) -> list[SolvedVehicle]:
     return [
-        Sight(
+        SolvedVehicle(
             outcome.result,
             outcome.task.observation,
             outcome.task.camera,

@@ -31,7 +31,7 @@ from fgrecon.io.keypoints import NOT_JSON
 from fgrecon.io.track_file import Track, parse_track
 from fgrecon.simulation.vehicles import yaw_pose
 from fgrecon.solve.track import reconstruct_track
-from fgrecon.viz import Recording, Sight, TrackSight, Truth, contact_sheet, save_picture, track_recording_of
+from fgrecon.viz import Recording, SolvedVehicle, TrackInputs, Truth, contact_sheet, save_picture, track_recording_of
 
 __all__ = [
     "FORMAT",
@@ -67,7 +67,7 @@ class Solved:
     name: str
     file: Path
     tasks: tuple[Task, ...]
-    sight: TrackSight
+    sight: TrackInputs
     result: TrackReconstruction
     alone: tuple[Reconstruction | None, ...]
 
@@ -104,7 +104,7 @@ def solve(
     told = [name if frame is None else str(frame) for name, frame in frames]
     truths = None if labelled is None else [truth_of(labelled, index) for index in range(len(tasks))]
     measured = [task.observation.measured.any() for task in tasks]
-    sight = TrackSight(
+    sight = TrackInputs(
         observations=[task.observation if seen else None for task, seen in zip(tasks, measured, strict=True)],
         cameras=[task.camera for task in tasks],
         numbers=image_numbers(told),
@@ -274,5 +274,5 @@ def draw(path: Path, tracks: Sequence[Solved]) -> None:
         for index, frame, truth in zip(track.result.numbers, track.result.frames, track.truths, strict=True):
             image = None if track.sight.images is None else track.sight.images[index]
             task = track.tasks[index]
-            sights.append(Sight(frame, task.observation, task.camera, image, truth, task.instance.name))
+            sights.append(SolvedVehicle(frame, task.observation, task.camera, image, truth, task.instance.name))
     save_picture(path, contact_sheet(sights))

@@ -3,7 +3,7 @@
 Nothing that computes imports this package, so a solve that is not drawn pays nothing for it, and importing it loads
 neither rerun nor matplotlib: they are imported on use.
 
-- What is drawn is in `fgrecon.viz.sight`: a `Sight` for a vehicle, a `TrackSight` for a track, a `Shown` for each
+- What is drawn is in `fgrecon.viz.subjects`: a `SolvedVehicle`, the `TrackInputs` of a track, a `DrawnVehicle` for each
   vehicle of a scene; and `Truth`.
 - `recording_of`, `scene_recording_of` and `track_recording_of` give a `Recording`, which can be written to a file, sent
   to a viewer or shown in a notebook. Entities have the names of `fgrecon.viz.entities`, `fgrecon.viz.blueprint` lays
@@ -18,17 +18,17 @@ from fgrecon.viz.picture import as_rgb, contact_sheet, picture, save_picture
 from fgrecon.viz.recording import recording_of
 from fgrecon.viz.scene_picture import scene_picture
 from fgrecon.viz.scene_recording import scene_recording_of
-from fgrecon.viz.sight import Photograph, Shown, Sight, TrackSight
 from fgrecon.viz.sinks import Recording
+from fgrecon.viz.subjects import DrawnVehicle, Photograph, SolvedVehicle, TrackInputs
 from fgrecon.viz.track_recording import track_recording_of
 from fgrecon.viz.truth import Truth
 
 __all__ = [
+    "DrawnVehicle",
     "Photograph",
     "Recording",
-    "Shown",
-    "Sight",
-    "TrackSight",
+    "SolvedVehicle",
+    "TrackInputs",
     "Truth",
     "animate",
     "as_rgb",

@@ -20,7 +20,7 @@ from fgrecon.viz.describe import describe_errors, total_energy
 from fgrecon.viz.geometry import BOX_EDGES, crop_around, image_points, outline_corners
 from fgrecon.viz.marks import draw_box, draw_crop, draw_edges, draw_grid, draw_keypoints, draw_true_box, unit
 from fgrecon.viz.picture import as_rgb, new_figure, place_axes
-from fgrecon.viz.sight import Sight
+from fgrecon.viz.subjects import SolvedVehicle
 from fgrecon.viz.truth import Truth
 
 __all__ = ["FORMATS", "animate", "check_format"]
@@ -49,12 +49,12 @@ def check_format(path: str | Path) -> str:
     return kind
 
 
-def animate(path: str | Path, sight: Sight) -> Path:
+def animate(path: str | Path, vehicle: SolvedVehicle) -> Path:
     """Write an animation of an optimisation, whole or not at all.
 
     Args:
         path: `.gif` or `.mp4` file to write.
-        sight: The vehicle; the history of its result is what is shown, a truth is drawn in green.
+        vehicle: The vehicle; the history of its result is what is shown, a truth is drawn in green.
 
     Returns:
         The path written to.
@@ -65,31 +65,31 @@ def animate(path: str | Path, sight: Sight) -> Path:
         MissingPackageError: It is an MP4, and PyAV is not installed.
     """
     kind = check_format(path)
-    if not sight.reconstruction.history:
+    if not vehicle.reconstruction.history:
         raise InvalidInputError("history", "empty", "Reconstruct with keep_history=True.")
-    frames = list(_frames(sight))
+    frames = list(_frames(vehicle))
     return write_bytes(path, _gif(frames)) if kind == "gif" else _mp4(path, frames)
 
 
-def _frames(sight: Sight) -> Iterator[NDArray[np.uint8]]:
+def _frames(vehicle: SolvedVehicle) -> Iterator[NDArray[np.uint8]]:
     """One picture per step. What does not move is drawn once."""
-    result, observation, truth = sight.reconstruction, sight.observation, sight.truth
+    result, observation, truth = vehicle.reconstruction, vehicle.observation, vehicle.truth
     figure = new_figure(_WIDTH, _HEIGHT)
     photo = place_axes(figure, 0.08, _LOW, _PANEL * _ASPECT, _PANEL)
-    draw_crop(photo, sight.pixels, sight.camera, crop_around(observation, result.wireframe_uv, aspect=_ASPECT))
+    draw_crop(photo, vehicle.pixels, vehicle.camera, crop_around(observation, result.wireframe_uv, aspect=_ASPECT))
     if observation.box is not None:
         draw_box(photo, observation.box)
     above = place_axes(figure, 4.72, 0.5, 2.0, _PANEL - 0.4)
     _draw_ground(above, result, truth)
     if truth is not None:
-        draw_true_box(photo, truth, sight.camera)
+        draw_true_box(photo, truth, vehicle.camera)
     energy = place_axes(figure, 7.25, 0.5, 1.65, _PANEL - 0.4)
     totals = _prepare_energy(energy, result)
     heading = figure.text(0.1 / _WIDTH, 1 - 0.2 / _HEIGHT, "", fontsize=9, va="center", parse_math=False)
     edges = style.edges_by_side(result)
     for row, step in enumerate(result.history):
         fixed = {axes: set(axes.get_children()) for axes in (photo, above, energy)}
-        projections = image_points(sight.camera, step.camera_T_object, step.keypoints)
+        projections = image_points(vehicle.camera, step.camera_T_object, step.keypoints)
         draw_edges(photo, projections, edges)
         draw_keypoints(photo, observation, step.weights, projections)
         draw_edges(above, transform(step.camera_T_object, step.keypoints)[:, [0, 2]], edges)

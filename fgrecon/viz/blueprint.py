@@ -13,7 +13,7 @@ from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.viz import entities, style
 from fgrecon.viz.factor_graph import Layout, lay_out
 from fgrecon.viz.geometry import Box, crop_around, image_points
-from fgrecon.viz.sight import Member, Sight, TrackSight
+from fgrecon.viz.subjects import Member, SolvedVehicle, TrackInputs
 from fgrecon.viz.truth import ORIENTATION_ERROR, SHAPE_ERROR, TRANSLATION_ERROR
 
 __all__ = ["scene_blueprint", "track_blueprint", "vehicle_blueprint", "video_blueprint"]
@@ -32,21 +32,21 @@ _VIDEO_EYE = np.array([0.0, -10.0, -12.0])  # of the view from behind
 _VIDEO_UNITS = {"yaw": "degrees", "speed": "m/s", "distance": "m", **dict.fromkeys(entities.SIZES, "m")}
 
 
-def vehicle_blueprint(sight: Sight) -> Any:
+def vehicle_blueprint(vehicle: SolvedVehicle) -> Any:
     """The `rerun.blueprint.Blueprint` of a vehicle: image and scene above, zoomed to it; plots, graph and words below.
 
     With a car model the surface is not shown, which is where that is.
     """
     import rerun.blueprint as rrb
 
-    result, truth = sight.reconstruction, sight.truth
-    crop = crop_around(sight.observation, result.wireframe_uv, aspect=_ASPECT)
+    result, truth = vehicle.reconstruction, vehicle.truth
+    crop = crop_around(vehicle.observation, result.wireframe_uv, aspect=_ASPECT)
     plots = [*_step_plots(), _plot_view("Shape", entities.COEFFICIENTS)]
     if truth is not None:
         plots.append(_error_views(entities.ERROR, shape=truth.keypoints is not None))
     structure = [_graph_view(lay_out(result.graph))] if result.graph else []
     return _page(
-        [_image_view(crop), _scene_view(_eye_beside(result), model=sight.model is not None)],
+        [_image_view(crop), _scene_view(_eye_beside(result), model=vehicle.model is not None)],
         [rrb.Tabs(*plots), *structure, _word_views()],
         name="One vehicle: from keypoints to pose and shape",
         timeline=entities.STEP,
@@ -72,12 +72,12 @@ def scene_blueprint(members: Sequence[Member]) -> Any:
     )
 
 
-def track_blueprint(track: TrackReconstruction, sight: TrackSight) -> Any:
+def track_blueprint(track: TrackReconstruction, inputs: TrackInputs) -> Any:
     """Of a track, showing all of its path: what happens by frame on the left, the joint solve on the right."""
     import rerun.blueprint as rrb
 
     by_frame = list(_step_plots(f"{entities.FRAMES}/"))[::-1]
-    if sight.truths is not None and any(truth is not None for truth in sight.truths):
+    if inputs.truths is not None and any(truth is not None for truth in inputs.truths):
         by_frame.insert(0, _error_views(f"{entities.FRAMES}/{entities.ERROR}", shape=False))
     joint = [_graph_view(lay_out(track.graph), "Factor graph")] if track.graph else []
     if track.history:
@@ -86,7 +86,7 @@ def track_blueprint(track: TrackReconstruction, sight: TrackSight) -> Any:
             _plot_view("Shape (by step)", entities.COEFFICIENTS),
         ]
     return _page(
-        [_image_view(_track_crop(track, sight)), _scene_view(_eye_above_path(track))],
+        [_image_view(_track_crop(track, inputs)), _scene_view(_eye_above_path(track))],
         [rrb.Tabs(*by_frame), *([rrb.Tabs(*joint)] if joint else []), _word_views()],
         name="One vehicle in several images: a pose for each, one shape for all",
         timeline=entities.FRAME,
@@ -213,10 +213,10 @@ def _scene_views(members: Sequence[Member]) -> list[Any]:
     parts = (entities.KEYPOINTS_3D, entities.PLANES, entities.UNCERTAINTY, entities.PREVIOUS_3D)
     hidden = [f"{entities.CAMERA}/{entities.IN_VEHICLES}", entities.BOXES_2D]
     hidden += [member.place(part) for member in members for part in parts]
-    hidden += [member.place(entities.SURFACE) for member in members if member.sight.model is not None]
+    hidden += [member.place(entities.SURFACE) for member in members if member.vehicle.model is not None]
     contents = [_ALL, *_without(hidden)]
     without_bodies = [*contents, *_without(member.place(part) for member in members for part in _BODY)]
-    reach = np.array([*(m.sight.reconstruction.location for m in members), (0.0, 0.0, 0.0)])
+    reach = np.array([*(m.vehicle.reconstruction.location for m in members), (0.0, 0.0, 0.0)])
     low, high = np.nanmin(reach, axis=0), np.nanmax(reach, axis=0)
     middle, span = (low + high) / 2, max(float(np.hypot(*(high - low)[[0, 2]])), 10.0)
     behind = _look(np.array([middle[0], -_ABOVE_SCENE * span, low[2] - _BEHIND_SCENE * span]), middle)
@@ -231,8 +231,8 @@ def _details(member: Member) -> Any:
     """Image, plots and graph of one vehicle of a scene."""
     import rerun.blueprint as rrb
 
-    result = member.sight.reconstruction
-    crop = crop_around(member.sight.observation, result.wireframe_uv, aspect=_ASPECT)
+    result = member.vehicle.reconstruction
+    crop = crop_around(member.vehicle.observation, result.wireframe_uv, aspect=_ASPECT)
     contents = (f"/{entities.CAMERA}", f"/{entities.IMAGE}", f"/{member.place(f'{entities.CAMERA}/')}**")
     views = [_image_view(crop, "Keypoints by weight", contents), *_step_plots(member.place(""))]
     if result.graph:
@@ -304,11 +304,11 @@ def _word_views() -> Any:
     )
 
 
-def _track_crop(track: TrackReconstruction, sight: TrackSight) -> Box:
+def _track_crop(track: TrackReconstruction, inputs: TrackInputs) -> Box:
     """The part of the image where boxes, keypoints and wireframes are in any frame."""
     points = [np.zeros((0, 2))]
     for index, result in zip(track.numbers, track.frames, strict=True):
-        frame = sight.at(index, result)
+        frame = inputs.at(index, result)
         points.append(frame.observation.keypoints[frame.observation.measured])
         if frame.observation.box is not None:
             points.append(frame.observation.box.reshape(2, 2))
@@ -332,7 +332,7 @@ def _eye_above_path(track: TrackReconstruction) -> Any:
 
 
 def _eye_beside(reconstruction: Reconstruction) -> Any:
-    """An eye beside the line of sight, on the side of the flank that the camera sees; None where there is no result.
+    """An eye beside the line of vehicle, on the side of the flank that the camera sees; None where there is no result.
 
     A camera nearby is in the view; one farther away is not, so that the vehicle keeps its size.
     """

@@ -58,7 +58,7 @@ def log_graph(rows: Rows) -> None:
     import rerun as rr
 
     (play,) = rows.plays
-    result = play.sight.reconstruction
+    result = play.vehicle.reconstruction
     if not result.graph:
         return
     layout = lay_out(result.graph)

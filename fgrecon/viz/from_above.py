@@ -16,7 +16,7 @@ from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.viz import style
 from fgrecon.viz.geometry import NOSE, ellipse, level_axes, outline_corners
 from fgrecon.viz.marks import unit
-from fgrecon.viz.sight import DrawnScene, Shown
+from fgrecon.viz.subjects import DrawnScene, DrawnVehicle
 from fgrecon.viz.tags import Plates
 
 __all__ = [
@@ -146,7 +146,9 @@ def _covariance(
     return covariance if np.isfinite(covariance).all() else None
 
 
-def _draw_beside(axes: Any, vehicle: Shown, start: NDArray[np.float64] | None, flat: NDArray[np.float64]) -> None:
+def _draw_beside(
+    axes: Any, vehicle: DrawnVehicle, start: NDArray[np.float64] | None, flat: NDArray[np.float64]
+) -> None:
     """Truth, path, and first estimate of a vehicle."""
     colour = style.categorical(vehicle.identity)
     if vehicle.truth is not None and vehicle.truth.box_size is not None:

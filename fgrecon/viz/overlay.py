@@ -15,7 +15,7 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.geometry import transform
 from fgrecon.viz import style
 from fgrecon.viz.geometry import BOX_EDGES, as_image, box_path, image_points, outline_corners
-from fgrecon.viz.sight import Shown
+from fgrecon.viz.subjects import DrawnVehicle
 
 __all__ = ["annotated"]
 
@@ -28,7 +28,7 @@ _CASED = 60.0  # pixels of a box's width from which its wireframe has a casing
 
 
 def annotated(
-    image: NDArray[np.uint8], vehicles: Sequence[Shown], camera: Camera, *, caption: str = ""
+    image: NDArray[np.uint8], vehicles: Sequence[DrawnVehicle], camera: Camera, *, caption: str = ""
 ) -> NDArray[np.uint8]:
     """A copy of an image (H, W, 3) with vehicles drawn into it, far ones first, and the view from above on its right.
 
@@ -53,11 +53,11 @@ def annotated(
     return np.concatenate([canvas, _from_above(canvas.shape[0], canvas.shape[1], vehicles)], axis=1)
 
 
-def _depth(vehicle: Shown) -> float:
+def _depth(vehicle: DrawnVehicle) -> float:
     return np.inf if vehicle.pose is None else float(vehicle.pose[2, 3])
 
 
-def _draw_vehicle(canvas: NDArray[np.uint8], vehicle: Shown, camera: Camera, width: int) -> None:
+def _draw_vehicle(canvas: NDArray[np.uint8], vehicle: DrawnVehicle, camera: Camera, width: int) -> None:
     colour = style.categorical(vehicle.identity)
     x1, y1, x2, _ = vehicle.box
     _lines(canvas, box_path(vehicle.box)[None], colour, 1)
@@ -73,7 +73,7 @@ def _draw_vehicle(canvas: NDArray[np.uint8], vehicle: Shown, camera: Camera, wid
     _write(canvas, text, (max(round(x1), 0), max(round(y1) - 14, 0)), colour, style.PAPER)
 
 
-def _from_above(height: int, width: int, vehicles: Sequence[Shown]) -> NDArray[np.uint8]:
+def _from_above(height: int, width: int, vehicles: Sequence[DrawnVehicle]) -> NDArray[np.uint8]:
     """The view from above as a panel, as high as the image."""
     import cv2
 

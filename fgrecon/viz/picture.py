@@ -23,9 +23,9 @@ from fgrecon.viz import style
 from fgrecon.viz.describe import describe_errors, median_residual
 from fgrecon.viz.geometry import Box, crop_around, image_points
 from fgrecon.viz.marks import draw_badge, draw_box, draw_crop, draw_edges, draw_keypoints, draw_true_box, unit
-from fgrecon.viz.sight import Sight
 from fgrecon.viz.solid import draw_from_above, draw_three_quarter
 from fgrecon.viz.style import Side
+from fgrecon.viz.subjects import SolvedVehicle
 from fgrecon.viz.truth import Truth
 
 __all__ = [
@@ -66,11 +66,11 @@ class _Moment:
         return cls(step.camera_T_object, step.keypoints, step.weights)
 
 
-def picture(sight: Sight) -> Any:
+def picture(vehicle: SolvedVehicle) -> Any:
     """Draw how one vehicle was reconstructed: initial, after pose, after shape, and 3D views.
 
     Args:
-        sight: The vehicle, its result with its history. Without an image the panels have a plain canvas; with a truth
+        vehicle: The vehicle, its result with its history. Without an image the panels have a plain canvas; with a truth
             its box is drawn and the errors are written.
 
     Returns:
@@ -79,22 +79,22 @@ def picture(sight: Sight) -> Any:
     Raises:
         InvalidInputError: The image is not (H, W, 3) of bytes.
     """
-    result = sight.reconstruction
+    result = vehicle.reconstruction
     figure = new_figure(_WIDTH, _HEIGHT)
-    crop = crop_around(sight.observation, result.wireframe_uv, aspect=_ASPECT)
+    crop = crop_around(vehicle.observation, result.wireframe_uv, aspect=_ASPECT)
     edges, height = style.edges_by_side(result), _PANEL / _ASPECT
-    for column, (title, moment) in enumerate(_moments(sight)):
+    for column, (title, moment) in enumerate(_moments(vehicle)):
         axes = place_axes(figure, _GAP + column * (_PANEL + _GAP), _BOTTOM, _PANEL, height)
-        _draw_moment(axes, sight, crop, title, moment)
-    if sight.solved:
+        _draw_moment(axes, vehicle, crop, title, moment)
+    if vehicle.solved:
         solid = place_axes(figure, 7.32, _BOTTOM, 1.85, height)
         _title(solid, "In 3D", f"from the {draw_three_quarter(solid, result, edges)}")
         above = place_axes(figure, 9.52, _BOTTOM + 0.28, 1.42, height - 0.28)
-        draw_from_above(above, result, edges, sight.truth)
+        draw_from_above(above, result, edges, vehicle.truth)
         _title(above, "From above", "")
-    _draw_legend(figure, sight.truth)
+    _draw_legend(figure, vehicle.truth)
     look: dict[str, Any] = {"fontsize": 8, "color": unit(style.INK), "va": "top", "parse_math": False}
-    figure.text(_GAP / _WIDTH, 0.42 / _HEIGHT, _caption(sight), **look)
+    figure.text(_GAP / _WIDTH, 0.42 / _HEIGHT, _caption(vehicle), **look)
     return figure
 
 
@@ -129,11 +129,11 @@ def new_sheet(
     return figure, cells
 
 
-def contact_sheet(sights: Sequence[Sight], *, columns: int = 4) -> Any:
+def contact_sheet(vehicles: Sequence[SolvedVehicle], *, columns: int = 4) -> Any:
     """Draw the results of many vehicles, one cell each: detected keypoints and the final wireframe.
 
     Args:
-        sights: The vehicles, in the order of reading.
+        vehicles: The vehicles, in the order of reading.
         columns: Cells in a row.
 
     Returns:
@@ -142,10 +142,10 @@ def contact_sheet(sights: Sequence[Sight], *, columns: int = 4) -> Any:
     Raises:
         InvalidInputError: There is no vehicle, no column, or an image is not (H, W, 3) of bytes.
     """
-    figure, cells = new_sheet("sights", len(sights), columns, _CELL_HEADING)
-    for sight, axes in zip(sights, cells, strict=True):
-        crop = crop_around(sight.observation, sight.reconstruction.wireframe_uv, aspect=CELL_ASPECT)
-        _draw_moment(axes, sight, crop, _heading(sight), _result(sight))
+    figure, cells = new_sheet("vehicles", len(vehicles), columns, _CELL_HEADING)
+    for vehicle, axes in zip(vehicles, cells, strict=True):
+        crop = crop_around(vehicle.observation, vehicle.reconstruction.wireframe_uv, aspect=CELL_ASPECT)
+        _draw_moment(axes, vehicle, crop, _heading(vehicle), _result(vehicle))
     return figure
 
 
@@ -193,40 +193,40 @@ def place_axes(figure: Any, left: float, bottom: float, width: float, height: fl
     return figure.add_axes((left / across, bottom / up, width / across, height / up))
 
 
-def _moments(sight: Sight) -> tuple[tuple[str, _Moment | None], ...]:
+def _moments(vehicle: SolvedVehicle) -> tuple[tuple[str, _Moment | None], ...]:
     """The three panels over the photograph; None where the stage did not run."""
-    history = sight.reconstruction.history
+    history = vehicle.reconstruction.history
     pose = [step for step in history if step.stage == "pose"]
     joint = any(step.stage == "joint" for step in history)
     return (
         ("Initial", _Moment.of(history[0]) if history else None),
         ("After pose adjustment", _Moment.of(pose[-1]) if pose else None),
-        (f"After shape {'and joint ' if joint else ''}adjustment", _result(sight)),
+        (f"After shape {'and joint ' if joint else ''}adjustment", _result(vehicle)),
     )
 
 
-def _result(sight: Sight) -> _Moment | None:
-    result = sight.reconstruction
-    return _Moment(result.camera_T_object, result.wireframe, result.weights) if sight.solved else None
+def _result(vehicle: SolvedVehicle) -> _Moment | None:
+    result = vehicle.reconstruction
+    return _Moment(result.camera_T_object, result.wireframe, result.weights) if vehicle.solved else None
 
 
-def _draw_moment(axes: Any, sight: Sight, crop: Box, title: str, moment: _Moment | None) -> None:
+def _draw_moment(axes: Any, vehicle: SolvedVehicle, crop: Box, title: str, moment: _Moment | None) -> None:
     """One estimate over the photograph, with a title and a line of numbers."""
-    draw_crop(axes, sight.pixels, sight.camera, crop)
-    if sight.observation.box is not None:
-        draw_box(axes, sight.observation.box)
-    if sight.truth is not None:
-        draw_true_box(axes, sight.truth, sight.camera)
-    projections, weights, numbers = None, sight.observation.confidence, ""
+    draw_crop(axes, vehicle.pixels, vehicle.camera, crop)
+    if vehicle.observation.box is not None:
+        draw_box(axes, vehicle.observation.box)
+    if vehicle.truth is not None:
+        draw_true_box(axes, vehicle.truth, vehicle.camera)
+    projections, weights, numbers = None, vehicle.observation.confidence, ""
     if moment is not None:
-        projections, weights = image_points(sight.camera, moment.camera_T_object, moment.keypoints), moment.weights
-        draw_edges(axes, projections, style.edges_by_side(sight.reconstruction))
-        badge = f"{median_residual(sight.observation, projections, weights):.1f} px"
-        if sight.truth is not None:
-            numbers = describe_errors(sight.truth, moment.camera_T_object, moment.keypoints)
+        projections, weights = image_points(vehicle.camera, moment.camera_T_object, moment.keypoints), moment.weights
+        draw_edges(axes, projections, style.edges_by_side(vehicle.reconstruction))
+        badge = f"{median_residual(vehicle.observation, projections, weights):.1f} px"
+        if vehicle.truth is not None:
+            numbers = describe_errors(vehicle.truth, moment.camera_T_object, moment.keypoints)
     else:
-        badge = "not recorded" if sight.solved else "no estimate"
-    draw_keypoints(axes, sight.observation, weights, projections)
+        badge = "not recorded" if vehicle.solved else "no estimate"
+    draw_keypoints(axes, vehicle.observation, weights, projections)
     draw_badge(axes, badge)
     _title(axes, title, numbers)
 
@@ -240,25 +240,25 @@ def _title(axes: Any, title: str, numbers: str) -> None:
     )
 
 
-def _heading(sight: Sight) -> str:
-    status = sight.reconstruction.status
-    parts = [whole_text(sight.title)] if sight.title else []  # a file's name need not be UTF-8
+def _heading(vehicle: SolvedVehicle) -> str:
+    status = vehicle.reconstruction.status
+    parts = [whole_text(vehicle.title)] if vehicle.title else []  # a file's name need not be UTF-8
     if status is not Status.CONVERGED or not parts:
         parts.append(status.value)
     return ", ".join(parts)
 
 
-def _caption(sight: Sight) -> str:
-    result = sight.reconstruction
+def _caption(vehicle: SolvedVehicle) -> str:
+    result = vehicle.reconstruction
     sentence = f"{result.status.value.capitalize()}: {result.message.rstrip('.')}."
-    if sight.solved:
+    if vehicle.solved:
         (x, y, z), (length, width, height) = result.location, result.box_size
         sentence += (
             f" Yaw {np.degrees(result.rotation_y):.1f}°, position ({x:.2f}, {y:.2f}, {z:.2f}) m, "
             f"size {length:.2f} × {width:.2f} × {height:.2f} m. Prior: {result.prior}."
         )
-        if sight.truth is not None:
-            errors = describe_errors(sight.truth, result.camera_T_object, result.wireframe)
+        if vehicle.truth is not None:
+            errors = describe_errors(vehicle.truth, result.camera_T_object, result.wireframe)
             sentence += f" Error against the truth: {errors}."
     return textwrap.fill(sentence, 175)
 

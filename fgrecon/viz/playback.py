@@ -15,7 +15,7 @@ from fgrecon.viz import entities, style
 from fgrecon.viz.columns import Outbox, strip_columns
 from fgrecon.viz.describe import weight_updates
 from fgrecon.viz.geometry import image_points
-from fgrecon.viz.sight import Sight
+from fgrecon.viz.subjects import SolvedVehicle
 
 __all__ = ["RESULT", "Playback", "Rows"]
 
@@ -29,7 +29,7 @@ class Playback:
 
     Attributes:
         stream: Where it goes.
-        sight: The vehicle.
+        vehicle: The vehicle.
         frame: Number of the image on the timeline `frame`.
         numbers: (n,) numbers of the steps on the timeline `step`; None counts them from 0.
         updates: (n,) numbers of their weight updates on the timeline `irls`; None counts them from 0.
@@ -37,7 +37,7 @@ class Playback:
     """
 
     stream: Outbox
-    sight: Sight
+    vehicle: SolvedVehicle
     frame: int = 0
     numbers: NDArray[np.int64] | None = None
     updates: NDArray[np.int64] | None = None
@@ -46,8 +46,8 @@ class Playback:
     @cached_property
     def steps(self) -> tuple[Iteration, ...]:
         """The history; where none was kept the result as its only step, of stage `result`; none where it failed."""
-        result = self.sight.reconstruction
-        if result.history or not self.sight.solved:
+        result = self.vehicle.reconstruction
+        if result.history or not self.vehicle.solved:
             return tuple(result.history)
         last = Iteration(
             stage=RESULT,
@@ -124,7 +124,7 @@ class Rows:
     @cached_property
     def detected(self) -> NDArray[np.float64]:
         """(n, K, 2) detected keypoints of each step's frame, pixels; NaN where not measured."""
-        return np.repeat([play.sight.observation.keypoints for play in self.plays], self._counts, axis=0)
+        return np.repeat([play.vehicle.observation.keypoints for play in self.plays], self._counts, axis=0)
 
     @cached_property
     def weights(self) -> NDArray[np.float64]:
@@ -162,7 +162,7 @@ class Rows:
         """(n, K, 2) where the real image shows the wireframe; NaN where it does not."""
         parts = np.split(self.keypoints_in_camera, np.cumsum(self._counts)[:-1])
         pairs = zip(self.plays, parts, strict=True)
-        pixels = [image_points(play.sight.camera, np.eye(4), points.reshape(-1, 3)) for play, points in pairs]
+        pixels = [image_points(play.vehicle.camera, np.eye(4), points.reshape(-1, 3)) for play, points in pairs]
         return np.concatenate(pixels).reshape(len(self.steps), -1, 2)
 
     @cached_property
@@ -176,7 +176,9 @@ class Rows:
     def edges(self) -> Mapping[style.Side, NDArray[np.int64]]:
         """The wireframe's edges by side; a side without edges is left out."""
         return {
-            side: edges for side, edges in style.edges_by_side(self.plays[0].sight.reconstruction).items() if len(edges)
+            side: edges
+            for side, edges in style.edges_by_side(self.plays[0].vehicle.reconstruction).items()
+            if len(edges)
         }
 
     def once(self, entity: str, archetype: Any, **fields: Any) -> None:

@@ -89,9 +89,9 @@ class PlotSink:
 def log_plots(rows: Rows) -> None:
     """Energy by term, weight by keypoint, coefficients and, where the truth is known, errors."""
     (play,) = rows.plays
-    plots, truth = PlotSink(play.stream, rows.time_columns), play.sight.truth
+    plots, truth = PlotSink(play.stream, rows.time_columns), play.vehicle.truth
     plots.energies([step.energies for step in rows.steps])
-    plots.weights(rows.weights, play.sight.reconstruction)
+    plots.weights(rows.weights, play.vehicle.reconstruction)
     plots.coefficients(rows.coefficients)
     if truth is not None:
         plots.errors([truth.errors(step.camera_T_object, step.keypoints) for step in rows.steps])
@@ -129,7 +129,7 @@ def log_words(play: Playback, rows: Rows | None) -> None:
         play: What is recorded.
         rows: Its steps; None where it has none.
     """
-    result = play.sight.reconstruction
+    result = play.vehicle.reconstruction
     level, end = status_line(result.status, result.message)
     if rows is None:
         play.at_result(entities.LOG, log_columns([end], [level]))
@@ -137,7 +137,7 @@ def log_words(play: Playback, rows: Rows | None) -> None:
         at, texts = _lines(rows)
         columns = log_columns([*texts, end], [*[INFO] * len(texts), level])
         play.at_steps(entities.LOG, columns, [*at, len(rows.steps) - 1])
-    log_summary(play.stream, summary_table(result, play.sight.observation, play.sight.truth))
+    log_summary(play.stream, summary_table(result, play.vehicle.observation, play.vehicle.truth))
 
 
 def log_summary(stream: Outbox, table: str) -> None:
@@ -168,7 +168,7 @@ def _lines(rows: Rows) -> tuple[list[int], list[str]]:
     stages = play.times[entities.STAGE]
     ends = np.flatnonzero(np.diff(play.irls, append=-1))
     for start, end in zip([0, *(ends[:-1] + 1)], ends, strict=True):
-        residual = median_residual(play.sight.observation, rows.pixels[end], rows.weights[end])
+        residual = median_residual(play.vehicle.observation, rows.pixels[end], rows.weights[end])
         at.append(int(end))
         texts.append(describe_update(rows.steps[start : end + 1], residual))
         if end + 1 == len(rows.steps) or stages[end + 1] != stages[end]:

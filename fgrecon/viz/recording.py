@@ -31,8 +31,8 @@ from fgrecon.viz.geometry import (
 )
 from fgrecon.viz.playback import Playback, Rows
 from fgrecon.viz.plots import log_history, log_plots, log_words
-from fgrecon.viz.sight import Photograph, Sight
 from fgrecon.viz.sinks import Recording
+from fgrecon.viz.subjects import Photograph, SolvedVehicle
 from fgrecon.viz.truth import Truth
 
 __all__ = [
@@ -58,11 +58,11 @@ _FARTHEST_PLANE = 1.5  # metres
 _LINE = 1.25  # half width of the lines that matter; negative radii are in points of the screen
 
 
-def recording_of(sight: Sight, *, ground: Ground | None = None) -> Recording:
+def recording_of(vehicle: SolvedVehicle, *, ground: Ground | None = None) -> Recording:
     """The recording of a whole optimisation, with its layout.
 
     Args:
-        sight: The vehicle. Its history is played back; a truth is drawn beside the estimate and plotted as errors; a
+        vehicle: The vehicle. Its history is played back; a truth is drawn beside the estimate and plotted as errors; a
             car model is shown instead of the surface.
         ground: The ground plane that was assumed; without one the grid is below the vehicle.
 
@@ -71,16 +71,16 @@ def recording_of(sight: Sight, *, ground: Ground | None = None) -> Recording:
     """
 
     def make() -> Callable[[Any], None]:
-        result, photograph = sight.reconstruction, sight.photograph
-        play = Playback(Outbox(f"{result.category}, {result.status.value}"), sight)
+        result, photograph = vehicle.reconstruction, vehicle.photograph
+        play = Playback(Outbox(f"{result.category}, {result.status.value}"), vehicle)
         log_camera(play, photograph)
         log_frame(play, photograph)
         log_vehicle(play)
-        if sight.solved:
+        if vehicle.solved:
             log_ground(play, ground)
         return play.stream.empty_into
 
-    return Recording(make, lambda: vehicle_blueprint(sight))
+    return Recording(make, lambda: vehicle_blueprint(vehicle))
 
 
 def log_vehicle(play: Playback) -> None:
@@ -88,20 +88,20 @@ def log_vehicle(play: Playback) -> None:
 
     That is truth, every step, result, closest car model, plots, graph and words.
     """
-    sight = play.sight
-    if sight.truth is not None:
-        log_truth(play, sight.truth)
+    vehicle = play.vehicle
+    if vehicle.truth is not None:
+        log_truth(play, vehicle.truth)
     rows = Rows([play]) if play.steps else None
     if rows is not None:
         log_steps(rows)
         log_plots(rows)
         log_graph(rows)
-        if sight.reconstruction.history:
+        if vehicle.reconstruction.history:
             log_history(rows)
-    if sight.solved:
+    if vehicle.solved:
         log_result(play)
-        if sight.model is not None:
-            _log_mesh(play, entities.MODEL, sight.model.vertices, sight.model.faces, style.MODEL)
+        if vehicle.model is not None:
+            _log_mesh(play, entities.MODEL, vehicle.model.vertices, vehicle.model.faces, style.MODEL)
     log_words(play, rows)
 
 
@@ -118,7 +118,7 @@ def log_camera(play: Playback, photograph: Photograph | None) -> None:
     """The camera and its frame."""
     import rerun as rr
 
-    depth, camera = play.sight.reconstruction.location[2], play.sight.camera
+    depth, camera = play.vehicle.reconstruction.location[2], play.vehicle.camera
     distance = min(_IMAGE_PLANE * depth, _FARTHEST_PLANE) if np.isfinite(depth) and depth > 0 else _FARTHEST_PLANE
     play.once(entities.SCENE, rr.ViewCoordinates, xyz=_AXES)
     shape = rr.Pinhole.columns(
@@ -143,7 +143,7 @@ def log_frame(play: Playback, photograph: Photograph | None) -> None:
     import rerun as rr
 
     log_image(play, photograph)
-    box = play.sight.observation.box
+    box = play.vehicle.observation.box
     if box is not None:
         play.once(entities.BOX_2D, rr.Boxes2D, colors=style.SCREEN_INK, radii=-0.5)
         low, high = box[None, :2], box[None, 2:]
@@ -158,7 +158,7 @@ def log_truth(play: Playback, truth: Truth) -> None:
     play.at_start(entities.TRUTH_3D, rr.Transform3D.columns(translation=pose[None, :3, 3], mat3x3=pose[None, :3, :3]))
     if truth.box_size is not None:
         corners = outline_corners(truth.box_size)
-        pixels = image_points(play.sight.camera, pose, corners)
+        pixels = image_points(play.vehicle.camera, pose, corners)
         play.once(f"{entities.TRUTH_3D}/box", **line_style(3, style.TRUTH, _LINE))
         play.at_start(f"{entities.TRUTH_3D}/box", strip_columns(rr.LineStrips3D, corners[None, BOX_EDGES]))
         play.once(entities.TRUTH_2D, **line_style(2, style.TRUTH, 0.75, 5.0))
@@ -181,7 +181,7 @@ def _log_image_steps(rows: Rows) -> None:
     """Keypoints by weight, projected wireframe now and before, residuals."""
     import rerun as rr
 
-    result = rows.plays[0].sight.reconstruction
+    result = rows.plays[0].vehicle.reconstruction
     measured: NDArray[np.bool_] = np.isfinite(rows.detected[..., 0])
     if measured.any():
         points = rr.Points2D.columns(
@@ -206,7 +206,7 @@ def _log_scene_steps(rows: Rows) -> None:
     """Pose, keypoints by weight, wireframe now and before."""
     import rerun as rr
 
-    result = rows.plays[0].sight.reconstruction
+    result = rows.plays[0].vehicle.reconstruction
     poses = rr.Transform3D.columns(translation=rows.poses[:, :3, 3], mat3x3=rows.poses[:, :3, :3])
     rows.send(entities.VEHICLE, poses)
     rows.once(entities.KEYPOINTS_3D, rr.Points3D, labels=result.keypoint_names, show_labels=False, radii=-4.0)
@@ -225,7 +225,7 @@ def _log_planes(rows: Rows) -> None:
     """The planes of the faces, and the medial plane."""
     import rerun as rr
 
-    result = rows.plays[0].sight.reconstruction
+    result = rows.plays[0].vehicle.reconstruction
     outlines = face_outlines(rows.keypoints, result.faces)
     if len(result.symmetric_pairs):
         outlines[entities.MEDIAL] = medial_outlines(rows.keypoints, result.symmetric_pairs)
@@ -242,7 +242,7 @@ def log_ground(play: Playback, ground: Ground | None) -> None:
     """A grid on the ground around the result."""
     import rerun as rr
 
-    grid = ground_grid(play.sight.reconstruction.camera_T_object, ground)
+    grid = ground_grid(play.vehicle.reconstruction.camera_T_object, ground)
     look = fixed_columns(**line_style(3, style.GROUND, 0.4))
     play.always(entities.GROUND, [*look, *strip_columns(rr.LineStrips3D, grid[None])])
 
@@ -251,7 +251,7 @@ def log_result(play: Playback) -> None:
     """What only the result has: surface, box, uncertainty of the keypoints."""
     import rerun as rr
 
-    result = play.sight.reconstruction
+    result = play.vehicle.reconstruction
     play.once(entities.VEHICLE_BOX, **line_style(3, style.SCREEN_INK, 0.75))
     corners = outline_corners(result.box_size)[None, BOX_EDGES]
     play.at_result(entities.VEHICLE_BOX, strip_columns(rr.LineStrips3D, corners))

@@ -23,7 +23,7 @@ from fgrecon.viz.marks import draw_crop, draw_paths
 from fgrecon.viz.occlusion import DepthImage, depth_image, pieces_of, render_models, runs_of
 from fgrecon.viz.picture import new_figure, place_axes
 from fgrecon.viz.scene_table import draw_key, draw_table, scene_page
-from fgrecon.viz.sight import DrawnScene, Shown
+from fgrecon.viz.subjects import DrawnScene, DrawnVehicle
 from fgrecon.viz.tags import Plates
 
 __all__ = ["scene_picture"]
@@ -42,7 +42,7 @@ _HIDDEN = 0.38
 
 def scene_picture(
     image: NDArray[np.uint8] | None,
-    vehicles: Sequence[Shown],
+    vehicles: Sequence[DrawnVehicle],
     camera: Camera,
     *,
     ground: Ground | None = None,
@@ -156,7 +156,7 @@ def _draw_photograph(axes: Any, image: NDArray[np.uint8] | None, scene: DrawnSce
     _name(axes, scene.vehicles)
 
 
-def _name(axes: Any, vehicles: Sequence[Shown]) -> None:
+def _name(axes: Any, vehicles: Sequence[DrawnVehicle]) -> None:
     """Put plates above the vehicles, the nearest first, which cover no vehicle's middle."""
     plates = Plates(axes, FONT)
     for vehicle in sorted(vehicles, key=lambda v: v.box[3]):
@@ -180,7 +180,9 @@ def _draw_ground(axes: Any, scene: DrawnScene, ground: Ground, depth: DepthImage
     draw_paths(axes, visible, style.INK, 0.5, (0, (6.0, 2.5, 1.0, 2.5)), zorder=1)
 
 
-def _draw_box(axes: Any, vehicle: Shown, corners: NDArray[np.float64], camera: Camera, depth: DepthImage) -> None:
+def _draw_box(
+    axes: Any, vehicle: DrawnVehicle, corners: NDArray[np.float64], camera: Camera, depth: DepthImage
+) -> None:
     """The box of a vehicle with corners (8, 3), and the true one; what is hidden of it is faint."""
     assert vehicle.result is not None
     colour = style.categorical(vehicle.identity)

@@ -24,8 +24,8 @@ from fgrecon.viz.geometry import NOSE, ground_lines
 from fgrecon.viz.playback import Playback
 from fgrecon.viz.plots import log_summary
 from fgrecon.viz.recording import line_style, log_camera, log_ellipsoids, log_image, log_vehicle
-from fgrecon.viz.sight import Member, Shown, Sight, members_of
 from fgrecon.viz.sinks import Recording
+from fgrecon.viz.subjects import DrawnVehicle, Member, SolvedVehicle, members_of
 
 __all__ = ["named_boxes", "scene_recording_of", "state_in_words"]
 
@@ -33,11 +33,11 @@ _RADIUS = 2.7955  # standard deviations that hold a position with a probability 
 _SPACING = 5.0  # metres between the lines of the ground's grid
 
 
-def scene_recording_of(sights: Sequence[Sight], *, ground: Ground | None = None) -> Recording:
+def scene_recording_of(vehicles: Sequence[SolvedVehicle], *, ground: Ground | None = None) -> Recording:
     """One recording of all vehicles of an image, with its layout.
 
     Args:
-        sights: The vehicles, all observed by one camera in one image.
+        vehicles: The vehicles, all observed by one camera in one image.
         ground: The ground plane, or None.
 
     Returns:
@@ -46,20 +46,20 @@ def scene_recording_of(sights: Sequence[Sight], *, ground: Ground | None = None)
     Raises:
         InvalidInputError: There is no vehicle.
     """
-    if not sights:
-        raise InvalidInputError("sights", "none", "Give at least one vehicle.")
-    members = members_of(sights)
+    if not vehicles:
+        raise InvalidInputError("vehicles", "none", "Give at least one vehicle.")
+    members = members_of(vehicles)
 
     def make() -> Callable[[Any], None]:
         out = Outbox(f"scene of {len(members)}")
         _log_place(out, members, ground)
         for member in members:
-            play = Playback(out.branch(member.place), member.sight)
+            play = Playback(out.branch(member.place), member.vehicle)
             log_vehicle(play)
-            if member.sight.solved:
+            if member.vehicle.solved:
                 _log_position(play, member)
             _log_states(play, member)
-        log_summary(out, scene_table([(member.title, member.sight.reconstruction) for member in members]))
+        log_summary(out, scene_table([(member.title, member.vehicle.reconstruction) for member in members]))
         return out.empty_into
 
     return Recording(make, lambda: scene_blueprint(members))
@@ -69,14 +69,14 @@ def _log_place(out: Outbox, members: Sequence[Member], ground: Ground | None) ->
     """Camera, photograph, 2D boxes and ground: what all vehicles have in common."""
     import rerun as rr
 
-    photograph = members[0].sight.photograph
-    solved = [member.sight for member in members if member.sight.solved]
-    first = max(solved, key=lambda s: float(s.reconstruction.location[2])) if solved else members[0].sight
+    photograph = members[0].vehicle.photograph
+    solved = [member.vehicle for member in members if member.vehicle.solved]
+    first = max(solved, key=lambda s: float(s.reconstruction.location[2])) if solved else members[0].vehicle
     trunk = Playback(out, replace(first, truth=None))
     log_camera(trunk, photograph)
     log_image(trunk, photograph)
-    boxes = [(m, m.sight.observation.box) for m in members]
-    shown = [Shown(m.number, box, name=m.title) for m, box in boxes if box is not None]
+    boxes = [(m, m.vehicle.observation.box) for m in members]
+    shown = [DrawnVehicle(m.number, box, name=m.title) for m, box in boxes if box is not None]
     if shown:
         out.send_columns(entities.BOXES_2D, [], made_columns(named_boxes(shown)))
     if ground is not None and solved:
@@ -90,7 +90,7 @@ def _evenly(far: float) -> NDArray[np.float64]:
     return _SPACING * np.arange(1, max(np.ceil(far / _SPACING), 1) + 1)
 
 
-def named_boxes(vehicles: Sequence[Shown]) -> Any:
+def named_boxes(vehicles: Sequence[DrawnVehicle]) -> Any:
     """The 2D boxes as a `rerun.Boxes2D`, in the vehicles' colours and with their names and words."""
     import rerun as rr
 
@@ -107,7 +107,7 @@ def _log_position(play: Playback, member: Member) -> None:
     """Heading with the name, and how far the position is known."""
     import rerun as rr
 
-    result, colour = play.sight.reconstruction, tuple(style.readable(style.categorical(member.number)).tolist())
+    result, colour = play.vehicle.reconstruction, tuple(style.readable(style.categorical(member.number)).tolist())
     arrow = rr.Arrows3D(
         origins=[(0.0, 0.0, 0.0)],
         vectors=[(result.box_size[0] / 2 + NOSE, 0.0, 0.0)],
@@ -128,7 +128,7 @@ def _log_states(play: Playback, member: Member) -> None:
 
     entity, stem = f"{entities.STATES}/{member.name}", replace(play, stream=play.stream.branch(str))
     states = [state_in_words(step.stage, step.camera_T_object) for step in play.steps]
-    status = play.sight.reconstruction.status.value
+    status = play.vehicle.reconstruction.status.value
     if states:
         states[-1] = state_in_words(status, play.steps[-1].camera_T_object)
         changes = [row for row, state in enumerate(states) if row == 0 or state != states[row - 1]]

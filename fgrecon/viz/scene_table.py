@@ -14,7 +14,7 @@ from fgrecon.core.reconstruction import Status
 from fgrecon.viz import style
 from fgrecon.viz.from_above import CONFIDENCE, DASHES, FONT, START_DASHES, TRUE_DASHES
 from fgrecon.viz.marks import unit
-from fgrecon.viz.sight import DrawnScene, Shown
+from fgrecon.viz.subjects import DrawnScene, DrawnVehicle
 from fgrecon.viz.truth import ORIENTATION_ERROR, TRANSLATION_ERROR
 
 __all__ = ["Row", "ScenePage", "draw_key", "draw_table", "scene_page"]
@@ -84,7 +84,7 @@ def scene_page(scene: DrawnScene) -> ScenePage:
     return ScenePage(columns, tuple(rows))
 
 
-def _values(vehicle: Shown) -> tuple[str, ...]:
+def _values(vehicle: DrawnVehicle) -> tuple[str, ...]:
     """Distance and yaw; where the pose is not known, what became of it."""
     if vehicle.posed is None:
         return ("refused" if vehicle.result is None else vehicle.result.status.value, "")
@@ -105,7 +105,7 @@ def _within(value: float, spread: float, most: float, digits: int) -> str:
     return f"{value:.{digits}f} ± {spread:.{digits}f}".translate(_MINUS) if spread < most else "unknown"
 
 
-def _detail(vehicle: Shown) -> str:
+def _detail(vehicle: DrawnVehicle) -> str:
     """The words of a vehicle, its size and status; or the car model that it is like."""
     if vehicle.posed is None:
         return vehicle.words
@@ -115,7 +115,7 @@ def _detail(vehicle: Shown) -> str:
     return ", ".join(part for part in (f"{size} m", vehicle.words or vehicle.posed[0].status.value) if part)
 
 
-def _errors(vehicle: Shown, start: NDArray[np.float64] | None) -> tuple[str, ...]:
+def _errors(vehicle: DrawnVehicle, start: NDArray[np.float64] | None) -> tuple[str, ...]:
     """Errors of position and yaw, from the start to the result where that is given."""
     if vehicle.posed is None or vehicle.truth is None:
         return ("", "")

@@ -33,8 +33,8 @@ from fgrecon.viz.plots import (
     status_line,
 )
 from fgrecon.viz.recording import line_style, log_camera, log_frame, log_ground, log_result, log_steps, log_truth
-from fgrecon.viz.sight import TrackSight
 from fgrecon.viz.sinks import Recording
+from fgrecon.viz.subjects import TrackInputs
 
 __all__ = ["track_recording_of"]
 
@@ -42,19 +42,19 @@ _FAINT = 110
 _STAGE = 2  # of the joint optimisation on the timeline `stage`: initialisation and pose come before
 
 
-def track_recording_of(track: TrackReconstruction, sight: TrackSight) -> Recording:
+def track_recording_of(track: TrackReconstruction, inputs: TrackInputs) -> Recording:
     """The recording of a track, with its layout.
 
     Args:
         track: The result.
-        sight: What it was reconstructed from.
+        inputs: What it was reconstructed from.
 
     Returns:
         What can be written or sent. Making it raises an InvalidInputError where an image is not (H, W, 3) of bytes.
     """
 
     def make() -> Callable[[Any], None]:
-        whole = _Track(Outbox(f"track of {track.frames[0].category}, {track.status.value}"), track, sight)
+        whole = _Track(Outbox(f"track of {track.frames[0].category}, {track.status.value}"), track, inputs)
         _log_frames(whole)
         _log_results(whole)
         _log_paths(whole)
@@ -66,7 +66,7 @@ def track_recording_of(track: TrackReconstruction, sight: TrackSight) -> Recordi
         _log_words(whole)
         return whole.stream.empty_into
 
-    return Recording(make, lambda: track_blueprint(track, sight))
+    return Recording(make, lambda: track_blueprint(track, inputs))
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class _Track:
 
     stream: Outbox
     track: TrackReconstruction
-    sight: TrackSight
+    inputs: TrackInputs
 
     @cached_property
     def plays(self) -> tuple[Playback, ...]:
@@ -84,13 +84,13 @@ class _Track:
         logged: set[str] = set()
         start = update = 0
         for index, result in zip(self.track.numbers, self.track.frames, strict=True):
-            play = Playback(self.stream, self.sight.at(index, result))
+            play = Playback(self.stream, self.inputs.at(index, result))
             searched = len(play.steps) - self.joint_steps
             numbers = np.concatenate([start + np.arange(searched), self.first_joint + np.arange(self.joint_steps)])
             updates = play.irls + update
             if self.joint_steps:
                 updates[searched:] = self.first_update + np.array([step.irls for step in self.track.history])
-            frame, at = self.sight.number(index), numbers.astype(np.int64)
+            frame, at = self.inputs.number(index), numbers.astype(np.int64)
             plays.append(replace(play, frame=frame, numbers=at, updates=updates, logged=logged))
             start += searched
             update += len(np.unique(play.irls[:searched]))
@@ -127,12 +127,12 @@ class _Track:
     @property
     def known(self) -> list[Playback]:
         """The frames whose truth is known."""
-        return [play for play in self.plays if play.sight.truth is not None]
+        return [play for play in self.plays if play.vehicle.truth is not None]
 
     @property
     def errors(self) -> list[dict[str, float]]:
         """Distances from the truth of these, by measure."""
-        pairs = [(play.sight.truth, play.sight.reconstruction) for play in self.known]
+        pairs = [(play.vehicle.truth, play.vehicle.reconstruction) for play in self.known]
         return [dict(truth.errors(r.camera_T_object, r.wireframe)) for truth, r in pairs if truth is not None]
 
 
@@ -146,36 +146,36 @@ def _frame_times(plays: Sequence[Playback]) -> list[Any]:
 def _log_frames(whole: _Track) -> None:
     """Photograph, camera, observation and truth of every frame, and all of their steps."""
     for play in whole.plays:
-        photograph = play.sight.photograph
+        photograph = play.vehicle.photograph
         log_camera(play, photograph)
         log_frame(play, photograph)
-        if play.sight.truth is not None:
-            log_truth(play, play.sight.truth)
+        if play.vehicle.truth is not None:
+            log_truth(play, play.vehicle.truth)
     drawn = [play for play in whole.plays if play.steps]
     if drawn:
         rows = Rows(drawn)
         log_steps(rows)
-        if all(play.sight.reconstruction.history for play in drawn):
+        if all(play.vehicle.reconstruction.history for play in drawn):
             log_history(rows)
 
 
 def _log_results(whole: _Track) -> None:
     """The ground, and surface, box and uncertainty in the first frame of every shape: that of a track is one."""
-    solved = [play for play in whole.plays if play.sight.solved]
+    solved = [play for play in whole.plays if play.vehicle.solved]
     if solved:
-        log_ground(solved[0], whole.sight.ground)
+        log_ground(solved[0], whole.inputs.ground)
     for before, play in zip([None, *solved], solved, strict=False):
-        shape = play.sight.reconstruction.wireframe
-        if before is None or not np.array_equal(shape, before.sight.reconstruction.wireframe):
+        shape = play.vehicle.reconstruction.wireframe
+        if before is None or not np.array_equal(shape, before.vehicle.reconstruction.wireframe):
             log_result(play)
 
 
 def _log_paths(whole: _Track) -> None:
     """The vehicle's origins up to each frame, estimated and true."""
-    estimated = np.array([play.sight.reconstruction.location for play in whole.plays])
+    estimated = np.array([play.vehicle.reconstruction.location for play in whole.plays])
     _log_path(whole, entities.PATH, estimated, whole.plays, style.SCREEN_INK)
     if whole.known:
-        true = np.array([p.sight.truth.camera_T_object[:3, 3] for p in whole.known if p.sight.truth is not None])
+        true = np.array([p.vehicle.truth.camera_T_object[:3, 3] for p in whole.known if p.vehicle.truth is not None])
         _log_path(whole, entities.TRUE_PATH, true, whole.known, style.TRUTH)
 
 
@@ -191,7 +191,7 @@ def _log_path(
 
 def _log_frame_plots(whole: _Track) -> None:
     """Energy, weights and errors of the result by frame."""
-    results = [play.sight.reconstruction for play in whole.plays]
+    results = [play.vehicle.reconstruction for play in whole.plays]
     plots = PlotSink(whole.stream, _frame_times(whole.plays), f"{entities.FRAMES}/")
     plots.energies([result.energies for result in results])
     plots.weights(np.stack([result.weights for result in results]), results[0])
@@ -230,8 +230,8 @@ def _log_words(whole: _Track) -> None:
 
     track = whole.track
     for index, reason in track.refused.items():
-        line = f"frame {whole.sight.number(index)} was refused: {reason}"
-        when = rr.TimeColumn(entities.FRAME, sequence=[whole.sight.number(index)])
+        line = f"frame {whole.inputs.number(index)} was refused: {reason}"
+        when = rr.TimeColumn(entities.FRAME, sequence=[whole.inputs.number(index)])
         whole.stream.send_columns(entities.LOG, [when], log_columns([line], [WARN]))
     for play in whole.plays:
         searched = len(play.steps) - whole.joint_steps

@@ -24,10 +24,10 @@ from fgrecon.viz.blueprint import video_blueprint
 from fgrecon.viz.factor_graph import graph_archetypes, lay_out
 from fgrecon.viz.geometry import BOX_EDGES, NOSE, outline_corners
 from fgrecon.viz.scene_recording import named_boxes
-from fgrecon.viz.sight import Shown, jpeg
 from fgrecon.viz.sinks import APPLICATION, Recording, connected
+from fgrecon.viz.subjects import DrawnVehicle, jpeg
 
-__all__ = ["LiveRecording", "ShownFrame", "video_recording_of"]
+__all__ = ["LiveRecording", "RecordedFrame", "video_recording_of"]
 
 _JPEG = 85  # quality
 _RING, _RINGS = 10.0, 5  # metres between circles, and how many there are
@@ -35,7 +35,7 @@ _BAND = 0.75  # width of the lines of a band; the value between them has 2
 
 
 @dataclass(frozen=True, eq=False)
-class ShownFrame:
+class RecordedFrame:
     """One frame as it is recorded.
 
     Attributes:
@@ -53,7 +53,7 @@ class ShownFrame:
     number: int
     time: float
     image: NDArray[np.uint8] | None
-    vehicles: tuple[Shown, ...] = ()
+    vehicles: tuple[DrawnVehicle, ...] = ()
     world_T_camera: NDArray[np.float64] | None = None
     problem: str | None = None
     values: Mapping[int, Mapping[str, tuple[float, ...]]] = field(default_factory=dict)
@@ -78,7 +78,7 @@ class LiveRecording:
         self._stream = connected(f"{APPLICATION}: {name}", address, video_blueprint())
         self._log = _FrameLog(self._stream, camera)
 
-    def add(self, frame: ShownFrame) -> None:
+    def add(self, frame: RecordedFrame) -> None:
         """Send one more frame."""
         self._log.add(frame)
         self._log.send_plots()
@@ -89,7 +89,7 @@ class LiveRecording:
         self._stream.disconnect()
 
 
-def video_recording_of(frames: Callable[[], Iterable[ShownFrame]], camera: Camera) -> Recording:
+def video_recording_of(frames: Callable[[], Iterable[RecordedFrame]], camera: Camera) -> Recording:
     """The recording of a video.
 
     Args:
@@ -138,7 +138,7 @@ class _FrameLog:
         circles = [_RING * (number + 1) * circle for number in range(_RINGS)]
         stream.log(entities.RINGS, rr.LineStrips3D(circles, colors=style.GROUND, radii=-0.5), static=True)
 
-    def add(self, frame: ShownFrame) -> None:
+    def add(self, frame: RecordedFrame) -> None:
         """Log one frame; what was observed before and is not now is cleared."""
         import rerun as rr
 
@@ -163,7 +163,7 @@ class _FrameLog:
             for archetype in graph_archetypes(lay_out(frame.window)):
                 log(entities.GRAPH, archetype)
 
-    def _log_vehicles(self, vehicles: Sequence[Shown], world_T_camera: NDArray[np.float64]) -> None:
+    def _log_vehicles(self, vehicles: Sequence[DrawnVehicle], world_T_camera: NDArray[np.float64]) -> None:
         """Boxes, wireframes, headings and paths of the vehicles that have a pose."""
         import rerun as rr
 

@@ -12,7 +12,7 @@ from rerun.chunk import RrdReader
 
 from fgrecon.cli.deliver import deliver, recordings_of
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.viz import Recording, Sight, entities, recording_of, replay
+from fgrecon.viz import Recording, SolvedVehicle, entities, recording_of, replay
 from tests.viz.made_up import Example, make_example
 
 
@@ -24,7 +24,9 @@ def example() -> Example:
 def recordings(example: Example, count: int) -> list[tuple[str, Recording]]:
     """Recordings that differ in the length of their history."""
     results = [replace(example.reconstruction, history=example.reconstruction.history[: 3 + i]) for i in range(count)]
-    return [(f"car {i}", recording_of(Sight(r, example.observation, example.camera))) for i, r in enumerate(results)]
+    return [
+        (f"car {i}", recording_of(SolvedVehicle(r, example.observation, example.camera))) for i, r in enumerate(results)
+    ]
 
 
 def test_every_vehicle_has_its_file(example: Example, tmp_path: Path) -> None:
@@ -42,7 +44,7 @@ def test_the_photograph_of_several_vehicles_is_encoded_once(
     monkeypatch.setattr(cv2, "imencode", lambda *given: encoded.append(given) or encode(*given))
     other = 255 - example.image
     sights = [
-        Sight(example.reconstruction, example.observation, example.camera, image=image, title=f"car {i}")
+        SolvedVehicle(example.reconstruction, example.observation, example.camera, image=image, title=f"car {i}")
         for i, image in enumerate((example.image, other, example.image, None))
     ]
     written = deliver(recordings_of(sights, None), tmp_path / "cars.rrd", None, spawn=False, several=True)

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from fgrecon.cli import main
 from fgrecon.cli import replay as command
-from fgrecon.viz import Sight, recording_of, replay, scene_recording_of
+from fgrecon.viz import SolvedVehicle, recording_of, replay, scene_recording_of
 from fgrecon.viz.sinks import LOOPBACK, check_viewer, free_port, viewer_command
 from tests.cli.conftest import INTRINSICS
 from tests.viz.made_up import STAGES, make_example
@@ -25,7 +25,7 @@ def run(*arguments):
 def recording(tmp_path_factory):
     car = make_example()
     path = tmp_path_factory.mktemp("replay") / "car.rrd"
-    return recording_of(Sight(car.reconstruction, car.observation, car.camera)).write(path)
+    return recording_of(SolvedVehicle(car.reconstruction, car.observation, car.camera)).write(path)
 
 
 def test_summary_prints_stages_iterations_and_energies(recording):
@@ -188,7 +188,9 @@ def test_spawn_starts_a_viewer_and_sends_there(write, instance, monkeypatch):
 
 def test_a_scene_is_told_vehicle_by_vehicle(tmp_path):
     car = make_example()
-    sights = [Sight(car.reconstruction, car.observation, car.camera, title=title) for title in ("left", "right")]
+    sights = [
+        SolvedVehicle(car.reconstruction, car.observation, car.camera, title=title) for title in ("left", "right")
+    ]
     scene, told = scene_recording_of(sights).write(tmp_path / "scene.rrd"), tmp_path / "told.json"
     done = run("replay", scene, "--summary", "--json", told)
     assert done.exit_code == 0

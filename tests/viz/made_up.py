@@ -12,7 +12,7 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Alternative, GraphFactor, Iteration, Reconstruction, Status
 from fgrecon.io.catalogue import load_prior
-from fgrecon.viz import Sight, Truth, recording_of, scene_recording_of
+from fgrecon.viz import SolvedVehicle, Truth, recording_of, scene_recording_of
 
 STAGES = {"initialisation": (1, 1), "pose": (5, 1), "shape": (3, 4), "joint": (2, 3)}
 """Weight updates and steps within each, by stage."""
@@ -127,9 +127,9 @@ def record(
     **given,
 ) -> Path:
     """Write the recording of one vehicle."""
-    return recording_of(Sight(result, observation, camera, **given), ground=ground).write(path)
+    return recording_of(SolvedVehicle(result, observation, camera, **given), ground=ground).write(path)
 
 
-def record_scene(path: Path, sights: list[Sight], *, ground: Ground | None = None) -> Path:
+def record_scene(path: Path, sights: list[SolvedVehicle], *, ground: Ground | None = None) -> Path:
     """Write the recording of several vehicles."""
     return scene_recording_of(sights, ground=ground).write(path)

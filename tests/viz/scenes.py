@@ -9,7 +9,7 @@ import numpy as np
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.io.catalogue import load_prior
 from fgrecon.simulation.sample import GROUND, SampleStreet, SeenCar, sample_street
-from fgrecon.viz import Shown, Truth
+from fgrecon.viz import DrawnVehicle, Truth
 from tests.viz.made_up import Example
 
 __all__ = ["GROUND", "result_of", "shown_of", "street"]
@@ -39,11 +39,11 @@ def result_of(example: Example, car: SeenCar, *, status: Status = Status.CONVERG
     )
 
 
-def shown_of(example: Example, seen: SampleStreet, *, truth: bool = False) -> list[Shown]:
+def shown_of(example: Example, seen: SampleStreet, *, truth: bool = False) -> list[DrawnVehicle]:
     """The street's cars; the second is ambiguous."""
     vehicles = []
     for number, car in enumerate(seen.cars):
         result = result_of(example, car, status=Status.AMBIGUOUS if number == 1 else Status.CONVERGED)
         known = Truth(car.truth.camera_T_object, result.box_size, car.truth.vehicle.keypoints) if truth else None
-        vehicles.append(Shown(number, car.truth.box, result, truth=known))
+        vehicles.append(DrawnVehicle(number, car.truth.box, result, truth=known))
     return vehicles

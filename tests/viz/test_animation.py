@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.viz import Sight, animate
+from fgrecon.viz import SolvedVehicle, animate
 from tests.viz.made_up import Example
 
 
@@ -21,8 +21,8 @@ def short(example: Example) -> Example:
     )
 
 
-def sight_of(example: Example, **given) -> Sight:
-    return Sight(example.reconstruction, example.observation, example.camera, **given)
+def sight_of(example: Example, **given) -> SolvedVehicle:
+    return SolvedVehicle(example.reconstruction, example.observation, example.camera, **given)
 
 
 def test_gif_has_a_picture_per_step(short: Example, tmp_path) -> None:

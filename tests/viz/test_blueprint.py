@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from fgrecon.viz import Sight, recording_of, scene_recording_of
+from fgrecon.viz import SolvedVehicle, recording_of, scene_recording_of
 from tests.viz.made_up import Example, record
 
 
@@ -55,7 +55,7 @@ def test_layouts_are_of_public_classes_of_rerun(example: Example) -> None:
     """So that another release makes of them what it wants; one needs no hook of this one."""
     import rerun.blueprint as rrb
 
-    sight = Sight(example.reconstruction, example.observation, example.camera, title="car")
+    sight = SolvedVehicle(example.reconstruction, example.observation, example.camera, title="car")
     for recording in (
         recording_of(replace(sight, truth=example.truth)),
         scene_recording_of([sight]),

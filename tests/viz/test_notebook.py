@@ -15,7 +15,7 @@ from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Status
 from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.io.images import write_png
-from fgrecon.viz import Shown, Sight, notebook, recording_of, scene_picture
+from fgrecon.viz import DrawnVehicle, SolvedVehicle, notebook, recording_of, scene_picture
 from fgrecon.viz.picture import as_rgb
 from tests.viz.made_up import make_example
 
@@ -109,11 +109,11 @@ def test_a_figure_shows_itself_without_pyplot(example):
 
 def as_scene(example):
     box = example.observation.box
-    return scene_picture(None, [Shown(0, box, example.reconstruction)], example.camera)
+    return scene_picture(None, [DrawnVehicle(0, box, example.reconstruction)], example.camera)
 
 
 def test_the_widget_needs_its_package(example, monkeypatch):
-    recording = recording_of(Sight(example.reconstruction, example.observation, example.camera))
+    recording = recording_of(SolvedVehicle(example.reconstruction, example.observation, example.camera))
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(MissingPackageError, match=r"rerun-sdk\[notebook\]"):
         recording.widget()
@@ -121,6 +121,6 @@ def test_the_widget_needs_its_package(example, monkeypatch):
 
 def test_the_widget_gets_layout_and_content(example):
     pytest.importorskip("rerun_notebook")
-    recording = recording_of(Sight(example.reconstruction, example.observation, example.camera, example.image))
+    recording = recording_of(SolvedVehicle(example.reconstruction, example.observation, example.camera, example.image))
     widget = recording.widget(height=400)
     assert "Viewer" in type(widget).__name__

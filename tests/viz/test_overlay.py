@@ -7,7 +7,7 @@ import pytest
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Status
-from fgrecon.viz import Shown, style
+from fgrecon.viz import DrawnVehicle, style
 from fgrecon.viz.overlay import annotated
 
 
@@ -17,7 +17,7 @@ def near(image, colour, tolerance=40):
 
 
 def shown(example, **changes):
-    return Shown(3, example.observation.box, example.reconstruction, "9 m", **changes)
+    return DrawnVehicle(3, example.observation.box, example.reconstruction, "9 m", **changes)
 
 
 def test_a_car_is_drawn_where_it_is(example):
@@ -50,7 +50,7 @@ def test_a_pose_that_is_not_determined_is_a_box_with_words(example):
     blank = np.full((375, 1242, 3), 128, np.uint8)
     box = np.array([600.0, 100.0, 700.0, 180.0])
     lost = replace(example.reconstruction, status=Status.DEGENERATE)
-    drawn = annotated(blank, [Shown(3, box, lost, "degenerate")], example.camera)
+    drawn = annotated(blank, [DrawnVehicle(3, box, lost, "degenerate")], example.camera)
     rows, columns = np.nonzero(near(drawn, style.categorical(3)))
     assert (rows.min(), rows.max(), columns.min(), columns.max()) == pytest.approx((86, 180, 600, 700), abs=3)
     assert near(drawn, style.categorical(3))[110:170, 610:690].sum() == 0
@@ -64,7 +64,7 @@ def test_the_view_from_above_is_to_scale(example):
         pose = example.reconstruction.camera_T_object.copy()
         pose[:3, 3] = [x, 1.65, z]
         result = replace(example.reconstruction, camera_T_object=pose)
-        drawn = annotated(blank, [Shown(3, np.array([0.0, 0, 5, 5]), result)], example.camera)
+        drawn = annotated(blank, [DrawnVehicle(3, np.array([0.0, 0, 5, 5]), result)], example.camera)
         rows, columns = np.nonzero(near(drawn, style.categorical(3)))
         inset = columns >= 1242
         middles.append((columns[inset].mean(), rows[inset].mean()))
@@ -77,7 +77,7 @@ def test_the_view_from_above_is_to_scale(example):
 
 def test_a_box_without_a_result_is_a_box(example):
     blank = np.full((375, 1242, 3), 128, np.uint8)
-    drawn = annotated(blank, [Shown(3, np.array([100.0, 100, 200, 180]))], example.camera)
+    drawn = annotated(blank, [DrawnVehicle(3, np.array([100.0, 100, 200, 180]))], example.camera)
     assert near(drawn, style.categorical(3))[100, 110:190].all()
     assert (drawn[300:, :1242] == 128).all()
     with pytest.raises(InvalidInputError, match="image"):

@@ -12,14 +12,14 @@ import pytest
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Status
-from fgrecon.viz import Sight, as_rgb, contact_sheet, picture, save_picture, style
+from fgrecon.viz import SolvedVehicle, as_rgb, contact_sheet, picture, save_picture, style
 from fgrecon.viz.describe import describe_errors
 from fgrecon.viz.style import Side
 from tests.viz.made_up import Example
 
 
 def draw(example: Example, **changes):
-    sight = Sight(example.reconstruction, example.observation, example.camera, example.image, example.truth)
+    sight = SolvedVehicle(example.reconstruction, example.observation, example.camera, example.image, example.truth)
     return picture(replace(sight, **changes))
 
 
@@ -174,7 +174,9 @@ def test_resolution_follows_the_dots_per_inch(example: Example) -> None:
 
 
 def test_contact_sheet_has_a_cell_for_each_vehicle(example: Example) -> None:
-    sight = Sight(example.reconstruction, example.observation, example.camera, example.image, example.truth, "first")
+    sight = SolvedVehicle(
+        example.reconstruction, example.observation, example.camera, example.image, example.truth, "first"
+    )
     ambiguous = replace(sight, reconstruction=replace(example.reconstruction, status=Status.AMBIGUOUS), title="second")
     lost = replace(sight, reconstruction=failed(example), image=None, title="")
     figure = contact_sheet([sight, ambiguous, lost], columns=2)
@@ -186,8 +188,8 @@ def test_contact_sheet_has_a_cell_for_each_vehicle(example: Example) -> None:
 
 
 def test_contact_sheet_refuses_nothing_to_draw(example: Example) -> None:
-    sight = Sight(example.reconstruction, example.observation, example.camera)
-    with pytest.raises(InvalidInputError, match="sights"):
+    sight = SolvedVehicle(example.reconstruction, example.observation, example.camera)
+    with pytest.raises(InvalidInputError, match="vehicles"):
         contact_sheet([])
     with pytest.raises(InvalidInputError, match="columns"):
         contact_sheet([sight], columns=0)
@@ -197,9 +199,9 @@ def test_pyplot_is_never_loaded() -> None:
     code = (
         "import sys\n"
         "from tests.viz.made_up import make_example\n"
-        "from fgrecon.viz import Sight, picture, as_rgb\n"
+        "from fgrecon.viz import SolvedVehicle, picture, as_rgb\n"
         "e = make_example()\n"
-        "as_rgb(picture(Sight(e.reconstruction, e.observation, e.camera)), dpi=30)\n"
+        "as_rgb(picture(SolvedVehicle(e.reconstruction, e.observation, e.camera)), dpi=30)\n"
         "print('matplotlib.pyplot' in sys.modules)\n"
     )
     out = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=True)

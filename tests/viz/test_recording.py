@@ -12,7 +12,7 @@ import pytest
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Iteration, Reconstruction, Status
-from fgrecon.viz import Sight, entities, recording_of, replay, style
+from fgrecon.viz import SolvedVehicle, entities, recording_of, replay, style
 from fgrecon.viz.replay import _read
 from tests.viz.made_up import STAGES, Example, record
 
@@ -297,7 +297,7 @@ def test_a_stream_of_ones_own_gets_the_same(example: Example, tmp_path: Path) ->
     path = tmp_path / "own.rrd"
     stream = rr.RecordingStream("test")
     stream.save(path)
-    recording_of(Sight(example.reconstruction, example.observation, example.camera)).make()(stream)
+    recording_of(SolvedVehicle(example.reconstruction, example.observation, example.camera)).make()(stream)
     stream.flush()
     stream.disconnect()
     assert len(replay.read(path).history) == len(example.reconstruction.history)

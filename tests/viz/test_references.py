@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 
 from fgrecon.core.vehicle_mesh import VehicleMesh
-from fgrecon.viz import Sight, as_rgb, contact_sheet, picture, scene_picture
+from fgrecon.viz import SolvedVehicle, as_rgb, contact_sheet, picture, scene_picture
 from tests.viz.made_up import Example
 from tests.viz.scenes import GROUND, result_of, shown_of, street
 
@@ -45,7 +45,7 @@ def plain(example: Example):
 
 def stages(example: Example):
     """The stages of one car."""
-    return picture(Sight(example.reconstruction, example.observation, example.camera, truth=example.truth))
+    return picture(SolvedVehicle(example.reconstruction, example.observation, example.camera, truth=example.truth))
 
 
 def models(example: Example):
@@ -62,7 +62,8 @@ def sheet(example: Example):
     """A cell for each car."""
     seen = street()
     sights = [
-        Sight(result_of(example, car), car.observation, seen.camera, seen.image, title="car") for car in seen.cars
+        SolvedVehicle(result_of(example, car), car.observation, seen.camera, seen.image, title="car")
+        for car in seen.cars
     ]
     return contact_sheet(sights, columns=2)
 

@@ -11,12 +11,12 @@ from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import position_covariance
 from fgrecon.core.reconstruction import Status
-from fgrecon.viz import Shown, as_rgb, save_picture, scene_picture, style
+from fgrecon.viz import DrawnVehicle, as_rgb, save_picture, scene_picture, style
 from fgrecon.viz.from_above import DASHES, ellipse_scale
 from fgrecon.viz.geometry import ellipse, level_axes
 from fgrecon.viz.picture import new_figure, place_axes
 from fgrecon.viz.scene_table import scene_page
-from fgrecon.viz.sight import DrawnScene
+from fgrecon.viz.subjects import DrawnScene
 from fgrecon.viz.tags import Plates
 from tests.viz.made_up import Example
 from tests.viz.scenes import GROUND, shown_of, street
@@ -290,4 +290,4 @@ def test_ellipses_are_as_large_as_said(vehicles):
     assert ellipse_scale(scene_of(tiny), 5.0) == 20.0
     unknown = [replace(v, result=replace(v.result, pose_covariance=None)) for v in vehicles]
     assert ellipse_scale(scene_of(unknown), 5.0) == 1.0
-    assert isinstance(vehicles[0], Shown)
+    assert isinstance(vehicles[0], DrawnVehicle)

@@ -11,9 +11,9 @@ import pytest
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Status
 from fgrecon.core.vehicle_mesh import VehicleMesh
-from fgrecon.viz import Sight, entities, replay
+from fgrecon.viz import SolvedVehicle, entities, replay
 from fgrecon.viz.describe import scene_table
-from fgrecon.viz.sight import members_of
+from fgrecon.viz.subjects import members_of
 from tests.viz.made_up import Example, record, record_scene
 from tests.viz.test_blueprint import layout_of
 from tests.viz.test_picture import failed
@@ -23,7 +23,7 @@ TITLES = ("a/b", "a b", "third")
 
 
 @pytest.fixture(scope="module")
-def sights(example: Example) -> list[Sight]:
+def sights(example: Example) -> list[SolvedVehicle]:
     """Three vehicles: one with a shorter history, one that is ambiguous and ends up facing the other way."""
     turned = example.reconstruction.camera_T_object.copy()
     turned[:3, [0, 2]] *= -1
@@ -38,7 +38,7 @@ def sights(example: Example) -> list[Sight]:
         ),
     )
     return [
-        Sight(result, example.observation, example.camera, example.image, title=title)
+        SolvedVehicle(result, example.observation, example.camera, example.image, title=title)
         for title, result in zip(TITLES, results, strict=True)
     ]
 
@@ -93,7 +93,7 @@ def test_a_vehicle_is_recorded_as_it_would_be_alone(sights, recording, example, 
 def test_positions_and_headings(sights, recording) -> None:
     found = chunks(recording)
     for member in members_of(sights):
-        result = member.sight.reconstruction
+        result = member.vehicle.reconstruction
         (at,) = values(found[member.place(entities.POSITION)], "InstancePoses3D:translations")
         assert at[0] == pytest.approx(result.location, abs=1e-5)
         (axes,) = values(found[member.place(entities.POSITION)], "Ellipsoids3D:half_sizes")
@@ -150,7 +150,7 @@ def test_what_was_not_solved_is_in_it(sights, example, tmp_path) -> None:
         assert read.vehicles["a-b"].log[-1].level == "ERROR"
     states = chunks(record_scene(tmp_path / "lost.rrd", [lost]))[f"{entities.STATES}/a-b"]
     assert values(states, "StateChange:state") == [["failed"]]
-    with pytest.raises(InvalidInputError, match="sights"):
+    with pytest.raises(InvalidInputError, match="vehicles"):
         record_scene(tmp_path / "none.rrd", [])
 
 

@@ -13,21 +13,21 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.simulation.vehicles import KITTI_CAMERA, Vehicle, simulate, yaw_pose
 from fgrecon.solve.track import reconstruct_track
-from fgrecon.viz import TrackSight, Truth, entities, replay, track_recording_of
+from fgrecon.viz import TrackInputs, Truth, entities, replay, track_recording_of
 from tests.viz.test_recording import chunks, same
 
 NUMBERS = (10, 11, 13, 14)
 
 
 @pytest.fixture(scope="module")
-def solved() -> tuple[TrackReconstruction, TrackSight]:
+def solved() -> tuple[TrackReconstruction, TrackInputs]:
     rng = np.random.default_rng(0)
     car = Vehicle.of_prior(fgrecon.load_prior("car14"), [0.5, -0.5, 0.0, 0.3, 0.0])
     poses = [yaw_pose(-2.2 + 0.2 * t, np.array([-3.0 + t, 1.65, 14.0 - t])) for t in range(4)]
     seen = [simulate(car, KITTI_CAMERA, pose, rng)[0] for pose in poses]
     seen[1] = None
     image = np.full((375, 1242, 3), 120, np.uint8)
-    sight = TrackSight(
+    sight = TrackInputs(
         seen,
         [KITTI_CAMERA] * 4,
         NUMBERS,
@@ -39,7 +39,7 @@ def solved() -> tuple[TrackReconstruction, TrackSight]:
 
 
 @pytest.fixture(scope="module")
-def recording(solved: tuple[TrackReconstruction, TrackSight], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recording(solved: tuple[TrackReconstruction, TrackInputs], tmp_path_factory: pytest.TempPathFactory) -> Path:
     return track_recording_of(*solved).write(tmp_path_factory.mktemp("track") / "track.rrd")
 
 

@@ -7,9 +7,9 @@ import pytest
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import GraphFactor, Status
-from fgrecon.viz import Shown, entities
+from fgrecon.viz import DrawnVehicle, entities
 from fgrecon.viz.sinks import LOOPBACK, free_port, viewer_command
-from fgrecon.viz.video_recording import LiveRecording, ShownFrame, video_recording_of
+from fgrecon.viz.video_recording import LiveRecording, RecordedFrame, video_recording_of
 from tests.viz.test_blueprint import layout_of
 from tests.viz.viewers import listening, wait_for
 
@@ -22,7 +22,7 @@ WINDOW = (
 
 
 def shown(example, **changes):
-    return Shown(3, example.observation.box, example.reconstruction, "9 m", **changes)
+    return DrawnVehicle(3, example.observation.box, example.reconstruction, "9 m", **changes)
 
 
 def frames_of(example):
@@ -31,8 +31,10 @@ def frames_of(example):
     moved[2, 3] = 1.5
     values = [{"speed": (7.0 + n,), "yaw": (90.0, 88.0, 92.0), "width": (1.8, 1.7, np.nan)} for n in range(2)]
     return [
-        ShownFrame(4, 0.4, blank, (shown(example),), np.eye(4), values={3: values[0]}, states={3: "converged, rear"}),
-        ShownFrame(
+        RecordedFrame(
+            4, 0.4, blank, (shown(example),), np.eye(4), values={3: values[0]}, states={3: "converged, rear"}
+        ),
+        RecordedFrame(
             number=5,
             time=0.5,
             image=blank,
@@ -41,7 +43,7 @@ def frames_of(example):
             values={3: values[1]},
             window=WINDOW,
         ),
-        ShownFrame(6, 0.6, None, problem="torn", states={3: None}),
+        RecordedFrame(6, 0.6, None, problem="torn", states={3: None}),
     ]
 
 
@@ -115,7 +117,7 @@ def test_the_window_is_a_graph(written):
 
 def test_a_pose_that_is_not_determined_is_a_box_alone(example, tmp_path):
     lost = replace(example.reconstruction, status=Status.DEGENERATE)
-    frame = ShownFrame(0, 0.0, None, (Shown(3, example.observation.box, lost, "degenerate"),))
+    frame = RecordedFrame(0, 0.0, None, (DrawnVehicle(3, example.observation.box, lost, "degenerate"),))
     path = video_recording_of(lambda: [frame], example.camera).write(tmp_path / "lost.rrd")
     assert rows_of(path, "image/boxes", "Boxes2D:labels") == [(0, ["3 degenerate"])]
     for entity, column in (("world/cars", "LineStrips3D:strips"), ("image/wireframes", "LineStrips2D:strips")):
@@ -150,9 +152,9 @@ def test_a_viewer_is_sent_each_frame_as_it_comes(example, tmp_path, start):
 
     live = LiveRecording("drive", f"{LOOPBACK}:{port}", example.camera)
     for number in range(3):
-        live.add(ShownFrame(number, 0.1 * number, None, (shown(example),)))
+        live.add(RecordedFrame(number, 0.1 * number, None, (shown(example),)))
         wait_for(lambda number=number: frames("/image/boxes") == [*range(number + 1)])
-    live.add(ShownFrame(7, 0.7, None, problem="torn"))
+    live.add(RecordedFrame(7, 0.7, None, problem="torn"))
     live.end()
     for entity, wanted in {"/log": [7], "/image/boxes": [0, 1, 2, 7], "/world/cars": [0, 1, 2, 7]}.items():
         wait_for(lambda entity=entity, wanted=wanted: frames(entity) == wanted)

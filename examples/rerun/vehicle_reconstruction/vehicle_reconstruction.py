@@ -9,7 +9,7 @@ import rerun as rr
 
 import fgrecon
 from fgrecon.simulation.sample import GROUND, sample_street
-from fgrecon.viz import Sight, scene_recording_of
+from fgrecon.viz import SolvedVehicle, scene_recording_of
 
 DESCRIPTION = """
 # Vehicles from a single image
@@ -35,7 +35,7 @@ def main() -> None:
         result = fgrecon.reconstruct(
             seen.keypoints, street.camera, confidence=seen.confidence, box=seen.box, ground=GROUND, options=options
         )
-        sights.append(Sight(result, seen, street.camera, street.image, title=f"car {number}"))
+        sights.append(SolvedVehicle(result, seen, street.camera, street.image, title=f"car {number}"))
     recording = scene_recording_of(sights, ground=GROUND)
 
     rr.script_setup(arguments, "rerun_example_vehicle_reconstruction", default_blueprint=recording.layout())

@@ -30,7 +30,7 @@ from fgrecon.core.text import counted
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from fgrecon.calibration.setup import Setup
-    from fgrecon.viz import Sight
+    from fgrecon.viz import SolvedVehicle
     from fgrecon_research.evaluation.kitti_images import Car
     from fgrecon_research.evaluation.text_table import TextTable
 
@@ -218,16 +218,16 @@ def _table(cars: list[Car]) -> TextTable:
     return TextTable(["regime", "cars", *headings], rows)
 
 
-def _sights(cars: list[Car], images: dict[str, Path]) -> list[Sight]:
+def _sights(cars: list[Car], images: dict[str, Path]) -> list[SolvedVehicle]:
     """Every car with a result, with its photograph and the labelled box."""
     from fgrecon.io.images import read_image
     from fgrecon.simulation.vehicles import yaw_pose
-    from fgrecon.viz import Sight
+    from fgrecon.viz import SolvedVehicle
     from fgrecon.viz.truth import Truth
 
     photographs = {name: read_image(images[name]) for name in {car.frame for car in cars}}
     return [
-        Sight(
+        SolvedVehicle(
             car.found.result,
             car.found.detection.observation,
             car.camera,

@@ -10,7 +10,7 @@ from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.track_reconstruction import TrackReconstruction
 from fgrecon.io.track_file import Track
-from fgrecon.viz import Recording, TrackSight, track_recording_of
+from fgrecon.viz import Recording, TrackInputs, track_recording_of
 from fgrecon_research.evaluation.methods import Method
 
 
@@ -36,7 +36,7 @@ def recordings(tracks: Sequence[Track], method: Method, scene: SceneKnowledge) -
     for track in tracks:
         result = _solve(track, method, scene)
         if result is not None:
-            sight = TrackSight(
+            sight = TrackInputs(
                 observations=[frame.observation for frame in track.frames],
                 cameras=[track.camera] * len(track.frames),
                 numbers=image_numbers([frame.name for frame in track.frames]),

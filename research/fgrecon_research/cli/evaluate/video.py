@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # the command line must start fast: what the command needs is
     from fgrecon.calibration.labelled_frames import ScoredFrame
     from fgrecon.cli.labelled_drives import ScoredDrives
     from fgrecon.core.reliability import Reliability
-    from fgrecon.viz import Sight
+    from fgrecon.viz import SolvedVehicle
 
 _WORST = 20
 _RIVAL = "sqpnp_confident"
@@ -186,11 +186,11 @@ def _in_words(facing: Reliability) -> str:
     )
 
 
-def _sights(scored: ScoredDrives) -> list[Sight]:
+def _sights(scored: ScoredDrives) -> list[SolvedVehicle]:
     """The worst boxes with their photographs and labels, worst first; their frames are solved once more."""
     from fgrecon.calibration.labelled_frames import reconstruct_frame
     from fgrecon.simulation.vehicles import yaw_pose
-    from fgrecon.viz import Sight
+    from fgrecon.viz import SolvedVehicle
     from fgrecon.viz.truth import Truth
     from fgrecon_research.evaluation.video_summary import worst_boxes
 
@@ -208,5 +208,5 @@ def _sights(scored: ScoredDrives) -> list[Sight]:
         camera = drive.calibration.camera.with_size_of(image)
         title = f"{box.drive}/{box.frame:06d}/{box.index}"
         truth = Truth(pose, labels.size[box.index])
-        sights.append(Sight(one.result, one.detection.observation, camera, image, truth, title))
+        sights.append(SolvedVehicle(one.result, one.detection.observation, camera, image, truth, title))
     return sights

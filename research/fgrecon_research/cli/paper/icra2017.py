@@ -16,7 +16,7 @@ from fgrecon.cli.terminal import Terminal
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from rich.table import Table
 
-    from fgrecon.viz import Sight
+    from fgrecon.viz import SolvedVehicle
     from fgrecon_research.paper.icra2017 import Icra2017Result
 
 FORMAT = "fgrecon_research.evaluation.icra2017/1"
@@ -115,17 +115,17 @@ def _table(results: list[Icra2017Result]) -> Table:
     return table
 
 
-def _sight(result: Icra2017Result, title: str, *, photograph: bool) -> Sight:
+def _sight(result: Icra2017Result, title: str, *, photograph: bool) -> SolvedVehicle:
     """The car with the labelled box, over its photograph or without."""
     from fgrecon.io.images import read_image
-    from fgrecon.viz import Sight
+    from fgrecon.viz import SolvedVehicle
     from fgrecon.viz.truth import Truth
     from fgrecon_research.paper.icra2017 import true_pose
 
     example = result.example
     image = read_image(example.image) if photograph else None
     truth = Truth(true_pose(example), box_size=example.size)
-    return Sight(result.reconstruction, example.observation, example.camera, image, truth, title)
+    return SolvedVehicle(result.reconstruction, example.observation, example.camera, image, truth, title)
 
 
 def _draw(results: list[Icra2017Result], out: Path) -> list[Path]:

@@ -64,7 +64,7 @@ def paper_command(
 
 def _pictures(cars: Sequence[ExampleCar]) -> dict[str, str]:
     """The cars as SVG elements by caption; no photograph is there to be drawn on."""
-    from fgrecon.viz import Sight, Truth, contact_sheet
+    from fgrecon.viz import SolvedVehicle, Truth, contact_sheet
     from fgrecon_research.paper.plots import svg_text
 
     if not cars:
@@ -72,7 +72,7 @@ def _pictures(cars: Sequence[ExampleCar]) -> dict[str, str]:
     sights = []
     for car in cars:
         truth = Truth(car.camera_T_object, car.size, car.shape)
-        sights.append(Sight(car.result, car.observation, car.camera, None, truth, f"{car.place}: {car.name}"))
+        sights.append(SolvedVehicle(car.result, car.observation, car.camera, None, truth, f"{car.place}: {car.name}"))
     caption = (
         f"{len(cars)} of the cars of known shape, in the order of the error of their keypoints. Dots: people's marks, "
         "with a line to the estimate. Blue and vermilion: the estimated car's left and right. Green: the true box."

@@ -21,7 +21,7 @@ from fgrecon.viz import entities
 from fgrecon.viz.geometry import as_image
 from fgrecon.viz.truth import Truth
 
-__all__ = ["DrawnScene", "Member", "Photograph", "Shown", "Sight", "TrackSight", "jpeg", "members_of"]
+__all__ = ["DrawnScene", "DrawnVehicle", "Member", "Photograph", "SolvedVehicle", "TrackInputs", "jpeg", "members_of"]
 
 _JPEG_QUALITY = 92
 
@@ -57,7 +57,7 @@ def jpeg(image: NDArray[np.uint8], quality: int) -> bytes:
 
 
 @dataclass(frozen=True)
-class Sight:
+class SolvedVehicle:
     """One reconstructed vehicle and what it was reconstructed from.
 
     Attributes:
@@ -102,32 +102,32 @@ class Member:
         number: Its place in the scene, which is its colour.
         title: What it is called.
         name: The same in paths.
-        sight: What is recorded.
+        vehicle: What is recorded.
     """
 
     number: int
     title: str
     name: str
-    sight: Sight
+    vehicle: SolvedVehicle
 
     def place(self, entity: str) -> str:
         """Where the recording has one of its entities."""
         return entities.of_vehicle(entity, self.name)
 
 
-def members_of(sights: Sequence[Sight]) -> list[Member]:
+def members_of(vehicles: Sequence[SolvedVehicle]) -> list[Member]:
     """The vehicles with names that paths can have, no two alike."""
     members: list[Member] = []
     taken: set[str] = set()
-    for number, sight in enumerate(sights):
-        title = sight.title or str(number)
+    for number, vehicle in enumerate(vehicles):
+        title = vehicle.title or str(number)
         plain = re.sub(r"[^\w.-]+", "-", title, flags=re.ASCII).strip("-.") or str(number)
-        members.append(Member(number, title, distinct(plain, taken), sight))
+        members.append(Member(number, title, distinct(plain, taken), vehicle))
     return members
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class DrawnVehicle:
     """One vehicle of an image or of a video's frame among others.
 
     Attributes:
@@ -181,20 +181,20 @@ class DrawnScene:
         starts: (4, 4) first estimates of poses, by id, where they are shown.
     """
 
-    vehicles: Sequence[Shown]
+    vehicles: Sequence[DrawnVehicle]
     camera: Camera
     size: tuple[float, float]
     ground: Ground | None = None
     starts: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
 
     @cached_property
-    def posed(self) -> list[tuple[Shown, Reconstruction, NDArray[np.float64]]]:
+    def posed(self) -> list[tuple[DrawnVehicle, Reconstruction, NDArray[np.float64]]]:
         """The vehicles that have a pose, with result and pose."""
         return [(vehicle, *vehicle.posed) for vehicle in self.vehicles if vehicle.posed is not None]
 
 
 @dataclass(frozen=True)
-class TrackSight:
+class TrackInputs:
     """What a track was reconstructed from, one entry per image; images that were refused included.
 
     Attributes:
@@ -231,10 +231,10 @@ class TrackSight:
         """Number of an image on the timeline `frame`."""
         return index if self.numbers is None else int(self.numbers[index])
 
-    def at(self, index: int, result: Reconstruction) -> Sight:
+    def at(self, index: int, result: Reconstruction) -> SolvedVehicle:
         """One image with its result; its observation must not be None."""
         observation = self.observations[index]
         assert observation is not None
         image = None if self.images is None else self.images[index]
         truth = None if self.truths is None else self.truths[index]
-        return Sight(result, observation, self.cameras[index], image, truth)
+        return SolvedVehicle(result, observation, self.cameras[index], image, truth)
