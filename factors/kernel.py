@@ -25,6 +25,8 @@ from factors.shape import LinearShape
 
 __all__ = ["Projection", "ProjectionKernel"]
 
+Array = NDArray[np.float64]
+
 
 @dataclass(slots=True)
 class Projection:
@@ -41,13 +43,13 @@ class Projection:
             None until it is asked for.
     """
 
-    pixels: NDArray[np.float64]
-    depths: NDArray[np.float64]
-    camera: NDArray[np.float64]
-    points: NDArray[np.float64]
-    rotation: NDArray[np.float64]
-    matrix: NDArray[np.float64]
-    jacobian: NDArray[np.float64] | None = None
+    pixels: Array
+    depths: Array
+    camera: Array
+    points: Array
+    rotation: Array
+    matrix: Array
+    jacobian: Array | None = None
 
 
 class ProjectionKernel:
@@ -94,39 +96,33 @@ class ProjectionKernel:
             self.keys, self.dims = (*self.keys, focal), (*self.dims, 1)
         basis = shape.basis if shape.coefficients_key is not None else shape.basis[:0]
         self._basis = np.ascontiguousarray(basis.transpose(1, 2, 0))
-        self._pose: NDArray[np.float64] | None = None
+        self._pose: Array | None = None
         if not isinstance(pose, int):
             self._pose = finite_array("pose", pose.matrix(), (4, 4))
         self._last: tuple[bytes | None, Projection | None] = None, None  # in one: see `LinearShape`
 
     def evaluate(self, values: gtsam.Values, jacobian: bool = False) -> Projection:
         """The projection of all keypoints at the values, with its Jacobian where that is wanted."""
-        points = self.shape.points(values)
-        (before, last), matrix = self._last, self.matrix(values)
-        stamp: bytes | None = None
-        if self.pose_key is None:
-            assert self._pose is not None
-            if last is None or points is not last.points or matrix[0, 0] != last.matrix[0, 0]:
-                last = self._project(matrix, points, self._pose)
-        else:
-            camera_T_object = values.atPose3(self.pose_key).matrix()
-            stamp = camera_T_object.tobytes()
-            if last is None or points is not last.points or stamp != before or matrix[0, 0] != last.matrix[0, 0]:
-                last = self._project(matrix, points, camera_T_object)
+        points, pose, matrix = self.shape.points(values), self.pose(values), self.matrix(values)
+        (before, last), stamp = self._last, pose.tobytes()
+        if last is None or points is not last.points or stamp != before or matrix[0, 0] != last.matrix[0, 0]:
+            rotation = pose[:3, :3]
+            pixels, camera, depths = project(matrix, rotation, pose[:3, 3], points)
+            last = Projection(pixels, depths, camera, points, rotation, matrix)
         if jacobian and last.jacobian is None:
             last.jacobian = self._differentiate(last)
         self._last = stamp, last
         return last
 
-    def pose(self, values: gtsam.Values) -> NDArray[np.float64]:
+    def pose(self, values: gtsam.Values) -> Array:
         """(4, 4) camera_T_object at the values."""
         if self.pose_key is None:
             assert self._pose is not None
             return self._pose
-        pose: NDArray[np.float64] = values.atPose3(self.pose_key).matrix()
+        pose: Array = values.atPose3(self.pose_key).matrix()
         return pose
 
-    def matrix(self, values: gtsam.Values) -> NDArray[np.float64]:
+    def matrix(self, values: gtsam.Values) -> Array:
         """(3, 3) intrinsics at the values."""
         if self.focal_key is None:
             return self.camera_matrix
@@ -134,15 +130,7 @@ class ProjectionKernel:
         matrix[:2, :2] *= math.exp(values.atVector(self.focal_key)[0])
         return matrix
 
-    @staticmethod
-    def _project(
-        matrix: NDArray[np.float64], points: NDArray[np.float64], camera_T_object: NDArray[np.float64]
-    ) -> Projection:
-        rotation = camera_T_object[:3, :3]
-        pixels, camera, depths = project(matrix, rotation, camera_T_object[:3, 3], points)
-        return Projection(pixels, depths, camera, points, rotation, matrix)
-
-    def _differentiate(self, at: Projection) -> NDArray[np.float64]:
+    def _differentiate(self, at: Projection) -> Array:
         by_camera = pixel_jacobian(at.matrix, at.camera)
         by_turn, by_object = by_pose(at.points, at.rotation, by_camera)
         blocks = [by_object @ self._basis] if self.shape.coefficients_key is not None else []

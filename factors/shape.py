@@ -88,7 +88,7 @@ class LinearShape:
         self._constant = constant
         self._linear = flat_basis
         # What was evaluated last: one tuple, so that another thread sees points with the stamp that they are of.
-        self._last: tuple[bytes | tuple[bytes, bytes] | None, NDArray[np.float64]] = None, _frozen(constant)
+        self._last: tuple[bytes | None, NDArray[np.float64]] = None, _frozen(constant)
 
     @property
     def size(self) -> int:
@@ -124,25 +124,16 @@ class LinearShape:
         last, points = self._last
         if not self.keys:
             return points
-        stamp: bytes | tuple[bytes, bytes]
-        if self.offsets_key is None:  # the usual case, kept short: it runs for every keypoint's factor
-            coefficients = values.atVector(self.keys[0])
-            stamp = coefficients.tobytes()
-            if stamp == last:
-                return points
-            points = _frozen(self._constant + self._linear @ coefficients)
-        else:
-            offsets = values.atVector(self.offsets_key)
-            linear = self._constant
-            stamp = offsets.tobytes()
-            if self.coefficients_key is not None:
-                coefficients = values.atVector(self.coefficients_key)
-                stamp = (coefficients.tobytes(), stamp)
-            if stamp == last:
-                return points
-            if self.coefficients_key is not None:
-                linear = linear + self._linear @ coefficients
-            points = _frozen(linear + offsets)
+        vectors = [values.atVector(key) for key in self.keys]
+        stamp = b"".join(vector.tobytes() for vector in vectors)
+        if stamp == last:
+            return points
+        flat = self._constant
+        if self.coefficients_key is not None:
+            flat = flat + self._linear @ vectors[0]
+        if self.offsets_key is not None:
+            flat = flat + vectors[-1]
+        points = _frozen(flat)
         self._last = stamp, points
         return points
 

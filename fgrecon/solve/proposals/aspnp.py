@@ -112,13 +112,11 @@ def aspnp(
         fix = "No pose in front of the camera explains the image points: mend the correspondences."
         raise DegenerateProblemError("image_points", f"{len(points)} correspondences", fix)
     kept = kept[np.argsort(rms[kept])]
-    limit = rms[kept[0]] + tolerance * spread
     solutions = []
-    for i in kept[rms[kept] <= limit]:
+    for i in kept[rms[kept] <= rms[kept[0]] + tolerance * spread]:
         pose = np.eye(4)
         pose[:3, :3] = r[i].reshape(3, 3) / squared_length[i]
-        ray = np.ones(3)
-        ray[:2] = (w * relative_depth[i]) @ image_points
+        ray = np.append((w * relative_depth[i]) @ image_points, 1.0)
         pose[:3, 3] = ray * (scale / squared_length[i]) - pose[:3, :3] @ centroid
         solutions.append(PnPSolution(pose, total * float(rms[i]) ** 2, float(rms[i]), float(weight_in_front[i])))
     return tuple(solutions)

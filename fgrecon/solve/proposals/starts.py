@@ -60,10 +60,10 @@ def _from_aspnp(problem: Problem) -> Hypotheses:
         return Hypotheses.at_poses(none, prior.dimension)
     rays = problem.camera.rays(problem.observation.keypoints[used])[:, :2]
     try:
-        found = aspnp(prior.mean[used], rays, weights[used], every=False)
+        solutions = aspnp(prior.mean[used], rays, weights[used], every=False)
     except DegenerateProblemError:
         return Hypotheses.at_poses(none, prior.dimension)
-    return Hypotheses.at_poses(np.array([solution.camera_T_object for solution in found]), prior.dimension)
+    return Hypotheses.at_poses(np.array([solution.camera_T_object for solution in solutions]), prior.dimension)
 
 
 def view_box(observation: Observation) -> Array:
