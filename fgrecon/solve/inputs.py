@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from fgrecon.core.box3d import Box3D, BoxErrors
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.category import Category
-from fgrecon.core.checks import as_either, as_finite, as_instance, as_list, as_rigid, as_shape
+from fgrecon.core.checks import as_finite, as_instance, as_list, as_rigid, as_shape
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import KeypointsLike, Observation
 from fgrecon.core.options import Options, checked_options
@@ -131,7 +131,9 @@ def observe(
         if options.confidence_midpoint is not None:
             observation = replace(observation, confidence_midpoint=options.confidence_midpoint)
     else:
-        pixels = as_either("keypoints", keypoints, ((category.size, 2), (category.size, 3)), fix)
+        pixels = as_shape("keypoints", keypoints, (category.size, None), fix)
+        if pixels.shape[1] not in (2, 3):
+            raise InvalidInputError("keypoints", f"shape {pixels.shape}", fix)
         if pixels.shape[1] == 3:
             if confidence is not None:
                 fix = "Give it here or as the third number of every keypoint."
