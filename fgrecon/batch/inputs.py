@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from fgrecon.batch.instances import instance_text
+from fgrecon.batch.tasks import instance_text
 from fgrecon.batch.parts import RUN
 from fgrecon.core.category import Category
 from fgrecon.core.errors import FgreconError, InvalidInputError

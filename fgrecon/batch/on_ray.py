@@ -10,15 +10,15 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import Future
 from typing import Any
 
-from fgrecon.batch.pool import STARTS, WorkerDiedError, drive
+from fgrecon.batch.pool import Worker, drive
 from fgrecon.batch.rows import lost_rows, single_tasks
 from fgrecon.batch.tasks import Tasks, TaskSolver
 from fgrecon.core.errors import MissingPackageError
 
 __all__ = ["work_on_ray"]
 
-
-_WORD = 60.0  # seconds within which word of a dead actor comes
+_REPORT_SECONDS = 60.0
+"""Within this time Ray reports that an actor is dead (not tuned)."""
 
 
 class _Solver:
@@ -28,58 +28,41 @@ class _Solver:
         self._solver = solver
 
     def ready(self) -> bool:
-        """Whether it has begun."""
         return True
 
-    def solve(self, tasks: Tasks, word: bool) -> Any:  # noqa: ARG002 - Ray sends nothing before it has the word
-        """The results of tasks, which are sent once there is word that the actor has begun."""
+    def solve(self, tasks: Tasks, ready: bool) -> Any:  # noqa: ARG002 - Ray sends nothing before the actor has begun
         return self._solver(tasks)
 
 
-class _Actor:
-    """An actor with a processor of its own; made on use."""
+class _Actor(Worker[Tasks, Any]):
+    """An actor with a processor of its own."""
+
+    NOT_BEGUN = "Install fgrecon on every node of the cluster."
 
     def __init__(self, solver: TaskSolver) -> None:
         self._solver = solver
         self._actor: Any = None
-        self._word: Any = None
-        self._ready: Future[bool] | None = None
-        self._deaths = 0
+        self._ready: Any = None
+        self._begun: Future[bool]
 
     def submit(self, piece: Tasks) -> Future[Any]:
-        """Let it work on tasks."""
         import ray
 
         if self._actor is None:
             self._actor = ray.remote(num_cpus=1, max_restarts=0)(_Solver).remote(self._solver)
-            self._word = self._actor.ready.remote()
-            self._ready = self._word.future()
-        future: Future[Any] = self._actor.solve.remote(piece, self._word).future()
+            self._ready = self._actor.ready.remote()
+            self._begun = self._ready.future()
+        future: Future[Any] = self._actor.solve.remote(piece, self._ready).future()
         return future
 
-    def bury(self) -> bool:
-        """Leave a dead actor behind.
-
-        Returns:
-            Whether it had begun.
-
-        Raises:
-            WorkerDiedError: Actor after actor died before it had begun.
-        """
-        assert self._ready is not None
-        begun = self._ready.exception(_WORD) is None
-        self._deaths = 0 if begun else self._deaths + 1
-        if self._deaths >= STARTS:
-            raise WorkerDiedError("Actors die before they have begun. Install fgrecon on every node of the cluster.")
-        self._actor = None
-        return begun
+    def has_begun(self) -> bool:
+        return self._begun.exception(_REPORT_SECONDS) is None
 
     def end(self, *, whole: bool) -> None:  # noqa: ARG002 - an idle actor and a busy one are ended alike
-        """End the actor; its processor is free again."""
         import ray
 
         if self._actor is not None:
-            ray.kill(self._actor)
+            ray.kill(self._actor)  # its processor is free again
             self._actor = None
 
 

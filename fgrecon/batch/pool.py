@@ -1,8 +1,8 @@
 """Work by a few processes, each of which may die at any time without taking more than its own piece along.
 
-Every worker is a pool of one process, so that a death is told of the piece that it was working on and of no other: the
-worker is made again, and the piece tried again, then each of its parts. A part during which a worker dies twice is
-given up.
+Every worker is a pool of one process, so that a death is known to be of the piece that it was working on and of no
+other: the worker is made again, and the piece tried again, then each of its parts. A part during which a worker dies
+twice is given up.
 """
 
 from __future__ import annotations
@@ -12,27 +12,27 @@ import multiprocessing
 import os
 import signal
 import threading
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 from fgrecon.core.errors import FgreconError
 from fgrecon.core.processes import keep, one_thread_each, run_kept
 
-__all__ = ["STARTS", "Worker", "WorkerDiedError", "drive", "work"]
+__all__ = ["Worker", "WorkerDiedError", "drive", "work"]
 
 _TRIES = 2
 """How often a piece is tried before it is taken apart, and a part before it is given up."""
 
-STARTS = 3
+_STARTS = 3
 """How often in a row a worker may die before it has begun."""
 
 _log = logging.getLogger(__name__)
 
 Piece = TypeVar("Piece")
-Taken_contra = TypeVar("Taken_contra", contravariant=True)
 Result = TypeVar("Result")
 
 
@@ -40,30 +40,54 @@ class WorkerDiedError(FgreconError, RuntimeError):
     """A process died, killed by the system or by what it was working on."""
 
 
-class Worker(Protocol[Taken_contra, Result]):
-    """Something that works on a piece at a time, and may die of it."""
+class Worker(ABC, Generic[Piece, Result]):
+    """Something that works on a piece at a time, and may die of it; made on use."""
 
-    def submit(self, piece: Taken_contra) -> Future[Result]:
+    NOT_BEGUN: ClassVar[str]
+    """What an error says of workers that die before they have begun."""
+
+    _false_starts = 0
+
+    @abstractmethod
+    def submit(self, piece: Piece) -> Future[Result]:
         """Let it work on a piece; it is made where there is none yet."""
 
-    def bury(self) -> bool:
-        """Leave it behind dead, so that the next piece has a new one; whether it had begun to work."""
+    @abstractmethod
+    def has_begun(self) -> bool:
+        """Whether the dead worker had begun to work; raises what kept it from that, if that is known."""
 
+    @abstractmethod
     def end(self, *, whole: bool) -> None:
         """End it, at once where the work is not done as a whole; another piece may come and make it again."""
 
+    def bury(self) -> bool:
+        """Leave it behind dead, so that the next piece has a new one.
 
-class _Process(Generic[Piece, Result]):
-    """A process that calls a function; made on use."""
+        Returns:
+            Whether it had begun, so that what it worked on may be what killed it.
+
+        Raises:
+            WorkerDiedError: Worker after worker died before it had begun: there is something wrong with the place.
+        """
+        begun = self.has_begun()
+        self._false_starts = 0 if begun else self._false_starts + 1
+        if self._false_starts >= _STARTS:
+            raise WorkerDiedError(f"Workers die before they have begun. {self.NOT_BEGUN}")
+        self.end(whole=True)
+        return begun
+
+
+class _Process(Worker[Piece, Result]):
+    """A process that calls a function."""
+
+    NOT_BEGUN = "Where there is little memory, give fewer jobs; a script that starts workers needs a main guard."
 
     def __init__(self, function: Callable[[Piece], Result]) -> None:
         self._function = function
         self._pool: ProcessPoolExecutor | None = None
-        self._begun: Future[int] | None = None
-        self._deaths = 0
+        self._begun: Future[int]
 
     def submit(self, piece: Piece) -> Future[Result]:
-        """Let it work on a piece."""
         if self._pool is not None:
             try:
                 return self._pool.submit(run_kept, piece)
@@ -74,32 +98,14 @@ class _Process(Generic[Piece, Result]):
             self._begun = self._pool.submit(_begin, self._function)
         return self._pool.submit(run_kept, piece)
 
-    def bury(self) -> bool:
-        """Leave a dead process behind; the next piece has a new one.
-
-        Returns:
-            Whether it had begun, so that what it worked on may be what killed it.
-
-        Raises:
-            WorkerDiedError: Process after process died before it had begun: there is something wrong with the place.
-            Exception: What kept it from beginning.
-        """
-        assert self._begun is not None
+    def has_begun(self) -> bool:
         error = self._begun.exception()
         if error is not None and not isinstance(error, BrokenProcessPool):
             raise error
-        self._deaths = 0 if error is None else self._deaths + 1
-        if self._deaths >= STARTS:
-            fix = "Where there is little memory, give fewer jobs; a script that starts workers needs a main guard."
-            raise WorkerDiedError(f"Workers die before they have begun. {fix}") from error
-        assert self._pool is not None
-        self._pool.shutdown(wait=False)
-        self._pool = None
         return error is None
 
     def end(self, *, whole: bool) -> None:
-        """End the process; at once where the work is broken off."""
-        if self._pool is None or self._begun is None:
+        if self._pool is None:
             return
         if not whole and self._begun.done() and self._begun.exception() is None:
             for child in multiprocessing.active_children():  # and not by its number, which may be another's by now
@@ -148,13 +154,13 @@ def drive(
         lost: The result of a part that was given up.
         death: What the future of a piece raises whose worker has died.
     """
-    free, coming = list(reversed(workers)), iter(pieces)
-    again: deque[tuple[Piece, int]] = deque()
+    free, new = list(reversed(workers)), ((piece, 0) for piece in pieces)
+    again: deque[tuple[Piece, int]] = deque()  # pieces, and how many workers have died of each
     busy: dict[Future[Result], tuple[Worker[Piece, Result], Piece, int]] = {}
     whole = False
     try:
         while True:
-            while free and (following := _next(again, coming)) is not None:
+            while free and (following := again.popleft() if again else next(new, None)) is not None:
                 worker = free.pop()
                 busy[worker.submit(following[0])] = (worker, *following)
             for idle in free:  # what it holds may be what another waits for
@@ -167,10 +173,13 @@ def drive(
                 try:
                     result = future.result()
                 except death:
-                    if not worker.bury():
+                    deaths += worker.bury()
+                    if deaths < _TRIES:
+                        _log.warning("A worker died; it is made again, and its piece tried again.")
                         again.append((piece, deaths))
                         continue
-                    if not _after_death(piece, deaths + 1, parts, again):
+                    if len(smaller := parts(piece)) > 1:
+                        again.extend((part, 0) for part in smaller)
                         continue
                     result = lost(piece, WorkerDiedError("The worker died of this row, twice."))
                 yield result
@@ -178,28 +187,6 @@ def drive(
     finally:
         for worker in workers:
             worker.end(whole=whole)
-
-
-def _next(again: deque[tuple[Piece, int]], coming: Iterator[Piece]) -> tuple[Piece, int] | None:
-    """The next piece, and how many workers have died of it."""
-    if again:
-        return again.popleft()
-    return next(((piece, 0) for piece in coming), None)
-
-
-def _after_death(
-    piece: Piece, deaths: int, parts: Callable[[Piece], list[Piece]], again: deque[tuple[Piece, int]]
-) -> bool:
-    """Put a piece of which a worker died back, whole or in parts; whether it is to be given up instead."""
-    _log.warning("A worker died; it is made again, and its piece tried again.")
-    if deaths < _TRIES:
-        again.append((piece, deaths))
-        return False
-    smaller = parts(piece)
-    if len(smaller) <= 1:
-        return True
-    again.extend((part, 0) for part in smaller)
-    return False
 
 
 def _begin(function: Callable[[Any], Any]) -> int:

@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import ArrayLike, NDArray
 
-from fgrecon.batch.instances import nested, record_of
+from fgrecon.batch.tasks import nested, record_of
 from fgrecon.batch.pictures import Pictures
 from fgrecon.batch.rows import failed_row, id_in_image, origin_of, solved_row, table_of
 from fgrecon.batch.schema import EMPTY

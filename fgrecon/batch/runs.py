@@ -17,7 +17,7 @@ from fgrecon.batch.pool import work
 from fgrecon.batch.reconstructor import Reconstructor
 from fgrecon.batch.rows import lost_rows, single_tasks, storable
 from fgrecon.batch.tasks import Tasks, TaskSolver
-from fgrecon.batch.unedited import check_unedited
+from fgrecon.batch.input_fingerprints import check_unedited
 from fgrecon.core.doubts import Doubt, Doubts
 from fgrecon.core.errors import InvalidInputError
 

@@ -1,6 +1,6 @@
-"""What a run's files were when their rows were reconstructed: an edited one is not taken for done.
+"""Fingerprints of a run's files when their rows were reconstructed: an edited file does not count as done.
 
-Images and videos are told by size and time of change, since they are many or large; keypoint files by their content, so
+Of images and videos they are size and time of change, since they are many or large; of keypoint files their content, so
 that one to which rows were added at its end goes on.
 """
 
@@ -23,13 +23,13 @@ from fgrecon.io.stored import MADE_AGAIN, stored
 __all__ = ["INPUTS", "check_unedited"]
 
 INPUTS = "_inputs.json"
-"""What the files of a run were; beside the parts."""
+"""The fingerprints of a run's files; beside the parts."""
 
-_BLOCK = 1 << 20  # bytes that are read at once
+_BLOCK_BYTES = 1 << 20
 
 
 def check_unedited(folder: Path, sources: Sequence[InputFile], done: Collection[str]) -> None:
-    """Refuse a file of which rows are done and that is another one now; remember what the others are.
+    """Refuse a file of which rows are done and that is another one now; remember the fingerprints of the others.
 
     Args:
         folder: Of the run.
@@ -46,7 +46,7 @@ def check_unedited(folder: Path, sources: Sequence[InputFile], done: Collection[
         name = whole_text(str(source.path))
         before = known.get(name)
         try:
-            now = _told(source)
+            now = _fingerprint(source)
             edited = before is not None and name in begun and not _goes_on(before, now, source.path)
         except OSError:  # a row will say so
             continue
@@ -59,23 +59,18 @@ def check_unedited(folder: Path, sources: Sequence[InputFile], done: Collection[
 
 
 def _known(path: Path) -> dict[str, dict[str, Any]]:
-    """What is remembered.
-
-    Raises:
-        InvalidInputError: The file is damaged.
-    """
-    found = read_json(path)
+    """The fingerprints of a file, which may be damaged."""
+    content = read_json(path)
     with well_formed(str(path), MADE_AGAIN):
-        return {name: {"place": str(one["place"]), "bytes": int(one["bytes"]), **one} for name, one in found.items()}
+        return {name: {"place": str(one["place"]), "bytes": int(one["bytes"]), **one} for name, one in content.items()}
 
 
-def _told(source: InputFile) -> dict[str, Any]:
-    """What tells a file from another one under its name."""
+def _fingerprint(source: InputFile) -> dict[str, Any]:
     state = source.path.stat()
-    told = {"place": whole_text(str(source.path.resolve())), "bytes": state.st_size}
+    common = {"place": whole_text(str(source.path.resolve())), "bytes": state.st_size}
     if source.is_picture:
-        return {**told, "modified_ns": state.st_mtime_ns}
-    return {**told, "sha256": _hash(source.path, state.st_size)}
+        return {**common, "modified_ns": state.st_mtime_ns}
+    return {**common, "sha256": _hash(source.path, state.st_size)}
 
 
 def _goes_on(before: dict[str, Any], now: dict[str, Any], path: Path) -> bool:
@@ -89,9 +84,9 @@ def _goes_on(before: dict[str, Any], now: dict[str, Any], path: Path) -> bool:
 
 def _hash(path: Path, size: int) -> str:
     """SHA-256 of a file's first bytes."""
-    found, left = hashlib.sha256(), size
+    digest, left = hashlib.sha256(), size
     with path.open("rb") as file:
-        while left > 0 and (block := file.read(min(_BLOCK, left))):
-            found.update(block)
+        while left > 0 and (block := file.read(min(_BLOCK_BYTES, left))):
+            digest.update(block)
             left -= len(block)
-    return found.hexdigest()
+    return digest.hexdigest()
