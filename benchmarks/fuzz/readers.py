@@ -13,7 +13,6 @@ import numpy as np
 
 from benchmarks.fuzz.reader import Reader
 from benchmarks.fuzz.stored_readers import STORED
-from fgrecon.io.annotations.reader import load_annotations
 from fgrecon.io.boxes import read_boxes
 from fgrecon.io.cameras import read_camera
 from fgrecon.io.catalogue import load_category, load_prior
@@ -22,10 +21,11 @@ from fgrecon.io.export.results import read_results
 from fgrecon.io.images import decode_image
 from fgrecon.io.keypoints import read_any_keypoints
 from fgrecon.io.kitti_calibration import read_calibration
-from fgrecon.io.kitti_files import read_detections, read_image_set, read_labels
 from fgrecon.io.models import read_models
 from fgrecon.io.track_file import read_track
 from fgrecon.perception.keypoints.weights import load_weights
+from fgrecon_research.io.annotations.reader import load_annotations
+from fgrecon_research.io.kitti_sets import read_detections, read_image_set, read_labels
 
 __all__ = ["READERS"]
 

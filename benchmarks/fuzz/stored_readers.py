@@ -89,7 +89,7 @@ def _tables(path: Path) -> None:
 
 def _coco() -> Mapping[str, bytes]:
     """As `write_coco_keypoints` writes it."""
-    from fgrecon.io.export.coco_keypoints import COCO_KEYPOINTS_FORMAT
+    from fgrecon_research.io.coco_keypoints import COCO_KEYPOINTS_FORMAT
 
     size = _CAR.size
     image = {"id": 1, "file_name": _IMAGE, "width": 640, "height": 480, "drive": "d", "frame": 0}
@@ -120,7 +120,7 @@ def _coco() -> Mapping[str, bytes]:
 
 
 def _read_coco(path: Path) -> None:
-    from fgrecon.io.export.coco_keypoints import read_coco_keypoints
+    from fgrecon_research.io.coco_keypoints import read_coco_keypoints
 
     read_coco_keypoints(path)
 
@@ -150,7 +150,7 @@ def _matlab() -> Mapping[str, bytes]:
 
 
 def _read_matlab(path: Path) -> None:
-    from fgrecon.io.annotations.pascal3d import read_anchors
+    from fgrecon.io.keypoints.pascal3d import read_anchors
 
     read_anchors(path, _CHILD)
 

@@ -23,8 +23,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from fgrecon.batch.tasks import instance_text
 from fgrecon.batch.parts import RUN
+from fgrecon.batch.tasks import instance_text
 from fgrecon.core.category import Category
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.text import whole_text

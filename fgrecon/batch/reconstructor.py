@@ -14,10 +14,10 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import ArrayLike, NDArray
 
-from fgrecon.batch.tasks import nested, record_of
 from fgrecon.batch.pictures import Pictures
 from fgrecon.batch.rows import failed_row, id_in_image, origin_of, solved_row, table_of
 from fgrecon.batch.schema import EMPTY
+from fgrecon.batch.tasks import nested, record_of
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.checks import as_finite
 from fgrecon.core.doubts import Doubt, doubt_of, hardly_fits

@@ -11,13 +11,13 @@ from typing import Any
 
 import pyarrow.compute as pc
 
+from fgrecon.batch.input_fingerprints import check_unedited
 from fgrecon.batch.inputs import InputFile
 from fgrecon.batch.parts import Parts, RowOutcome, begin, claimed, made, refuse_video
 from fgrecon.batch.pool import work
 from fgrecon.batch.reconstructor import Reconstructor
 from fgrecon.batch.rows import lost_rows, single_tasks, storable
 from fgrecon.batch.tasks import Tasks, TaskSolver
-from fgrecon.batch.input_fingerprints import check_unedited
 from fgrecon.core.doubts import Doubt, Doubts
 from fgrecon.core.errors import InvalidInputError
 

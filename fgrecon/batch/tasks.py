@@ -93,7 +93,11 @@ def nested(record: Any, keypoints: int) -> Any:
         return record
     for name, count in {"keypoints": keypoints, "K": 3}.items():
         flat = record.get(name)
-        if isinstance(flat, list) and len(flat) in (2 * count, 3 * count) and not any(isinstance(i, list) for i in flat):
+        if (
+            isinstance(flat, list)
+            and len(flat) in (2 * count, 3 * count)
+            and not any(isinstance(i, list) for i in flat)
+        ):
             width = len(flat) // count
             record = record | {name: [flat[i : i + width] for i in range(0, len(flat), width)]}
     return record

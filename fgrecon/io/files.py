@@ -16,13 +16,32 @@ from pathlib import Path
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.text import whole_text
 
-__all__ = ["behind_links", "check_ending", "replacing", "write_bytes", "write_text"]
+__all__ = ["behind_links", "check_ending", "read_text", "replacing", "write_bytes", "write_text"]
 
 
 _ABANDONED = 3600.0  # seconds
 _PART = ".part"
 _LONGEST = 255 - len(f"..????????{_PART}")
 """Bytes of a name that the names of its parts have in them; longer ones have its hash."""
+
+
+def read_text(path: Path, field: str, fix: str = "Give a text file in UTF-8.") -> str:
+    """The text of a file (UTF-8, a byte order mark left out).
+
+    Args:
+        path: The file.
+        field: What an error calls it, where it cannot be read.
+        fix: What to give instead of a file that is no text.
+
+    Raises:
+        InvalidInputError: The file cannot be read, or is no text.
+    """
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise InvalidInputError(field, str(path), f"Give a file that can be read ({error.strerror}).") from error
+    except UnicodeDecodeError as error:
+        raise InvalidInputError(str(path), "no text", fix) from error
 
 
 def write_text(path: str | Path, text: str) -> Path:

@@ -12,8 +12,8 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior, Surface
 from fgrecon.core.size_prior import SIZE_PRIORS
 from fgrecon.io.catalogue import load_prior, save_prior
-from fgrecon.io.kitti_files import read_image_set, read_labels
 from fgrecon.solve.vehicle.conditioning import express
+from fgrecon_research.io.kitti_sets import read_image_set, read_labels
 from fgrecon_research.training.priors.apollo79 import DUPLICATE, apollo79_prior, leave_one_out, load_apollo79, rounded
 
 FLIP = np.array([1.0, 1.0, -1.0])

@@ -14,12 +14,12 @@ import pytest
 
 from fgrecon.core.category import Category
 from fgrecon.core.errors import ChildNotBegunError, DamagedFileWarning, InvalidInputError
-from fgrecon.io.annotations.npz import read_npz
 from fgrecon.io.arrays import LARGEST, read_arrays
 from fgrecon.io.catalogue import load_category, load_prior, save_prior
 from fgrecon.io.hashes import check_hash, listed
 from fgrecon.io.isolated import Isolated
 from fgrecon.io.stored import stored
+from fgrecon_research.io.annotations.npz import read_npz
 from tests.conftest import REPOSITORY
 
 

@@ -12,12 +12,13 @@ from fgrecon.calibration.matching import box_overlap, match_detections
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.images import read_image
-from fgrecon.io.kitti_files import Objects, read_labels
+from fgrecon.io.kitti_files import Objects
 from fgrecon.perception import vehicles
 from fgrecon.perception.keypoints import sessions
 from fgrecon.perception.vehicles import DetectionSettings, Look, NanodetVehicleDetector, shipped, suppress
 from fgrecon.simulation.demo import demo_scene
 from fgrecon_research.evaluation.kitti_devkit import REGIMES, regime_members
+from fgrecon_research.io.kitti_sets import read_labels
 
 
 @pytest.fixture(scope="module")

@@ -2,11 +2,9 @@
 
 `export` chooses by the ending of the name; `read_results` reads what `fgrecon reconstruct --json`, `fgrecon demo` and
 `fgrecon track --json` write, `read_video_frames` the frames of `fgrecon run`. trimesh, pyarrow and mcap are imported on
-use. `read_images_file` reads what other programs want to know of the images. Keypoint labels have a file of their own,
-COCO's: `write_coco_keypoints` and `read_coco_keypoints`.
+use. `read_images_file` reads what other programs want to know of the images.
 """
 
-from fgrecon.io.export.coco_keypoints import read_coco_keypoints, write_coco_keypoints
 from fgrecon.io.export.files import FORMATS, KINDS, export
 from fgrecon.io.export.frames import ImageInfo, read_images_file
 from fgrecon.io.export.results import NamedResult, read_results
@@ -18,9 +16,7 @@ __all__ = [
     "ImageInfo",
     "NamedResult",
     "export",
-    "read_coco_keypoints",
     "read_images_file",
     "read_results",
     "read_video_frames",
-    "write_coco_keypoints",
 ]

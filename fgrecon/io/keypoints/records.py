@@ -12,11 +12,11 @@ from typing import Any
 
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.annotations.pascal3d import read_anchors
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.keypoints.carfusion import carfusion_records
 from fgrecon.io.keypoints.coco import annotation_records, is_annotations
 from fgrecon.io.keypoints.names import naming_of
+from fgrecon.io.keypoints.pascal3d import read_anchors
 from fgrecon.io.other_inputs import refuse_results
 
 __all__ = ["NOT_JSON", "keypoint_records", "named_records"]
@@ -72,7 +72,7 @@ def _anchors(path: Path, category: Category) -> Iterator[tuple[Record, str]]:
     """Objects of a PASCAL3D+ file that have an anchor of a known name."""
     for number, item in enumerate(read_anchors(path), start=1):
         where = f"{path}: object {number}: "
-        found = item.found(where)
+        found = item.visible(where)
         if found and naming_of(tuple(item.anchors), category) is not None:
             box = {} if item.box is None else {"box": item.box.tolist()}
             yield {"id": number, "image": f"{path.stem}.jpg", "keypoints": found, **box}, where

@@ -18,8 +18,9 @@ from fgrecon.calibration.labelled_boxes import matched, wanted
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import FAILURE_DEGREES, orientation_error
 from fgrecon.io.kitti_drives import Drive
-from fgrecon.io.kitti_files import LABEL_COLUMNS, Defect, Objects, parse_objects
+from fgrecon.io.kitti_files import LABEL_COLUMNS, Objects
 from fgrecon_research.evaluation.kitti_overlap import Space, overlap
+from fgrecon_research.io.kitti_sets import Defect, parse_objects
 
 _NAME = "{:06d}"  # of a frame
 

@@ -24,9 +24,10 @@ from fgrecon.core.metrics import (
 from fgrecon.core.plain import finite
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_calibration import KittiCalibration, read_calibration
-from fgrecon.io.kitti_files import Defect, Fault, Objects, read_detections, read_labels
+from fgrecon.io.kitti_files import Objects
 from fgrecon.perception.from_image import FromImage
 from fgrecon_research.evaluation.kitti_devkit import REGIMES, regime_members
+from fgrecon_research.io.kitti_sets import Defect, Fault, read_detections, read_labels
 
 Array = NDArray[np.float64]
 

@@ -21,8 +21,8 @@ from fgrecon.core.camera import Camera
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import MIRROR, pixel_jacobian, transform
-from fgrecon.io.annotations.offsets import robust_offset
 from fgrecon.io.json_fields import Fields, read_json
+from fgrecon_research.io.annotations.offsets import robust_offset
 from fgrecon_research.training.priors.apollo79 import Apollo79
 
 Array = NDArray[np.float64]

@@ -19,12 +19,12 @@ from fgrecon.core.reconstruction import Reconstruction, rotation_y
 from fgrecon.core.size_prior import size_prior
 from fgrecon.io.catalogue import load_prior
 from fgrecon.io.kitti_calibration import read_calibration
-from fgrecon.io.kitti_files import read_labels
 from fgrecon.io.track_file import GroundTruth, Track, TrackFrame
 from fgrecon.perception.from_image import reconstruct_detection
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.solve.vehicle.model import prepare
 from fgrecon_research.evaluation.bootstrap import mean_interval
+from fgrecon_research.io.kitti_sets import read_labels
 from fgrecon_research.paper.stages import StageEstimate, initial_state, noisy_azimuth, stages_of
 from fgrecon_research.paper.tables import APK_ALPHA, LABELS, PRINTED_APK, PRINTED_HAUSDORFF, Cell, Table
 from fgrecon_research.training.keypoints.evaluate import GROUPS, Scored, adjusted, score_marks

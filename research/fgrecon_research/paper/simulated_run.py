@@ -18,11 +18,12 @@ from fgrecon.core.processes import processes_with
 from fgrecon.core.robust import StrategyName
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.kitti_calibration import read_calibration
-from fgrecon.io.kitti_files import Fault, Objects, read_detections, read_image_set, read_labels
+from fgrecon.io.kitti_files import Objects
 from fgrecon.io.stored import stored
 from fgrecon.simulation.keypoint_noise import HOURGLASS
 from fgrecon.simulation.vehicles import Vehicle
 from fgrecon.solve.vehicle.conditioning import of_fleet
+from fgrecon_research.io.kitti_sets import Fault, read_detections, read_image_set, read_labels
 from fgrecon_research.paper.simulated import Fleet, KittiFrame, simulate_frame
 from fgrecon_research.paper.simulated_scores import (
     CHAIN_ROWS,

@@ -8,11 +8,12 @@ from fgrecon.calibration.setup import SceneKnowledge
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.options import BoxModel, Options
 from fgrecon.io.kitti_calibration import KittiCalibration
-from fgrecon.io.kitti_files import Objects, parse_objects
+from fgrecon.io.kitti_files import Objects
 from fgrecon.simulation.keypoint_noise import HOURGLASS
 from fgrecon.simulation.vehicles import Vehicle
 from fgrecon.solve.vehicle.conditioning import of_fleet
 from fgrecon.solve.vehicle.model import prepare
+from fgrecon_research.io.kitti_sets import parse_objects
 from fgrecon_research.paper.simulated import Fleet, KittiFrame, hidden_by_boxes, simulate_frame
 from fgrecon_research.paper.simulated_run import Condition, PaperSettings, Validation, run_conditions
 from fgrecon_research.paper.simulated_scores import Scores, row_solvers, score_instances

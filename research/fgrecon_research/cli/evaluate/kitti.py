@@ -92,7 +92,7 @@ class KittiBoxes:
     @property
     def enclose(self) -> BoxModel:
         """What they enclose."""
-        from fgrecon.io.kitti_files import stated_model
+        from fgrecon_research.io.kitti_sets import stated_model
 
         stated = stated_model(self.boxes) if self.boxes is not None and self.box_model is None else None
         return self.box_model or stated or BoxModel.CUBOID
@@ -123,10 +123,10 @@ def kitti_command(
 
     Exit code 1: no car could be reconstructed.
     """
-    from fgrecon.io.kitti_files import read_image_set, write_results
     from fgrecon_research.evaluation import kitti_images
     from fgrecon_research.evaluation.boxes_summary import plain_boxes, tables
     from fgrecon_research.evaluation.kitti_boxes import score_boxes
+    from fgrecon_research.io.kitti_sets import read_image_set, write_results
 
     check_outputs(json_out, markdown, picture=picture)
     delivery.check()

@@ -21,7 +21,6 @@ from fgrecon.cli.terminal import Screen
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.catalogue import load_prior
-from fgrecon.io.export.coco_keypoints import VehicleLabel, VehicleLabels, write_coco_keypoints
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_drives import Drive, read_images
 from fgrecon.perception.keypoints.detect import KeypointCascade
@@ -29,6 +28,7 @@ from fgrecon_research.annotation.annotate import annotate
 from fgrecon_research.annotation.annotation import Annotation
 from fgrecon_research.annotation.labels import vehicle_labels
 from fgrecon_research.annotation.unboxed import Unboxed
+from fgrecon_research.io.coco_keypoints import VehicleLabel, VehicleLabels, write_coco_keypoints
 from fgrecon_research.training.keypoints.progress import Progress
 
 _DRAWN = 24  # vehicles of a picture, at most

@@ -114,8 +114,8 @@ def learn_command(
 
     from fgrecon.core.errors import InvalidInputError
     from fgrecon.core.size_prior import size_prior as parse_size
-    from fgrecon.io.annotations import load_annotations, spread
     from fgrecon.io.catalogue import load_category, save_prior
+    from fgrecon_research.io.annotations import load_annotations, spread
     from fgrecon_research.training.priors.learn import default_size, learn_prior
 
     check_output(out)

@@ -27,7 +27,7 @@ import factors
 from factors import L, LinearShape, M, O, ProjectionKernel, RobustLoss, X
 from fgrecon.core.geometry import MIRROR, turn_between
 from fgrecon.core.shape_prior import ShapePrior
-from fgrecon.io.annotations.offsets import robust_offset
+from fgrecon_research.io.annotations.offsets import robust_offset
 from fgrecon_research.training.keypoints.labels import ShapeFit
 from fgrecon_research.training.keypoints.posed_cars import PosedCar
 

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.arrays import read_arrays
-from fgrecon.io.export.coco_keypoints import read_coco_keypoints
 from fgrecon.io.files import write_bytes
 from fgrecon.io.images import read_image
 from fgrecon.io.stored import MADE_AGAIN
 from fgrecon.perception.keypoints.crops import Crop, extract
+from fgrecon_research.io.coco_keypoints import read_coco_keypoints
 from fgrecon_research.training.keypoints.dataset import SIDE, Photographs
 from fgrecon_research.training.keypoints.labelled_view import LabelledView
 from fgrecon_research.training.keypoints.progress import Progress, no_progress

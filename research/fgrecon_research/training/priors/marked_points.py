@@ -19,9 +19,9 @@ from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.geometry import MIRROR, pixel_jacobian
 from fgrecon.core.shape_prior import ShapePrior
-from fgrecon.io.annotations.offsets import robust_offset
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.keypoints.names import parse_names
+from fgrecon_research.io.annotations.offsets import robust_offset
 from fgrecon_research.training.priors.apollo79 import Apollo79, kept_models, surface_samples
 from fgrecon_research.training.priors.pca import pca_prior
 

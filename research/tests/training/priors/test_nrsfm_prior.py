@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from fgrecon.core.errors import DegenerateProblemError, InvalidInputError
 from fgrecon.core.size_prior import SizePrior
-from fgrecon.io.annotations import load_annotations, spread
 from fgrecon.io.catalogue import load_category, load_prior
+from fgrecon_research.io.annotations import load_annotations, spread
 from fgrecon_research.training.priors.canonical_frame import (
     at_ground_level,
     levelled,

@@ -3,11 +3,17 @@
 Any reader of COCO keypoints takes the file; `read_coco_keypoints` reads all of it. A keypoint's flag is 2 where it is
 probably seen, 1 where it is hidden, and 0, with u = v = 0, where it lies outside the image. Numbers have six digits,
 vertices millimetres.
+
+Images are named relative to the file's folder, so that both can move together. A path as it was given may go through
+links: a data folder that is one. As long as the file is on the same side of the link its name is short, and stays right
+when the link leads elsewhere; where `..` would be that of another folder than it looks, since the file's own folder is
+behind a link, links are followed.
 """
 
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,8 +24,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.brief import brief_repr
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.export.image_names import as_given, folder_of, name_from, place_of
-from fgrecon.io.files import write_text
+from fgrecon.io.files import behind_links, write_text
 from fgrecon.io.json_fields import Fields, numbers, read_json
 
 __all__ = [
@@ -162,13 +167,13 @@ def write_coco_keypoints(path: str | Path, labels: VehicleLabels, *, meshes: boo
         raise InvalidInputError("labels.vehicles", "none", "Give at least one.")
     if meshes and (labels.faces is None or any(vehicle.vertices is None for vehicle in labels.vehicles)):
         raise InvalidInputError("meshes", "a vehicle without a surface", "Give each its vertices, and the faces.")
-    folder = folder_of(Path(path))
+    folder = _folder_of(Path(path))
     images: dict[Path, dict[str, Any]] = {}
     annotations = []
     for number, vehicle in enumerate(labels.vehicles, start=1):
-        at = place_of(vehicle.image.path)
+        at = _place_of(vehicle.image.path)
         if at not in images:
-            images[at] = _image(vehicle.image, name_from(folder, vehicle.image.path), len(images) + 1)
+            images[at] = _image(vehicle.image, _name_from(folder, vehicle.image.path), len(images) + 1)
             if labels.terms:
                 images[at]["license"] = _LICENSE
         annotations.append(_annotation(vehicle, number, images[at]["id"], meshes=meshes))
@@ -281,7 +286,7 @@ def read_coco_keypoints(path: str | Path) -> VehicleLabels:
     images: dict[int, LabelledImage] = {}
     for number, item in enumerate(top.get("images", list)):
         one = Fields(item, f"{source}: images[{number}].")
-        images[one.get("id", int)] = _read_image(one, folder_of(source))
+        images[one.get("id", int)] = _read_image(one, _folder_of(source))
     vehicles = [
         _read_annotation(Fields(item, f"{source}: annotations[{number}]."), images, size)
         for number, item in enumerate(top.get("annotations", list))
@@ -336,7 +341,7 @@ def _read_image(fields: Fields, folder: Path) -> LabelledImage:
     if min(size) < 1:
         raise InvalidInputError(f"{fields.where}width, height", size, "Give pixels, from 1.")
     return LabelledImage(
-        path=as_given(folder / fields.get("file_name", str)),
+        path=_as_given(folder / fields.get("file_name", str)),
         size=size,
         matrix=fields.numbers("camera_matrix", (3, 3)),
         drive=fields.get("drive", str),
@@ -389,3 +394,34 @@ def _polygons(fields: Fields) -> tuple[Array, ...]:
             raise InvalidInputError(place, corners, "Give x and y of three corners at least, one after the other.")
         polygons.append(numbers(corners, (2 * count,), place).reshape(-1, 2))
     return tuple(polygons)
+
+
+def _place_of(path: Path) -> Path:
+    """Where a file lies: its folder's links followed, since `..` is of where they lead, and its own not.
+
+    Several images may be links to one file of a store.
+    """
+    return path.parent.resolve() / path.name
+
+
+def _as_given(path: Path) -> Path:
+    """An absolute path without `..`, its links not followed; as `place_of` where only that leads to the same folder."""
+    plain = Path(os.path.normpath(path.absolute()))
+    return plain if plain.parent.resolve() == path.parent.resolve() else _place_of(path)
+
+
+def _folder_of(file: Path) -> Path:
+    """The folder of a file, that of what it is a link to.
+
+    Raises:
+        InvalidInputError: Its links lead to themselves.
+    """
+    return _as_given(behind_links(file) if file.is_symlink() else file).parent
+
+
+def _name_from(folder: Path, image: Path) -> str:
+    """An image's path from a folder (`folder_of`), with `/` between its parts."""
+    given = Path(os.path.relpath(_as_given(image), folder))
+    if (folder / given).parent.resolve() != image.parent.resolve():
+        given = Path(os.path.relpath(_place_of(image), folder.resolve()))
+    return given.as_posix()

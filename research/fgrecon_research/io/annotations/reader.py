@@ -9,11 +9,11 @@ import numpy as np
 
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.annotations.annotations import Annotations
-from fgrecon.io.annotations.coco import read_coco
-from fgrecon.io.annotations.npz import read_npz
-from fgrecon.io.annotations.pascal3d import read_pascal3d
-from fgrecon.io.annotations.veri36 import read_veri36
+from fgrecon_research.io.annotations.annotations import Annotations
+from fgrecon_research.io.annotations.coco import read_coco
+from fgrecon_research.io.annotations.npz import read_npz
+from fgrecon_research.io.annotations.pascal3d import read_pascal3d
+from fgrecon_research.io.annotations.veri36 import read_veri36
 
 __all__ = ["FORMATS", "load_annotations"]
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.annotations.annotations import Annotations
+from fgrecon_research.io.annotations.annotations import Annotations
 
 __all__ = ["read_veri36"]
 

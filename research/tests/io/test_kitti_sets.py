@@ -5,12 +5,10 @@ import pytest
 
 from fgrecon.core.choices import BoxModel
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.kitti_files import (
+from fgrecon.io.kitti_files import Objects, format_results, parse_detection
+from fgrecon_research.io.kitti_sets import (
     Defect,
-    Objects,
     count_defects,
-    format_results,
-    parse_detection,
     parse_objects,
     read_detections,
     read_image_set,

@@ -8,10 +8,15 @@ import numpy as np
 import pytest
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.annotations.coco import read_coco
 from fgrecon.io.catalogue import load_category
-from fgrecon.io.export import read_coco_keypoints, write_coco_keypoints
-from fgrecon.io.export.coco_keypoints import LabelledImage, VehicleLabel, VehicleLabels
+from fgrecon_research.io.annotations.coco import read_coco
+from fgrecon_research.io.coco_keypoints import (
+    LabelledImage,
+    VehicleLabel,
+    VehicleLabels,
+    read_coco_keypoints,
+    write_coco_keypoints,
+)
 
 CATEGORY = load_category("car14")
 

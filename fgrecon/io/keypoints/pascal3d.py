@@ -1,4 +1,4 @@
-"""Reader of PASCAL3D+ annotations: one MATLAB file per image, as the data set ships them."""
+"""Objects of PASCAL3D+ annotations: one MATLAB file per image, as the data set ships them."""
 
 from __future__ import annotations
 
@@ -10,12 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.annotations.annotations import Annotations
 from fgrecon.io.isolated import Isolated
 
-__all__ = ["AnchoredObject", "read_anchors", "read_pascal3d"]
+__all__ = ["AnchoredObject", "read_anchors"]
 
 _VISIBLE = 1
 """Status of an anchor: 1 visible, 2 self-occluded, 3 occluded, 4 truncated, 5 unknown."""
@@ -33,7 +31,7 @@ class AnchoredObject:
     anchors: Mapping[str, Any]
     box: NDArray[np.float64] | None
 
-    def found(self, where: str) -> dict[str, list[float]]:
+    def visible(self, where: str) -> dict[str, list[float]]:
         """0-based pixels of the visible anchors, by name.
 
         Args:
@@ -44,50 +42,6 @@ class AnchoredObject:
         """
         located = {name: _location(f"{where}{name}", anchor) for name, anchor in self.anchors.items()}
         return {name: pixel.tolist() for name, pixel in located.items() if np.isfinite(pixel).all()}
-
-
-def read_pascal3d(paths: list[Path], category: Category, rename: Mapping[str, str]) -> Annotations:
-    """Annotations of PASCAL3D+ files: `record.objects(i).anchors.NAME` with `location` [x y] and `status`.
-
-    Objects whose anchors have no name of the category (other classes, or objects without anchors) are passed over.
-    Pixels become 0-based: MATLAB counts from 1.
-
-    Args:
-        paths: The `.mat` files, one per image.
-        category: The category to read for; its keypoints bear the anchors' names.
-        rename: From the anchors' names to the category's, where they differ.
-
-    Returns:
-        The annotations of the visible anchors.
-
-    Raises:
-        InvalidInputError: A file is no such file, or an anchor has no usable location; names file, object and anchor.
-    """
-    keypoints: list[NDArray[np.float64]] = []
-    names: list[str] = []
-    met: set[str] = set()
-    with Isolated() as child:
-        objects = [(path, read_anchors(path, child)) for path in paths]
-    for path, found in objects:
-        for number, item in enumerate(found):
-            anchors = item.anchors
-            present = {name: rename.get(name, name) for name in anchors}
-            met.update(anchors)
-            if not any(target in category.keypoints for target in present.values()):
-                continue
-            points = np.full((category.size, 2), np.nan)
-            for name, target in present.items():
-                if target in category.keypoints:
-                    where = f"{path}: object {number + 1}: {name}"
-                    points[category.keypoints.index(target)] = _location(where, anchors[name])
-            if np.isfinite(points).any():
-                keypoints.append(points)
-                names.append(f"{path.stem} object {number + 1}")
-    if met and not met & ({*category.keypoints} | {name for name, to in rename.items() if to in category.keypoints}):
-        fix = f"Use a category with these anchors' names, or rename them to: {', '.join(category.keypoints)}."
-        raise InvalidInputError(f"{paths[0]}: anchors", ", ".join(sorted(met)), fix)
-    array = np.array(keypoints).reshape(-1, category.size, 2)
-    return Annotations(category, array, tuple(names), source=f"{len(paths)} PASCAL3D+ files")
 
 
 def read_anchors(path: Path, child: Isolated | None = None) -> list[AnchoredObject]:

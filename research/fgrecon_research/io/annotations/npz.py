@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.annotations.annotations import Annotations, in_category_order
 from fgrecon.io.arrays import read_arrays
+from fgrecon_research.io.annotations.annotations import Annotations, in_category_order
 
 __all__ = ["read_npz"]
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.io import savemat
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.annotations import Annotations, load_annotations, spread
+from fgrecon_research.io.annotations import Annotations, load_annotations, spread
 from research.tests.training.priors.nrsfm_data import chair, draw_world
 
 NAMES = chair().keypoints

@@ -1,0 +1,1 @@
+"""Files of training and evaluation: annotated images, keypoint labels, KITTI's sets with every defect counted."""
