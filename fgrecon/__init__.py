@@ -40,10 +40,9 @@ if TYPE_CHECKING:  # imported when used
     from fgrecon.core.status import Regions
     from fgrecon.core.track_reconstruction import JointStep, TrackReconstruction
     from fgrecon.core.vehicle_estimate import VehicleEstimate
-    from fgrecon.io.catalogue import load_category, load_prior, save_prior
-    from fgrecon.io.detector_calibration import load_calibration, save_calibration
+    from fgrecon.io.catalogue import load_calibration, load_category, load_prior, save_calibration, save_prior
     from fgrecon.io.images import read_image
-    from fgrecon.io.keypoints.reader import keypoints_from
+    from fgrecon.io.keypoints.any_keypoints import keypoints_from
     from fgrecon.perception.from_image import FromImage, reconstruct_image
     from fgrecon.perception.protocols import KeypointDetector, VehicleDetector
     from fgrecon.perception.refine import refine_boxes

@@ -16,12 +16,11 @@ import numpy as np
 from benchmarks.fuzz.reader import Reader
 from fgrecon.io.cameras import read_camera
 from fgrecon.io.catalogue import load_category, load_prior
-from fgrecon.io.export.frames import read_images_file
+from fgrecon.io.export.image_info import read_images_file
 from fgrecon.io.isolated import Isolated
 from fgrecon.io.keypoints.names import parse_names
-from fgrecon.io.kitti_tracking import read_tracking
-from fgrecon.io.nuscenes import open_nuscenes
-from fgrecon.io.nuscenes_boxes import cuboid_boxes
+from fgrecon.io.kitti_files import read_tracking
+from fgrecon.io.nuscenes import cuboid_boxes, open_nuscenes
 from fgrecon.io.poses import read_poses
 from fgrecon.video.given import read_given
 

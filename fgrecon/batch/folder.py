@@ -16,8 +16,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.plain import well_formed
 from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.io.catalogue import load_prior
-from fgrecon.io.export.results import NamedResult, ground_of
-from fgrecon.io.export.surfaces import Surfaces
+from fgrecon.io.export.results import NamedResult, Surfaces, ground_of
 from fgrecon.io.json_fields import read_json
 
 __all__ = ["read_folder"]

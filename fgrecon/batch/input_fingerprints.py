@@ -17,8 +17,8 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.plain import well_formed
 from fgrecon.core.text import whole_text
 from fgrecon.io.files import write_text
+from fgrecon.io.integrity import MADE_AGAIN, stored
 from fgrecon.io.json_fields import read_json
-from fgrecon.io.stored import MADE_AGAIN, stored
 
 __all__ = ["INPUTS", "check_unedited"]
 

@@ -16,9 +16,9 @@ import pyarrow.parquet as pq
 from fgrecon.batch.schema import ERROR, FORMAT, REFUSED, result_schema
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import replacing, write_text
+from fgrecon.io.integrity import MADE_AGAIN, stored
 from fgrecon.io.isolated import Isolated
 from fgrecon.io.json_fields import parse_json, read_json
-from fgrecon.io.stored import MADE_AGAIN, stored
 
 __all__ = ["RECORDS", "RUN", "Parts", "RowOutcome", "begin", "claimed", "made", "refuse_batch", "refuse_video"]
 

@@ -8,13 +8,12 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import ArrayLike, NDArray
 
-from fgrecon.batch.pictures import Pictures
 from fgrecon.batch.rows import failed_row, id_in_image, origin_of, solved_row, table_of
 from fgrecon.batch.schema import EMPTY
 from fgrecon.batch.tasks import nested, record_of
@@ -27,16 +26,19 @@ from fgrecon.core.shape_prior import ShapePrior
 from fgrecon.core.size_prior import SizePrior, SizesLike
 from fgrecon.core.size_prior import size_prior as named_size_prior
 from fgrecon.io.catalogue import load_prior
+from fgrecon.io.images import decode_photograph, read_photograph
 from fgrecon.io.keypoint_file import Instance
+from fgrecon.io.keypoints.any_keypoints import parse_any_keypoints
 from fgrecon.io.keypoints.names import Names, NamesLike, parse_names
-from fgrecon.io.keypoints.reader import parse_any_keypoints
 from fgrecon.perception.boxes import for_detected
 from fgrecon.perception.keypoints.detect import KeypointCascade, check_box, large_enough, shipped_cascade
 from fgrecon.perception.keypoints.sessions import at_most
 from fgrecon.perception.protocols import find_keypoints
 from fgrecon.perception.vehicles import NanodetVehicleDetector, Vehicles
 
-__all__ = ["Reconstructor"]
+if TYPE_CHECKING:
+    from fgrecon.io.source_frames import SourceFrame
+__all__ = ["Pictures", "Reconstructor"]
 
 Row = dict[str, Any]
 
@@ -234,3 +236,42 @@ def _given(boxes: Iterable[Iterable[float]], image: NDArray[np.uint8]) -> Vehicl
     for number, box in enumerate(corners):
         check_box(as_finite(f"boxes[{number}]", box, (4,)), image, f"boxes[{number}]")
     return Vehicles(corners, np.zeros(len(corners)))
+
+
+class Pictures:
+    """Opens images; the video that was read last stays open, since a later frame of it is probably wanted next."""
+
+    def __init__(self) -> None:
+        """Nothing is open yet."""
+        self._path: str | None = None
+        self._frames: Iterator[SourceFrame] = iter(())
+        self._next = 0
+
+    def get(self, image: str | bytes, frame: int | None = None) -> tuple[NDArray[np.uint8], Camera | None]:
+        """An image (H, W, 3) of RGB bytes, and the camera that its EXIF data tell, or None.
+
+        Args:
+            image: File of an image, or of a video where a frame is given; or the bytes of an image file.
+            frame: Number of the frame from 0.
+
+        Raises:
+            InvalidInputError: It cannot be read.
+        """
+        if isinstance(image, bytes):
+            return decode_photograph(image, "image")
+        if "\0" in image:
+            raise InvalidInputError("image", image, "Give the name of a file: none has a null character.")
+        return read_photograph(image) if frame is None else (self._frame(image, frame), None)
+
+    def _frame(self, path: str, frame: int) -> NDArray[np.uint8]:
+        from fgrecon.io.source_frames import Choice
+        from fgrecon.io.video_frames import open_video
+
+        if path != self._path or frame < self._next:
+            self._path, self._frames = path, open_video(Path(path), Choice()).read(after=frame - 1)
+        self._next = frame + 1
+        found = next((one for one in self._frames if one.number == frame), None)
+        if found is None or found.image is None:
+            problem = f"{path}: it has no frame {frame}" if found is None else found.problem
+            raise InvalidInputError("image", path, f"Give a whole video ({problem}).")
+        return found.image

@@ -31,11 +31,13 @@ class TaskSolver:
 
     def __init__(self, function: Callable[[Any], Any]) -> None:
         """Take what is called with a table of tasks: a `Reconstructor`."""
-        self._function = function
+        self._function, self._begun = function, False
 
     def __call__(self, tasks: Tasks) -> Any:
         """A table of their results."""
-        _leave_pandas()
+        if not self._begun:
+            _leave_pandas()
+            self._begun = True
         return self._function(pa.Table.from_pylist(list(tasks), schema=task_schema()))
 
 
@@ -45,11 +47,20 @@ def _leave_pandas() -> None:
     pyarrow looks once; where it does not find it, it leaves it alone until somebody asks for a data frame.
     """
     if "pandas" not in sys.modules:
-        sys.modules["pandas"] = None  # type: ignore[assignment]  # importing it fails
+        finder = _NoPandas()
+        sys.meta_path.insert(0, finder)
         try:
             pa.array([])
         finally:
-            del sys.modules["pandas"]
+            sys.meta_path.remove(finder)
+
+
+class _NoPandas:
+    """Finds every module but pandas; a None in `sys.modules` pyarrow would take for the module."""
+
+    def find_spec(self, name: str, *_: object) -> None:
+        if name == "pandas":
+            raise ModuleNotFoundError(name, name=name)
 
 
 def instance_text(row: Mapping[str, Any]) -> str:

@@ -21,7 +21,7 @@ from fgrecon.core.detection import facing_probability
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import FAILURE_DEGREES
 from fgrecon.core.processes import processes_with
-from fgrecon.io.export.kitti import kitti_text
+from fgrecon.io.export.dataset_results import kitti_text
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.images import read_image
 from fgrecon.io.kitti_drives import Drive, DriveFrame

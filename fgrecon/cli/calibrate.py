@@ -49,7 +49,7 @@ def calibrate_command(
     from fgrecon.core.coverage import SIGMAS
     from fgrecon.core.detector_calibration import DetectorCalibration
     from fgrecon.core.errors import InvalidInputError
-    from fgrecon.io.detector_calibration import save_calibration
+    from fgrecon.io.catalogue import save_calibration
     from fgrecon.io.kitti_drives import read_images
 
     def score(factor: float) -> ScoredDrives:

@@ -70,7 +70,7 @@ def export_command(
     Of a video's run JSON and MCAP are made, with the times of the frames; its folder has tables already.
     """
     from fgrecon.io.export import export, read_images_file, read_results, read_video_frames
-    from fgrecon.io.export.files import check_format
+    from fgrecon.io.export.formats import check_format
     from fgrecon.io.export.video_frames import check_video_format, frames_file
 
     check_format(out, kind)

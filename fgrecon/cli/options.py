@@ -237,7 +237,7 @@ class SceneOptions:
         keypoints = replace(options.keypoints, least_confidence=self.min_confidence)
         told = replace(options, keypoints=keypoints, traffic=self.traffic)
         if self.calibration is not None:
-            from fgrecon.io.detector_calibration import load_calibration
+            from fgrecon.io.catalogue import load_calibration
 
             told = load_calibration(self.calibration).applied(told)
         return Settings.of(self.prior, self.ground, self.camera_height, self.size_prior, told)

@@ -21,9 +21,8 @@ from fgrecon.core.options import BoxModel
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.vehicle_mesh import ClosestModel
 from fgrecon.io.json_fields import read_json
-from fgrecon.io.keypoint_file import Instance
+from fgrecon.io.keypoint_file import Instance, refuse_other_file
 from fgrecon.io.keypoints import NOT_JSON, parse_any_keypoints, read_any_keypoints
-from fgrecon.io.other_inputs import refuse_other_file
 from fgrecon.io.track_file import parse_track
 from fgrecon.solve.pipeline import reconstruct
 

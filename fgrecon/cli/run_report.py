@@ -20,7 +20,7 @@ from fgrecon.cli.run_job import Job
 from fgrecon.cli.settings import plain_camera, plain_settings
 from fgrecon.cli.terminal import Screen
 from fgrecon.core.text import counted
-from fgrecon.io.export.files import export_rows
+from fgrecon.io.export.formats import export_rows
 from fgrecon.io.files import write_text
 from fgrecon.io.frames import SourceFrame
 from fgrecon.solve.box_check import boxes_warning

@@ -20,7 +20,7 @@ from fgrecon.core.size_prior import SizePrior
 from fgrecon.core.size_prior import size_prior as parse_size
 from fgrecon.io.cameras import MountedCamera, read_camera
 from fgrecon.io.catalogue import load_prior, shipped_priors
-from fgrecon.io.hashes import file_hash
+from fgrecon.io.integrity import file_hash
 from fgrecon.io.kitti_calibration import read_calibration
 
 __all__ = ["CameraSource", "Settings", "content_hash", "plain_camera", "plain_settings"]

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from fgrecon.core.box3d import Box3D
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.metrics import wrap_angle
+from fgrecon.io.files import read_text
 from fgrecon.io.images import IMAGES
 from fgrecon.io.kitti_files import LABEL_COLUMNS, parse_object
 
@@ -191,11 +192,7 @@ def read_box_lines(path: Path) -> list[BoxLine]:
     Raises:
         InvalidInputError: The file cannot be read, or a line is malformed; names file and line.
     """
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInputError("boxes", str(path), f"Give a text file that can be read ({error}).") from error
-    return [_line(text, number, path) for number, text in enumerate(lines, start=1)]
+    return [_line(text, number, path) for number, text in enumerate(read_text(path, "boxes").splitlines(), start=1)]
 
 
 def text_of(lines: Sequence[BoxLine], changed: Mapping[int, str]) -> str:

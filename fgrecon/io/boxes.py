@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import BoxModel
+from fgrecon.io.files import read_text
 from fgrecon.io.json_fields import Fields, read_json
 from fgrecon.io.kitti_files import DETECTION_CLASSES, LABEL_COLUMNS, parse_detection, parse_object
-from fgrecon.io.nuscenes import is_nuscenes, open_nuscenes
-from fgrecon.io.nuscenes_boxes import cuboid_boxes
+from fgrecon.io.nuscenes import cuboid_boxes, is_nuscenes, open_nuscenes
 
 __all__ = ["LEAST_SCORE", "NamedBox", "read_boxes"]
 
@@ -78,21 +78,19 @@ def read_boxes(
         file = next((path for ending in (".txt", ".json") if (path := file / f"{image}{ending}").is_file()), file)
     if file.suffix.lower() == ".json":
         return _coco(read_json(file), file, given, LEAST_SCORE if least_score is None else least_score)
-    try:
-        lines = file.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInputError("boxes", str(file), _FIX) from error
     boxes: list[NamedBox] = []
-    for number, line in enumerate(lines):
-        if line.strip():
-            try:
-                box = _of_line(line.split(), line, image)
-            except ValueError as error:
-                raise InvalidInputError(f"{file}:{number + 1}", line, _FIX) from error
-            if isinstance(box, _Relative):
-                box = box.in_image(file, number, size)
-            if box is not None and not box.doubtful(least_score):
-                boxes.append(NamedBox(str(number if box.named else len(boxes)), box.corners, box.model))
+    for number, line in enumerate(read_text(file, "boxes", _FIX).splitlines()):
+        if not line.strip():
+            continue
+        try:
+            relative = _relative(line.split())
+            box = _of_line(line.split(), line, image) if relative is None else None
+        except ValueError as error:
+            raise InvalidInputError(f"{file}:{number + 1}", line, _FIX) from error
+        if relative is not None:
+            box = relative.in_image(file, number, size)
+        if box is not None and not box.below(least_score):
+            boxes.append(NamedBox(str(number if box.named else len(boxes)), box.corners, box.model))
     return boxes
 
 
@@ -106,8 +104,8 @@ class _Box:
     score: float | None
     unit: bool = True
 
-    def doubtful(self, least: float | None) -> bool:
-        """Whether its score is lower than is asked for."""
+    def below(self, least: float | None) -> bool:
+        """Whether its score is lower than is allowed."""
         if self.score is None or (least is None and not self.unit):
             return False
         return self.score < (LEAST_SCORE if least is None else least)
@@ -131,28 +129,33 @@ class _Relative:
         return _Box(np.concatenate([centre - half, centre + half]), BoxModel.SURFACE, named=True, score=self.score)
 
 
-def _of_line(words: list[str], line: str, image: str) -> _Box | _Relative | None:
-    """The box of a line, or None where it is of no car of this image.
+def _relative(words: list[str]) -> _Relative | None:
+    """A line of YOLO's, or None where it is none; raises ValueError where a number is out of range."""
+    if len(words) not in (_YOLO_COLUMNS, _YOLO_COLUMNS + 1) or not words[0].isdecimal():
+        return None
+    numbers = np.array(words[1:], dtype=np.float64)
+    if not ((numbers >= 0) & (numbers <= 1)).all():
+        raise ValueError("parts of the image are from 0 to 1")
+    return _Relative(int(words[0]), numbers[:4], float(numbers[4]) if len(words) > _YOLO_COLUMNS else 1.0)
+
+
+def _of_line(words: list[str], line: str, image: str) -> _Box | None:
+    """The box of a line of KITTI's or of detections, or None where it is of no car of this image.
 
     Raises:
         ValueError: The line has no known format.
     """
     columns = len(words)
-    if columns in (_YOLO_COLUMNS, _YOLO_COLUMNS + 1) and words[0].isdecimal():
-        numbers = np.array(words[1:], dtype=np.float64)
-        if not ((numbers >= 0) & (numbers <= 1)).all():
-            raise ValueError("parts of the image are from 0 to 1")
-        return _Relative(int(words[0]), numbers[:4], float(numbers[4]) if columns > _YOLO_COLUMNS else 1.0)
     if columns in (LABEL_COLUMNS + 2, LABEL_COLUMNS + 3) and words[0].isdecimal() and _is_integer(words[1]):
         if not image.isdecimal() or words[0].lstrip("0") != image.lstrip("0"):
             return None
         columns, line = columns - 2, " ".join(words[2:])
     if columns in (LABEL_COLUMNS, LABEL_COLUMNS + 1):
         scored = columns > LABEL_COLUMNS
-        kind, numbers_ = parse_object(line, scored=scored)
-        score = numbers_[-1] if scored else None
-        corners = np.array(numbers_[3:7])
-        return _Box(corners, BoxModel.CUBOID, named=True, score=score, unit=False) if kind == "Car" else None
+        kind, numbers = parse_object(line, scored=scored)
+        score = numbers[-1] if scored else None
+        box = _Box(np.array(numbers[3:7]), BoxModel.CUBOID, named=True, score=score, unit=False)
+        return box if kind == "Car" else None
     found = parse_detection(line)
     if DETECTION_CLASSES.get(found.label) != "Car" or Path(found.image).stem != image:
         return None
@@ -167,12 +170,11 @@ def _is_integer(word: str) -> bool:
 def _car_class(file: Path) -> int:
     """Number of YOLO's class of cars: the line `car` of `classes.txt`, where that lies beside the file."""
     names = file.parent / _CLASSES
-    try:
-        lines = [line.strip() for line in names.read_text(encoding="utf-8-sig").splitlines()]
-    except FileNotFoundError:
+    if not names.exists():
         return _YOLO_CAR
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInputError("boxes", str(names), "Give the names of the classes, one a line.") from error
+    lines = [
+        line.strip() for line in read_text(names, "boxes", "Give the names of the classes, one a line.").splitlines()
+    ]
     if "car" not in lines:
         raise InvalidInputError(str(names), ", ".join(lines), "Let a line be `car`.")
     return lines.index("car")

@@ -18,6 +18,7 @@ import io
 import json
 import zipfile
 from collections.abc import Mapping
+from dataclasses import asdict, fields
 from functools import lru_cache
 from importlib import resources
 from importlib.resources.abc import Traversable
@@ -29,14 +30,25 @@ from numpy.typing import NDArray
 
 from fgrecon.core.category import Category
 from fgrecon.core.checks import as_instance, as_path
+from fgrecon.core.detector_calibration import BoxSource, DetectorCalibration
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.shape_prior import ShapePrior, Surface
 from fgrecon.io.arrays import read_arrays
-from fgrecon.io.files import write_bytes
-from fgrecon.io.hashes import check_hash
-from fgrecon.io.json_fields import parse_json
+from fgrecon.io.files import write_bytes, write_text
+from fgrecon.io.integrity import check_hash
+from fgrecon.io.json_fields import Fields, parse_json, read_json, within
 
-__all__ = ["PRIOR_FORMAT", "load_category", "load_prior", "save_prior", "shipped_categories", "shipped_priors"]
+__all__ = [
+    "DETECTOR_FORMAT",
+    "PRIOR_FORMAT",
+    "load_calibration",
+    "load_category",
+    "load_prior",
+    "save_calibration",
+    "save_prior",
+    "shipped_categories",
+    "shipped_priors",
+]
 
 PRIOR_FORMAT = "fgrecon.shape_prior/1"
 _SURFACE = ("surface_mean", "surface_basis", "surface_faces")
@@ -164,10 +176,8 @@ def _json(field: str, content: str | bytes) -> Mapping[str, Any]:
 
 def _category_from_json(source: str, content: str | bytes) -> Category:
     data = _json(source, content)
-    try:
+    with within(f"{source}: "):
         return Category.from_dict(data)
-    except InvalidInputError as error:
-        raise InvalidInputError(f"{source}: {error.field}", error.value, error.fix) from error
 
 
 @lru_cache(maxsize=16)  # one object for one content, so that what is prepared for it is found again
@@ -191,9 +201,9 @@ def _prior_from_arrays(source: str, arrays: Mapping[str, NDArray[Any]], fix: str
             raise InvalidInputError(f"{source}: {field}", "no such array", fix)
     if text("format") != PRIOR_FORMAT:
         raise InvalidInputError(f"{source}: format", text("format"), f"Give a file in the format {PRIOR_FORMAT}.")
-    try:
+    with within(f"{source}: "):
         surface = Surface(*(arrays[field] for field in _SURFACE)) if surface_fields else None
-        prior = ShapePrior(
+        return ShapePrior(
             category=_category_from_json("category", text("category")),
             mean=arrays["mean"],
             basis=arrays["basis"],
@@ -204,9 +214,6 @@ def _prior_from_arrays(source: str, arrays: Mapping[str, NDArray[Any]], fix: str
             provenance={str(key): str(value) for key, value in _json("provenance", text("provenance")).items()},
             mean_sigma=arrays.get("mean_sigma"),
         )
-    except InvalidInputError as error:
-        raise InvalidInputError(f"{source}: {error.field}", error.value, error.fix) from error
-    return prior
 
 
 def _compact(array: NDArray[np.float64]) -> NDArray[Any]:
@@ -214,3 +221,41 @@ def _compact(array: NDArray[np.float64]) -> NDArray[Any]:
     with np.errstate(over="ignore"):  # numbers beyond float32 are kept as they are
         short = array.astype(np.float32)
     return short if np.array_equal(short.astype(np.float64), array) else array
+
+
+DETECTOR_FORMAT = "fgrecon.detector/1"
+
+
+def load_calibration(path: str | Path) -> DetectorCalibration:
+    """Read a detector's calibration.
+
+    Raises:
+        InvalidInputError: The file cannot be read, is of another format, or a number is missing or out of range; names
+            file and field.
+    """
+    file, where = as_path("calibration", path), f"{path}: "
+    data = Fields(read_json(file), where)
+    told = data.get("format", str)
+    if told != DETECTOR_FORMAT:
+        raise InvalidInputError(f"{where}format", told, f"Give a file of {DETECTOR_FORMAT}: `fgrecon calibrate`.")
+    numbers = {name: float(data.numbers(name, ())) for name in DetectorCalibration().numbers}
+    edges: dict[str, float] | None = None
+    if "boxes" in data:
+        told_of_boxes = Fields(data.get("boxes", dict), f"{where}boxes.")
+        edges = {entry.name: float(told_of_boxes.numbers(entry.name, ())) for entry in fields(BoxSource)}
+    with within(where):
+        source = None if edges is None else BoxSource(**edges)
+        return DetectorCalibration(**numbers, provenance=data.get("provenance", dict), boxes=source)
+
+
+def save_calibration(calibration: DetectorCalibration, path: str | Path) -> Path:
+    """Write a detector's calibration, whole or not at all.
+
+    Raises:
+        InvalidInputError: The file cannot be written.
+    """
+    as_instance("calibration", calibration, DetectorCalibration)
+    told = {"format": DETECTOR_FORMAT, **calibration.numbers, "provenance": dict(calibration.provenance)}
+    if calibration.boxes is not None:
+        told["boxes"] = asdict(calibration.boxes)
+    return write_text(as_path("path", path), json.dumps(told, indent=1, allow_nan=False) + "\n")

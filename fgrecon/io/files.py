@@ -25,13 +25,13 @@ _LONGEST = 255 - len(f"..????????{_PART}")
 """Bytes of a name that the names of its parts have in them; longer ones have its hash."""
 
 
-def read_text(path: Path, field: str, fix: str = "Give a text file in UTF-8.") -> str:
+def read_text(path: Path, field: str, fix: str = "") -> str:
     """The text of a file (UTF-8, a byte order mark left out).
 
     Args:
         path: The file.
         field: What an error calls it, where it cannot be read.
-        fix: What to give instead of a file that is no text.
+        fix: What to give instead; empty for what is wrong with the file.
 
     Raises:
         InvalidInputError: The file cannot be read, or is no text.
@@ -39,9 +39,9 @@ def read_text(path: Path, field: str, fix: str = "Give a text file in UTF-8.") -
     try:
         return path.read_text(encoding="utf-8-sig")
     except OSError as error:
-        raise InvalidInputError(field, str(path), f"Give a file that can be read ({error.strerror}).") from error
+        raise InvalidInputError(field, str(path), fix or f"Give a file that can be read ({error.strerror}).") from error
     except UnicodeDecodeError as error:
-        raise InvalidInputError(str(path), "no text", fix) from error
+        raise InvalidInputError(str(path), "no text", fix or "Give a text file in UTF-8.") from error
 
 
 def write_text(path: str | Path, text: str) -> Path:

@@ -21,7 +21,6 @@ from concurrent.futures import TimeoutError as LateError
 from contextlib import suppress
 from io import BytesIO
 from multiprocessing.spawn import get_executable
-from types import TracebackType
 from typing import IO, Any, ParamSpec, Self, TypeVar
 
 from fgrecon.core.errors import ChildNotBegunError, InvalidInputError
@@ -52,23 +51,29 @@ class Isolated:
             seconds: After which a piece of work is given up, the start of the process included.
         """
         self._seconds = seconds
-        self._child: _Child | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._begun = False
 
     def __enter__(self) -> Self:
         """Itself."""
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """End the process."""
         self.close()
 
     def close(self) -> None:
         """End the process, whatever it is doing."""
-        child, self._child = self._child, None
-        if child is not None:
-            child.end()
+        process, self._process = self._process, None
+        if process is None:
+            return
+        process.kill()
+        process.wait()
+        self._thread.shutdown()
+        for pipe in (process.stdin, process.stdout):
+            if pipe is not None:
+                with suppress(OSError):  # what was still to be sent to it
+                    pipe.close()
 
     def __call__(self, source: str, work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
         """The result of a function of a module, called in the child; what it raises is raised here.
@@ -85,87 +90,57 @@ class Isolated:
         """
         if getattr(sys, "frozen", False):  # there is no interpreter to start: its executable is the whole program
             return work(*args, **kwargs)
-        if self._child is None:
-            self._child = _Child(_ROOM * largest_bytes())
+        job = pickle.dumps((work, args, kwargs))
         try:
-            answer: T = self._child.ask((work, args, kwargs), self._seconds)
-            return answer
+            process = self._process or self._start()
+            good, answer = _load(BytesIO(self._thread.submit(self._exchange, process, job).result(self._seconds)))
         except ChildNotBegunError:
             self.close()
             raise
         except _DiedError as error:
             self.close()
             raise InvalidInputError(source, "damaged: it kills its decoder", _FIX) from error
-        except MemoryError as error:
-            raise InvalidInputError(source, "more than fits into memory", _FIX) from error
         except LateError as error:
             self.close()
             value = f"nothing after {self._seconds:g} seconds of decoding"
             raise InvalidInputError(source, value, "Give an undamaged file.") from error
+        if isinstance(answer, MemoryError) and not good:
+            raise InvalidInputError(source, "more than fits into memory", _FIX) from answer
+        if not good:
+            raise answer
+        result: T = answer
+        return result
 
-
-class _DiedError(Exception):
-    """The child died of its work."""
-
-
-class _Child:
-    """The process, and a thread that speaks with it, so that an answer can be waited for no longer than is wanted."""
-
-    def __init__(self, memory: int) -> None:
-        """Start it.
-
-        Raises:
-            ChildNotBegunError: There is no such program, or there are too many processes.
-        """
+    def _start(self) -> subprocess.Popen[bytes]:
+        """The process, and a thread that speaks with it, so that an answer is waited for no longer than is allowed."""
         command = [os.fsdecode(get_executable()), "-P", "-c", _CHILD]
         try:
             pipe = subprocess.PIPE
-            self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe)  # noqa: S603  # this interpreter
+            process = self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe)  # noqa: S603  # this interpreter
         except OSError as error:
             raise ChildNotBegunError(f"{command[0]}: {error}") from error
-        self._memory, self._begun = memory, False
-        self._thread = ThreadPoolExecutor(1)
+        self._begun, self._thread = False, ThreadPoolExecutor(1)
+        return process
 
-    def ask(self, job: tuple[Any, ...], seconds: float) -> Any:
-        """What the child answers; what it raises is raised.
-
-        Raises:
-            ChildNotBegunError: It died before it had begun.
-            _DiedError: It died later.
-            LateError: There is no answer yet.
-        """
-        good, answer = _load(BytesIO(self._thread.submit(self._exchange, pickle.dumps(job)).result(seconds)))
-        if good:
-            return answer
-        raise answer
-
-    def _exchange(self, job: bytes) -> bytes:
-        jobs, answers = self._process.stdin, self._process.stdout
+    def _exchange(self, process: subprocess.Popen[bytes], job: bytes) -> bytes:
+        jobs, answers = process.stdin, process.stdout
         assert jobs is not None
         assert answers is not None
         try:
             if not self._begun:
-                pickle.dump((sys.path, self._memory), jobs)
-                jobs.flush()
+                _send(jobs, (sys.path, _ROOM * largest_bytes()))
                 self._begun = bool(_load(answers))
-            pickle.dump(job, jobs)
-            jobs.flush()
+            _send(jobs, job)
             answer: bytes = _load(answers)
         except (EOFError, OSError, pickle.UnpicklingError) as error:  # the pipe's other end died, maybe half-way
             if self._begun:
                 raise _DiedError from error
-            raise ChildNotBegunError(f"it ended with exit code {self._process.wait()}") from error
+            raise ChildNotBegunError(f"it ended with exit code {process.wait()}") from error
         return answer
 
-    def end(self) -> None:
-        """End it, whatever it is doing."""
-        self._process.kill()
-        self._process.wait()
-        self._thread.shutdown()
-        for pipe in (self._process.stdin, self._process.stdout):
-            if pipe is not None:
-                with suppress(OSError):  # what it was still to be told
-                    pipe.close()
+
+class _DiedError(Exception):
+    """The child died of its work."""
 
 
 def serve(memory: int) -> None:
@@ -178,13 +153,11 @@ def serve(memory: int) -> None:
     jobs, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     silence = os.open(os.devnull, os.O_WRONLY)
     os.dup2(silence, 1)  # answers go there: whoever prints must not be taken for one
-    pickle.dump("begun", answers)
-    answers.flush()
-    os.dup2(silence, 2)  # decoders print pages when they die; the parent tells
+    _send(answers, "begun")
+    os.dup2(silence, 2)  # decoders print pages when they die; the parent reports it
     with suppress(EOFError):
         while True:
-            pickle.dump(_answer(_load(jobs)), answers)
-            answers.flush()
+            _send(answers, _answer(_load(jobs)))
 
 
 def _limit(memory: int) -> None:
@@ -209,6 +182,11 @@ def _answer(job: bytes) -> bytes:
         except Exception:  # noqa: BLE001  # some errors do not survive that
             return pickle.dumps((False, RuntimeError(f"{type(error).__name__}: {error}")))
         return answer
+
+
+def _send(pipe: IO[bytes], content: Any) -> None:
+    pickle.dump(content, pipe)
+    pipe.flush()
 
 
 def _load(pipe: IO[bytes]) -> Any:

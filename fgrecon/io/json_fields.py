@@ -6,7 +6,8 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.text import whole_text
 
-__all__ = ["Fields", "numbers", "parse_json", "read_json", "read_toml"]
+__all__ = ["Fields", "numbers", "parse_json", "read_json", "read_toml", "within"]
 
 _SURROGATE = re.compile(r"\\u[dD][89abAB-Fc-f]")
 _FLOATS = {float}
@@ -71,6 +72,24 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InvalidInputError("file", str(path), f"Give a file that can be read ({error.strerror}).") from error
     except ValueError as error:  # TOML's errors and those of UTF-8
         raise InvalidInputError(str(path), str(error), "Give a TOML file in UTF-8.") from error
+
+
+@contextmanager
+def within(where: str, names: Mapping[str, str] | None = None) -> Iterator[None]:
+    """Put a place in front of the field that an error names.
+
+    Args:
+        where: The place, such as `cars.json: instance 3: `.
+        names: What the file calls fields that have other names in fgrecon.
+
+    Raises:
+        InvalidInputError: One was raised inside.
+    """
+    try:
+        yield
+    except InvalidInputError as error:
+        field = error.field.removeprefix(where)
+        raise InvalidInputError(where + (names or {}).get(field, field), error.value, error.fix) from error
 
 
 class Fields:

@@ -42,11 +42,20 @@ from fgrecon.core.category import Category
 from fgrecon.core.checks import one_word
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
+from fgrecon.io.images import IMAGES
 from fgrecon.io.json_fields import Fields, numbers, read_json
 from fgrecon.io.lens_fields import check_unused, read_distortion, read_size
-from fgrecon.io.other_inputs import refuse_results
+from fgrecon.io.video_frames import VIDEOS
 
-__all__ = ["Instance", "KeypointFile", "parse_camera", "parse_keypoints", "read_keypoints"]
+__all__ = [
+    "Instance",
+    "KeypointFile",
+    "parse_camera",
+    "parse_keypoints",
+    "read_keypoints",
+    "refuse_other_file",
+    "refuse_results",
+]
 
 Array = NDArray[np.float64]
 
@@ -294,3 +303,41 @@ def parse_camera(fields: Fields) -> Camera | None:
     except InvalidInputError as error:
         name = error.field.replace("intrinsics", field).removeprefix(fields.where)
         raise InvalidInputError(f"{fields.where}{name}", error.value, error.fix) from error
+
+
+_ROWS = (".jsonl", ".ndjson", ".parquet")
+
+
+def refuse_other_file(path: Path) -> None:
+    """Refuse a file whose name says that it holds no keypoints that are read whole.
+
+    Raises:
+        InvalidInputError: It is a video, an image, or a table; names the command.
+    """
+    ending = path.suffix.lower()
+    if ending in VIDEOS:
+        what, fix = "A video", "give it to `fgrecon run`, which follows cars, or to `fgrecon batch`."
+    elif ending in IMAGES:
+        what, fix = "An image", "give it to `fgrecon reconstruct`; images of a drive to `fgrecon run`."
+    elif ending in _ROWS:
+        what, fix = "A file of rows", "give it to `fgrecon batch`."
+    else:
+        return
+    if path.is_file():  # else whoever opens it says so
+        raise InvalidInputError("file", str(path), f"{what}: {fix}")
+
+
+def refuse_results(data: Any, where: str) -> None:
+    """Refuse what fgrecon has written, which has results in the place of keypoints.
+
+    Args:
+        data: The content of a JSON file.
+        where: Put in front of the field that the error names.
+
+    Raises:
+        InvalidInputError: It is such; names the command.
+    """
+    kind = data.get("format") if isinstance(data, Mapping) else None
+    if isinstance(kind, str) and kind.startswith("fgrecon."):
+        fix = "These are results: give the keypoints. `fgrecon export` makes files for other programs of results."
+        raise InvalidInputError(f"{where}format", kind, fix)

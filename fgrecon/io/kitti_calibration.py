@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.files import read_text
 
 __all__ = ["KittiCalibration", "calibration_beside", "read_calibration", "rectified_size"]
 
@@ -58,12 +59,7 @@ def read_calibration(path: Path, projection: str = "P2") -> KittiCalibration:
     Raises:
         InvalidInputError: The file cannot be read, the line is missing or is no projection; names file and line.
     """
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except OSError as error:
-        raise InvalidInputError("calib", str(path), f"Give a file that can be read ({error.strerror}).") from error
-    except UnicodeDecodeError as error:
-        raise InvalidInputError("calib", str(path), "Give a text file of KITTI's calibration.") from error
+    lines = read_text(path, "calib").splitlines()
     content = {name.strip(): value.split() for name, _, value in (line.partition(":") for line in lines)}
     raw = f"P_rect_{projection.removeprefix('P'):0>2}"
     line = projection if projection in content or raw not in content else raw

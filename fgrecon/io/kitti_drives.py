@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import MIN_DEPTH
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.files import read_text
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.kitti_calibration import KittiCalibration, read_calibration
-from fgrecon.io.kitti_files import Objects, parse_object
-from fgrecon.io.kitti_tracking import TrackedObjects, read_tracking
+from fgrecon.io.kitti_files import Objects, TrackedObjects, parse_object, read_tracking
 
 __all__ = [
     "IMAGES_PER_SECOND",
@@ -164,7 +164,11 @@ def read_object_folder(folder: Path) -> Drive:
     for number, image in _images(folder / "image_2"):
         path = folder / _SINGLE / f"{image.stem}.txt"
         rows = []
-        for at, line in _lines(path, "Give a label file for every image."):
+        for at, line in enumerate(
+            read_text(path, "labels", "Give a label file for every image.").splitlines(), start=1
+        ):
+            if not line.strip():
+                continue
             try:
                 rows.append(parse_object(line))
             except ValueError as error:
@@ -182,15 +186,6 @@ def read_object_folder(folder: Path) -> Drive:
         )
         count += len(rows)
     return Drive(folder.name, tuple(frames))
-
-
-def _lines(path: Path, fix: str) -> list[tuple[int, str]]:
-    """The lines of a file that are not empty, each with its number from 1."""
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInputError("labels", str(path), fix) from error
-    return [(number, line) for number, line in enumerate(lines, start=1) if line.strip()]
 
 
 def _images(folder: Path) -> list[tuple[int, Path]]:

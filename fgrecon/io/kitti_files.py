@@ -1,28 +1,35 @@
-"""Lines of KITTI's label, result and detection files, and the objects that they are of.
+"""Lines of KITTI's label, result, tracking and detection files, and the objects that they are of.
 
 A line of a label file (object set) is `type truncated occluded alpha x1 y1 x2 y2 h w l x y z rotation_y`; results add a
-score as the 16th column.
+score as the 16th column; lines of the tracking set begin with the frame and the number of the track.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.choices import BoxModel
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.files import read_text
 
 __all__ = [
     "DETECTION_CLASSES",
     "LABEL_COLUMNS",
     "DetectionLine",
     "Objects",
+    "TrackedObjects",
     "format_results",
+    "format_tracking",
     "parse_detection",
     "parse_object",
+    "read_tracking",
 ]
 
 DETECTION_CLASSES = {"1": "Pedestrian", "2": "Car", "3": "Cyclist"}
@@ -165,4 +172,62 @@ def format_results(objects: Objects) -> str:
         start = f"{kind} {truncation[i]} {objects.occlusion[i]} {objects.alpha[i]:.4f}"
         box = " ".join(f"{value:.2f}" for value in objects.box[i])
         lines.append(f"{start} {box} {' '.join(f'{value:.4f}' for value in numbers)}\n")
+    return "".join(lines)
+
+
+_FIX = "Give lines of frame, track and an object label."
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedObjects:
+    """The M objects of one frame.
+
+    Attributes:
+        objects: What they are and where.
+        tracks: (M,) number of the track of each; -1 for none.
+    """
+
+    objects: Objects
+    tracks: NDArray[np.int64]
+
+
+def read_tracking(path: Path, fix: str = _FIX, *, results: bool = True) -> dict[int, TrackedObjects]:
+    """The objects of a file of labels, or of results with scores, by frame; a frame that has none is not there.
+
+    Args:
+        path: Text file.
+        fix: What to do where it cannot be read, for the error.
+        results: Whether lines may have a score after the label.
+
+    Raises:
+        InvalidInputError: The file cannot be read, or a line has another format; names file and line.
+    """
+    lines = read_text(path, "labels", fix).splitlines()
+    rows: dict[int, list[tuple[int, str, list[float]]]] = defaultdict(list)
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        try:
+            frame, track, rest = line.split(maxsplit=2)
+            scored = results and len(rest.split()) > LABEL_COLUMNS
+            kind, numbers = parse_object(rest, scored=scored)
+            known = int(np.int64(int(frame))), int(np.int64(int(track)))
+            rows[known[0]].append((known[1], kind, numbers if scored else [*numbers, np.nan]))
+        except (ValueError, OverflowError) as error:
+            raise InvalidInputError(f"{path}:{number}", str(error), _FIX) from error
+    return {
+        frame: TrackedObjects(
+            Objects.of_rows([kind for _, kind, _ in found], np.array([numbers for _, _, numbers in found])),
+            np.array([track for track, _, _ in found], dtype=np.int64),
+        )
+        for frame, found in rows.items()
+    }
+
+
+def format_tracking(frames: Mapping[int, TrackedObjects]) -> str:
+    """Lines of KITTI's tracking results: frame, track, and the columns of a result."""
+    lines = []
+    for frame, found in sorted(frames.items()):
+        results = format_results(found.objects).splitlines(keepends=True)
+        lines += [f"{frame} {track} {line}" for track, line in zip(found.tracks.tolist(), results, strict=True)]
     return "".join(lines)

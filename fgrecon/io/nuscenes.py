@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import transform
 from fgrecon.io.json_fields import Fields, read_json
 
-__all__ = ["NuScenesTables", "is_nuscenes", "open_nuscenes", "pose_of"]
+__all__ = ["NuScenesTables", "cuboid_boxes", "is_nuscenes", "open_nuscenes", "pose_of"]
 
 _TABLES = "calibrated_sensor", "sample_data"
 
@@ -112,3 +114,46 @@ def _table(path: Path, changed: int) -> Mapping[str, Fields]:  # noqa: ARG001  #
         raise InvalidInputError(str(path), type(data).__name__, "Give a table of nuScenes: a list of records.")
     records = [Fields(item, f"{path}: [{number}].") for number, item in enumerate(data)]
     return {record.get("token", str): record for record in records}
+
+
+Array = NDArray[np.float64]
+
+_NEAREST = 0.5  # metres; an object that reaches nearer to the camera, or behind it, has no box
+_CORNERS = np.array([*product((0.5, -0.5), repeat=3)])
+
+
+def cuboid_boxes(tables: NuScenesTables, image: str, kind: str) -> list[tuple[str, Array]]:
+    """The boxes (4,) of the objects of a category that are in an image, cut at its edges, with their tokens.
+
+    Args:
+        tables: The tables; of `sample_annotation`, `instance` and `category` as well.
+        image: Name of the image.
+        kind: Category, such as `vehicle.car`.
+
+    Raises:
+        InvalidInputError: There is no such image, or a record is malformed.
+    """
+    record = tables.image(image)
+    sensor = tables.named(record, "calibrated_sensor_token", "calibrated_sensor")
+    matrix = sensor.numbers("camera_intrinsic", (3, 3))
+    camera_T_world = np.linalg.inv(pose_of(tables.named(record, "ego_pose_token", "ego_pose")) @ pose_of(sensor))
+    limits = np.array([record.get("width", int), record.get("height", int)]) - 1.0
+    sample, found = record.get("sample_token", str), []
+    for token, label in tables.table("sample_annotation").items():
+        if label.data.get("sample_token") == sample and _category(tables, label) == kind:
+            width, length, height = label.numbers("size", (3,))
+            camera_T_object = camera_T_world @ pose_of(label)
+            corners = transform(camera_T_object, _CORNERS * [length, width, height])
+            if corners[:, 2].min() < _NEAREST:
+                continue
+            pixels = corners @ matrix.T
+            pixels = pixels[:, :2] / pixels[:, 2:]
+            box = np.concatenate([np.clip(pixels.min(0), 0.0, limits), np.clip(pixels.max(0), 0.0, limits)])
+            if (box[2:] - box[:2]).min() >= 1.0:
+                found.append((token, box))
+    return found
+
+
+def _category(tables: NuScenesTables, label: Fields) -> str:
+    instance = tables.named(label, "instance_token", "instance")
+    return str(tables.named(instance, "category_token", "category").get("name", str))

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.checks import as_finite, as_rigid
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.files import read_text
 from fgrecon.io.json_fields import numbers, read_json
 
 __all__ = ["CameraPoses", "read_poses"]
@@ -74,10 +75,7 @@ def read_poses(path: Path) -> CameraPoses:
     """
     if path.suffix.lower() == ".json":
         return _of_json(path)
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInputError("poses", str(path), _FIX) from error
+    lines = read_text(path, "poses", _FIX).splitlines()
     by_frame: dict[int, Array] = {}
     timed: dict[float, Array] = {}
     for number, line in enumerate(lines, start=1):

@@ -21,7 +21,7 @@ from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.observation import Observation
 from fgrecon.core.text import whole_text
-from fgrecon.io.json_fields import Fields, read_json
+from fgrecon.io.json_fields import Fields, read_json, within
 from fgrecon.io.kitti_calibration import rectified_size
 
 __all__ = ["GroundTruth", "Track", "TrackFrame", "parse_track", "read_track"]
@@ -108,10 +108,8 @@ def parse_track(data: Any, name: str, category: Category, where: str = "") -> Tr
     projection = fields.numbers("P2", (3, 4))
     if np.abs(projection[:, :3] - matrix).max() > _INTRINSICS_TOLERANCE * np.abs(matrix).max():
         raise InvalidInputError(f"{where}P2", projection.tolist(), "Give P2 = K [I | t2], with the same K.")
-    try:
+    with within(where, {"intrinsics": "K"}):
         camera = Camera(matrix, image_size=rectified_size(matrix))
-    except InvalidInputError as error:
-        raise InvalidInputError(f"{where}K", error.value, error.fix) from error
     names = fields.get("keypoint_names", list)
     if sorted(map(str, names)) != sorted(category.keypoints):
         fix = f"Name each keypoint of {category.name} once: {', '.join(category.keypoints)}."
@@ -137,11 +135,8 @@ def _frame(record: Any, position: int, track: str, order: NDArray[np.intp], wher
     keypoints = fields.numbers("keypoints_uv", (count, 2), missing=True)[order]
     confidence = fields.numbers("confidence", (count,), missing=True)[order]
     box = fields.numbers("box_xyxy", (4,))
-    try:
+    with within(where, {"keypoints": "keypoints_uv", "box": "box_xyxy"}):
         observation = Observation(keypoints, confidence, box)
-    except InvalidInputError as error:
-        name = {"keypoints": "keypoints_uv", "box": "box_xyxy"}.get(error.field, error.field)
-        raise InvalidInputError(f"{where}{name}", error.value, error.fix) from error
     content = fields.get("gt", dict)
     label = Fields(content, f"{where}gt.")
     dimensions = ("length", "width", "height")

@@ -72,14 +72,7 @@ class VideoFrames:
 
 @dataclass(frozen=True, eq=False)
 class _Decoded:
-    """What the decoder gave.
-
-    Attributes:
-        number: Of the frame.
-        time: Seconds.
-        picture: PyAV's; None where there is none.
-        problem: Why not, or None.
-    """
+    """What the decoder gave: a frame's number, its seconds, PyAV's picture or None, and why there is none."""
 
     number: int
     time: float

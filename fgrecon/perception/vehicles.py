@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fgrecon.core.brief import brief_repr
 from fgrecon.core.checks import as_finite, one_word, own
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.hashes import check_hash, listed
+from fgrecon.io.integrity import check_hash, listed
 from fgrecon.io.isolated import Isolated
 from fgrecon.perception.keypoints.decode import sigmoid
 from fgrecon.perception.keypoints.detect import as_rgb8

@@ -29,7 +29,7 @@ from fgrecon.io.frame_names import frames_by_name, number_of
 from fgrecon.io.frames import FrameSource, ImageFrames
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.keypoint_file import Instance, parse_keypoints
-from fgrecon.io.kitti_tracking import read_tracking
+from fgrecon.io.kitti_files import read_tracking
 from fgrecon.io.track_file import parse_track
 from fgrecon.video.association import AssociationSettings
 from fgrecon.video.records import Sighting

@@ -14,8 +14,7 @@ from fgrecon.core.metrics import wrap_angle
 from fgrecon.core.plain import plain
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.vehicle_estimate import VehicleEstimate
-from fgrecon.io.kitti_files import Objects
-from fgrecon.io.kitti_tracking import TrackedObjects, format_tracking
+from fgrecon.io.kitti_files import Objects, TrackedObjects, format_tracking
 from fgrecon.video.follow import DEFAULT_KIND, TrackedFrame
 
 __all__ = ["FRAME_FORMAT", "frame_lines", "rows_of", "tracking_text"]

@@ -17,7 +17,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.options import Options
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.images import write_png
-from fgrecon.io.keypoints.reader import read_any_keypoints
+from fgrecon.io.keypoints.any_keypoints import read_any_keypoints
 from fgrecon.io.video import write_video
 from fgrecon.solve.pipeline import reconstruct
 from tests.batch.support import instances, write_lines
@@ -187,7 +187,7 @@ def test_folders_of_kitti_bring_their_cameras(tmp_path, layout):
 
 
 def test_videos_frame_by_frame(tmp_path):
-    from fgrecon.batch.pictures import Pictures
+    from fgrecon.batch.reconstructor import Pictures
 
     file = make_video(tmp_path / "drive.avi", 7)
     assert [row["frame"] for row in rows_of(file)] == list(range(7))
@@ -209,7 +209,7 @@ def test_a_line_that_is_being_written_is_another_row_once_it_is_whole(tmp_path):
 
 
 def test_frames_of_a_video_are_told_by_their_order_whatever_their_times(tmp_path):
-    from fgrecon.batch.pictures import Pictures
+    from fgrecon.batch.reconstructor import Pictures
 
     for file in (tmp_path / "uneven.mp4", tmp_path / "uneven.mkv"):
         with write_video(file, rate=30) as add:  # from 30 to 10 frames a second

@@ -23,8 +23,7 @@ from fgrecon.batch.schema import task_schema
 from fgrecon.cli import main
 from fgrecon.core.detector_calibration import BoxSource, DetectorCalibration
 from fgrecon.core.errors import DamagedFileWarning, InvalidInputError, MissingPackageError
-from fgrecon.io.catalogue import load_prior, save_prior
-from fgrecon.io.detector_calibration import save_calibration
+from fgrecon.io.catalogue import load_prior, save_calibration, save_prior
 from fgrecon.io.images import write_png
 from tests.batch.support import Deadly, instances, results, untimed, write_lines
 from tests.conftest import REPOSITORY

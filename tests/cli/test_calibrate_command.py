@@ -10,8 +10,7 @@ from typer.testing import CliRunner
 from fgrecon.cli import main
 from fgrecon.cli.labelled_drives import DriveOptions
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.catalogue import load_prior
-from fgrecon.io.detector_calibration import load_calibration
+from fgrecon.io.catalogue import load_calibration, load_prior
 from research.tests.annotation.streets import Car, write_drive
 from tests.calibration.test_detector_fit import boxes
 

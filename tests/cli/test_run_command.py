@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.frames import open_frames
-from fgrecon.io.kitti_tracking import read_tracking
+from fgrecon.io.kitti_files import read_tracking
 from fgrecon.io.video import write_video
 from tests.conftest import REPOSITORY
 from tests.video.streets import make_drive

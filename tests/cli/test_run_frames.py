@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from fgrecon.cli import main
 from fgrecon.io.images import read_image, write_png
-from fgrecon.io.kitti_tracking import read_tracking
+from fgrecon.io.kitti_files import read_tracking
 from tests.video.streets import make_drive
 
 

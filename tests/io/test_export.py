@@ -13,7 +13,7 @@ import pytest
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.reconstruction import Status
 from fgrecon.io.export import FORMATS, NamedResult, export, read_results
-from fgrecon.io.export.files import export_rows
+from fgrecon.io.export.formats import export_rows
 from fgrecon_research.io.kitti_sets import parse_objects
 from tests.viz.made_up import make_example
 

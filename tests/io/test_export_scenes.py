@@ -18,7 +18,7 @@ from fgrecon.batch import read_folder
 from fgrecon.cli import main
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.export import ImageInfo, NamedResult, export, read_images_file, read_results
-from fgrecon.io.export.frames import box_in, score
+from fgrecon.io.export.image_info import box_in, score
 from fgrecon.io.export.mcap import pose_covariance
 from fgrecon.io.images import write_png
 from fgrecon.simulation import yaw_pose

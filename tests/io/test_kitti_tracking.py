@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.kitti_tracking import format_tracking, read_tracking
+from fgrecon.io.kitti_files import format_tracking, read_tracking
 
 CAR = "Car 0.00 1 1.5000 20.00 30.00 110.00 80.00 1.5000 1.6000 4.0000 0.5000 1.6000 15.0000 1.5000"
 

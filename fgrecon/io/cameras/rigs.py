@@ -1,19 +1,52 @@
-"""Cameras of vehicles with several: nuScenes' tables and Waymo's calibrations."""
+"""Cameras as they are mounted on vehicles: nuScenes' tables and Waymo's calibrations."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fgrecon.core.camera import Camera
+from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.cameras.mounted import MountedCamera, ground_below
-from fgrecon.io.json_fields import Fields
+from fgrecon.io.json_fields import Fields, within
 from fgrecon.io.nuscenes import NuScenesTables, pose_of
 
-__all__ = ["is_waymo", "nuscenes_camera", "waymo_camera"]
+__all__ = ["MountedCamera", "ground_below", "is_waymo", "nuscenes_camera", "waymo_camera"]
+
+
+@dataclass(frozen=True, eq=False)
+class MountedCamera:
+    """A camera, and what its file says beside it.
+
+    Attributes:
+        camera: The camera.
+        label_offset: (3,) t in metres: KITTI's label frame lies so from the camera's (a labelled point is at X + t);
+            None where the file is none of KITTI's.
+        ground: The ground in the camera's frame, where the file says how high and in which direction it is mounted.
+        world_T_camera: (4, 4) pose of the camera in the world when it took the image, or None.
+    """
+
+    camera: Camera
+    label_offset: NDArray[np.float64] | None = None
+    ground: Ground | None = None
+    world_T_camera: NDArray[np.float64] | None = None
+
+
+def ground_below(vehicle_T_camera: NDArray[np.float64]) -> Ground | None:
+    """The plane z = 0 of a vehicle whose z axis points up, in the frame of a camera on it.
+
+    Args:
+        vehicle_T_camera: (4, 4) pose of the camera on the vehicle, metres.
+
+    Returns:
+        The plane; None where the camera is upside down or not above it.
+    """
+    normal, height = -vehicle_T_camera[2, :3], float(vehicle_T_camera[2, 3])
+    return Ground(normal, height) if normal[1] > 0.0 and height > 0.0 else None
+
 
 _WAYMO_LISTS = "camera_calibrations", "cameraCalibrations"
 _WAYMO_NAMES = {1: "FRONT", 2: "FRONT_LEFT", 3: "FRONT_RIGHT", 4: "SIDE_LEFT", 5: "SIDE_RIGHT"}
@@ -114,7 +147,5 @@ def _waymo_entries(data: Any) -> list[Any]:
 def _camera(fields: Fields, matrix: Any, distortion: Any, size: tuple[int, int] | None) -> Camera:
     if size is not None and min(size) < 1:
         raise InvalidInputError(f"{fields.where}width, height", size, "Give pixels, from 1.")
-    try:
+    with within(fields.where):
         return Camera(matrix, distortion, size)
-    except InvalidInputError as error:
-        raise InvalidInputError(f"{fields.where}{error.field}", error.value, error.fix) from error

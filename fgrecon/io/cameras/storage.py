@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.json_fields import Fields, numbers
+from fgrecon.io.files import read_text
+from fgrecon.io.json_fields import Fields, numbers, within
 from fgrecon.io.lens_fields import as_number, check_unused, read_distortion, read_size
 
 __all__ = ["read_storage", "storage_camera"]
@@ -43,12 +44,7 @@ def read_storage(path: Path) -> Any:
     Raises:
         InvalidInputError: The file cannot be read, or is neither; names it.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InvalidInputError("camera", str(path), f"Give a file that can be read ({error.strerror}).") from error
-    except UnicodeDecodeError as error:
-        raise InvalidInputError(str(path), "no text", "Give a text file in UTF-8.") from error
+    text = read_text(path, "camera")
     if path.suffix.lower() == ".xml":
         try:
             root = ET.fromstring(text)  # noqa: S314  # expat bounds what entities may expand to
@@ -88,10 +84,8 @@ def storage_camera(data: Mapping[str, Any], where: str, name: str | None = None)
     matrix = _matrix(fields, _PROJECTION if rectified else _MATRIX, (3, 4) if rectified else (3, 3))[:, :3]
     check_unused(fields, (*_MATRIX, *_PROJECTION))
     distortion, size = read_distortion(fields), read_size(fields)
-    try:
+    with within(where):
         return Camera(matrix, None if rectified else distortion, size)
-    except InvalidInputError as error:
-        raise InvalidInputError(f"{where}{error.field}", error.value, error.fix) from error
 
 
 def _bounded(content: Any, most: int) -> Any:

@@ -5,8 +5,8 @@
 use. `read_images_file` reads what other programs want to know of the images.
 """
 
-from fgrecon.io.export.files import FORMATS, KINDS, export
-from fgrecon.io.export.frames import ImageInfo, read_images_file
+from fgrecon.io.export.formats import FORMATS, KINDS, export
+from fgrecon.io.export.image_info import ImageInfo, read_images_file
 from fgrecon.io.export.results import NamedResult, read_results
 from fgrecon.io.export.video_frames import read_video_frames
 

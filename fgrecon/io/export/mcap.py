@@ -22,7 +22,7 @@ from fgrecon.core.geometry import transform
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.sides import SURFACE
 from fgrecon.core.text import distinct, whole_text
-from fgrecon.io.export.frames import (
+from fgrecon.io.export.image_info import (
     EVERY,
     ImageInfo,
     box_in,

@@ -11,8 +11,8 @@ from fgrecon.core.checks import as_finite
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.plain import well_formed
 from fgrecon.core.reconstruction import Reconstruction
-from fgrecon.io.export.files import check_format
-from fgrecon.io.export.frames import ImageInfo, info_of, names_of
+from fgrecon.io.export.formats import check_format
+from fgrecon.io.export.image_info import ImageInfo, info_of, names_of
 from fgrecon.io.export.results import NamedResult, ground_of
 from fgrecon.io.json_fields import parse_json
 

@@ -6,20 +6,22 @@ points in the names or the order of whoever wrote it; `parse_any_keypoints` make
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.observation import Observation
+from fgrecon.io.files import read_text
 from fgrecon.io.json_fields import read_json
-from fgrecon.io.keypoints.carfusion import carfusion_records
-from fgrecon.io.keypoints.coco import annotation_records, is_annotations
-from fgrecon.io.keypoints.names import naming_of
+from fgrecon.io.keypoint_file import refuse_results
+from fgrecon.io.keypoints.coco_records import annotation_records, is_annotations
+from fgrecon.io.keypoints.names import naming_of, scheme_keypoints
 from fgrecon.io.keypoints.pascal3d import read_anchors
-from fgrecon.io.other_inputs import refuse_results
 
-__all__ = ["NOT_JSON", "keypoint_records", "named_records"]
+__all__ = ["NOT_JSON", "carfusion_records", "keypoint_records", "named_records"]
 
 NOT_JSON = ".mat", ".txt"
 """Endings of files of other formats than JSON: PASCAL3D+, CarFusion."""
@@ -96,3 +98,44 @@ def _frames(track: Mapping[str, Any], path: Path) -> list[Record]:
         raise InvalidInputError(
             str(path), f"malformed: {error!r}", "Give a track as docs/formats.md has it."
         ) from error
+
+
+_COLUMNS = 5
+_CONFIDENCE = {1.0: 1.0, 2.0: Observation.confidence_midpoint, 3.0: 1.0}
+
+
+def carfusion_records(path: Path) -> Iterator[tuple[dict[str, Any], str]]:
+    """Instances of one file in the layout of a keypoint file, and what errors about each begin with.
+
+    Points at or beyond the image's upper and left edge are CarFusion's for "outside", and left out.
+
+    Raises:
+        InvalidInputError: The file cannot be read, or a line is malformed; names it.
+    """
+    lines = read_text(path, "file").splitlines()
+    order = scheme_keypoints("carfusion")
+    cars: dict[int, dict[str, list[float]]] = {}
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        u, v, keypoint, car, visibility = _numbers(line, f"{path}:{number}", len(order))
+        points = cars.setdefault(int(car), {})
+        if u > 0 and v > 0:
+            points[order[int(keypoint) - 1]] = [u, v, _CONFIDENCE[visibility]]
+    if not any(cars.values()):
+        raise InvalidInputError(str(path), "no point", "Give a file with at least one car.")
+    for car, points in cars.items():
+        if points:
+            yield {"id": car, "image": f"{path.stem}.jpg", "keypoints": points}, f"{path}: car {car}: "
+
+
+def _numbers(line: str, where: str, count: int) -> list[float]:
+    try:
+        values = [float(part) for part in line.split(",")]
+    except ValueError:
+        values = []
+    whole = len(values) == _COLUMNS and all(map(math.isfinite, values)) and all(x.is_integer() for x in values[2:])
+    if not whole or not 1 <= values[2] <= count or values[4] not in _CONFIDENCE:
+        fix = f"Give `u, v, keypoint, car, visibility` as CarFusion does: keypoint 1 to {count}, visibility 1, 2 or 3."
+        raise InvalidInputError(where, line, fix)
+    return values

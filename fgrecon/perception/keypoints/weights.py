@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.files import write_bytes
-from fgrecon.io.hashes import check_hash
+from fgrecon.io.integrity import check_hash
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 
 __all__ = ["FORMAT", "WITHOUT_STREET", "Stored", "check_arrays", "load_weights", "save_weights", "shipped"]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fgrecon.io.export.kitti import kitti_objects
+from fgrecon.io.export.dataset_results import kitti_objects
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.kitti_files import Objects
 from fgrecon_research.evaluation.boxes3d import LabelledBox, scored_box

@@ -17,9 +17,9 @@ from fgrecon.calibration.setup import SceneKnowledge
 from fgrecon.core.processes import processes_with
 from fgrecon.core.robust import StrategyName
 from fgrecon.io.catalogue import load_category
+from fgrecon.io.integrity import stored
 from fgrecon.io.kitti_calibration import read_calibration
 from fgrecon.io.kitti_files import Objects
-from fgrecon.io.stored import stored
 from fgrecon.simulation.keypoint_noise import HOURGLASS
 from fgrecon.simulation.vehicles import Vehicle
 from fgrecon.solve.vehicle.conditioning import of_fleet

@@ -23,7 +23,7 @@ from fgrecon.core.reconstruction import rotation_y
 from fgrecon.core.robust import StrategyName
 from fgrecon.io.arrays import read_arrays
 from fgrecon.io.files import write_bytes
-from fgrecon.io.stored import MADE_AGAIN
+from fgrecon.io.integrity import MADE_AGAIN
 from fgrecon.solve.vehicle.conditioning import of_fleet
 from fgrecon.solve.vehicle.model import prepare
 from fgrecon_research.evaluation.methods import select

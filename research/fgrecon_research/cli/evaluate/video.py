@@ -90,7 +90,7 @@ def video_command(
     Exit code 1: no box could be reconstructed.
     """
     from fgrecon.core.errors import InvalidInputError
-    from fgrecon.io.export.files import TABLE_FORMATS, export_rows
+    from fgrecon.io.export.formats import TABLE_FORMATS, export_rows
     from fgrecon.io.files import check_ending
     from fgrecon_research.evaluation.video_summary import document, facing_reliability, methods_of, summarise_groups
     from fgrecon_research.evaluation.video_tables import tables

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.settings import check_settings, count, number
-from fgrecon.io.stored import stored as taken_over
+from fgrecon.io.integrity import stored as taken_over
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.keypoints.weights import Stored, save_weights

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.stored import stored
+from fgrecon.io.integrity import stored
 from fgrecon.perception.keypoints.decode import ConfidenceCalibration
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon.perception.keypoints.weights import Stored, save_weights

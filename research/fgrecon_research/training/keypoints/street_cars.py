@@ -14,7 +14,7 @@ from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.arrays import read_arrays
 from fgrecon.io.files import write_bytes
 from fgrecon.io.images import read_image
-from fgrecon.io.stored import MADE_AGAIN
+from fgrecon.io.integrity import MADE_AGAIN
 from fgrecon.perception.keypoints.crops import Crop, extract
 from fgrecon_research.io.coco_keypoints import read_coco_keypoints
 from fgrecon_research.training.keypoints.dataset import SIDE, Photographs

@@ -10,7 +10,7 @@ from typing import Any, Generic, TypeVar
 
 import torch
 
-from fgrecon.io.stored import stored
+from fgrecon.io.integrity import stored
 from fgrecon_research.training.keypoints.checkpoint import follow, load_checkpoint, restore_checkpoint, save_checkpoint
 
 Network = TypeVar("Network", bound=torch.nn.Module)

@@ -1,14 +1,45 @@
-"""Whether files are what they were: SHA-256 hashes, and the lists of them beside files that come with the package."""
+"""Whether files are what they were: hashes of those of the package, and parts that a later run takes over."""
 
 from __future__ import annotations
 
 import hashlib
+import warnings
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from typing import TypeVar
 
-from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.errors import DamagedFileWarning, InvalidInputError
 
-__all__ = ["LIST", "check_hash", "file_hash", "listed"]
+__all__ = ["LIST", "MADE_AGAIN", "check_hash", "file_hash", "listed", "stored"]
+
+MADE_AGAIN = "It is made again."
+"""What an error of a reader says to do about a damaged part."""
+
+T = TypeVar("T")
+
+
+def stored(path: Path, read: Callable[[Path], T]) -> T | None:
+    """What a file holds, or None where there is none; a damaged one is put aside as `_NAME.damaged`.
+
+    Args:
+        path: The file.
+        read: Reads it.
+
+    Warns:
+        DamagedFileWarning: It is damaged; names it.
+    """
+    if not path.exists():
+        return None
+    try:
+        return read(path)
+    except InvalidInputError as error:
+        aside = path.with_name(f"_{path.name}.damaged")  # readers of Parquet folders pass over such names
+        path.replace(aside)
+        message = f"{path} is damaged, and what it held is computed again; it is now {aside.name} ({error.value})."
+        warnings.warn(message, DamagedFileWarning, stacklevel=2)
+        return None
+
 
 LIST = "SHA256SUMS"
 """Name of the list in a file's folder, as `sha256sum` writes it and checks it."""

@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.export.coco_results import coco_results_text
-from fgrecon.io.export.frames import ImageInfo
-from fgrecon.io.export.kitti import kitti_text
+from fgrecon.io.export.dataset_results import coco_results_text, kitti_text, nuscenes_text
+from fgrecon.io.export.image_info import ImageInfo
 from fgrecon.io.export.mcap import detections_bytes, scene_bytes
 from fgrecon.io.export.mesh import glb_bytes, ply_bytes
-from fgrecon.io.export.nuscenes import nuscenes_text
 from fgrecon.io.export.results import NamedResult
 from fgrecon.io.export.table import csv_of_rows, csv_text, parquet_bytes, parquet_of_rows
 from fgrecon.io.files import check_ending, write_bytes
@@ -84,7 +82,7 @@ def export(
             2's messages.
         results: Vehicles; those without a pose are left out, except in tables.
         kind: One of `KINDS`, where the ending stands for several.
-        images: What is known of their images (`fgrecon.io.export.frames`), for nuScenes, COCO and MCAP.
+        images: What is known of their images (`fgrecon.io.export.image_info`), for nuScenes, COCO and MCAP.
 
     Returns:
         The path written to.

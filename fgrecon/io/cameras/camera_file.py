@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from fgrecon.core.errors import InvalidInputError
-from fgrecon.io.cameras.mounted import MountedCamera
-from fgrecon.io.cameras.rigs import is_waymo, nuscenes_camera, waymo_camera
+from fgrecon.io.cameras.rigs import MountedCamera, is_waymo, nuscenes_camera, waymo_camera
 from fgrecon.io.json_fields import Fields, read_json
 from fgrecon.io.keypoint_file import parse_camera
 from fgrecon.io.kitti_calibration import read_calibration

@@ -11,13 +11,12 @@ from fgrecon.core.category import Category
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_category
 from fgrecon.io.json_fields import read_json
-from fgrecon.io.keypoint_file import Instance, KeypointFile, parse_keypoints
-from fgrecon.io.keypoints.coco import annotation_records, is_annotations, is_result, result_records
+from fgrecon.io.keypoint_file import Instance, KeypointFile, parse_keypoints, refuse_other_file
+from fgrecon.io.keypoints.coco_records import annotation_records, is_annotations, is_result, result_records
 from fgrecon.io.keypoints.names import Names, NamesLike, naming_of, parse_names, scheme_keypoints, shipped_schemes
-from fgrecon.io.keypoints.objects import object_records
+from fgrecon.io.keypoints.network_results import object_records
 from fgrecon.io.keypoints.records import NOT_JSON, named_records
 from fgrecon.io.keypoints.translate import translated
-from fgrecon.io.other_inputs import refuse_other_file
 
 __all__ = ["keypoints_from", "parse_any_keypoints", "read_any_keypoints"]
 

@@ -1,0 +1,155 @@
+"""Results as data sets' evaluations take them: lines of KITTI, JSON of nuScenes and of COCO."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from fgrecon.core.box3d import box_corners
+from fgrecon.core.camera import MIN_DEPTH
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.geometry import box_around, transform
+from fgrecon.core.metrics import wrap_angle
+from fgrecon.io.export.image_info import ImageInfo, box_in, by_image, info_of, quaternion, score
+from fgrecon.io.export.results import NamedResult
+from fgrecon.io.kitti_files import Objects, format_results
+
+__all__ = ["coco_results_text", "kitti_objects", "kitti_text", "nuscenes_text"]
+
+_UNKNOWN = -1.0  # KITTI's mark
+_COCO_CATEGORY = 1
+_VISIBLE_PROBABILITY = 0.5  # keypoints above it have COCO's flag of visible ones
+_META = {"use_camera": True, "use_lidar": False, "use_radar": False, "use_map": False, "use_external": True}
+
+
+def nuscenes_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> str:
+    """The JSON of a submission. Velocities are zero and attributes empty: a single image shows neither.
+
+    Args:
+        results: Vehicles; those without a pose are left out.
+        images: `sample_token` and `world_T_camera` of their images. A sample without a vehicle has an empty list.
+
+    Raises:
+        InvalidInputError: Either is missing for an image; names it.
+    """
+    found: dict[str, list[dict[str, Any]]] = {i.sample_token: [] for i in images.values() if i.sample_token}
+    for image, items in by_image(results).items():
+        info = info_of(image, images)
+        for field in ("sample_token", "world_T_camera"):
+            if getattr(info, field) is None:
+                fix = "Give a file of images (--images) that tells it."
+                raise InvalidInputError(f"images.{image or '*'}.{field}", "nothing", fix)
+        assert info.sample_token is not None
+        found.setdefault(info.sample_token, []).extend(_nuscenes_entry(item, info) for item in items)
+    return json.dumps({"meta": _META, "results": found}, allow_nan=False) + "\n"
+
+
+def _nuscenes_entry(item: NamedResult, info: ImageInfo) -> dict[str, Any]:
+    length, width, height = item.result.box_size.tolist()
+    centre, axes = box_in(info, item.result.camera_T_object, item.result.box_size)
+    x, y, z, w = quaternion(axes)
+    return {
+        "sample_token": info.sample_token,
+        "translation": centre.tolist(),
+        "size": [width, length, height],
+        "rotation": [w, x, y, z],
+        "velocity": [0.0, 0.0],
+        "detection_name": "car",
+        "detection_score": score(item),
+        "attribute_name": "",
+    }
+
+
+def kitti_text(results: Sequence[NamedResult]) -> str:
+    """`kitti_objects` of the vehicles as lines.
+
+    Raises:
+        InvalidInputError: The vehicles are of several images, each of which has a file of its own in KITTI.
+    """
+    return format_results(kitti_objects(results))
+
+
+def kitti_objects(results: Sequence[NamedResult]) -> Objects:
+    """One object per vehicle with a pose: kind, box, size, location in the label frame, yaw and score.
+
+    Where the offset of the label frame is not known, the location is in the camera's.
+    The kind is its detector's, else `Car`. The 2D box is the observed one, else that of the projected wireframe. The
+    score is its detector's, else the mean weight of the keypoints that the pose shows: it tells how much of what should
+    be seen was found where it should be.
+
+    Raises:
+        InvalidInputError: The vehicles are of several images, each of which has a file of its own in KITTI.
+    """
+    solved = [item for item in results if item.solved]
+    if len(images := {item.image for item in solved}) > 1:
+        value = f"vehicles of {len(images)} images"
+        fix = "Write a file for each image (fgrecon.io.export.export): KITTI's lines do not tell it. Or give .csv."
+        raise InvalidInputError("results", value, fix)
+    rows = [_row(item) for item in solved]
+    kinds = [item.kind or "Car" for item in solved]
+    return Objects.of_rows(kinds, np.array(rows))
+
+
+def _row(item: NamedResult) -> list[float]:
+    """The numeric columns of a result line."""
+    result = item.result
+    x, y, z = result.location - (0.0 if item.label_offset is None else item.label_offset)
+    length, width, height = result.box_size
+    yaw = result.rotation_y
+    alpha = float(wrap_angle(yaw - np.arctan2(x, z)))
+    box = box_around(result.wireframe_uv) if item.box is None else item.box
+    return [_UNKNOWN, _UNKNOWN, alpha, *box, height, width, length, x, y, z, yaw, score(item)]
+
+
+def coco_results_text(results: Sequence[NamedResult], images: Mapping[str, ImageInfo]) -> str:
+    """A JSON list with an entry for each vehicle.
+
+    `image_id` is that of the images file, else the image's name (a number where it is one). A keypoint's flag is 2
+    where it is probably seen and 1 where it is hidden. `cuboid` is as in fgrecon's keypoint labels; its corners are
+    `null` behind the camera, and missing where no camera is known.
+
+    Args:
+        results: Vehicles; those without a pose are left out.
+        images: What is known of their images.
+    """
+    entries = []
+    for image, items in by_image(results).items():
+        number = info_of(image, images).image_id
+        named: int | str = int(image) if image.isdecimal() else image
+        entries += [_coco_entry(item, named if number is None else number) for item in items]
+    return json.dumps(entries, allow_nan=False) + "\n"
+
+
+def _coco_entry(item: NamedResult, image: int | str) -> dict[str, Any]:
+    result = item.result
+    flags = np.where(result.visibility >= _VISIBLE_PROBABILITY, 2, 1)
+    pixels = result.wireframe_uv
+    low, high = (pixels.min(axis=0), pixels.max(axis=0)) if item.box is None else (item.box[:2], item.box[2:])
+    return {
+        "image_id": image,
+        "category_id": _COCO_CATEGORY,
+        "id": item.name,
+        "keypoints": [n for (u, v), f in zip(pixels.tolist(), flags.tolist(), strict=True) for n in (u, v, f)],
+        "bbox": [*low.tolist(), *(high - low).tolist()],
+        "score": score(item),
+        "cuboid": {
+            **_corners(item),
+            "location": result.location.tolist(),
+            "rotation_y": result.rotation_y,
+            "size": result.box_size.tolist(),
+        },
+    }
+
+
+def _corners(item: NamedResult) -> dict[str, Any]:
+    """(8, 2) pixels of the box, where the camera is known."""
+    if item.camera is None:
+        return {}
+    pose = item.result.camera_T_object
+    points = transform(pose, box_corners(item.result.box_size))
+    ahead = points[:, 2] >= MIN_DEPTH
+    pixels = item.camera.distort(item.camera.project(np.where(ahead[:, None], points, [0.0, 0.0, 1.0])))
+    return {"corners": [uv if seen else None for uv, seen in zip(pixels.tolist(), ahead.tolist(), strict=True)]}
