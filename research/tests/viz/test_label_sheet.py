@@ -6,13 +6,8 @@ import pytest
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.viz.picture import as_rgb
 from fgrecon.viz.style import SIDE_COLOURS, Side
-<<<<<<<< HEAD:research/tests/viz/test_label_sheet.py
 from fgrecon_research.viz.label_sheet import label_sheet
 from research.tests.io.test_coco_keypoints import make_labels
-========
-from fgrecon_research.viz.label_sheet import label_sheet
-from research.tests.io.test_coco_keypoints import make_labels
->>>>>>>> 2bea8d2 (Move what only training and evaluation read and write to fgrecon_research.io):research/tests/cli/test_label_sheet.py
 
 IMAGE = np.full((375, 1242, 3), 128, dtype=np.uint8)
 
