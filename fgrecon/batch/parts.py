@@ -156,8 +156,8 @@ def _outcomes(path: Path) -> list[tuple[str, RowOutcome]]:
     for batch in _batches(path):
         names = batch.column("row_id").to_pylist()
         known = [batch.column(name).to_pylist() for name in RowOutcome._fields if name in batch.schema.names]
-        told = zip(*known, strict=True) if len(known) == len(RowOutcome._fields) else [("",)] * len(names)
-        found += zip(names, (RowOutcome(*one) for one in told), strict=True)
+        outcomes = zip(*known, strict=True) if len(known) == len(RowOutcome._fields) else [("",)] * len(names)
+        found += zip(names, (RowOutcome(*one) for one in outcomes), strict=True)
     return found
 
 
@@ -220,22 +220,22 @@ def begin(
         InvalidInputError: It cannot be made, or holds a run with other settings.
     """
     made(folder)
-    told = parse_json(json.dumps({"format": run_format, "settings": dict(settings)}))  # as it is read again
+    given = parse_json(json.dumps({"format": run_format, "settings": dict(settings)}))  # as it is read again
     before = read_json(folder / RUN) if (folder / RUN).exists() else None
     parts = list(folder.glob("part-*.parquet"))
-    replaced = before != told and (before is not None or bool(parts)) and anew()
+    replaced = before != given and (before is not None or bool(parts)) and anew()
     if replaced:
         for part in parts:  # before the settings: who is killed in between begins anew again
             part.unlink()
     if before is None or replaced:
         if parts and not replaced:
             raise InvalidInputError("out", str(folder), f"Give another folder: this one has parts but no {RUN}.")
-        write_text(folder / RUN, json.dumps(told, indent=1) + "\n")
+        write_text(folder / RUN, json.dumps(given, indent=1) + "\n")
         return replaced
-    if before != told:
+    if before != given:
         known = before.get("settings") if isinstance(before, Mapping) else None
-        kept = known if isinstance(known, Mapping) else told["settings"]  # of another format, or damaged
-        names = [name for name, value in told["settings"].items() if kept.get(name) != value]
+        kept = known if isinstance(known, Mapping) else given["settings"]  # of another format, or damaged
+        names = [name for name, value in given["settings"].items() if kept.get(name) != value]
         what = f"a run with other settings ({', '.join(names) or 'another format'})"
         raise InvalidInputError("out", str(folder), f"Give another folder for these: this one has {what}.")
     return False

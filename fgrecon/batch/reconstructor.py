@@ -190,7 +190,7 @@ class Reconstructor:
         """A row for each vehicle of an image; they are solved together, as by `fgrecon.reconstruct_image`."""
         from fgrecon.perception.from_image import reconstruct_detections
 
-        image, told = self._pictures.get(task["image"], task.get("frame"))
+        image, exif_camera = self._pictures.get(task["image"], task.get("frame"))
         vehicle_detector, cascade = self._networks
         given = task.get("boxes")
         found = vehicle_detector(image) if given is None else _given(given, image)
@@ -201,7 +201,7 @@ class Reconstructor:
             return
         vehicles = reconstruct_detections(
             find_keypoints(cascade, image, boxes, self.prior.category),
-            self._camera_of(task, image, told),
+            self._camera_of(task, image, exif_camera),
             prior=self.prior,
             ground=self._ground,
             size_prior=self._size_prior,
@@ -216,11 +216,11 @@ class Reconstructor:
             score = None if given is not None else float(scores[vehicle])
             yield solved_row(origin, vehicle, name, one.result, one.camera, one.detection.evidence.box, score)
 
-    def _camera_of(self, task: Mapping[str, Any], image: NDArray[np.uint8], told: Camera | None) -> Camera:
+    def _camera_of(self, task: Mapping[str, Any], image: NDArray[np.uint8], exif_camera: Camera | None) -> Camera:
         """The camera of an image, which knows its size; its vehicles tell the focal length where nobody else does."""
         height, width = image.shape[:2]
         text = task.get("camera")
-        own = self._camera or (_camera(json.loads(text)) if text else told)
+        own = self._camera or (_camera(json.loads(text)) if text else exif_camera)
         return Camera.of_unknown(width, height) if own is None else own.with_size_of(image)
 
 

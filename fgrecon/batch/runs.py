@@ -121,7 +121,7 @@ def run(
     """
     if jobs < 1:
         raise InvalidInputError("jobs", jobs, "Give at least one.")
-    reconstructor.prior  # noqa: B018 - a prior that cannot be loaded is told before the workers start
+    reconstructor.prior  # noqa: B018 - a prior that cannot be loaded is reported before the workers start
     folder = Path(out)
     refuse_video(folder)
     with claimed(made(folder)):  # first: another run may be at rows that are worth something

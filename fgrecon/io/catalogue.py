@@ -235,14 +235,14 @@ def load_calibration(path: str | Path) -> DetectorCalibration:
     """
     file, where = as_path("calibration", path), f"{path}: "
     data = Fields(read_json(file), where)
-    told = data.get("format", str)
-    if told != DETECTOR_FORMAT:
-        raise InvalidInputError(f"{where}format", told, f"Give a file of {DETECTOR_FORMAT}: `fgrecon calibrate`.")
+    stated = data.get("format", str)
+    if stated != DETECTOR_FORMAT:
+        raise InvalidInputError(f"{where}format", stated, f"Give a file of {DETECTOR_FORMAT}: `fgrecon calibrate`.")
     numbers = {name: float(data.numbers(name, ())) for name in DetectorCalibration().numbers}
     edges: dict[str, float] | None = None
     if "boxes" in data:
-        told_of_boxes = Fields(data.get("boxes", dict), f"{where}boxes.")
-        edges = {entry.name: float(told_of_boxes.numbers(entry.name, ())) for entry in fields(BoxSource)}
+        box_fields = Fields(data.get("boxes", dict), f"{where}boxes.")
+        edges = {entry.name: float(box_fields.numbers(entry.name, ())) for entry in fields(BoxSource)}
     with within(where):
         source = None if edges is None else BoxSource(**edges)
         return DetectorCalibration(**numbers, provenance=data.get("provenance", dict), boxes=source)
@@ -255,7 +255,7 @@ def save_calibration(calibration: DetectorCalibration, path: str | Path) -> Path
         InvalidInputError: The file cannot be written.
     """
     as_instance("calibration", calibration, DetectorCalibration)
-    told = {"format": DETECTOR_FORMAT, **calibration.numbers, "provenance": dict(calibration.provenance)}
+    content = {"format": DETECTOR_FORMAT, **calibration.numbers, "provenance": dict(calibration.provenance)}
     if calibration.boxes is not None:
-        told["boxes"] = asdict(calibration.boxes)
-    return write_text(as_path("path", path), json.dumps(told, indent=1, allow_nan=False) + "\n")
+        content["boxes"] = asdict(calibration.boxes)
+    return write_text(as_path("path", path), json.dumps(content, indent=1, allow_nan=False) + "\n")

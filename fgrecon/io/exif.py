@@ -40,17 +40,17 @@ def exif_camera(content: bytes, width: int, height: int) -> Camera | None:
     """
     tags = _tags(content)
     sides = _number(tags, _WIDTH), _number(tags, _HEIGHT)
-    told = sorted(side for side in sides if side)
+    stated = sorted(side for side in sides if side)
     diagonal = math.hypot(width, height)
-    if len(told) == 2 and abs(told[1] / told[0] / (max(width, height) / min(width, height)) - 1.0) > _SHAPE:
+    if len(stated) == 2 and abs(stated[1] / stated[0] / (max(width, height) / min(width, height)) - 1.0) > _SHAPE:
         return None  # cropped
     film, length = _number(tags, _FOCAL_35_MM), _number(tags, _FOCAL_MM)
     density = _number(tags, _DENSITY) / _UNITS.get(int(_number(tags, _DENSITY_UNIT)), 25.4)
     focal = 0.0
     if film:
         focal = film / _FILM_DIAGONAL * diagonal
-    elif length and density and len(told) == 2:
-        focal = length * density * diagonal / math.hypot(*told)
+    elif length and density and len(stated) == 2:
+        focal = length * density * diagonal / math.hypot(*stated)
     if not _SHORTEST <= focal / diagonal <= _LONGEST:
         return None
     camera = Camera.of([focal, focal, (width - 1) / 2, (height - 1) / 2])

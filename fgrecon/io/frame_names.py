@@ -65,17 +65,17 @@ def frames_by_name(paths: Iterable[Path]) -> OrderedImages:
     return OrderedImages(tuple(known), places, None, numbered=False)
 
 
-def times_of(numbers: Sequence[int], told: Sequence[float] | None, rate: float | None) -> tuple[Sequence[float], bool]:
+def times_of(numbers: Sequence[int], named: Sequence[float] | None, rate: float | None) -> tuple[Sequence[float], bool]:
     """Times of the frames, and whether they rest on frames per second that nobody gave.
 
     Raises:
-        InvalidInputError: They are told, and frames per second are given as well.
+        InvalidInputError: Names state them, and frames per second are given as well.
     """
-    if told is None:
+    if named is None:
         return [number / (rate or DEFAULT_RATE) for number in numbers], rate is None
     if rate is not None:
         raise InvalidInputError("fps", rate, "Leave it out: the names of the images tell their times.")
-    return told, False
+    return named, False
 
 
 def seconds_of(stem: str) -> float | None:

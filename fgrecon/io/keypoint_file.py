@@ -76,8 +76,8 @@ _INSTANCE_FIELDS = {
     "kind",
     "score",
 } | _CAMERA_FIELDS
-_TOLD_FIELDS = {"visible", "front_probability", "left_probability"}
-"""What `fgrecon keypoints detect` tells beside what is read: nobody need wonder that it is left out."""
+_DETECTOR_FIELDS = {"visible", "front_probability", "left_probability"}
+"""What `fgrecon keypoints detect` writes beside what is read: nobody need wonder that it is left out."""
 _FILE_FIELDS = {"instances"} | _CAMERA_FIELDS
 
 
@@ -184,7 +184,7 @@ def parse_keypoints(data: Any, category: Category, where: str = "") -> KeypointF
         if instance.name in instances:
             raise InvalidInputError(f"{place}id", instance.name, "Give every instance an id of its own.")
         instances[instance.name] = instance
-        ignored |= set(record) - _INSTANCE_FIELDS - _TOLD_FIELDS
+        ignored |= set(record) - _INSTANCE_FIELDS - _DETECTOR_FIELDS
     return KeypointFile(tuple(instances.values()), tuple(sorted(ignored)))
 
 
@@ -295,7 +295,7 @@ def parse_camera(fields: Fields) -> Camera | None:
     field = matrices[0]
     value = fields.data[field]
     short = field == "intrinsics" and isinstance(value, list) and not any(isinstance(row, list) for row in value)
-    check_unused(fields, _INSTANCE_FIELDS | _TOLD_FIELDS)
+    check_unused(fields, _INSTANCE_FIELDS | _DETECTOR_FIELDS)
     distortion, size = read_distortion(fields), read_size(fields)
     try:
         pinhole = Camera.of(fields.numbers(field, (4,) if short else (3, 3)), distortion)

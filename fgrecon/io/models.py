@@ -1,6 +1,6 @@
 """Car models of a folder: meshes (OBJ, PLY, GLB), and npz files that hold many.
 
-A mesh is in metres. Which of its axes points forward and which up is told; its origin does not matter, since it is
+A mesh is in metres. Which of its axes points forward and which up is given; its origin does not matter, since it is
 moved to the ground below the centre of its box. `NAME.json` beside `NAME.obj` may tell the keypoints, in the mesh's
 own axes: `{"keypoints": {"left_front_wheel": [x, y, z], ...}}`.
 
@@ -88,7 +88,7 @@ def _read(file: Path, category: Category, axes: str | None) -> Iterator[VehicleM
 
 
 def _mesh(file: Path, category: Category, turn: NDArray[np.float64]) -> VehicleMesh:
-    """A mesh, turned and moved into the object frame, with the keypoints that are told beside it."""
+    """A mesh, turned and moved into the object frame, with the keypoints that are given beside it."""
     import trimesh
 
     fix = "Give a mesh of triangles, as a modelling program exports it."
@@ -105,8 +105,8 @@ def _mesh(file: Path, category: Category, turn: NDArray[np.float64]) -> VehicleM
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     origin = np.array([(low[0] + high[0]) / 2, high[1], (low[2] + high[2]) / 2])
     beside = file.with_suffix(".json")
-    told = _keypoints(beside, category) if beside.is_file() else {}
-    keypoints = {name: turn @ point - origin for name, point in told.items()}
+    marked = _keypoints(beside, category) if beside.is_file() else {}
+    keypoints = {name: turn @ point - origin for name, point in marked.items()}
     return VehicleMesh(whole_text(file.stem), vertices - origin, faces, keypoints)
 
 

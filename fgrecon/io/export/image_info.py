@@ -92,7 +92,7 @@ def _info(fields: Fields) -> ImageInfo:
 
 
 def names_of(image: str) -> tuple[str, ...]:
-    """Names by which something may be told of an image: its own, without folder and ending, and that of every one."""
+    """Names by which something may be known of an image: its own, without folder and ending, and that of every one."""
     return image, Path(image).name, Path(image).stem, EVERY
 
 
@@ -105,7 +105,7 @@ def info_of(image: str, images: Mapping[str, ImageInfo]) -> ImageInfo:
 
 
 def by_image(results: Sequence[NamedResult]) -> dict[str, list[NamedResult]]:
-    """The results that have a pose, by their images, in order; where these are not told by their rows of a batch."""
+    """The results that have a pose, by their images, in order; where these are not known, by their rows of a batch."""
     found: dict[str, list[NamedResult]] = {}
     for item in results:
         if item.solved:

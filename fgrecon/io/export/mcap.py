@@ -162,11 +162,11 @@ def _placed(one: FrameTransform, time: int) -> dict[str, Any]:
 
 def _stamped(one: FrameTransform, time: int) -> dict[str, Any]:
     """Where a frame is, in ROS 2."""
-    told = _placed(one, time)
+    content = _placed(one, time)
     return {
         "header": {"stamp": _time(time, "nanosec"), "frame_id": MAP},
         "child_frame_id": one.child,
-        "transform": {"translation": told["translation"], "rotation": told["rotation"]},
+        "transform": {"translation": content["translation"], "rotation": content["rotation"]},
     }
 
 
@@ -195,14 +195,14 @@ def _entity(item: NamedResult, info: ImageInfo, time: int) -> dict[str, Any]:
     still = {"position": plain_vector([0, 0, 0]), "orientation": plain_quaternion(np.eye(3))}
     line = {"type": _LINE_LIST, "pose": still, "thickness": 2.0, "scale_invariant": True}
     text = {"billboard": True, "font_size": 12.0, "scale_invariant": True, "text": item.name}
-    told = {"status": result.status.value, "message": result.message, "score": f"{score(item):.3f}"}
+    content = {"status": result.status.value, "message": result.message, "score": f"{score(item):.3f}"}
     return {
         "timestamp": _time(time, "nsec"),
         "frame_id": _frame(info),
         "id": item.name,
         "lifetime": {"sec": 0, "nsec": 0},
         "frame_locked": False,
-        "metadata": [{"key": key, "value": value} for key, value in told.items()],
+        "metadata": [{"key": key, "value": value} for key, value in content.items()],
         **{name: [] for name in ("arrows", "spheres", "cylinders", "triangles", "models")},
         "cubes": [{"pose": box, "size": plain_vector(size), "color": colour | {"a": 0.3}}],
         "lines": [

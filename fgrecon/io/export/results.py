@@ -89,7 +89,7 @@ class NamedResult:
         image: Name of the image; empty where the file has only one, or does not tell it.
         camera: The camera that took it, or None.
         ground: The ground plane in its frame that the settings tell, or None.
-        row: Row of a batch that it is from; stands for the image where that is not told.
+        row: Row of a batch that it is from; stands for the image where that is not known.
         kind: What it is by its detector, such as `Van`, or None.
         score: How sure its detector is, or None.
     """
@@ -149,17 +149,17 @@ def ground_of(settings: Mapping[str, Any]) -> Ground | None:
     Raises:
         InvalidInputError: It is none.
     """
-    told = settings.get("ground")
-    return None if told is None else Ground(np.array(told["normal"]), told["distance"])
+    plane = settings.get("ground")
+    return None if plane is None else Ground(np.array(plane["normal"]), plane["distance"])
 
 
 def _grounds(data: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str | None, Ground | None]:
-    """The ground of each image by its name, None for that of all others: found by its vehicles, else told."""
+    """The ground of each image by its name, None for that of all others: estimated from its vehicles, else given."""
     scenes: list[Mapping[str, Any]] = data.get("scenes") or []
-    told = ground_of(settings)
+    given = ground_of(settings)
     if len(scenes) == 1:
-        return {None: ground_of(scenes[0]) or told}
-    return {None: told} | {scene["image"]: ground_of(scene) or told for scene in scenes}
+        return {None: ground_of(scenes[0]) or given}
+    return {None: given} | {scene["image"]: ground_of(scene) or given for scene in scenes}
 
 
 def _with_images(data: Mapping[str, Any]) -> list[tuple[Mapping[str, Any], str]]:
@@ -171,11 +171,11 @@ def _with_images(data: Mapping[str, Any]) -> list[tuple[Mapping[str, Any], str]]
     entries: list[Mapping[str, Any]] = data["instances"]
     if "tracks" in data:
         return [(entry, str(entry["id"])) for entry in entries]
-    told: list[Any] = [entry.get("image") for entry in entries]
-    if not any(told) and len(data.get("scenes") or []) != 1:
+    names: list[Any] = [entry.get("image") for entry in entries]
+    if not any(names) and len(data.get("scenes") or []) != 1:
         of_ids = [str(entry["id"]).rpartition(":")[0] for entry in entries]
-        told = of_ids if all(of_ids) else told
-    return [(entry, str(image or "")) for entry, image in zip(entries, told, strict=True)]
+        names = of_ids if all(of_ids) else names
+    return [(entry, str(image or "")) for entry, image in zip(entries, names, strict=True)]
 
 
 def _named(

@@ -73,10 +73,10 @@ def read_video_frames(
                     _add(parse_json(line.decode()), results, infos)
     except OSError as error:
         raise InvalidInputError("file", str(path), f"Give a file that can be read ({error.strerror}).") from error
-    told = images or {}
+    given = images or {}
     own = {known for name in infos for known in names_of(name)}
-    others = {name: info for name, info in told.items() if name not in own}
-    return results, {name: _with(info, info_of(name, told)) for name, info in infos.items()} | others
+    others = {name: info for name, info in given.items() if name not in own}
+    return results, {name: _with(info, info_of(name, given)) for name, info in infos.items()} | others
 
 
 def _add(frame: Any, results: list[NamedResult], infos: dict[str, ImageInfo]) -> None:
@@ -88,11 +88,11 @@ def _add(frame: Any, results: list[NamedResult], infos: dict[str, ImageInfo]) ->
     for vehicle in frame["vehicles"]:
         if vehicle["result"] is not None:
             result, box = Reconstruction.from_dict(vehicle["result"]), as_finite("box", vehicle["box"], (4,))
-            told = {name: vehicle.get(name) for name in ("kind", "score")}
-            results.append(NamedResult(str(vehicle["id"]), result, box, image=image, ground=ground_of(frame), **told))
+            rest = {name: vehicle.get(name) for name in ("kind", "score")}
+            results.append(NamedResult(str(vehicle["id"]), result, box, image=image, ground=ground_of(frame), **rest))
 
 
-def _with(own: ImageInfo, told: ImageInfo) -> ImageInfo:
-    """What is told of a frame, and where that says nothing what the run knows."""
+def _with(own: ImageInfo, given: ImageInfo) -> ImageInfo:
+    """What is given of a frame, and where that says nothing what the run knows."""
     names = [field.name for field in fields(ImageInfo)]
-    return ImageInfo(*(getattr(told, n) if getattr(told, n) is not None else getattr(own, n) for n in names))
+    return ImageInfo(*(getattr(given, n) if getattr(given, n) is not None else getattr(own, n) for n in names))

@@ -1,4 +1,4 @@
-"""One door to keypoints of any format: files, whose format follows from their content, and objects in Python."""
+"""One entry to keypoints of any format: files, whose format follows from their content, and objects in Python."""
 
 from __future__ import annotations
 
