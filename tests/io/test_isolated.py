@@ -51,8 +51,8 @@ def test_a_child_works_dies_and_works_again():
 
 
 def test_a_child_that_hangs_is_ended():
-    with Isolated(seconds=3.0) as child:
-        with pytest.raises(InvalidInputError, match="nothing after 3 seconds"):
+    with Isolated(seconds=10.0) as child:  # a busy machine takes some for its start
+        with pytest.raises(InvalidInputError, match="nothing after 10 seconds"):
             child("slow", sleep, 60)
         assert child("b", double, 3) == 6
 
