@@ -96,7 +96,8 @@ def search_pose(problem: Problem, initial: Box3D | float | Array | None = None) 
 
 def _padded(coefficients: Array, missing: int) -> Array:
     """(H, N) coefficients (H, n) as those of a prior with so many more, which are zero."""
-    return np.pad(coefficients, ((0, 0), (0, missing))) if missing > 0 else coefficients
+    zeros = np.zeros((len(coefficients), max(missing, 0)))
+    return np.concatenate([coefficients, zeros], axis=1) if missing > 0 else coefficients
 
 
 def _by_algorithm1(problem: Problem, missing: int) -> PoseEstimate:

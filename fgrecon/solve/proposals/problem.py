@@ -133,11 +133,16 @@ def _energy(
     covariance = keypoint_covariances(observation, options.keypoints)
     evidence, off = _evidence(observation, covariance), options.disabled_terms
     box = None if "box" in off else box_term(observation, camera, model, options.box)
+    if observation.covariance is None:  # isotropic and all alike, which needs no linear algebra
+        whitener = np.full((len(covariance), 3), 1.0 / np.sqrt(covariance[0, 0, 0]))
+        whitener[:, 1] = 0.0
+    else:
+        whitener = whiteners(covariance)
     keypoints = KeypointTerm(
         mean=model.prior.mean,
         basis=model.prior.basis,
         matrix=camera.matrix,
-        rows=KeypointRows(np.where(observation.measured[:, None], observation.keypoints, 0.0), whiteners(covariance)),
+        rows=KeypointRows(np.where(observation.measured[:, None], observation.keypoints, 0.0), whitener),
         evidence=evidence,
         strategy=options.strategy,
     )
