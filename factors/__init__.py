@@ -21,12 +21,11 @@ The graph of one vehicle in one frame; boxes are variables (`factors.keys`), the
 
 A second frame adds X(v, t + 1) with reprojection, cheirality, box and ground factors of its own on the same L(v).
 
-By default fgrecon has reprojection, cheirality, box and ground of a frame as one factor (`observation_factor`) and,
-where the kernels are compiled, three of the shape's terms as another (`factors.shape_terms`). Each term has a factor of
-its own as well, and reprojection one for each keypoint. `LinearShape` evaluates X(lambda, offsets) once per
-linearisation point for all shape terms, and `ProjectionKernel` its projection with all Jacobians for all reprojection
-factors of a frame. O(v) is optional, and every factor also works with the pose, lambda or the offsets held constant.
-Where the focal length is not known, F(t) is a variable of every factor that projects. Every callback passes through
+Reprojection, cheirality, box and ground of a frame are one factor (`observation_factor`; `term_factor` has one of its
+terms), and where the kernels are compiled three of the shape's terms are another (`factors.shape_terms`); each term of
+the shape has a factor of its own as well. `LinearShape` evaluates X(lambda, offsets) once per linearisation point for
+all of them. O(v) is optional, and every factor also works with the pose, lambda or the offsets held constant. Where the
+focal length is not known, F(t) is a variable of every factor that projects. Every callback passes through
 `factors.guard`.
 """
 

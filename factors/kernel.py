@@ -1,9 +1,8 @@
 """One evaluation of all keypoints per linearisation point.
 
 What costs in a Python factor is numpy's overhead per call, not the arithmetic. `ProjectionKernel` therefore projects
-all keypoints at once, with all their Jacobians, and thin factors read their rows: by default one factor has all that an
-image says of a vehicle (`factors.observation_rows`); with a robust loss of GTSAM's each keypoint has
-a factor of its own.
+all keypoints at once, with all their Jacobians, for one factor that has all that an image says of a vehicle
+(`factors.observation_rows`).
 
 The equations are those of `factors.projection`, which the search for proposals evaluates for many poses at once.
 """
