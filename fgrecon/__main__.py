@@ -1,5 +1,5 @@
 """`python -m fgrecon` is the command `fgrecon`."""
 
-from fgrecon.cli.door import main
+from fgrecon.cli.entry import main
 
 main()

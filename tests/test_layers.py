@@ -22,7 +22,7 @@ ROOMS = {
     "solve": {"factors", "core", "io", "solve/vehicle", "solve/proposals", "solve/graph", "solve/time"},
     "perception/keypoints": {"core", "io"},
     "perception": {
-        *("factors", "core", "io", "solve", "solve/proposals", "perception/keypoints"),
+        *("factors", "core", "io", "io/cameras", "solve", "solve/proposals", "perception/keypoints"),
     },
     "": {
         "factors",
@@ -36,6 +36,7 @@ ROOMS = {
         "factors",
         "core",
         "io",
+        "io/cameras",
         "io/export",
         "io/keypoints",
         "solve",
@@ -43,7 +44,7 @@ ROOMS = {
         "perception/keypoints",
     },
     "video": {
-        *("factors", "core", "io", "solve", "batch", "perception", "perception/keypoints"),
+        *("factors", "core", "io", "io/cameras", "io/export", "solve", "batch", "perception", "perception/keypoints"),
     },
     "simulation": {"factors", "core", "solve/vehicle"},
     "viz": {"core", "io", "perception/keypoints"},
@@ -109,6 +110,7 @@ ROOMS = {
         *("research/annotation", "research/training/priors", "research/training/keypoints", "research/paper"),
         "research/viz",
         "research/io",
+        "research/cli/evaluate",
     },
     "research/cli/paper": {
         *("core", "io", "viz", "cli", "research/evaluation", "research/training/priors"),

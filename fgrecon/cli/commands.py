@@ -1,7 +1,7 @@
 """How a command becomes part of the command line: groups of options as one parameter.
 
 A command's parameter whose type is a dataclass stands for its fields: each is an option, declared once where several
-commands share it.
+commands share it, or a dataclass of further options. So a command gets its whole request as one value.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any, get_type_hints
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from fgrecon.cli.overwrites import check_apart
+from fgrecon.cli.outputs import check_apart
 from fgrecon.core.errors import MissingPackageError
 
 __all__ = ["add_command", "grouped", "new_group"]
@@ -81,23 +81,19 @@ def _flowing(text: str) -> str:
 def grouped(command: Command, in_folder: Sequence[str] = ()) -> Command:
     """The command with an option in the place of every field of its parameters that are dataclasses.
 
-    It refuses to write over what it reads; see `fgrecon.cli.overwrites`.
+    It refuses to write over what it reads; see `fgrecon.cli.outputs`.
     """
     hints = get_type_hints(command, include_extras=True)
-    groups: dict[str, type[Any]] = {}
+    groups = {name: kind for name, kind in hints.items() if _is_group(kind)}
     options: list[inspect.Parameter] = []
     for parameter in inspect.signature(command).parameters.values():
         kind = hints[parameter.name]
-        if is_dataclass(kind) and isinstance(kind, type):
-            groups[parameter.name] = kind
-            options += _options(kind)
-        else:
-            options.append(parameter.replace(annotation=kind))
+        options += _options(kind) if _is_group(kind) else [parameter.replace(annotation=kind)]
 
     @wraps(command)
     def run(**values: Any) -> None:
         check_apart(values, in_folder)
-        made = {name: kind(**{f.name: values.pop(f.name) for f in fields(kind)}) for name, kind in groups.items()}
+        made = {name: _made(kind, values) for name, kind in groups.items()}
         command(**values, **made)
 
     keyword = [option.replace(kind=inspect.Parameter.KEYWORD_ONLY) for option in options]
@@ -106,15 +102,28 @@ def grouped(command: Command, in_folder: Sequence[str] = ()) -> Command:
     return run
 
 
+def _is_group(kind: Any) -> bool:
+    return isinstance(kind, type) and is_dataclass(kind)
+
+
+def _made(group: type[Any], values: dict[str, Any]) -> Any:
+    """The group with the values of its options, which are taken out of all values."""
+    hints = get_type_hints(group)
+    return group(
+        **{
+            field.name: _made(hints[field.name], values) if _is_group(hints[field.name]) else values.pop(field.name)
+            for field in fields(group)
+        }
+    )
+
+
 def _options(group: type[Any]) -> list[inspect.Parameter]:
+    """The options of a group, in the order of its fields."""
     hints = get_type_hints(group, include_extras=True)
-    kind = inspect.Parameter.KEYWORD_ONLY
-    return [
-        inspect.Parameter(
-            field.name,
-            kind,
-            default=inspect.Parameter.empty if field.default is MISSING else field.default,
-            annotation=hints[field.name],
-        )
-        for field in fields(group)
-    ]
+    options: list[inspect.Parameter] = []
+    for field in fields(group):
+        kind = hints[field.name]
+        default = inspect.Parameter.empty if field.default is MISSING else field.default
+        own = inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+        options += _options(kind) if _is_group(kind) else [own]
+    return options

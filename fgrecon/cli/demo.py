@@ -8,9 +8,8 @@ from typing import Annotated
 
 import typer
 
-from fgrecon.cli.common import check_outputs
-from fgrecon.cli.deliver import Viewer, check_delivery, deliver
-from fgrecon.cli.options import JsonOption
+from fgrecon.cli.options import JsonOption, Viewer
+from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Verbosity
 
 __all__ = ["demo_command"]
@@ -32,10 +31,10 @@ def demo_command(
 
     Writes picture.png, recording.rrd for the rerun viewer and result.json, and what went in: image.png, keypoints.json.
     And scene.jpg: the cars of a street at the start and at the end, with the scene from above.
-    --verbose tells energies and times.
+    --verbose has energies and times.
     """
     from fgrecon.cli import demo_report as report
-    from fgrecon.cli.show import details
+    from fgrecon.cli.reconstruct_report import details
     from fgrecon.io.catalogue import load_prior
     from fgrecon.io.files import write_text
     from fgrecon.io.images import write_png
@@ -43,6 +42,7 @@ def demo_command(
     from fgrecon.solve.pipeline import reconstruct
     from fgrecon.viz import SolvedVehicle, animate, picture, recording_of, save_picture
     from fgrecon.viz.animation import check_format
+    from fgrecon.viz.delivery import check_delivery, deliver
 
     check_delivery(None, viewer.connect)
     check_outputs(json_out, animation)

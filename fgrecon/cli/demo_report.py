@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from fgrecon.cli.terminal import compact_table
 from fgrecon.core.category import Category
 from fgrecon.core.observation import Observation
 from fgrecon.core.reconstruction import Reconstruction, rotation_y
@@ -26,7 +26,7 @@ __all__ = [
     "Stage",
     "document",
     "keypoint_file",
-    "plain_observation",
+    "observation_to_dict",
     "stages",
     "street_picture",
     "table",
@@ -87,9 +87,8 @@ def table(truth: Truth, estimates: Iterable[Stage]) -> Table:
 
     The last three columns are the errors of yaw, position and 3D keypoints (in the object frame, their mean).
     """
-    result = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True)
-    for heading in ("", "yaw °", "x, y, z m", "l, w, h m", "Δ yaw", "Δ pos", "Δ 3D"):
-        result.add_column(heading, justify="right" if heading else "left", no_wrap=True)
+    headings = ("", "yaw °", "x, y, z m", "l, w, h m", "Δ yaw", "Δ pos", "Δ 3D")
+    result = compact_table(*headings, text=("",), no_wrap=True)
     size = () if truth.box_size is None else truth.box_size
     result.add_row("truth", *_pose_cells(truth.camera_T_object, size), "", "", "")
     for stage in estimates:
@@ -117,7 +116,7 @@ def document(
         "format": FORMAT,
         "seed": seed,
         "truth": {
-            **_plain_pose(truth.camera_T_object),
+            **_pose_to_dict(truth.camera_T_object),
             "box_size": size,
             "keypoints": scene.truth.vehicle.keypoints.tolist(),
             "visible": scene.truth.visible.tolist(),
@@ -126,7 +125,7 @@ def document(
         "stages": [
             {
                 "stage": stage.title,
-                **_plain_pose(stage.camera_T_object),
+                **_pose_to_dict(stage.camera_T_object),
                 "box_size": stage.box_size.tolist(),
                 "errors": stage.errors,
             }
@@ -136,7 +135,7 @@ def document(
     }
 
 
-def _plain_pose(pose: NDArray[np.float64]) -> dict[str, Any]:
+def _pose_to_dict(pose: NDArray[np.float64]) -> dict[str, Any]:
     return {"camera_T_object": pose.tolist(), "rotation_y": rotation_y(pose), "location": pose[:3, 3].tolist()}
 
 
@@ -159,11 +158,11 @@ def keypoint_file(scene: DemoScene, category: Category) -> dict[str, Any]:
     return {
         "K": scene.camera.matrix.tolist(),
         "image_size": scene.camera.image_size,
-        **plain_observation(scene.observation, category),
+        **observation_to_dict(scene.observation, category),
     }
 
 
-def plain_observation(seen: Observation, category: Category) -> dict[str, Any]:
+def observation_to_dict(seen: Observation, category: Category) -> dict[str, Any]:
     """Box and keypoints by name of one instance of a keypoint file."""
     rows = np.column_stack([seen.keypoints, seen.confidence])
     return {

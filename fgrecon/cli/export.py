@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from fgrecon.cli.common import check_output
 from fgrecon.cli.options import PRIORS, fitting_names
 from fgrecon.cli.terminal import Verbosity
 from fgrecon.core.text import counted
@@ -72,20 +71,21 @@ def export_command(
     from fgrecon.io.export import export, read_images_file, read_results, read_video_frames
     from fgrecon.io.export.formats import check_format
     from fgrecon.io.export.video_frames import check_video_format, frames_file
+    from fgrecon.io.files import check_output
 
     check_format(out, kind)
     check_output(out)
-    told = None if images is None else read_images_file(images)
+    images_known = None if images is None else read_images_file(images)
     if (frames := frames_file(results)) is not None:
         check_video_format(out, kind)
-        found, told = read_video_frames(frames, told)
+        found, images_known = read_video_frames(frames, images_known)
     elif results.is_dir():
         from fgrecon.batch import read_folder
 
         found = read_folder(results, prior)
     else:
         found = read_results(results, prior)
-    export(out, found, kind, told)
+    export(out, found, kind, images_known)
     screen = terminal.screen()
     for vehicle in found:
         screen.detail(f"{vehicle.name}: {vehicle.result.status.value}")

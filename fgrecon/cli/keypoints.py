@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fgrecon.cli.commands import add_command, new_group
-from fgrecon.cli.common import check_outputs
 from fgrecon.cli.options import JsonOption, VehicleBoxes
+from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Terminal
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
@@ -27,14 +27,14 @@ def detect_command(
     image: Annotated[Path, typer.Argument(metavar="IMAGE", help="Image file.")],
     boxes: VehicleBoxes,
     terminal: Terminal,
-    picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw what was found (png, jpg).")] = None,
+    picture: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the keypoints (png, jpg).")] = None,
     json_out: JsonOption = None,
 ) -> None:
     """Find the keypoints of cars. The JSON is what `fgrecon reconstruct` reads; confidences are probabilities.
 
-    --verbose also tells how exact each position is and how probably the keypoint can be seen.
+    --verbose also has how exact each position is and how probably the keypoint can be seen.
     """
-    from fgrecon.cli.picture_tasks import find_keypoints
+    from fgrecon.batch.vehicle_tasks import KeypointRequest, detect_in_boxes
     from fgrecon.io.catalogue import load_category
     from fgrecon.io.images import read_image
 
@@ -44,7 +44,7 @@ def detect_command(
     named = boxes.choose(image, pixels)
     names = [item.name for item in named]
     category = load_category("car14")
-    found = find_keypoints(pixels, named, boxes.weights, screen, category)
+    found = detect_in_boxes(pixels, named, KeypointRequest(category, boxes.weights), screen.watch)
     screen.print(_table(names, found, category.keypoints, verbose=screen.verbose))
     instances = [_instance(name, d) for name, d in zip(names, found, strict=True)]
     screen.write_json(json.dumps({"instances": instances}, indent=1) + "\n")

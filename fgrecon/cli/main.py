@@ -16,11 +16,11 @@ from typing import Annotated, TextIO
 import typer
 
 from fgrecon.cli import keypoints, prior, vehicles
+from fgrecon.cli.batch import batch_command
 from fgrecon.cli.calibrate import calibrate_command
 from fgrecon.cli.commands import add_command, new_group
 from fgrecon.cli.demo import demo_command
 from fgrecon.cli.export import export_command
-from fgrecon.cli.many import batch_command
 from fgrecon.cli.reconstruct import reconstruct_command
 from fgrecon.cli.refine import refine_command
 from fgrecon.cli.replay import replay_command
@@ -70,8 +70,8 @@ for _plugin in metadata.entry_points(group=PLUGINS):
     _plugin.load()({"": app, **_GROUPS})
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(requested: bool) -> None:
+    if requested:
         typer.echo(f"fgrecon {metadata.version('fgrecon')}")
         raise typer.Exit
 

@@ -5,44 +5,54 @@ See `fgrecon.cli.commands` for how a group becomes options.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fgrecon.cli.common import chosen_boxes, ground_plane, parse_crop
-from fgrecon.core.choices import StrategyName, TrafficSide
+from fgrecon.cli.parsing import parse_crop, parse_ground, parse_numbers
+from fgrecon.core.choices import BoxModel, StrategyName, TrafficSide
+from fgrecon.core.errors import InvalidInputError
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
+    from fgrecon.calibration.labelled_drives import DriveRequest, GivenScene, ScoredDrives
+    from fgrecon.calibration.labelled_frames import Rivals
     from fgrecon.calibration.setup import SceneKnowledge
-    from fgrecon.cli.settings import CameraSource, Settings
-    from fgrecon.core.camera import Camera, Ground
+    from fgrecon.cli.terminal import Screen
+    from fgrecon.core.box3d import BoxErrors
+    from fgrecon.core.camera import Ground
     from fgrecon.core.options import Options
-    from fgrecon.core.size_prior import SizePrior
     from fgrecon.io.boxes import NamedBox
+    from fgrecon.io.cameras.camera_source import CameraSource
+    from fgrecon.io.kitti_drives import Drive
+    from fgrecon.io.run_settings import RunSettings
+    from fgrecon.viz import Recording
 
 __all__ = [
     "BOX_MODEL_HELP",
     "KITTI_CAMERA_HEIGHT",
-    "UNTOLD",
+    "NOT_GIVEN",
+    "BoxErrorOptions",
     "CameraOptions",
-    "DataOption",
+    "Delivery",
+    "DriveOptions",
+    "DrivesArgument",
+    "FoldOption",
     "HistoryOption",
     "JsonOption",
     "LabelledScene",
-    "MarkdownOption",
     "NamesOption",
-    "ResultsOption",
     "SceneOptions",
     "TogetherOption",
-    "Told",
     "TrafficOption",
     "VehicleBoxes",
+    "Viewer",
     "WeightsOption",
     "fitting_names",
 ]
@@ -50,8 +60,8 @@ __all__ = [
 KITTI_CAMERA_HEIGHT = 1.65
 """Height of KITTI's cameras above the road, metres."""
 
-UNTOLD = "none"
-"""Where images are evaluated: nothing is told of the ground, or of the fleet's size."""
+NOT_GIVEN = "none"
+"""Where images are evaluated: the ground, or the fleet's size, is not known."""
 
 _KITTI = "kitti"
 
@@ -131,18 +141,6 @@ JsonOption = Annotated[
 HistoryOption = Annotated[
     bool, typer.Option("--history", help="Keep every step of the optimisation and its graph in the JSON.")
 ]
-MarkdownOption = Annotated[
-    Path | None, typer.Option("--markdown", metavar="FILE", help="Write the tables as Markdown.")
-]
-ResultsOption = Annotated[
-    Path | None,
-    typer.Option("--results", metavar="FOLDER", help="Write the boxes as KITTI's results, for `evaluate boxes`."),
-]
-DataOption = Annotated[Path, typer.Option(metavar="FOLDER", envvar="FGRECON_DATA", help="Folder of the data.")]
-DATA = Path("../shared/data")
-"""Where the data lie if nobody says."""
-
-
 TogetherOption = Annotated[
     bool,
     typer.Option(
@@ -172,25 +170,27 @@ class CameraOptions:
         ),
     ] = None
 
-    @property
-    def whole(self) -> tuple[int, int] | None:
-        """(width, height) of the image that a photograph is a part of, or None.
+    def source(self) -> CameraSource:
+        """The camera as the library takes it.
 
         Raises:
-            InvalidInputError: It is no part of an image.
+            InvalidInputError: A value is none, or several ways are used.
         """
-        return None if self.crop is None else parse_crop(self.crop).whole
+        from fgrecon.io.cameras.camera_source import CameraSource
 
-    def source(self, image: NDArray[Any] | None = None, own: Camera | None = None) -> CameraSource:
-        """The camera as the commands use it.
-
-        Args:
-            image: (H, W, 3) photograph, which tells the image's size.
-            own: The camera that the photograph's file tells.
-        """
-        from fgrecon.cli.settings import CameraSource
-
-        return CameraSource(self.calib, self.intrinsics, self.distortion, image, self.camera, own, self.crop)
+        intrinsics = "fx,fy,cx,cy: four numbers in pixels"
+        distortion = "4, 5, 8, 12 or 14 numbers in OpenCV's order: k1,k2,p1,p2[,k3,...]"
+        return CameraSource(
+            calib=self.calib,
+            intrinsics=None
+            if self.intrinsics is None
+            else parse_numbers("intrinsics", self.intrinsics, intrinsics, (4,)),
+            distortion=None
+            if self.distortion is None
+            else parse_numbers("distortion", self.distortion, distortion, (4, 5, 8, 12, 14)),
+            file=self.camera,
+            crop=None if self.crop is None else parse_crop(self.crop),
+        )
 
 
 @dataclass(frozen=True)
@@ -226,26 +226,27 @@ class SceneOptions:
         ),
     ] = None
 
-    def settings(self, options: Options) -> Settings:
+    def settings(self, options: Options) -> RunSettings:
         """What holds for every vehicle of a run.
 
         Raises:
             InvalidInputError: A value names nothing, or both a plane and a height are given.
         """
-        from fgrecon.cli.settings import Settings
+        from fgrecon.io.run_settings import RunSettings
 
         keypoints = replace(options.keypoints, least_confidence=self.min_confidence)
-        told = replace(options, keypoints=keypoints, traffic=self.traffic)
+        options = replace(options, keypoints=keypoints, traffic=self.traffic)
         if self.calibration is not None:
             from fgrecon.io.catalogue import load_calibration
 
-            told = load_calibration(self.calibration).applied(told)
-        return Settings.of(self.prior, self.ground, self.camera_height, self.size_prior, told)
+            options = load_calibration(self.calibration).applied(options)
+        plane = parse_ground(self.ground, self.camera_height)
+        return RunSettings.of(self.prior, None if plane is None else plane[0], self.size_prior, options)
 
 
 @dataclass(frozen=True)
 class LabelledScene:
-    """What methods are told on data with known poses."""
+    """What is known of the scene on data with known poses."""
 
     prior: PriorOption = "car14"
     size_prior: Annotated[
@@ -276,13 +277,13 @@ class LabelledScene:
         """
         from fgrecon.core.camera import Ground
 
-        return ground_plane(self.ground, self.camera_height) or (
+        return parse_ground(self.ground, self.camera_height) or (
             Ground.level(KITTI_CAMERA_HEIGHT),
             f"level camera {KITTI_CAMERA_HEIGHT} m above the ground (KITTI's)",
         )
 
     def scene(self) -> SceneKnowledge:
-        """The scene as methods are bound to it, whose names say what each is told of it.
+        """The scene as methods are bound to it, whose names say what each knows of it.
 
         Raises:
             InvalidInputError: A value names nothing.
@@ -293,44 +294,29 @@ class LabelledScene:
 
         return SceneKnowledge(prior=load_prior(self.prior), ground=self.plane()[0], size=size_prior(self.size_prior))
 
-    def told(self) -> Told:
-        """What the whole system is told of images: ground and fleet may be none.
+    def given(self) -> GivenScene:
+        """What is given to the whole system of images: ground and fleet may be none.
 
         Raises:
             InvalidInputError: A value names nothing.
         """
-        untold = self.ground == UNTOLD
-        if untold and self.camera_height is not None:
-            ground_plane(self.ground, self.camera_height)  # refuses both
+        from fgrecon.calibration.labelled_drives import GivenScene
+
+        groundless = self.ground == NOT_GIVEN
+        if groundless and self.camera_height is not None:
+            parse_ground(self.ground, self.camera_height)  # refuses both
         known = replace(
             self,
-            ground=None if untold else self.ground,
-            size_prior=_KITTI if self.size_prior == UNTOLD else self.size_prior,
+            ground=None if groundless else self.ground,
+            size_prior=_KITTI if self.size_prior == NOT_GIVEN else self.size_prior,
         )
         scene = known.scene()
-        return Told(
+        return GivenScene(
             scene=scene,
-            ground=None if untold else scene.ground,
-            size=None if self.size_prior == UNTOLD else scene.size,
-            origin="no ground plane" if untold else known.plane()[1],
+            ground=None if groundless else scene.ground,
+            size=None if self.size_prior == NOT_GIVEN else scene.size,
+            origin="no ground plane" if groundless else known.plane()[1],
         )
-
-
-@dataclass(frozen=True)
-class Told:
-    """What the whole system is told of images with known poses.
-
-    Attributes:
-        scene: What rivals are told whose names ask for it: KITTI's ground and fleet where the system is told none.
-        ground: Ground plane, or None.
-        size: Size of the fleet, or None.
-        origin: In words where the ground plane comes from.
-    """
-
-    scene: SceneKnowledge
-    ground: Ground | None
-    size: SizePrior | None
-    origin: str
 
 
 @dataclass(frozen=True)
@@ -373,7 +359,11 @@ class VehicleBoxes:
         Raises:
             InvalidInputError: Not exactly one of the ways is given, a box is none, or there is no car.
         """
-        return chosen_boxes(path, image, self.box, self.boxes, detect=self.detect, least_score=self.min_score)
+        from fgrecon.perception.boxes import boxes_of
+
+        given = [parse_numbers("box", text, "x1,y1,x2,y2: four numbers in pixels", (4,)) for text in self.box or ()]
+        search = image if self.detect else None
+        return boxes_of(path, given, self.boxes, search, (image.shape[1], image.shape[0]), self.min_score)
 
     def refuse(self) -> None:
         """Refuse what means nothing for a keypoint file.
@@ -381,10 +371,166 @@ class VehicleBoxes:
         Raises:
             InvalidInputError: Something is given.
         """
-        from fgrecon.core.errors import InvalidInputError
-
-        names = ("box", "boxes", "weights", "detect", "min_score")
-        given = [(name, getattr(self, name)) for name in names]
-        for field, value in given:
-            if value:
+        for field in ("box", "boxes", "weights", "detect", "min_score"):
+            if value := getattr(self, field):
                 raise InvalidInputError(field, str(value), "Give an image instead of keypoints, or leave this out.")
+
+
+_ERRORS_PANEL = "Errors of the boxes (1 sigma)"
+
+
+@dataclass(frozen=True)
+class BoxErrorOptions:
+    """How far 3D boxes are off; the defaults are a monocular detector's."""
+
+    depth_error: Annotated[
+        float, typer.Option(help="Of the distance, as a share of it.", rich_help_panel=_ERRORS_PANEL)
+    ] = 0.06
+    bearing_error: Annotated[
+        float, typer.Option(help="Of a box's place in the image, pixels.", rich_help_panel=_ERRORS_PANEL)
+    ] = 2.0
+    yaw_error: Annotated[
+        float, typer.Option(help="Of the yaw of a box without a heading flip, degrees.", rich_help_panel=_ERRORS_PANEL)
+    ] = 10.0
+    size_error: Annotated[
+        float, typer.Option(help="Of length, width and height, as a share.", rich_help_panel=_ERRORS_PANEL)
+    ] = 0.05
+    flipped_share: Annotated[
+        float, typer.Option(help="Share of boxes with a heading flip.", rich_help_panel=_ERRORS_PANEL)
+    ] = 0.05
+
+    def errors(self) -> BoxErrors:
+        """They, as the solver takes them.
+
+        Raises:
+            InvalidInputError: A number is out of range.
+        """
+        from fgrecon.core.box3d import BoxErrors
+
+        return BoxErrors(
+            self.depth_error, self.bearing_error, radians(self.yaw_error), self.size_error, self.flipped_share
+        )
+
+
+DrivesArgument = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="DRIVE",
+        help="Folders with image_02, calib.txt and label_02.txt of KITTI's tracking set; where nothing is followed "
+        "also with image_2, calib and label_2 of its object set.",
+    ),
+]
+FoldOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="DRIVE[,DRIVE...]=FILE",
+        help="Keypoint network for these drives, such as one that was trained without them; repeat for more.",
+    ),
+]
+
+
+@dataclass(frozen=True)
+class DriveOptions:
+    """How labelled drives are reconstructed."""
+
+    weights: WeightsOption = None
+    fold: FoldOption = None
+    box_model: Annotated[
+        BoxModel | None, typer.Option(help="What the 2D boxes enclose.", show_default="cuboid; detected for --detect")
+    ] = None
+    together: TogetherOption = True
+    traffic: TrafficOption = None
+    detect: Annotated[
+        bool,
+        typer.Option(
+            "--detect", help="Look at the boxes of the shipped vehicle detector instead of the labelled ones."
+        ),
+    ] = False
+    jobs: Annotated[int, typer.Option(min=1, help="Processes.")] = 1
+
+    def request(self, folders: Sequence[Path], labelled: LabelledScene) -> DriveRequest:
+        """What is requested of the drives in some folders.
+
+        Raises:
+            InvalidInputError: A value of the scene names nothing.
+        """
+        from fgrecon.calibration.labelled_drives import DriveRequest
+
+        options = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "fold"}
+        return DriveRequest(folders, labelled.given(), folds=self.fold or (), **options)
+
+    def score(
+        self,
+        folders: Sequence[Path],
+        labelled: LabelledScene,
+        screen: Screen,
+        *,
+        read: Callable[[Path], Drive] | None = None,
+        rivals: Callable[[SceneKnowledge], Callable[[], Rivals]] | None = None,
+    ) -> ScoredDrives:
+        """Reconstruct the labelled boxes that count, and score them; see `fgrecon.calibration.labelled_drives`.
+
+        Raises:
+            InvalidInputError: As `score_drives` raises it.
+        """
+        from fgrecon.calibration.labelled_drives import score_drives
+        from fgrecon.io.kitti_drives import read_images
+
+        with screen.bar() as advance:
+            return score_drives(self.request(folders, labelled), advance, read=read or read_images, rivals=rivals)
+
+
+_RECORDING = "Recording"
+
+
+@dataclass(frozen=True)
+class Viewer:
+    """The rerun viewer that a recording is sent to."""
+
+    connect: Annotated[
+        str | None,
+        typer.Option(
+            metavar="HOST:PORT",
+            help="Send the recording to a rerun viewer that listens there.",
+            rich_help_panel=_RECORDING,
+        ),
+    ] = None
+    spawn: Annotated[
+        bool, typer.Option("--spawn", help="Show the recording in a new rerun viewer.", rich_help_panel=_RECORDING)
+    ] = False
+
+    @property
+    def requested(self) -> bool:
+        """Whether any of the options is given."""
+        return self.connect is not None or self.spawn
+
+
+@dataclass(frozen=True)
+class Delivery(Viewer):
+    """Where recordings go."""
+
+    save: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.rrd",
+            help="Record for the rerun viewer; several recordings: FILE-NAME.rrd each.",
+            rich_help_panel=_RECORDING,
+        ),
+    ] = None
+
+    @property
+    def requested(self) -> bool:
+        """Whether any of the options is given."""
+        return self.save is not None or super().requested
+
+    def check(self) -> None:
+        """Refuse before the work what could not be delivered after it (`InvalidInputError`)."""
+        from fgrecon.viz.delivery import check_delivery
+
+        check_delivery(self.save, self.connect)
+
+    def deliver(self, recordings: Sequence[tuple[str, Recording]], screen: Screen, *, several: bool) -> None:
+        """Write and send recordings, and say which files were written."""
+        from fgrecon.viz.delivery import deliver
+
+        screen.wrote(*deliver(recordings, self.save, self.connect, spawn=self.spawn, several=several))

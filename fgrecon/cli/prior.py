@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from fgrecon.cli.commands import add_command, new_group
-from fgrecon.cli.common import check_output
 from fgrecon.cli.options import PriorArgument
 from fgrecon.cli.terminal import Quiet
 
@@ -35,6 +34,7 @@ def show_command(
     from rich.table import Table
 
     from fgrecon.io.catalogue import load_prior
+    from fgrecon.io.files import check_output
 
     check_output(picture)
     check_output(save)

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fgrecon.cli.common import check_outputs
-from fgrecon.cli.terminal import Verbosity
+from fgrecon.cli.outputs import check_outputs
+from fgrecon.cli.terminal import Verbosity, compact_table
 from fgrecon.core.text import whole_text
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
@@ -62,7 +62,7 @@ def replay_command(
 
 
 def _viewer(recording: Path, bind: str, port: int, data_port: int, screen: Screen, *, web: bool) -> list[str]:
-    """The viewer's command line; tells where to find it in a browser."""
+    """The viewer's command line; says where to find it in a browser."""
     from urllib.parse import quote
 
     from fgrecon.viz.sinks import free_port, has_display, reachable, viewer_command
@@ -104,13 +104,8 @@ def _print(content: Replay, screen: Screen) -> None:
 
 
 def _table(content: Replay) -> Table:
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
-    table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True)
-    for heading in ("stage", "weight updates", "iterations", "energy first", "last", "by term at the end (nats)"):
-        text = heading.startswith(("stage", "by"))
-        table.add_column(heading, justify="left" if text else "right", overflow="fold")
+    headings = ("stage", "weight updates", "iterations", "energy first", "last", "by term at the end (nats)")
+    table = compact_table(*headings, text=(headings[0], headings[-1]), overflow="fold")
     for stage in content.summary():
         terms = ", ".join(f"{name} {energy:.2f}" for name, energy in stage.terms.items())
         counts = (str(stage.weight_updates), str(stage.steps))

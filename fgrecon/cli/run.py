@@ -2,21 +2,135 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli.common import check_outputs
-from fgrecon.cli.deliver import Delivery
-from fgrecon.cli.options import CameraOptions, JsonOption, SceneOptions, TogetherOption, WeightsOption
-from fgrecon.cli.run_options import FrameOptions, MotionOptions
+from fgrecon.cli.options import CameraOptions, Delivery, JsonOption, SceneOptions, TogetherOption, WeightsOption
+from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.choices import BoxModel
+from fgrecon.core.errors import InvalidInputError
 
-__all__ = ["run_command"]
+if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
+    from fgrecon.video.video_job import VideoRequest
+
+__all__ = ["RunOptions", "run_command"]
 
 _STOPPED = 130
+
+
+@dataclass(frozen=True)
+class FrameOptions:
+    """Which frames are taken, and when they were."""
+
+    fps: Annotated[
+        float | None,
+        typer.Option(help="Frames per second of images without times.", show_default="10; a video's own"),
+    ] = None
+    every: Annotated[int, typer.Option(min=1, help="Take every so many frames.")] = 1
+    start: Annotated[float, typer.Option(min=0.0, help="Begin so many seconds after the first frame.")] = 0.0
+    end: Annotated[
+        float | None, typer.Option(help="End so many seconds after the first frame.", show_default="the last frame")
+    ] = None
+
+
+@dataclass(frozen=True)
+class MotionOptions:
+    """How the camera moves."""
+
+    poses: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Poses of the camera: KITTI, TUM, or JSON with matrices.")
+    ] = None
+    estimate_motion: Annotated[
+        bool | None,
+        typer.Option(
+            "--estimate-motion/--no-estimate-motion",
+            help="Estimate the camera's motion from the images; needs the ground.",
+            show_default="where the ground is given, and not with --alone",
+        ),
+    ] = None
+
+
+@dataclass(frozen=True)
+class VehicleOptions:
+    """Where the vehicles are from, and how they are followed."""
+
+    tracks: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Vehicles detected by others: KITTI's tracking labels, or keypoints."),
+    ] = None
+    forget_ids: Annotated[bool, typer.Option("--forget-ids", help="Give those vehicles ids anew.")] = False
+    box_model: Annotated[
+        BoxModel | None,
+        typer.Option(
+            help="What 2D boxes enclose; off: they are no evidence.",
+            show_default="detected; of --tracks: surface in keypoints, cuboid in KITTI's lines",
+        ),
+    ] = None
+    weights: WeightsOption = None
+    online: Annotated[
+        bool, typer.Option("--online", help="Leave each estimate as it was when its frame came; else it is smoothed.")
+    ] = False
+    alone: Annotated[bool, typer.Option("--alone", help="Take every image on its own: no motion, no smoothing.")] = (
+        False
+    )
+    together: TogetherOption = True
+
+
+@dataclass(frozen=True)
+class DrawnOptions:
+    """What is drawn of the frames."""
+
+    video: Annotated[
+        Path | None, typer.Option(metavar="FILE.mp4", help="Write the video with the results drawn into it (H.264).")
+    ] = None
+    picture: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Draw a frame and its scene from above (png, svg, pdf, jpg)."),
+    ] = None
+    picture_frame: Annotated[
+        int | None, typer.Option(metavar="N", help="Which frame.", show_default="the one with the most cars")
+    ] = None
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How the video is read, followed and drawn."""
+
+    frames: FrameOptions
+    motion: MotionOptions
+    camera: CameraOptions
+    scene: SceneOptions
+    delivery: Delivery
+    vehicles: VehicleOptions
+    drawn: DrawnOptions
+
+    def request(self, source: str, out: Path) -> VideoRequest:
+        """What is requested of a video.
+
+        Raises:
+            InvalidInputError: A value names nothing, or a frame but no picture is given.
+        """
+        from fgrecon.core.options import Options
+        from fgrecon.video.video_job import VideoRequest
+
+        if self.drawn.picture is None and self.drawn.picture_frame is not None:
+            fix = "Say with --picture where it is to be written."
+            raise InvalidInputError("picture_frame", "without --picture", fix)
+        return VideoRequest(
+            source=source,
+            out=out,
+            settings=self.scene.settings(Options(strategy=self.scene.strategy, keep_history=False)),
+            camera=self.camera.source(),
+            **vars(self.frames),
+            **vars(self.motion),
+            **vars(self.vehicles),
+            video=self.drawn.video,
+            picture_frame=self.drawn.picture_frame,
+        )
 
 
 def run_command(
@@ -28,42 +142,8 @@ def run_command(
         ),
     ],
     out: Annotated[Path, typer.Option(metavar="FOLDER", help="For the results; made where it does not exist.")],
-    frames: FrameOptions,
-    motion: MotionOptions,
-    camera: CameraOptions,
-    scene: SceneOptions,
-    delivery: Delivery,
+    options: RunOptions,
     terminal: Terminal,
-    tracks: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Vehicles found by others: KITTI's tracking labels, or keypoints."),
-    ] = None,
-    forget_ids: Annotated[bool, typer.Option("--forget-ids", help="Give those vehicles ids anew.")] = False,
-    box_model: Annotated[
-        BoxModel | None,
-        typer.Option(
-            help="What 2D boxes enclose; off: they are no evidence.",
-            show_default="detected; of --tracks: surface in keypoints, cuboid in KITTI's lines",
-        ),
-    ] = None,
-    weights: WeightsOption = None,
-    online: Annotated[
-        bool, typer.Option("--online", help="Leave each estimate as it was when its frame came; else it is smoothed.")
-    ] = False,
-    alone: Annotated[bool, typer.Option("--alone", help="Take every image on its own: no motion, no smoothing.")] = (
-        False
-    ),
-    together: TogetherOption = True,
-    video: Annotated[
-        Path | None, typer.Option(metavar="FILE.mp4", help="Write the video with what was found drawn into it (H.264).")
-    ] = None,
-    picture: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Draw a frame and its scene from above (png, svg, pdf, jpg)."),
-    ] = None,
-    picture_frame: Annotated[
-        int | None, typer.Option(metavar="N", help="Which frame.", show_default="the one with the most cars")
-    ] = None,
     json_out: JsonOption = None,
 ) -> None:
     """Find the cars of a video, follow them, and reconstruct pose, size and motion of each in each frame.
@@ -71,42 +151,26 @@ def run_command(
     The folder gets tracks.txt (KITTI's tracking results), tracks.csv, tracks.parquet and frames.jsonl. A run that was
     stopped or killed goes on where it was when it is started again with the same folder; with other priors, grounds or
     options, or for another --picture, the networks need not look again. Ctrl-C writes what there is. A frame that
-    cannot be read is a gap. --verbose tells every car and gap.
+    cannot be read is a gap. --verbose lists every car and gap.
 
     Exit code 0: at least one car was reconstructed; 1: none, or --picture is of a frame without any; 2: bad usage or
     input; 130: stopped before the end.
     """
     from fgrecon.cli import run_report
-    from fgrecon.cli.run_job import Request, prepare
+    from fgrecon.io.files import check_folder
+    from fgrecon.video.video_job import prepare_video, write_tracks
 
-    delivery.check()
-    check_outputs(json_out, video, picture=picture)
+    options.delivery.check()
+    check_outputs(json_out, options.drawn.video, picture=options.drawn.picture)
+    check_folder(out)
     screen = terminal.screen(json_out)
-    job = prepare(
-        Request(
-            source=source,
-            out=out,
-            frames=frames,
-            motion=motion,
-            camera=camera.source(),
-            scene=scene,
-            tracks=tracks,
-            forget_ids=forget_ids,
-            box_model=box_model,
-            weights=weights,
-            online=online,
-            alone=alone,
-            together=together,
-            video=video,
-            picture=picture,
-            picture_frame=picture_frame,
-        ),
-        screen,
-    )
-    run = run_report.perform(job, delivery, screen)
-    drawn = run_report.write(job, run, screen)
-    if delivery.save is not None:
-        screen.wrote(run_report.recording(job, run).write(delivery.save))
+    job = prepare_video(options.request(source, out), screen.warn)
+    run = run_report.perform(job, options.delivery, screen)
+    write_tracks(job, run)
+    screen.wrote(out)
+    drawn = run_report.draw(job, run, options.drawn.picture, screen)
+    if options.delivery.save is not None:
+        screen.wrote(run_report.recording(job, run).write(options.delivery.save))
     screen.print(run_report.table(run), run_report.in_words(run))
     screen.detail(*run_report.details(run))
     screen.write_json(run_report.document(job, run))

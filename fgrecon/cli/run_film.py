@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fgrecon.cli.progress import Advance
+from fgrecon.cli.terminal import Advance
 from fgrecon.core.camera import Camera, Ground
 from fgrecon.core.geometry import transform
 from fgrecon.core.vehicle_estimate import VehicleEstimate
@@ -25,7 +25,7 @@ from fgrecon.viz.video_recording import RecordedFrame
 
 __all__ = ["Showing", "film", "recorded", "still"]
 
-_RATE = 10.0  # told to players; the frames have times of their own
+_RATE = 10.0  # for players; the frames have times of their own
 _TRAIL = 100  # frames that a vehicle's path is drawn
 _SIGMAS = 1.96  # of 95 %
 
@@ -37,7 +37,7 @@ class Showing:
         """Nothing was shown yet.
 
         Args:
-            beside_table: Whether a table tells distances and what became of each vehicle.
+            beside_table: Whether a table beside it has distances and what became of each vehicle.
         """
         self._beside_table = beside_table
         self._trails: dict[int, list[NDArray[np.float64]]] = {}  # where each vehicle was, in the world
@@ -70,7 +70,7 @@ class Showing:
             return "" if self._beside_table else result.status.value
         if not self._beside_table:
             words.append(f"{np.linalg.norm(result.location):.0f} m")
-        if estimate.speed is not None and estimate.world_T_object is not None:  # one seen from the camera tells little
+        if estimate.speed is not None and estimate.world_T_object is not None:  # from the camera alone it means little
             words.append(f"{3.6 * estimate.speed:.0f} km/h")
         return ", ".join(words)
 
@@ -130,7 +130,7 @@ def still(
     Args:
         path: File to write.
         source: The frames' images.
-        frames: What was found in them.
+        frames: What was estimated in them.
         camera: Their camera.
         ground: The ground plane, or None.
         number: Which frame; None for the first of those with the most estimates.
@@ -168,11 +168,11 @@ def _values(estimate: VehicleEstimate) -> dict[str, tuple[float, ...]]:
     result = estimate.reconstruction
     if not result.status.determined:
         return {}
-    turned, sizes = result.pose_covariance, result.size_covariance
+    pose, sizes = result.pose_covariance, result.size_covariance
     spreads = np.full(3, np.nan) if sizes is None else np.sqrt(np.diag(sizes))
     known = {name: (value,) for name, value in motion_of(estimate).items() if value is not None}
     return {
-        "yaw": _band(np.degrees(result.rotation_y), np.nan if turned is None else np.degrees(np.sqrt(turned[1, 1]))),
+        "yaw": _band(np.degrees(result.rotation_y), np.nan if pose is None else np.degrees(np.sqrt(pose[1, 1]))),
         **{name: _band(*pair) for name, *pair in zip(SIZES, result.box_size, spreads, strict=True)},
         "distance": (float(np.linalg.norm(result.location)),),
         **known,

@@ -40,7 +40,7 @@ def sample_command(
     from fgrecon.simulation.sample import GROUND, sample_drive, sample_street, sample_track
 
     screen = terminal.screen()
-    prior = load_prior("car14").for_fleet(size_prior("kitti"))  # its cars are of the size that the guides tell
+    prior = load_prior("car14").for_fleet(size_prior("kitti"))  # its cars are of the size that the guides have
     out.mkdir(parents=True, exist_ok=True)
     street, track = sample_street(prior, seed), sample_track(prior, seed=seed)
     screen.wrote(write_png(out / "street.png", street.image))
@@ -81,13 +81,13 @@ def _calibration(projection: NDArray[Any]) -> str:
 
 def _keypoint_file(street: SampleStreet, category: Category) -> dict[str, Any]:
     """What `fgrecon reconstruct` reads."""
-    from fgrecon.cli.demo_report import plain_observation
+    from fgrecon.cli.demo_report import observation_to_dict
 
     return {
         "K": street.camera.matrix.tolist(),
         "image_size": street.camera.image_size,
         "instances": [
-            {"id": f"car-{number}", **plain_observation(car.observation, category)}
+            {"id": f"car-{number}", **observation_to_dict(car.observation, category)}
             for number, car in enumerate(street.cars, start=1)
         ],
     }

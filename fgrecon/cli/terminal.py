@@ -4,22 +4,37 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, TypeVar
 
 import typer
 
-from fgrecon.cli.progress import Advance, progress_bar, watched
 from fgrecon.core.text import printable, whole_text
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from rich.console import Console, RenderableType
+    from rich.progress import Task
+    from rich.table import Table
+    from rich.text import Text
 
-__all__ = ["Quiet", "Screen", "Terminal", "Verbosity"]
+__all__ = [
+    "Advance",
+    "Quiet",
+    "Screen",
+    "Terminal",
+    "Verbosity",
+    "compact_table",
+    "counting",
+    "headed_table",
+    "progress_bar",
+    "stepwise",
+    "watched",
+]
 
 _WIDTH = 180
 _PANEL = "Terminal"
@@ -123,7 +138,7 @@ class Screen:
         return watched(things, heading, self.errors, shown=self.bars)
 
     def bar(self, *, per_minute: bool = False) -> AbstractContextManager[Advance]:
-        """Bars for work that tells how far it has come; see `fgrecon.cli.progress`."""
+        """Bars for work that says how far it has come; see `progress_bar`."""
         return progress_bar(self.errors, shown=self.bars, per_minute=per_minute)
 
 
@@ -183,3 +198,122 @@ def _console(*, error: bool, quiet: bool) -> Console:
     if not made.is_terminal:
         made.width = _WIDTH  # a pipe has no width, and 80 columns would cut the numbers off
     return made
+
+
+class Advance(Protocol):
+    """Shows how far a step has come."""
+
+    def __call__(self, step: str, done: float, total: float | None, note: str = "") -> None:
+        """Show it.
+
+        Args:
+            step: What is being done; every step has a line of its own.
+            done: How much of it.
+            total: How much there is; None where nobody knows.
+            note: What else there is to say about it.
+        """
+
+
+@contextmanager
+def progress_bar(console: Console, *, shown: bool, per_minute: bool = False) -> Iterator[Advance]:
+    """A line for every step that is given, gone at the end; nothing where it is not shown.
+
+    Args:
+        console: Where it is shown.
+        shown: Whether it is.
+        per_minute: Rates by the minute, for work of which one piece takes long.
+    """
+    if not shown:
+        yield lambda step, done, total, note="": None  # noqa: ARG005 - called by these names
+        return
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Task as RichTask
+    from rich.text import Text as RichText
+
+    class Rate(ProgressColumn):
+        def render(self, task: Task) -> Text:
+            return RichText(_rate(task), style="progress.data.speed")
+
+    columns = (
+        *(TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), Rate()),
+        *(TimeRemainingColumn(), TextColumn("{task.fields[note]}", markup=False)),
+    )
+    tasks: dict[str, RichTask] = {}
+
+    def _rate(task: Task) -> str:
+        speed = task.finished_speed or task.speed
+        if not speed:
+            return ""
+        return f"{60 * speed:.1f}/min" if per_minute else f"{speed:.1f}/s"
+
+    with Progress(*columns, console=console, transient=True) as bar:
+
+        def advance(step: str, done: float, total: float | None, note: str = "") -> None:
+            if step not in tasks:
+                identity = bar.add_task(step, total=total, completed=int(done), note=note)
+                tasks[step] = bar.tasks[bar.task_ids.index(identity)]
+            bar.update(tasks[step].id, completed=done, total=total, note=note)
+
+        yield advance
+
+
+def watched(things: Sequence[Thing], heading: str, console: Console, *, shown: bool) -> Iterable[Thing]:
+    """Go through some things and show how far that has come.
+
+    Args:
+        things: What to go through.
+        heading: What is being done to them.
+        console: Where it is shown.
+        shown: Whether it is; a single thing is not worth a bar.
+    """
+    with progress_bar(console, shown=shown and len(things) > 1) as advance:
+        yield from stepwise(things, heading, advance)
+
+
+def stepwise(things: Sequence[Thing], heading: str, advance: Advance) -> Iterator[Thing]:
+    """Go through some things and say how far that has come."""
+    for done, thing in enumerate(things):
+        advance(heading, done, len(things))
+        yield thing
+    advance(heading, len(things), len(things))
+
+
+def counting(advance: Advance, step: str, total: int) -> Callable[[str], None]:
+    """Turns word of one more piece, with its name, into how many of all are done."""
+    done = count(1)
+    return lambda name: advance(step, next(done), total, name)
+
+
+def headed_table(*headings: str, left: int = 1, wrap: bool = False) -> Table:
+    """A table without rows, of texts in its first columns and of numbers in the others.
+
+    Args:
+        headings: Of the columns.
+        left: How many hold texts, which are on the left and never wrapped.
+        wrap: Whether the others may be wrapped.
+    """
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    for number, heading in enumerate(headings):
+        is_text = number < left
+        table.add_column(heading, justify="left" if is_text else "right", no_wrap=is_text or not wrap)
+    return table
+
+
+def compact_table(*headings: str, text: Sequence[str] = ("status",), **column: Any) -> Table:
+    """A table without rows and margins; all columns but those of texts are of numbers, on the right.
+
+    Args:
+        headings: Of the columns.
+        text: Those of columns that hold texts.
+        column: What else holds for all columns, as rich takes it.
+    """
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True)
+    for heading in headings:
+        table.add_column(heading, justify="left" if heading in text else "right", **column)
+    return table

@@ -12,22 +12,24 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from fgrecon.cli.reconstruct_work import Task, read_tasks, run
-from fgrecon.cli.settings import CameraSource, Settings, plain_settings
-from fgrecon.cli.show import SCHEMA_VERSION, entry_of
-from fgrecon.cli.show import details as result_details
+from fgrecon.batch.solve_tasks import solve_task
+from fgrecon.batch.vehicle_tasks import VehicleTask, read_tasks
+from fgrecon.cli.reconstruct_report import SCHEMA_VERSION, entry_of
+from fgrecon.cli.reconstruct_report import details as result_details
+from fgrecon.cli.terminal import compact_table
 from fgrecon.core.digits import shortened
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.plain import plain
 from fgrecon.core.reconstruction import Reconstruction
 from fgrecon.core.text import distinct, whole_text
 from fgrecon.core.track_reconstruction import TrackReconstruction
+from fgrecon.io.cameras.camera_source import CameraSource
 from fgrecon.io.images import read_image
 from fgrecon.io.json_fields import read_json
 from fgrecon.io.keypoints import NOT_JSON
+from fgrecon.io.run_settings import RunSettings, settings_to_dict
 from fgrecon.io.track_file import Track, parse_track
 from fgrecon.simulation.vehicles import yaw_pose
 from fgrecon.solve.track import reconstruct_track
@@ -37,12 +39,12 @@ __all__ = [
     "FORMAT",
     "Solved",
     "details",
+    "distinguished",
     "document",
     "draw",
     "image_numbers",
     "solve",
     "table",
-    "told_apart",
     "truth_of",
 ]
 
@@ -66,7 +68,7 @@ class Solved:
 
     name: str
     file: Path
-    tasks: tuple[Task, ...]
+    tasks: tuple[VehicleTask, ...]
     sight: TrackInputs
     result: TrackReconstruction
     alone: tuple[Reconstruction | None, ...]
@@ -84,13 +86,13 @@ class Solved:
 
 
 def solve(
-    file: Path, source: CameraSource, settings: Settings, images: Path | None, names: str | None = None
+    file: Path, source: CameraSource, settings: RunSettings, images: Path | None, names: str | None = None
 ) -> Solved:
     """Read a track and solve it.
 
     Args:
         file: Track, or keypoint file whose instances are the images of one vehicle.
-        source: The command line's camera.
+        source: The given camera.
         settings: What holds for all images.
         images: Folder with photographs, or None.
         names: What is known of the keypoints' names, or None.
@@ -101,48 +103,40 @@ def solve(
     tasks, _ = read_tasks(file, settings.prior.category, source, names)
     labelled = _labels(file, settings)
     frames = [(task.instance.name, task.instance.frame) for task in tasks]
-    told = [name if frame is None else str(frame) for name, frame in frames]
+    labels = [name if frame is None else str(frame) for name, frame in frames]
     truths = None if labelled is None else [truth_of(labelled, index) for index in range(len(tasks))]
     measured = [task.observation.measured.any() for task in tasks]
     sight = TrackInputs(
         observations=[task.observation if seen else None for task, seen in zip(tasks, measured, strict=True)],
         cameras=[task.camera for task in tasks],
-        numbers=image_numbers(told),
-        images=None if images is None else [_image(images, number) for number in _own_numbers(told)],
+        numbers=image_numbers(labels),
+        images=None if images is None else [_image(images, number) for number in _numbers_of(labels)],
         truths=truths,
         ground=settings.ground,
     )
-    result = reconstruct_track(
-        sight.observations,
-        sight.cameras,
-        prior=settings.prior,
-        ground=settings.ground,
-        size_prior=settings.size_prior,
-        options=settings.options,
-    )
+    result = reconstruct_track(sight.observations, sight.cameras, **settings.arguments())
     quiet = replace(settings, options=replace(settings.options, keep_history=False))
     solved = [tasks[index] for index in result.numbers] if truths is not None else []
-    alone = tuple(run(task, quiet).result for task in solved)
+    alone = tuple(solve_task(task, quiet).result for task in solved)
     return Solved(whole_text(file.stem), file, tuple(tasks), sight, result, alone)
 
 
-def told_apart(tracks: Sequence[Solved]) -> list[Solved]:
-    """The tracks by names of their own, and so their images, where these have the ids of another track's."""
+def distinguished(tracks: Sequence[Solved]) -> list[Solved]:
+    """The tracks with distinct names, and so their images, where these have the ids of another track's."""
     names, ids = set[str](), set[str]()
     apart = []
     for track in tracks:
         name = distinct(track.name, names)
-        own = [task.instance.name for task in track.tasks]
-        if not ids.isdisjoint(own):
-            own = [f"{name}:{one.rpartition(':')[2]}" for one in own]
-        own = [distinct(one, ids) for one in own]
-        named = zip(track.tasks, own, strict=True)
-        tasks = tuple(replace(task, instance=replace(task.instance, name=one)) for task, one in named)
+        images = [task.instance.name for task in track.tasks]
+        if not ids.isdisjoint(images):
+            images = [f"{name}:{image.rpartition(':')[2]}" for image in images]
+        named = zip(track.tasks, [distinct(image, ids) for image in images], strict=True)
+        tasks = tuple(replace(task, instance=replace(task.instance, name=image)) for task, image in named)
         apart.append(replace(track, name=name, tasks=tasks))
     return apart
 
 
-def _labels(file: Path, settings: Settings) -> Track | None:
+def _labels(file: Path, settings: RunSettings) -> Track | None:
     """The track with its labels; None where the file is a keypoint file."""
     data = None if file.suffix.lower() in NOT_JSON else read_json(file)
     if not isinstance(data, dict) or "frames" not in data:
@@ -158,11 +152,11 @@ def truth_of(track: Track, index: int) -> Truth:
 
 def image_numbers(names: Sequence[str]) -> list[int]:
     """Numbers of images in a recording, from their names where these end in increasing numbers, else from 0."""
-    numbers = _own_numbers(names)
+    numbers = _numbers_of(names)
     return numbers if all(a < b for a, b in pairwise(numbers)) else list(range(len(names)))
 
 
-def _own_numbers(names: Sequence[str]) -> list[int]:
+def _numbers_of(names: Sequence[str]) -> list[int]:
     """Numbers of images from their names, in whatever order, where all end in numbers; else from 0."""
     ends = [name.rpartition(":")[2] for name in names]
     return [int(end) for end in ends] if all(end.isdecimal() for end in ends) else list(range(len(names)))
@@ -178,12 +172,10 @@ def _image(folder: Path, number: int) -> NDArray[np.uint8]:
 
 def table(tracks: Sequence[Solved]) -> Table:
     """One row per track; errors are mean yaw and median position, in brackets those of the images one by one."""
-    result = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True)
     labelled = any(track.sight.truths is not None for track in tracks)
     headings = ["track", "images", "refused", "status", "l, w, h m", "ms per image"]
     headings += ["Δ yaw ° (alone)", "Δ position m (alone)", "Δ size m (alone)"] if labelled else []
-    for heading in headings:
-        result.add_column(heading, justify="left" if heading in ("track", "status") else "right", overflow="fold")
+    result = compact_table(*headings, text=("track", "status"), overflow="fold")
     for track in tracks:
         solved = track.result
         cells = [
@@ -226,7 +218,7 @@ def details(track: Solved) -> list[str]:
     return refused + result_details(track.result)
 
 
-def document(tracks: Sequence[Solved], settings: Settings, *, history: bool = False) -> str:
+def document(tracks: Sequence[Solved], settings: RunSettings, *, history: bool = False) -> str:
     """The JSON text of a run; its instances are the images of all tracks, as `fgrecon export` reads them.
 
     Args:
@@ -238,7 +230,7 @@ def document(tracks: Sequence[Solved], settings: Settings, *, history: bool = Fa
         "format": FORMAT,
         "schema_version": SCHEMA_VERSION,
         "fgrecon": metadata.version("fgrecon"),
-        "settings": plain_settings(settings),
+        "settings": settings_to_dict(settings),
         "tracks": [_entry(track) for track in tracks],
         "instances": [entry for track in tracks for entry in _instances(track, history=history)],
     }

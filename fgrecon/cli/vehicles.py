@@ -9,7 +9,6 @@ from typing import Annotated
 import typer
 
 from fgrecon.cli.commands import add_command, new_group
-from fgrecon.cli.common import check_output
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.text import counted
 
@@ -25,13 +24,14 @@ def detect_command(
 ) -> None:
     """Find cars. The lines, `image class score x1 y1 x2 y2 detected`, are what --boxes of other commands reads.
 
-    It takes those with a score from 0.5, and what the boxes enclose from the last word. --verbose tells how
+    It takes those with a score from 0.5, and what the boxes enclose from the last word. --verbose says how
     many cars each image has.
 
     Exit code 1: no car in any image.
     """
     from fgrecon.core.choices import BoxModel
     from fgrecon.core.errors import InvalidInputError
+    from fgrecon.io.files import check_output
     from fgrecon.io.images import read_image
     from fgrecon.perception.vehicles import NanodetVehicleDetector
 
@@ -39,7 +39,7 @@ def detect_command(
     named: dict[str, Path] = {}
     for path in images:  # lines name images, and those that read them go by the name without its ending
         if (other := named.setdefault(path.stem, path)) != path:
-            fix = f"Rename it, or look at it in a run of its own: {other} has the same name."
+            fix = f"Rename it, or look at it in another run: {other} has the same name."
             raise InvalidInputError("images", str(path), fix)
     screen = terminal.screen(error=out is None)
     detector = NanodetVehicleDetector()

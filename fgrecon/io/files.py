@@ -16,7 +16,16 @@ from pathlib import Path
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.text import whole_text
 
-__all__ = ["behind_links", "check_ending", "read_text", "replacing", "write_bytes", "write_text"]
+__all__ = [
+    "behind_links",
+    "check_ending",
+    "check_folder",
+    "check_output",
+    "read_text",
+    "replacing",
+    "write_bytes",
+    "write_text",
+]
 
 
 _ABANDONED = 3600.0  # seconds
@@ -92,6 +101,27 @@ def check_ending(path: str | Path, endings: Collection[str]) -> str:
     if kind not in endings:
         raise InvalidInputError(str(path), kind or "no ending", f"Let the name end in one of {', '.join(endings)}.")
     return kind
+
+
+def check_output(path: Path | None) -> None:
+    """Refuse an output that cannot be written before the work instead of after it; None is none.
+
+    Raises:
+        InvalidInputError: It is a folder, its folder does not exist, or it is a link to itself.
+    """
+    if path is not None and (path.is_dir() or not behind_links(path).parent.is_dir()):
+        raise InvalidInputError("output", str(path), "Give a file in a folder that exists.")
+
+
+def check_folder(path: Path) -> None:
+    """Refuse a folder of results that cannot be made, before the work.
+
+    Raises:
+        InvalidInputError: It is a file or would be in one, or is a link to itself.
+    """
+    there = next(part for part in (path, *behind_links(path).parents) if part.exists())
+    if not there.is_dir():
+        raise InvalidInputError("out", str(path), f"Give another folder: {there} is a file.")
 
 
 @contextmanager

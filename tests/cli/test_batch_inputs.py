@@ -116,16 +116,14 @@ def test_one_is_told_as_one(tmp_path):
 
 @pytest.mark.parametrize(("cars", "images", "told"), [(1, 1, "1 car of 1 frame"), (5, 2, "5 cars of 2 frames")])
 def test_the_cars_that_tell_the_camera_are_counted(monkeypatch, cars, images, told):
-    from fgrecon.cli import run_job
+    from fgrecon.video import video_job
     from fgrecon.video.focal import EstimatedCamera
 
     found = EstimatedCamera(CAMERA, cars, images)
-    monkeypatch.setattr(run_job, "estimate_camera", lambda *_, **__: found)
-    monkeypatch.setattr(run_job, "_look", lambda *_: None)
+    monkeypatch.setattr(video_job, "estimate_camera", lambda *_, **__: found)
     said = []
-    screen = SimpleNamespace(warn=said.append)
-    settings = SimpleNamespace(prior=None, size_prior=None, options=None, ground=None)
-    assert run_job._found(None, None, None, settings, CAMERA, screen) is CAMERA
+    settings = SimpleNamespace(arguments=dict)
+    assert video_job._estimated_camera(None, None, settings, CAMERA, said.append) is CAMERA
     assert told in said[0]
 
 

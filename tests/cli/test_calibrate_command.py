@@ -8,7 +8,6 @@ import pytest
 from typer.testing import CliRunner
 
 from fgrecon.cli import main
-from fgrecon.cli.labelled_drives import DriveOptions
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.catalogue import load_calibration, load_prior
 from research.tests.annotation.streets import Car, write_drive
@@ -71,7 +70,7 @@ def passes(monkeypatch):
     """What the passes find, a factor each: so many vehicles, and boxes of so many of the labelled cars."""
     made = SimpleNamespace(vehicles=400, detected=40, factors=[])
 
-    def score(how, folders, labelled, screen, *, keypoints, **more):
+    def score(request, advance, *, keypoints):
         factor = keypoints.common_factor
         made.factors.append(factor)
         corners = Car((0.0, 1.6, 12.0), 0.4).box(PRIOR)
@@ -80,16 +79,15 @@ def passes(monkeypatch):
             SimpleNamespace(drive="a", number=number, boxes=[label], sightings=[SimpleNamespace(box=corners)])
             for number in range(made.detected)
         ]
-        told = SimpleNamespace(origin="no ground plane", scene=SimpleNamespace(prior=PRIOR))
         return SimpleNamespace(
             boxes=boxes(factor, made.vehicles),
             frames=frames,
-            told=told,
+            drives=[None],
             networks=list,
             in_words=lambda: "1 drive.",
         )
 
-    monkeypatch.setattr(DriveOptions, "score", score)
+    monkeypatch.setattr("fgrecon.calibration.calibrate.score_drives", score)
     return made
 
 

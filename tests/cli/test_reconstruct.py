@@ -11,8 +11,10 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
-from fgrecon.cli import main, reconstruct_work
-from fgrecon.cli.show import print_table
+from fgrecon.batch import solve_tasks
+from fgrecon.batch.vehicle_tasks import VehicleTask
+from fgrecon.cli import main
+from fgrecon.cli.reconstruct_report import print_table
 from fgrecon.cli.terminal import Screen
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import DegenerateProblemError, FgreconError, InvalidInputError
@@ -272,7 +274,7 @@ def test_bad_options_name_the_field(write, instance, arguments, field):
 def test_reasons_are_whole_in_the_table_and_below_it(capsys, width):
     reason = "The keypoints with any weight leave pose or shape undetermined and " + "so on " * 9 + "to the end"
     nothing = Instance("car", np.full((14, 2), np.nan))
-    outcome = reconstruct_work.Outcome(reconstruct_work.Task(nothing, Camera(K)), None, FgreconError(reason))
+    outcome = solve_tasks.Outcome(VehicleTask(nothing, Camera(K)), None, FgreconError(reason))
     screen = Screen(error=False, quiet=False, verbose=False, progress=False)
     screen.console = Console(width=width, highlight=False, soft_wrap=True)
     print_table(screen, [outcome])
@@ -304,7 +306,7 @@ def test_a_solver_that_fails_on_all_gives_exit_code_1(write, instance, monkeypat
     def failing(*arguments, **settings):
         return replace(pipeline.reconstruct(*arguments, **settings), status=Status.FAILED, message="made to fail")
 
-    monkeypatch.setattr(reconstruct_work, "reconstruct", failing)
+    monkeypatch.setattr(solve_tasks, "reconstruct", failing)
     done = run(write(instance), INTRINSICS)
     assert done.exit_code == 1
     assert "made to fail" in done.stdout
@@ -317,7 +319,7 @@ def test_the_table_has_a_few_words_and_verbose_has_all_of_them(write, monkeypatc
     long = "The solver was stopped early: " + "near a minimum, " * 9
     degenerate = {"status": Status.DEGENERATE, "message": long}
     monkeypatch.setattr(
-        reconstruct_work, "reconstruct", lambda *a, **k: replace(pipeline.reconstruct(*a, **k), **degenerate)
+        solve_tasks, "reconstruct", lambda *a, **k: replace(pipeline.reconstruct(*a, **k), **degenerate)
     )
     file = write([car() | {"id": "a"}, car() | {"id": "b", "box": [5, 5, 5, 9]}])
     shown = run(file, INTRINSICS)

@@ -170,7 +170,7 @@ def test_connect_sends_the_recording_to_a_viewer_that_listens(write, instance, t
 @pytest.mark.parametrize("address", ["nowhere", "127.0.0.1:", "127.0.0.1:99999", "127.0.0.1:FREE"])
 def test_an_address_without_a_viewer_is_refused_before_solving(write, instance, address, monkeypatch):
     address = address.replace("FREE", str(free_port()))
-    monkeypatch.setattr("fgrecon.cli.reconstruct_work.run", pytest.fail)
+    monkeypatch.setattr("fgrecon.batch.solve_tasks.solve_task", pytest.fail)
     done = run("reconstruct", write(instance), INTRINSICS, "--connect", address)
     assert "connect" in str(done.exception)
     with pytest.raises(ValueError, match="connect"):

@@ -328,7 +328,7 @@ def test_what_cannot_be_done_is_refused_before_the_work(drive, tmp_path, argumen
 
 
 def test_a_folder_that_cannot_be_made_is_refused_before_a_camera_is_sought(drive, tmp_path, monkeypatch):
-    monkeypatch.setattr("fgrecon.cli.run_job.estimate_camera", pytest.fail)
+    monkeypatch.setattr("fgrecon.video.video_job.estimate_camera", pytest.fail)
     (tmp_path / "a.txt").touch()
     for out in (tmp_path / "a.txt", tmp_path / "a.txt" / "deeper"):
         refused = run(drive[0], "--out", out).exception

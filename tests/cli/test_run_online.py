@@ -30,7 +30,7 @@ def test_it_lets_go_of_vehicles_that_have_gone(tmp_path, monkeypatch):
             super().__init__(**arguments)
             trackers.append(self)
 
-    monkeypatch.setattr("fgrecon.cli.run_report.Tracker", Watched)
+    monkeypatch.setattr("fgrecon.video.video_job.Tracker", Watched)
     told = ["run", str(file), "--fps", "10", "--size-prior", "kitti", "--camera-height", "1.65"]
     for name, options in (("smoothed", []), ("forgets", ["--online"]), ("keeps", ["--online"])):
         if name == "keeps":

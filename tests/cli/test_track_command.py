@@ -96,11 +96,12 @@ def test_photographs_are_those_of_the_frames_also_where_these_do_not_increase(wr
     for number in (0, 1, 2, *numbers):
         write_png(folder / f"{number:06d}.png", np.full((375, 1242, 3), 10 * number, np.uint8))
     from fgrecon.cli import track_report
-    from fgrecon.cli.settings import CameraSource, Settings
     from fgrecon.core.options import Options
+    from fgrecon.io.cameras.camera_source import CameraSource
+    from fgrecon.io.run_settings import RunSettings
 
-    settings = Settings.of("car14", None, None, None, Options())
-    source = CameraSource(None, INTRINSICS.partition("=")[2], None, None)
+    settings = RunSettings.of("car14", None, None, Options())
+    source = CameraSource(intrinsics=[float(x) for x in INTRINSICS.partition("=")[2].split(",")])
     sight = track_report.solve(write(content), source, settings, folder).sight
     assert [image[0, 0, 0] for image in sight.images] == [10 * number for number in numbers]
     assert sight.numbers == [0, 1, 2]  # of a recording's frames, which are in order

@@ -11,9 +11,9 @@ import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
+from fgrecon.calibration.labelled_drives import read_folds
 from fgrecon.calibration.labelled_frames import ScoredFrame
 from fgrecon.cli import main
-from fgrecon.cli.labelled_drives import read_folds
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.images import write_png
 from fgrecon_research.cli.evaluate.video import _write_results

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from typer.testing import CliRunner
 
-from fgrecon.cli import progress, terminal
+from fgrecon.cli import terminal
 from fgrecon.cli.main import app
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.io.export import read_coco_keypoints
@@ -52,7 +52,6 @@ def test_all_drives_share_one_set_of_bars(known, scene, drive, tmp_path, monkeyp
         yield lambda step, done, total, note="": opened[-1].add(step)
 
     monkeypatch.setattr(terminal, "progress_bar", kept)
-    monkeypatch.setattr(progress, "progress_bar", kept)
     other = write_drive(tmp_path / "other", scene.prior, FRAMES)
     done = run(drive, other, "--out", tmp_path / "labels.json")
     assert done.exit_code == 0, done.output

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli.common import check_outputs
-from fgrecon.cli.labelled_drives import check_names
-from fgrecon.cli.options import JsonOption, MarkdownOption
+from fgrecon.cli.options import JsonOption
+from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.text import counted
+from fgrecon_research.cli.evaluate.data_options import MarkdownOption
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from collections.abc import Sequence
@@ -103,6 +103,7 @@ def _drives(folder: Path, following: Sequence[str]) -> tuple[list[Drive], list[s
     Raises:
         InvalidInputError: A drive cannot be read, two have one name, or nothing follows them.
     """
+    from fgrecon.calibration.labelled_drives import check_names
     from fgrecon.core.errors import InvalidInputError
     from fgrecon.io.kitti_drives import has_labels, read_images
 

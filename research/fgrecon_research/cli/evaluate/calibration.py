@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fgrecon.cli.common import check_outputs
-from fgrecon.cli.labelled_drives import DriveOptions, DrivesArgument
-from fgrecon.cli.options import JsonOption, LabelledScene
+from fgrecon.cli.options import DriveOptions, DrivesArgument, JsonOption, LabelledScene
+from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Terminal
 from fgrecon_research.cli.evaluate.followed_drives import score_drives
 
@@ -59,13 +58,13 @@ def calibration_command(
         raise InvalidInputError("drives", "none", "Give folders of labelled drives, or --simulated N.")
     if how.detect and not folders:
         raise InvalidInputError("detect", "without drives", "Give folders of labelled drives, in which to find cars.")
-    known = labelled.told()
+    known = labelled.given()
     given: dict[str, Any] = {"ground": known.origin, "size_prior": labelled.size_prior}
     found: dict[str, Calibration] = {}
     if folders:
         scored = score_drives(how, folders, labelled, screen, track=track)
         given |= {"drives": [drive.name for drive in scored.drives], "traffic": how.traffic}
-        given |= {"boxes": how.boxes, "box_model": how.encloses.value}
+        given |= {"boxes": scored.request.boxes, "box_model": scored.request.encloses.value}
         methods = (SYSTEM, ONLINE, BATCH) if track else (SYSTEM,)
         found |= {method: calibrate_boxes(scored.boxes, method) for method in methods}
         screen.print(scored.in_words())

@@ -8,12 +8,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fgrecon.cli.labelled_drives import DriveOptions, ScoredDrives
-from fgrecon.cli.options import UNTOLD, LabelledScene
-from fgrecon.cli.progress import counting
+from fgrecon.cli.options import NOT_GIVEN, DriveOptions, LabelledScene
+from fgrecon.cli.terminal import counting
 from fgrecon.core.errors import InvalidInputError
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
+    from fgrecon.calibration.labelled_drives import ScoredDrives
     from fgrecon.cli.terminal import Screen
 
 
@@ -50,7 +50,7 @@ def score_drives(
     from fgrecon_research.evaluation.video_tracks import follow_boxes
 
     select(rivals)  # refuse before the work
-    if estimate_motion and labelled.ground == UNTOLD:
+    if estimate_motion and labelled.ground == NOT_GIVEN:
         fix = "Give a ground, which tells how far the camera goes, or leave --estimate-motion out."
         raise InvalidInputError("estimate_motion", "no ground", fix)
     others = (lambda scene: partial(ScoredRivals, scene, tuple(rivals))) if rivals else None

@@ -9,24 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fgrecon.cli.common import check_folder, check_outputs
-from fgrecon.cli.deliver import Delivery, recordings_of
-from fgrecon.cli.options import (
-    DATA,
-    DataOption,
-    JsonOption,
-    LabelledScene,
-    MarkdownOption,
-    ResultsOption,
-    TogetherOption,
-    TrafficOption,
-    WeightsOption,
-)
-from fgrecon.cli.overwrites import check_not_over
+from fgrecon.cli.options import Delivery, JsonOption, LabelledScene, TogetherOption, TrafficOption, WeightsOption
+from fgrecon.cli.outputs import check_not_over, check_outputs
 from fgrecon.cli.terminal import Terminal
 from fgrecon.core.choices import BoxModel, TrafficSide
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.core.text import counted
+from fgrecon.io.files import check_folder
+from fgrecon_research.cli.evaluate.data_options import DATA, DataOption, MarkdownOption, ResultsOption
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from fgrecon.calibration.setup import Setup
@@ -123,6 +113,7 @@ def kitti_command(
 
     Exit code 1: no car could be reconstructed.
     """
+    from fgrecon.viz.delivery import recordings_of
     from fgrecon_research.evaluation import kitti_images
     from fgrecon_research.evaluation.boxes_summary import plain_boxes, tables
     from fgrecon_research.evaluation.kitti_boxes import score_boxes
@@ -170,13 +161,13 @@ def kitti_command(
     if results_out is not None:
         write_results(results_out, found.results)
         screen.wrote(results_out)
-    wanted = picture is not None or delivery.wanted
+    wanted = picture is not None or delivery.requested
     sights = _sights(cars, {frame.name: frame.image for frame in frames}) if wanted else []
     if picture is not None and sights:
         from fgrecon.viz import contact_sheet, save_picture
 
         screen.wrote(save_picture(picture, contact_sheet(sights, columns=5)))
-    if delivery.wanted:
+    if delivery.requested:
         delivery.deliver(recordings_of(sights, setup.ground), screen, several=True)
     if not any(car.failure is None for car in cars):
         screen.fail("No car could be reconstructed.")
@@ -191,7 +182,7 @@ def _setup(
     from fgrecon.core.options import Options
     from fgrecon.perception.keypoints.detect import KeypointCascade
 
-    told = labelled.told()
+    told = labelled.given()
     setup = Setup(
         detector=KeypointCascade(weights),
         prior=told.scene.prior,

@@ -8,12 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli.box_errors import BoxErrorOptions
-from fgrecon.cli.common import check_outputs
-from fgrecon.cli.labelled_drives import FoldOption, read_folds
-from fgrecon.cli.options import JsonOption, SceneOptions, WeightsOption
-from fgrecon.cli.progress import counting
-from fgrecon.cli.terminal import Terminal
+from fgrecon.cli.options import BoxErrorOptions, FoldOption, JsonOption, SceneOptions, WeightsOption
+from fgrecon.cli.outputs import check_outputs
+from fgrecon.cli.terminal import Terminal, counting
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from collections.abc import Sequence
@@ -54,6 +51,7 @@ def refine_evaluation_command(
     """
     import numpy as np
 
+    from fgrecon.calibration.labelled_drives import read_folds
     from fgrecon.core.errors import InvalidInputError
     from fgrecon.core.options import BoxModel, BoxOptions, Options
     from fgrecon.io.kitti_drives import read_images

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli.common import check_outputs
-from fgrecon.cli.deliver import Delivery
-from fgrecon.cli.options import JsonOption, LabelledScene, MarkdownOption, fitting_names
-from fgrecon.cli.progress import counting
-from fgrecon.cli.terminal import Terminal
+from fgrecon.cli.options import Delivery, JsonOption, LabelledScene, fitting_names
+from fgrecon.cli.outputs import check_outputs
+from fgrecon.cli.terminal import Terminal, counting
+from fgrecon_research.cli.evaluate.data_options import MarkdownOption
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from collections.abc import Sequence
@@ -72,7 +71,7 @@ def tracks_command(
     screen = terminal.screen(json_out)
     scene, (_, origin) = labelled.scene(), labelled.plane()
     methods = select(method or None)
-    recording = evaluate_recording.recorded(methods) if delivery.wanted else None
+    recording = evaluate_recording.recorded(methods) if delivery.requested else None
     tracks = [read_track(file, scene.prior.category) for file in files]
 
     total = len(methods) * sum(len(track.frames) for track in tracks)

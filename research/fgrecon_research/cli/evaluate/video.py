@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli.common import check_folder, check_outputs
-from fgrecon.cli.labelled_drives import DriveOptions, DrivesArgument
-from fgrecon.cli.options import UNTOLD, JsonOption, LabelledScene, MarkdownOption, ResultsOption, fitting_names
+from fgrecon.cli.options import NOT_GIVEN, DriveOptions, DrivesArgument, JsonOption, LabelledScene, fitting_names
+from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Terminal
+from fgrecon.io.files import check_folder
+from fgrecon_research.cli.evaluate.data_options import MarkdownOption, ResultsOption
 from fgrecon_research.cli.evaluate.followed_drives import score_drives
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
+    from fgrecon.calibration.labelled_drives import ScoredDrives
     from fgrecon.calibration.labelled_frames import ScoredFrame
-    from fgrecon.cli.labelled_drives import ScoredDrives
     from fgrecon.core.reliability import Reliability
     from fgrecon.viz import SolvedVehicle
 
@@ -100,7 +101,7 @@ def video_command(
         raise InvalidInputError("forget_ids", "true", "Give --track as well: single images have no ids.")
     if estimate_motion and not track:
         raise InvalidInputError("estimate_motion", "true", "Give --track as well: single images know no motion.")
-    moving = (track and labelled.ground != UNTOLD) if estimate_motion is None else estimate_motion
+    moving = (track and labelled.ground != NOT_GIVEN) if estimate_motion is None else estimate_motion
     if table is not None:
         check_ending(table, TABLE_FORMATS)
     if results_out is not None:
@@ -131,16 +132,16 @@ def video_command(
     given = {
         "drives": [drive.name for drive in scored.drives],
         "images": scored.images,
-        "prior": scored.told.scene.prior.describe(),
-        "ground": scored.told.origin,
+        "prior": scored.request.given.scene.prior.describe(),
+        "ground": scored.request.given.origin,
         "size_prior": labelled.size_prior,
-        "box_model": how.encloses.value,
+        "box_model": scored.request.encloses.value,
         "together": how.together,
         "traffic": how.traffic,
         "track": track,
         "estimate_motion": moving,
         "ids": "associated" if forget_ids or how.detect else "labelled",
-        "boxes": how.boxes,
+        "boxes": scored.request.boxes,
         "missed": scored.missed,
     }
     screen.write_json(

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fgrecon.cli.common import check_outputs
-from fgrecon.cli.deliver import Delivery, recordings_of
-from fgrecon.cli.options import DATA, DataOption, JsonOption
+from fgrecon.cli.options import Delivery, JsonOption
+from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Terminal
+from fgrecon_research.cli.evaluate.data_options import DATA, DataOption
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
     from rich.table import Table
@@ -51,7 +51,7 @@ def icra2017_command(
 
     --verbose tells energies and times.
     """
-    from fgrecon.cli.show import details
+    from fgrecon.cli.reconstruct_report import details
     from fgrecon_research.paper.icra2017 import EXAMPLES, GROUND, evaluate_icra2017
 
     check_outputs(json_out)
@@ -70,7 +70,9 @@ def icra2017_command(
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         screen.wrote(*_draw(results, out))
-    if delivery.wanted:
+    if delivery.requested:
+        from fgrecon.viz.delivery import recordings_of
+
         sights = [_sight(result, result.name, photograph=True) for result in results]
         delivery.deliver(recordings_of(sights, GROUND), screen, several=True)
 

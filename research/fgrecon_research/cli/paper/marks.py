@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 
-from fgrecon.cli.common import check_outputs
-from fgrecon.cli.options import DATA, DataOption, JsonOption
+from fgrecon.cli.options import JsonOption
+from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Terminal
 from fgrecon_research.cli.evaluate.calibration import calibration_tables
+from fgrecon_research.cli.evaluate.data_options import DATA, DataOption
 
 _METHOD = "reconstruct"
 

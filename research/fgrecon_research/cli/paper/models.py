@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
-from fgrecon.cli.common import check_outputs
-from fgrecon.cli.options import DATA, DataOption, JsonOption, MarkdownOption
+from fgrecon.cli.options import JsonOption
+from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Terminal
+from fgrecon_research.cli.evaluate.data_options import DATA, DataOption, MarkdownOption
 from fgrecon_research.evaluation.text_table import TextTable
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs

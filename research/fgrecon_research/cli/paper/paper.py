@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli.options import DATA, DataOption, LabelledScene
+from fgrecon.cli.options import LabelledScene
 from fgrecon.cli.terminal import Terminal
+from fgrecon_research.cli.evaluate.data_options import DATA, DataOption
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
     from fgrecon_research.paper.known_shape import ExampleCar

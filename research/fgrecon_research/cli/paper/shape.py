@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fgrecon.cli.common import check_outputs
-from fgrecon.cli.options import DATA, KITTI_CAMERA_HEIGHT, DataOption, JsonOption, MarkdownOption
-from fgrecon.cli.progress import counting
-from fgrecon.cli.terminal import Terminal
+from fgrecon.cli.options import KITTI_CAMERA_HEIGHT, JsonOption
+from fgrecon.cli.outputs import check_outputs
+from fgrecon.cli.terminal import Terminal, counting
+from fgrecon_research.cli.evaluate.data_options import DATA, DataOption, MarkdownOption
 from fgrecon_research.evaluation.text_table import TextTable
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run

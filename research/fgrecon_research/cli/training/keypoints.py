@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fgrecon.cli.common import check_output, check_outputs, parse_numbers
-from fgrecon.cli.options import DATA, DataOption, JsonOption, WeightsOption, fitting_names
+from fgrecon.cli.options import JsonOption, WeightsOption, fitting_names
+from fgrecon.cli.outputs import check_outputs
+from fgrecon.cli.parsing import parse_numbers
 from fgrecon.cli.terminal import Terminal
+from fgrecon.io.files import check_output
+from fgrecon_research.cli.evaluate.data_options import DATA, DataOption
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

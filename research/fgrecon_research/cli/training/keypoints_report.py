@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from fgrecon.cli.progress import Advance, counted
-from fgrecon.cli.terminal import Screen
+from fgrecon.cli.terminal import Advance, Screen, stepwise
 from fgrecon.perception.keypoints.detect import KeypointCascade
 from fgrecon_research.training.keypoints.evaluate import (
     GROUPS,
@@ -157,7 +156,7 @@ class TrainingDisplay:
 
     def progress(self, things: Sequence[Any], heading: str) -> Iterable[Any]:
         """Go through some things and show how far that has come."""
-        return counted(things, heading, self._advance)
+        return stepwise(things, heading, self._advance)
 
 
 def _table(*headings: str) -> Table:

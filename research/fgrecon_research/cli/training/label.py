@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli.common import check_outputs, ground_plane
 from fgrecon.cli.options import FLEETS, GroundOption, JsonOption, PriorOption, WeightsOption
-from fgrecon.cli.progress import counted
-from fgrecon.cli.terminal import Terminal
+from fgrecon.cli.outputs import check_outputs
+from fgrecon.cli.parsing import parse_ground
+from fgrecon.cli.terminal import Terminal, stepwise
 from fgrecon.core.errors import InvalidInputError
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
@@ -69,7 +69,7 @@ class UnboxedOptions:
         from fgrecon.core.size_prior import size_prior
         from fgrecon_research.annotation.unboxed import Unboxed
 
-        plane = ground_plane(self.ground, self.camera_height)
+        plane = parse_ground(self.ground, self.camera_height)
         if plane is None and self.size_prior is None:
             return None
         return Unboxed(plane and plane[0], None if self.size_prior is None else size_prior(self.size_prior))
@@ -147,7 +147,7 @@ def label_command(
         drives = [read_drive(folder.absolute(), tracks) for folder in folders]
     detector = KeypointCascade(weights)
     with screen.bar() as advance:
-        watch = partial(counted, advance=advance)
+        watch = partial(stepwise, advance=advance)
         done = report.label_drives(drives, detector, shape_prior, watch, wanted, known)
     labels = report.labels_of(done, shape_prior, detector.provenance, terms)
     report.show(screen, done, labels)

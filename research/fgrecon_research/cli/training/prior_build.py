@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli.common import check_output
-from fgrecon.cli.options import DATA, DataOption
 from fgrecon.cli.terminal import Terminal
+from fgrecon.io.files import check_output
+from fgrecon_research.cli.evaluate.data_options import DATA, DataOption
 
 if TYPE_CHECKING:  # the command line must start fast: what a command needs is imported when it runs
     from rich.table import Table

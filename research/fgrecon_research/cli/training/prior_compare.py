@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli.common import check_outputs
 from fgrecon.cli.options import PRIORS, JsonOption, PriorArgument
+from fgrecon.cli.outputs import check_outputs
 from fgrecon.cli.terminal import Quiet
 
 if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run

@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fgrecon.cli.common import check_output
 from fgrecon.cli.options import FLEETS
 from fgrecon.cli.terminal import Terminal
+from fgrecon.io.files import check_output
 
 if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
-    from fgrecon.cli.progress import Advance
-    from fgrecon.cli.terminal import Screen
+    from fgrecon.cli.terminal import Advance, Screen
     from fgrecon_research.training.priors.learn import LearntPrior
     from fgrecon_research.training.priors.nrsfm import NrsfmOptions, ProgressCallback
 

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from fgrecon.cli.common import check_output
 from fgrecon.cli.terminal import Quiet
+from fgrecon.io.files import check_output
 
 
 def convert_command(

@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from fgrecon.cli import main
-from fgrecon.cli.overwrites import OUTPUTS, check_apart
+from fgrecon.cli.outputs import OUTPUTS, check_apart
 from fgrecon.core.errors import InvalidInputError
 
 from .test_commands import COMMANDS

@@ -12,20 +12,18 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
 from rich.markup import escape
-from rich.table import Table
 
-from fgrecon.cli.deliver import recordings_of
-from fgrecon.cli.reconstruct_work import Outcome, Task
-from fgrecon.cli.settings import Settings, plain_camera, plain_settings
-from fgrecon.cli.terminal import Screen
+from fgrecon.batch.solve_tasks import Outcome, SolvedImage
+from fgrecon.batch.vehicle_tasks import VehicleTask
+from fgrecon.cli.terminal import Screen, compact_table
 from fgrecon.core.camera import Ground
 from fgrecon.core.digits import shortened
 from fgrecon.core.errors import FgreconError, InvalidInputError
 from fgrecon.core.geometry import box_around
 from fgrecon.core.reconstruction import Reconstruction, Status
 from fgrecon.core.text import printable
+from fgrecon.io.run_settings import RunSettings, camera_to_dict, settings_to_dict
 from fgrecon.solve.track import TrackReconstruction
 from fgrecon.viz import (
     DrawnVehicle,
@@ -38,6 +36,7 @@ from fgrecon.viz import (
     scene_picture,
     scene_recording_of,
 )
+from fgrecon.viz.delivery import recordings_of
 
 __all__ = [
     "FORMAT",
@@ -47,6 +46,7 @@ __all__ = [
     "draw",
     "draw_moving",
     "entry_of",
+    "image_lines",
     "print_table",
     "recordings",
 ]
@@ -57,7 +57,7 @@ SCHEMA_VERSION = 2
 FORMAT = f"fgrecon.reconstructions/{SCHEMA_VERSION}"
 
 _TRUSTED = 0.5  # weight from which a keypoint counts as trusted
-_HEADINGS = ("id", "status", "yaw °", "x, y, z m", "l, w, h m", "trusted", "message")
+_HEADINGS = ("id", "status", "yaw °", "x, y, z m", "l, w, h m", "trusted")
 _CLAUSE = 200  # characters of a message in the table, which wraps it
 _ROWS = 300  # vehicles that the table has at most: it is for eyes, and slow to lay out
 _WIDE = 130  # columns of the terminal that leave it that room
@@ -74,10 +74,9 @@ def print_table(screen: Screen, outcomes: Sequence[Outcome]) -> None:
         return
     outcomes, others = outcomes[:_ROWS], outcomes[_ROWS:]
     wide = screen.console.width >= _WIDE and any(map(_clause, outcomes))
-    table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, collapse_padding=True)
-    for heading in _HEADINGS if wide else _HEADINGS[:-1]:
-        text = heading in ("id", "status", "message")
-        table.add_column(heading, justify="left" if text else "right", no_wrap=heading != "message", overflow="fold")
+    table = compact_table(*_HEADINGS, text=("id", "status"), no_wrap=True, overflow="fold")
+    if wide:
+        table.add_column("message", overflow="fold")
     for outcome in outcomes:
         cells = _cells(outcome)
         table.add_row(*(escape(printable(cell)) for cell in (cells if wide else cells[:-1])))
@@ -92,8 +91,14 @@ def print_table(screen: Screen, outcomes: Sequence[Outcome]) -> None:
             screen.print(f"{outcome.name}: closest model {printable(str(outcome.closest))}.")
     if others:
         counts = Counter("refused" if other.result is None else other.result.status.value for other in others)
-        told = ", ".join(f"{count} {status}" for status, count in counts.most_common())
-        screen.print(f"... and {len(others)} more ({told}). The results file of --json or --out has all of them.")
+        listed = ", ".join(f"{count} {status}" for status, count in counts.most_common())
+        screen.print(f"... and {len(others)} more ({listed}). The results file of --json or --out has all of them.")
+
+
+def image_lines(image: SolvedImage) -> list[str]:
+    """What was estimated of an image beside its vehicles."""
+    lines = [] if image.image is None else [f"{image.image}:"]
+    return lines + repr(image.result).splitlines()[: -len(image.result.vehicles) or None]
 
 
 def details(result: Reconstruction | TrackReconstruction | None) -> list[str]:
@@ -112,7 +117,7 @@ def _message(outcome: Outcome) -> str:
 
 
 def _clause(outcome: Outcome) -> str:
-    """The message in a few words; nothing where there is nothing to tell."""
+    """The message in a few words; nothing where it converged."""
     if outcome.result is not None and outcome.result.status is Status.CONVERGED:
         return ""
     error = outcome.error
@@ -142,8 +147,8 @@ def _cells(outcome: Outcome) -> tuple[str, ...]:
 def document(
     path: Path,
     outcomes: Sequence[Outcome],
-    settings: Settings,
-    scenes: Sequence[Mapping[str, Any]] = (),
+    settings: RunSettings,
+    images: Sequence[SolvedImage] = (),
     photograph: Path | None = None,
     *,
     history: bool = False,
@@ -154,7 +159,7 @@ def document(
         path: The input.
         outcomes: One per vehicle.
         settings: What held for all.
-        scenes: Images whose vehicles were solved together.
+        images: Images whose vehicles were solved together.
         photograph: The image of vehicles of which the input does not say it, or None.
         history: Whether results keep their history and graph.
     """
@@ -163,23 +168,25 @@ def document(
         "schema_version": SCHEMA_VERSION,
         "fgrecon": metadata.version("fgrecon"),
         "file": str(path),
-        "settings": plain_settings(settings)
+        "settings": settings_to_dict(settings)
         | {"joint": settings.options.shape.joint, "free_offsets": settings.options.shape.free_offsets},
-        **({"scenes": list(scenes)} if scenes else {}),
+        **({"scenes": [image.to_dict() for image in images]} if images else {}),
         "instances": [_entry(outcome, photograph, history=history) for outcome in outcomes],
     }
     return json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n"
 
 
-def entry_of(task: Task, result: Reconstruction | None, error: FgreconError | None, *, history: bool) -> dict[str, Any]:
+def entry_of(
+    task: VehicleTask, result: Reconstruction | None, error: FgreconError | None, *, history: bool
+) -> dict[str, Any]:
     """A vehicle for JSON: id, camera, box, and pose and result, or the error with which it was refused."""
     offset, box = task.label_offset, task.instance.box
     entry: dict[str, Any] = {
         "id": task.instance.name,
-        "camera": plain_camera(task.camera),
+        "camera": camera_to_dict(task.camera),
         "box": None if box is None else np.asarray(box, dtype=np.float64).tolist(),
         **({} if task.box_model is None else {"box_model": task.box_model.value}),
-        **{name: told for name in ("kind", "score") if (told := getattr(task.instance, name)) is not None},
+        **{name: value for name in ("kind", "score") if (value := getattr(task.instance, name)) is not None},
     }
     if result is not None:
         small = result.to_dict(compact=True, history=history)
@@ -188,10 +195,10 @@ def entry_of(task: Task, result: Reconstruction | None, error: FgreconError | No
         if offset is not None:
             entry["location_in_label_frame"] = shortened("camera_T_object", (result.location - offset).tolist())
         return entry | {"error": None, "result": small}
-    told = {"type": type(error).__name__, "message": str(error)}
+    refusal = {"type": type(error).__name__, "message": str(error)}
     if isinstance(error, InvalidInputError):
-        told |= {"field": error.field, "fix": error.fix}
-    return entry | {"error": told, "result": None}
+        refusal |= {"field": error.field, "fix": error.fix}
+    return entry | {"error": refusal, "result": None}
 
 
 def _entry(outcome: Outcome, photograph: Path | None, *, history: bool) -> dict[str, Any]:

@@ -1,71 +1,23 @@
-"""Where the recordings of a solving command go: files, a viewer that listens, a viewer of their own."""
+"""Where recordings go: files, a viewer that listens, a viewer of their own."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
 
-import typer
+from fgrecon.core.camera import Ground
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.text import distinct
+from fgrecon.io.files import check_output
+from fgrecon.viz import Photograph, Recording, SolvedVehicle, recording_of
+from fgrecon.viz.sinks import check_viewer, start_viewer
 
-if TYPE_CHECKING:  # the command line must start fast: what the commands need is imported when they run
-    from fgrecon.cli.terminal import Screen
-    from fgrecon.core.camera import Ground
-    from fgrecon.viz import Recording, SolvedVehicle
+__all__ = ["check_delivery", "deliver", "recordings_of"]
 
-__all__ = ["Delivery", "Viewer", "check_delivery", "deliver", "recordings_of"]
-
-_PANEL = "Recording"
 _AT_ONCE = 2  # encoding one takes longer than making the next
-
-
-@dataclass(frozen=True)
-class Viewer:
-    """The rerun viewer that a recording is sent to."""
-
-    connect: Annotated[
-        str | None,
-        typer.Option(
-            metavar="HOST:PORT", help="Send the recording to a rerun viewer that listens there.", rich_help_panel=_PANEL
-        ),
-    ] = None
-    spawn: Annotated[
-        bool, typer.Option("--spawn", help="Show the recording in a new rerun viewer.", rich_help_panel=_PANEL)
-    ] = False
-
-    @property
-    def wanted(self) -> bool:
-        """Whether any of the options is given."""
-        return self.connect is not None or self.spawn
-
-
-@dataclass(frozen=True)
-class Delivery(Viewer):
-    """Where recordings go."""
-
-    save: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.rrd",
-            help="Record for the rerun viewer; several recordings: FILE-NAME.rrd each.",
-            rich_help_panel=_PANEL,
-        ),
-    ] = None
-
-    @property
-    def wanted(self) -> bool:
-        """Whether any of the options is given."""
-        return self.save is not None or super().wanted
-
-    def check(self) -> None:
-        """Refuse before the work what could not be delivered after it; see `check_delivery`."""
-        check_delivery(self.save, self.connect)
-
-    def deliver(self, recordings: Sequence[tuple[str, Recording]], screen: Screen, *, several: bool) -> None:
-        """Write and send recordings, and say which files were written; see `deliver`."""
-        screen.wrote(*deliver(recordings, self.save, self.connect, spawn=self.spawn, several=several))
 
 
 def check_delivery(save: Path | None, connect: str | None) -> None:
@@ -74,10 +26,6 @@ def check_delivery(save: Path | None, connect: str | None) -> None:
     Raises:
         InvalidInputError: The file cannot be written or is not to be named `.rrd`, or no viewer listens.
     """
-    from fgrecon.cli.common import check_output
-    from fgrecon.core.errors import InvalidInputError
-    from fgrecon.viz.sinks import check_viewer
-
     check_output(save)
     if save is not None and save.suffix != ".rrd":
         raise InvalidInputError("save", str(save), "Let the name end in .rrd.")
@@ -103,8 +51,6 @@ def deliver(
     Raises:
         InvalidInputError: A file cannot be written, or there is no viewer.
     """
-    from fgrecon.viz.sinks import start_viewer
-
     written = [] if save is None else _write(recordings, save, several=several)
     addresses = [address for address in (connect, start_viewer() if spawn and recordings else None) if address]
     for address in addresses:
@@ -120,18 +66,12 @@ def recordings_of(sights: Sequence[SolvedVehicle], ground: Ground | None) -> lis
         sights: The vehicles.
         ground: The ground plane that was assumed.
     """
-    from fgrecon.viz import Photograph, recording_of
-
     images = {id(s.image): Photograph.of(s.image) for s in sights}  # several vehicles may be in one
     return [(s.title, recording_of(replace(s, image=images[id(s.image)]), ground=ground)) for s in sights]
 
 
 def _write(recordings: Sequence[tuple[str, Recording]], save: Path, *, several: bool) -> list[Path]:
     """Write recordings to files: while some are encoded and written, the next is made."""
-    from concurrent.futures import Future, ThreadPoolExecutor
-
-    from fgrecon.core.text import distinct
-
     written: list[Path] = []
     taken: set[str] = set()
     with ThreadPoolExecutor(max_workers=_AT_ONCE) as background:

@@ -7,7 +7,7 @@ import tomllib
 
 import pytest
 
-from fgrecon.cli import door, main
+from fgrecon.cli import entry, main
 from tests.conftest import REPOSITORY
 
 DURING = """
@@ -19,12 +19,12 @@ class Interrupts:
             os.kill(os.getpid(), signal.SIGINT)
 
 sys.meta_path.insert(0, Interrupts())
-from fgrecon.cli.door import main
+from fgrecon.cli.entry import main
 main()
 """
 
 
-@pytest.mark.parametrize("module", ["fgrecon.cli.main", "typer", "fgrecon.cli.run", "gtsam", "rich.table"])
+@pytest.mark.parametrize("module", ["fgrecon.cli.main", "typer", "fgrecon.cli.run", "gtsam", "rich.markup"])
 def test_while_modules_are_imported(module, write, instance):
     command = [sys.executable, "-c", DURING.format(module=module), "reconstruct", write(instance)]
     done = subprocess.run(command, capture_output=True, check=False)
@@ -45,7 +45,7 @@ def test_what_an_interrupt_turned_into(monkeypatch):
     monkeypatch.setattr(main, "main", turned)
     try:
         with pytest.raises(SystemExit) as end:
-            door.main()
+            entry.main()
     finally:
         signal.signal(signal.SIGINT, before)
     assert end.value.code == 130
@@ -60,11 +60,11 @@ def test_other_errors_keep_their_traceback_and_who_ignores_interrupts_goes_on(mo
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         with pytest.raises(ZeroDivisionError):
-            door.main()
+            entry.main()
     finally:
         signal.signal(signal.SIGINT, before)
 
 
 def test_it_is_the_command():
     scripts = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]["scripts"]
-    assert scripts == {"fgrecon": "fgrecon.cli.door:main"}
+    assert scripts == {"fgrecon": "fgrecon.cli.entry:main"}

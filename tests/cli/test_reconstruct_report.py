@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from fgrecon.cli import show
-from fgrecon.cli.reconstruct_work import Outcome, Task
+from fgrecon.batch.solve_tasks import Outcome
+from fgrecon.batch.vehicle_tasks import VehicleTask
+from fgrecon.cli import reconstruct_report
 from fgrecon.cli.terminal import Screen
 from fgrecon.core.camera import Camera
 from fgrecon.core.errors import InvalidInputError
@@ -16,7 +17,7 @@ from .conftest import K
 def refused(count):
     error = InvalidInputError("keypoints", "no measured point", "Give at least 3.")
     nothing = np.full((14, 2), np.nan)
-    return [Outcome(Task(Instance(f"car-{number}", nothing), Camera(K)), None, error) for number in range(count)]
+    return [Outcome(VehicleTask(Instance(f"car-{number}", nothing), Camera(K)), None, error) for number in range(count)]
 
 
 def screen(*, quiet=False):
@@ -25,7 +26,7 @@ def screen(*, quiet=False):
 
 @pytest.mark.parametrize("more", [0, 1, 700])
 def test_the_first_are_shown_and_the_others_counted(capsys, more):
-    show.print_table(screen(), refused(300 + more))
+    reconstruct_report.print_table(screen(), refused(300 + more))
     lines = capsys.readouterr().out.splitlines()
     assert sum(line.startswith("car-") for line in lines) == 300
     last = f"... and {more} more ({more} refused). The results file of --json or --out has all of them."
@@ -33,6 +34,6 @@ def test_the_first_are_shown_and_the_others_counted(capsys, more):
 
 
 def test_no_table_is_made_that_is_not_shown(capsys, monkeypatch):
-    monkeypatch.setattr(show, "Table", None)
-    show.print_table(screen(quiet=True), refused(3))
+    monkeypatch.setattr(reconstruct_report, "compact_table", None)
+    reconstruct_report.print_table(screen(quiet=True), refused(3))
     assert capsys.readouterr() == ("", "")

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from fgrecon.cli.deliver import deliver, recordings_of
 from fgrecon.core.errors import InvalidInputError
 from fgrecon.viz import Recording, SolvedVehicle, entities, recording_of, replay
+from fgrecon.viz.delivery import deliver, recordings_of
 from tests.viz.made_up import Example, make_example
 
 

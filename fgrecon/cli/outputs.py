@@ -1,4 +1,4 @@
-"""No command writes over what it reads, or two results to one file: said before the work, for all commands alike."""
+"""Outputs are refused before the work: that cannot be written, that are read, or that are the same file."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-__all__ = ["OUTPUTS", "check_apart", "check_not_over", "files_in"]
+__all__ = ["OUTPUTS", "check_apart", "check_not_over", "check_outputs", "files_in"]
 
 OUTPUTS = ("out", "json_out", "results_out", "picture", "animation", "save", "video", "markdown", "per_frame", "table")
 """Parameters of commands that name what is written; all others are read."""
@@ -46,6 +46,24 @@ def check_apart(values: Mapping[str, Any], in_folder: Sequence[str] = ()) -> Non
     for (first, one), (second, other) in combinations([*own, *outputs.items()], 2):
         if _same_target(one, other):
             raise InvalidInputError(_field(second), other, f"Give another file: --{_field(first)} is written to it.")
+
+
+def check_outputs(json_out: str | None, *paths: Path | None, picture: Path | None = None) -> None:
+    """`fgrecon.io.files.check_output` for what `--json` names and for further files.
+
+    Raises:
+        InvalidInputError: One cannot be written, or the picture's name has the ending of none.
+    """
+    from fgrecon.io.files import check_output
+
+    for path in (*paths, picture, None if json_out in (None, "-") else Path(str(json_out))):
+        check_output(path)
+    if picture is not None:
+        from fgrecon.core.errors import InvalidInputError
+        from fgrecon.viz.picture import FORMATS
+
+        if picture.suffix.lower().removeprefix(".") not in FORMATS:
+            raise InvalidInputError("picture", str(picture), f"Let the name end in one of {', '.join(FORMATS)}.")
 
 
 def check_not_over(field: str, output: str | Path, inputs: Sequence[str | Path]) -> None:
@@ -105,5 +123,5 @@ def _same_target(one: str, other: str) -> bool:
     try:
         there = Path(one).exists() or Path(other).exists()
         return not there and Path(one).resolve() == Path(other).resolve()
-    except (OSError, RuntimeError, ValueError):  # no name at all: told where it is written
+    except (OSError, RuntimeError, ValueError):  # no name at all: refused where it is written
         return False

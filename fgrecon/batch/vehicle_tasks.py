@@ -1,0 +1,220 @@
+"""One task for each vehicle of a keypoint file, a track or an image: what is known of it and of its camera."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.camera import Camera
+from fgrecon.core.category import Category
+from fgrecon.core.choices import BoxModel
+from fgrecon.core.doubts import Doubts, doubt_of
+from fgrecon.core.errors import FgreconError, InvalidInputError
+from fgrecon.core.observation import Observation
+from fgrecon.io.boxes import NamedBox
+from fgrecon.io.cameras.camera_source import CameraSource
+from fgrecon.io.json_fields import read_json
+from fgrecon.io.keypoint_file import Instance, refuse_other_file
+from fgrecon.io.keypoints import NOT_JSON, parse_any_keypoints, read_any_keypoints
+from fgrecon.io.track_file import parse_track
+from fgrecon.perception.keypoints.detect import CascadeDetection, KeypointCascade, check_box
+from fgrecon.perception.protocols import check_category
+
+__all__ = [
+    "KeypointRequest",
+    "VehicleTask",
+    "Watch",
+    "detect_in_boxes",
+    "image_tasks",
+    "input_warnings",
+    "read_tasks",
+]
+
+Watch = Callable[[Sequence[Any], str], Iterable[Any]]
+"""Goes through some things, and shows under a heading how far that has come."""
+
+_BATCH = 32  # cars that the networks look at together
+
+
+@dataclass(frozen=True)
+class VehicleTask:
+    """A vehicle to reconstruct.
+
+    Attributes:
+        instance: What is known about it.
+        camera: The camera that took its image.
+        label_offset: (3,) where KITTI's label frame is from the camera's (a labelled point is at X + offset), or None.
+        box_model: What its 2D box encloses, where that is not the run's setting.
+    """
+
+    instance: Instance
+    camera: Camera
+    label_offset: NDArray[np.float64] | None = None
+    box_model: BoxModel | None = None
+
+    @property
+    def observation(self) -> Observation:
+        """What was observed, for drawing; without confidences all points are alike."""
+        points, confidence = self.instance.keypoints, self.instance.confidence
+        trust = np.ones(len(points)) if confidence is None else confidence
+        return Observation(points, trust, self.instance.box, self.instance.covariance)
+
+    @property
+    def usable_observation(self) -> Observation | None:
+        """What was observed; None where its numbers cannot be used, which the solver says."""
+        try:
+            return self.instance.observation
+        except FgreconError:
+            return None
+
+
+def read_tasks(
+    path: Path, category: Category, source: CameraSource, names: str | None = None, image: str | None = None
+) -> tuple[list[VehicleTask], tuple[str, ...]]:
+    """The vehicles of a file of keypoints, of any format, or of a track.
+
+    Args:
+        path: The file.
+        category: Category of its keypoints.
+        source: The given camera, which goes before the file's.
+        names: What is known of the keypoints' names, or None.
+        image: File name of the photograph, whose vehicles are taken; None for all.
+
+    Returns:
+        The vehicles, and names of fields that mean nothing to fgrecon.
+
+    Raises:
+        InvalidInputError: The file is malformed, or a vehicle has no camera.
+    """
+    refuse_other_file(path)
+    offset = None
+    ignored: tuple[str, ...] = ()
+    data = None if path.suffix.lower() in NOT_JSON else read_json(path)
+    is_track = isinstance(data, dict) and "frames" in data and "keypoints" not in data
+    if is_track:
+        instances, offset = _track_instances(data, path, category)
+    else:
+        file = (
+            read_any_keypoints(path, category, names, image)
+            if data is None
+            else parse_any_keypoints(data, category, names, image, where=f"{path}: ")
+        )
+        instances, ignored = list(file.instances), file.ignored
+    camera_of = cache(source.camera)
+    tasks = []
+    for instance in instances:
+        given, given_offset = camera_of(image if is_track else instance.image or image)
+        camera = given or instance.camera
+        if camera is None:
+            value = f"no camera for instance {instance.name}"
+            raise InvalidInputError("intrinsics", value, "Give --camera, --intrinsics, or K in the file.")
+        complete = source.complete(camera, declared=given is None and not is_track)
+        tasks.append(VehicleTask(instance, complete, offset if given is None else given_offset))
+    return tasks, ignored
+
+
+def _track_instances(data: object, path: Path, category: Category) -> tuple[list[Instance], NDArray[np.float64]]:
+    """The frames of a track as instances, and its label offset."""
+    track = parse_track(data, path.stem, category, where=f"{path}: ")
+    nothing = np.full((category.size, 2), np.nan)
+    instances = []
+    for frame in track.frames:  # each frame is an image of its own, which shows the vehicle once
+        instance = Instance(frame.name, nothing, camera=track.camera, image=frame.name)
+        if (seen := frame.observation) is not None:
+            instance = replace(instance, keypoints=seen.keypoints, confidence=seen.confidence, box=seen.box)
+        instances.append(instance)
+    return instances, track.label_offset
+
+
+@dataclass(frozen=True)
+class KeypointRequest:
+    """How keypoints are detected in the boxes of an image.
+
+    Attributes:
+        category: Category of the shape prior, which the network must have.
+        weights: Network, or None for the shipped one.
+        box_model: What the boxes enclose, or None for what their source says.
+    """
+
+    category: Category
+    weights: Path | None = None
+    box_model: BoxModel | None = None
+
+
+def image_tasks(
+    path: Path, source: CameraSource, boxes: Sequence[NamedBox], how: KeypointRequest, watch: Watch
+) -> list[VehicleTask]:
+    """The vehicles in the boxes of an image, with the keypoints that the networks detect.
+
+    Args:
+        path: The image's file.
+        source: The given camera, with the photograph.
+        boxes: Where the vehicles are.
+        how: How keypoints are detected.
+        watch: Shows progress.
+
+    Returns:
+        The vehicles, with the photograph's EXIF camera where none is given, or one of unknown focal length.
+
+    Raises:
+        InvalidInputError: A box cannot be used, or there is no network.
+    """
+    image = source.image
+    assert image is not None
+    camera, offset = source.camera(path.name)
+    if camera is None:
+        camera = source.assumed((image.shape[1], image.shape[0]))
+    complete = source.complete(camera, declared=False)
+    tasks = []
+    for item, detection in zip(boxes, detect_in_boxes(image, boxes, how, watch), strict=True):
+        seen = detection.observation
+        instance = Instance(
+            item.name,
+            seen.keypoints,
+            seen.confidence,
+            seen.confidence_midpoint,
+            seen.box,
+            seen.covariance,
+            detection.azimuth,
+        )
+        tasks.append(VehicleTask(instance, complete, offset, how.box_model or item.model))
+    return tasks
+
+
+def detect_in_boxes(
+    image: NDArray[np.uint8], boxes: Sequence[NamedBox], how: KeypointRequest, watch: Watch
+) -> list[CascadeDetection]:
+    """The keypoints of the vehicles in some boxes of an image (H, W, 3), a batch at a time.
+
+    Raises:
+        InvalidInputError: A box cannot be used, there is no network, or its keypoints are of another category.
+    """
+    for item in boxes:
+        check_box(item.corners, image, f"box {item.name}")
+    detector = _networks(how.weights)
+    check_category(detector, how.category)
+    detections: list[CascadeDetection] = []
+    for start in watch(range(0, len(boxes), _BATCH), f"Keypoints, {_BATCH} cars at a time"):
+        detections += detector(image, [item.corners for item in boxes[start : start + _BATCH]], batch=_BATCH)
+    return detections
+
+
+@lru_cache(maxsize=1)
+def _networks(weights: Path | None) -> KeypointCascade:
+    """Loaded once for all images of a run."""
+    return KeypointCascade(weights)
+
+
+def input_warnings(tasks: Iterable[VehicleTask]) -> list[str]:
+    """What to warn of before vehicles are solved: keypoints in other units, or not where the vehicle is."""
+    doubts = Doubts()
+    for task in tasks:
+        if (seen := task.usable_observation) is not None:
+            doubts.add(task.instance.name, doubt_of(seen, task.camera))
+    return doubts.lines()

@@ -1,0 +1,120 @@
+"""What `fgrecon calibrate` does: a detector's calibration fitted on labelled drives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from fgrecon.calibration.box_fit import check_whole_cars, fit_boxes, seen_boxes
+from fgrecon.calibration.detector_fit import FACTORS, FittedDetector, as_said, check_labels, check_solved, fit_detector
+from fgrecon.calibration.labelled_drives import Advance, DriveRequest, ScoredDrives, score_drives
+from fgrecon.core.detector_calibration import BoxSource, DetectorCalibration
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.kitti_drives import Drive, read_images
+
+__all__ = ["CalibratedDetector", "calibrate_detector"]
+
+_EDGES = "Where the boxes' edges lie"
+_NUMBERS = "How far the network's errors go together, and its facings,"
+
+
+@dataclass(frozen=True)
+class CalibratedDetector:
+    """A calibration and what it was fitted on.
+
+    Attributes:
+        calibration: What is written; its provenance has the doubts.
+        scored: The drives, reconstructed as the network says its errors.
+        fitted: What was fitted of the network, and how it holds without a drive; None where that could not be.
+    """
+
+    calibration: DetectorCalibration
+    scored: ScoredDrives
+    fitted: FittedDetector | None
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """What was fitted, by name."""
+        source = self.calibration.boxes
+        boxes = {} if source is None else {f"boxes.{name}": value for name, value in asdict(source).items()}
+        return ({} if self.fitted is None else self.calibration.numbers) | boxes
+
+
+def calibrate_detector(
+    request: DriveRequest,
+    *,
+    size_prior: str,
+    warn: Callable[[str], None],
+    advance: Advance,
+    scored: Callable[[float, ScoredDrives], None] = lambda factor, done: None,  # noqa: ARG005
+) -> CalibratedDetector:
+    """Fit how far a keypoint network's errors go together, its facings, and where detected boxes' edges are.
+
+    Args:
+        request: The labelled drives; boxes are fitted where they are detected.
+        size_prior: Name of the given fleet, for the provenance.
+        warn: Called with everything that could not be fitted, or is doubtful.
+        advance: Shows progress.
+        scored: Called with each factor of the covariances and the drives scored with it.
+
+    Raises:
+        InvalidInputError: Nothing could be fitted, or the drives cannot be used.
+    """
+    drives = [read_images(folder.absolute()) for folder in request.folders]
+    check_labels(drives)
+    doubts: list[str] = []
+
+    def doubt(line: str) -> None:
+        doubts.append(line)
+        warn(line)
+
+    def score(factor: float) -> ScoredDrives:
+        done = score_drives(request, advance, keypoints=as_said(factor))
+        scored(factor, done)
+        return done
+
+    fits_boxes = request.detect and _has_whole_cars(drives, doubt)
+    done = score(FACTORS[0])
+    provenance: dict[str, Any] = {
+        "drives": [drive.name for drive in drives],
+        "networks": [{"file": network["file"], "drives": network["drives"]} for network in done.networks()],
+        "ground": request.given.origin,
+        "size_prior": size_prior,
+        "boxes": request.boxes,
+    }
+    source: BoxSource | None = None
+    if fits_boxes:
+        seen = list(seen_boxes(drives, done.frames, request.given.scene.prior))
+        try:
+            source = fit_boxes(seen)
+            provenance["outlines"] = len(seen)
+        except InvalidInputError as error:
+            doubt(_left_out(_EDGES, error))
+    calibration, fitted = DetectorCalibration(provenance=provenance), None
+    try:
+        check_solved(done.boxes)
+        fitted = fit_detector({FACTORS[0]: done.boxes} | {f: score(f).boxes for f in FACTORS[1:]}, provenance)
+        calibration = fitted.calibration
+    except InvalidInputError as error:
+        if source is None:
+            raise
+        doubt(_left_out(_NUMBERS, error))
+    for line in () if fitted is None else fitted.doubts:
+        doubt(line)
+    whole = {**calibration.provenance, "doubts": doubts}
+    return CalibratedDetector(replace(calibration, boxes=source, provenance=whole), done, fitted)
+
+
+def _has_whole_cars(drives: list[Drive], doubt: Callable[[str], None]) -> bool:
+    """Whether there are enough cars that are visible as a whole to fit boxes by."""
+    try:
+        check_whole_cars(drives)
+    except InvalidInputError as error:
+        doubt(_left_out(_EDGES, error))
+        return False
+    return True
+
+
+def _left_out(what: str, error: InvalidInputError) -> str:
+    return f"{what} could not be fitted: {error.value}. {error.fix}"

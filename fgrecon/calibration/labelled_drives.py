@@ -1,0 +1,228 @@
+"""Labelled drives reconstructed and scored: which network scores each, and what becomes of their boxes.
+
+Where no vehicle is followed, a folder of single images is as good as a drive.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from fgrecon.calibration.labelled_boxes import VideoBox, wanted
+from fgrecon.calibration.labelled_frames import Rivals, ScoredFrame, looks_at, score_frames
+from fgrecon.calibration.setup import SceneKnowledge, Setup
+from fgrecon.core.camera import Ground
+from fgrecon.core.choices import BoxModel, TrafficSide
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.options import KeypointOptions, Options
+from fgrecon.core.size_prior import SizePrior
+from fgrecon.core.text import counted
+from fgrecon.io.kitti_drives import Drive, read_images
+from fgrecon.perception.keypoints.detect import KeypointCascade
+from fgrecon.perception.vehicles import NanodetVehicleDetector
+
+__all__ = ["DriveRequest", "GivenScene", "ScoredDrives", "check_names", "read_folds", "score_drives"]
+
+Advance = Callable[[str, float, float | None, str], None]
+"""Called with a step, how much of it is done, of how much, and what was done last."""
+
+
+@dataclass(frozen=True)
+class GivenScene:
+    """What is given to the whole system of images with known poses.
+
+    Attributes:
+        scene: What is given to rivals whose names ask for it: KITTI's ground and fleet where the system has none.
+        ground: Ground plane, or None.
+        size: Size of the fleet, or None.
+        origin: In words where the ground plane comes from.
+    """
+
+    scene: SceneKnowledge
+    ground: Ground | None
+    size: SizePrior | None
+    origin: str
+
+
+@dataclass(frozen=True)
+class DriveRequest:
+    """Which drives are scored, and how they are reconstructed.
+
+    Attributes:
+        folders: Of the drives.
+        given: What is known of the scene.
+        weights: Keypoint network of the drives that no fold names; None for the shipped one.
+        folds: `DRIVE[,DRIVE...]=FILE` each: the network of these drives.
+        box_model: What the 2D boxes enclose; None for what their source says.
+        together: Whether the vehicles of an image share its ground.
+        traffic: Side of the road that traffic keeps to, or None.
+        detect: Whether the boxes are those of the shipped vehicle detector instead of the labelled ones.
+        jobs: Processes.
+    """
+
+    folders: Sequence[Path]
+    given: GivenScene
+    weights: Path | None = None
+    folds: Sequence[str] = ()
+    box_model: BoxModel | None = None
+    together: bool = True
+    traffic: TrafficSide | None = None
+    detect: bool = False
+    jobs: int = 1
+
+    @property
+    def boxes(self) -> str:
+        """Whose the boxes are, in a word."""
+        return "detected" if self.detect else "labelled"
+
+    @property
+    def encloses(self) -> BoxModel:
+        """What the boxes enclose."""
+        return self.box_model or (BoxModel.DETECTED if self.detect else BoxModel.CUBOID)
+
+
+@dataclass(frozen=True)
+class ScoredDrives:
+    """Drives whose labelled boxes were reconstructed and scored.
+
+    Attributes:
+        request: What was requested.
+        drives: The drives.
+        files: Which file has the network of each, by the drive's name; None for the shipped one.
+        setups: What each was reconstructed with, by its name.
+        images: How many images were looked at: those with a box that counts, or all where vehicles were detected.
+        boxes: Those boxes, as far as they were detected.
+        missed: How many were not.
+        frames: What was observed in each image.
+    """
+
+    request: DriveRequest
+    drives: list[Drive]
+    files: dict[str, Path | None]
+    setups: dict[str, Setup]
+    images: int
+    boxes: list[VideoBox]
+    missed: int = 0
+    frames: Sequence[ScoredFrame] = ()
+
+    def in_words(self) -> str:
+        """How much it is, and on which ground."""
+        missed = f", {self.missed} more not found" if self.missed else ""
+        drives, images = counted(len(self.drives), "drive"), counted(self.images, "image")
+        return f"{drives}, {images}, {counted(len(self.boxes), 'box', 'boxes')}{missed}; {self.request.given.origin}."
+
+    def networks(self) -> list[dict[str, Any]]:
+        """Of each network its file, the drives that it scored, and what it has learnt from."""
+        drives: dict[Path | None, list[str]] = {}
+        for name, file in self.files.items():
+            drives.setdefault(file, []).append(name)
+        return [
+            {
+                "file": "shipped" if file is None else str(file),
+                "drives": names,
+                "provenance": self.setups[names[0]].detector.provenance,
+            }
+            for file, names in drives.items()
+        ]
+
+
+def score_drives(
+    request: DriveRequest,
+    advance: Advance,
+    *,
+    read: Callable[[Path], Drive] = read_images,
+    rivals: Callable[[SceneKnowledge], Callable[[], Rivals]] | None = None,
+    keypoints: KeypointOptions | None = None,
+) -> ScoredDrives:
+    """Reconstruct the labelled boxes that count, and score them.
+
+    Args:
+        request: The drives.
+        advance: Shows progress.
+        read: Reads a drive; the default reads folders of single images as well.
+        rivals: From the given scene what scores other methods on the same keypoints.
+        keypoints: What is assumed of the detector; None for the default.
+
+    Raises:
+        InvalidInputError: A folder is no drive, no box counts or is detected, or a network is given for none of the
+            drives.
+    """
+    drives = [read(folder.absolute()) for folder in request.folders]
+    files = read_folds(request.folds, [drive.name for drive in drives], request.weights)
+    if not any(len(wanted(frame)) for drive in drives for frame in drive.frames):
+        fix = "Give drives with labelled cars or vans of at least 25 pixels."
+        raise InvalidInputError("drives", ", ".join(drive.name for drive in drives), fix)
+    setups = _setups(request, files, Options(box=request.encloses, keypoints=keypoints, traffic=request.traffic))
+    images = sum(len(looks_at(drive, setups[drive.name])) for drive in drives)
+    others, done = None if rivals is None else rivals(request.given.scene), count(1)
+    frames = score_frames(
+        drives,
+        setups,
+        rivals=others,
+        jobs=request.jobs,
+        advance=lambda name: advance("Images", next(done), images, name),
+    )
+    boxes = [box for frame in frames for box in frame.boxes]
+    if not boxes:
+        fix = "Give drives with vehicles that the detector finds."
+        raise InvalidInputError("drives", ", ".join(setups), fix)
+    missed = sum(frame.missed for frame in frames)
+    return ScoredDrives(request, drives, files, setups, images, boxes, missed, frames)
+
+
+def check_names(drives: Sequence[str]) -> None:
+    """Refuse drives of which two have the same name.
+
+    Raises:
+        InvalidInputError: Two have.
+    """
+    twice = [name for number, name in enumerate(drives) if name in drives[:number]]
+    if twice:
+        raise InvalidInputError("drives", twice[0], "Give each drive once; their folders need different names.")
+
+
+def read_folds(folds: Sequence[str], drives: Sequence[str], weights: Path | None) -> dict[str, Path | None]:
+    """Which file has the network that scores each drive, by the drive's name; None for the shipped one.
+
+    Args:
+        folds: `DRIVE[,DRIVE...]=FILE` each.
+        drives: Names of all drives.
+        weights: File for the drives that no fold names, or None.
+
+    Raises:
+        InvalidInputError: Two drives have the same name, or a fold names none, an unknown one, or one of another.
+    """
+    check_names(drives)
+    files: dict[str, Path | None] = {}
+    for text in folds:
+        names, _, file = text.partition("=")
+        if not names or not file:
+            raise InvalidInputError("fold", text, "Give DRIVE[,DRIVE...]=FILE.")
+        for name in names.split(","):
+            if name not in drives:
+                raise InvalidInputError("fold", name, f"Name one of the drives: {', '.join(drives)}.")
+            if name in files:
+                raise InvalidInputError("fold", name, "Name each drive in one fold.")
+            files[name] = Path(file)
+    return {name: files.get(name, weights) for name in drives}
+
+
+def _setups(request: DriveRequest, files: dict[str, Path | None], options: Options) -> dict[str, Setup]:
+    """What each drive is reconstructed with, by its name; each network is loaded once."""
+    vehicles = NanodetVehicleDetector() if request.detect else None
+    made = {
+        file: Setup(
+            detector=KeypointCascade(file),
+            prior=request.given.scene.prior,
+            ground=request.given.ground,
+            size_prior=request.given.size,
+            options=options,
+            together=request.together,
+            vehicles=vehicles,
+        )
+        for file in dict.fromkeys(files.values())
+    }
+    return {name: made[file] for name, file in files.items()}

@@ -1,0 +1,227 @@
+"""The options of `fgrecon reconstruct` as one request."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fgrecon.cli.options import (
+    BOX_MODEL_HELP,
+    CameraOptions,
+    Delivery,
+    HistoryOption,
+    JsonOption,
+    NamesOption,
+    SceneOptions,
+    VehicleBoxes,
+)
+from fgrecon.cli.outputs import check_outputs
+from fgrecon.core.choices import BoxModel
+from fgrecon.core.errors import InvalidInputError
+
+if TYPE_CHECKING:  # the command line must start fast: what the command needs is imported when it runs
+    from fgrecon.core.category import Category
+    from fgrecon.core.vehicle_mesh import VehicleMesh
+    from fgrecon.io.run_settings import RunSettings
+
+__all__ = ["CarModels", "Drawings", "ReconstructRequest", "Results", "Solving"]
+
+
+@dataclass(frozen=True)
+class Solving:
+    """How the vehicles are solved."""
+
+    box_model: Annotated[
+        BoxModel | None,
+        typer.Option(
+            help=BOX_MODEL_HELP,
+            show_default="surface for keypoint files and --box, as --boxes says, detected for --detect",
+        ),
+    ] = None
+    joint: Annotated[bool, typer.Option("--joint/--no-joint", help="Let pose and shape move together.")] = True
+    free_offsets: Annotated[
+        bool,
+        typer.Option(
+            "--free-offsets/--no-free-offsets", help="Let every keypoint leave the shape prior by a small offset."
+        ),
+    ] = True
+    ids: Annotated[
+        list[str] | None,
+        typer.Option("--id", metavar="NAME", help="Take only this vehicle of the file or image; may be repeated."),
+    ] = None
+
+
+@dataclass(frozen=True)
+class Drawings:
+    """What is drawn of the results, and on which photograph."""
+
+    image: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The photograph: to draw on, and for its size.")
+    ] = None
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Draw the image and the scene from above (png, svg, pdf, jpg).")
+    ] = None
+    sheet: Annotated[
+        bool,
+        typer.Option("--sheet", help="Let --picture have a part of the image for each; of one vehicle the stages."),
+    ] = False
+    animation: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Animate the optimisation of one vehicle, of several with --id (gif, mp4)."),
+    ] = None
+
+    @property
+    def requested(self) -> bool:
+        """Whether anything is to be drawn."""
+        return self.picture is not None or self.animation is not None
+
+
+_MODELS = "Car models"
+
+
+@dataclass(frozen=True)
+class CarModels:
+    """The models that vehicles are compared with."""
+
+    models: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER|FILE",
+            help="Find the closest of these car models (obj, ply, glb, npz), in metres; it is drawn as well.",
+            rich_help_panel=_MODELS,
+        ),
+    ] = None
+    models_axes: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FORWARD,UP",
+            help="What points forward and up in meshes, such as x,z.",
+            show_default="x,-y; z,y in glb",
+            rich_help_panel=_MODELS,
+        ),
+    ] = None
+
+    def read(self, category: Category) -> list[VehicleMesh]:
+        """The models; none where none are requested.
+
+        Raises:
+            InvalidInputError: A file cannot be used, or axes are given but no models.
+        """
+        from fgrecon.io.models import read_models
+
+        if self.models is not None:
+            return read_models(self.models, category, self.models_axes)
+        if self.models_axes is not None:
+            raise InvalidInputError("models_axes", "without --models", "Say with --models where the models are.")
+        return []
+
+
+@dataclass(frozen=True)
+class Results:
+    """How the results are made, and where they go."""
+
+    names: NamesOption = None
+    json_out: JsonOption = None
+    history: HistoryOption = False
+    together: Annotated[
+        bool | None,
+        typer.Option(
+            "--together/--apart",
+            help="Solve the vehicles of an image on one ground that is a variable, or each alone.",
+            show_default="together in an image, apart in a keypoint file",
+        ),
+    ] = None
+    jobs: Annotated[int, typer.Option(min=1, help="Processes; for thousands of vehicles see `fgrecon batch`.")] = 1
+    out: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="For images: a results file NAME.json for each of them.")
+    ] = None
+    same_camera: Annotated[
+        bool,
+        typer.Option("--same-camera", help="With --out: one camera took all, whose focal length is not known."),
+    ] = False
+    pictures: Annotated[bool, typer.Option("--pictures", help="With --out: a picture NAME.png for each as well.")] = (
+        False
+    )
+
+
+@dataclass(frozen=True)
+class ReconstructRequest:
+    """What is requested of the files."""
+
+    camera: CameraOptions
+    scene: SceneOptions
+    solving: Solving
+    boxes: VehicleBoxes
+    drawings: Drawings
+    delivery: Delivery
+    car_models: CarModels
+    results: Results
+
+    def check(self) -> None:
+        """Refuse before the work what could not be written or drawn after it.
+
+        Raises:
+            InvalidInputError: An output cannot be written, the animation's ending means no format, or there is a sheet
+                but no picture.
+        """
+        from fgrecon.viz.animation import check_format
+
+        drawings = self.drawings
+        check_outputs(self.results.json_out, drawings.animation, picture=drawings.picture)
+        if drawings.animation is not None:
+            check_format(drawings.animation)
+        if drawings.sheet and drawings.picture is None:
+            raise InvalidInputError("sheet", "without --picture", "Say with --picture where it is to be written.")
+        self.delivery.check()
+
+    def check_jobs(self, *, of_image: bool, several: bool) -> None:
+        """Refuse what only other inputs can have.
+
+        Args:
+            of_image: Whether the only or first file is an image.
+            several: Whether there may be several images.
+
+        Raises:
+            InvalidInputError: One camera is assumed of what is no set of images solved together, or there are several
+                processes for what one process solves.
+        """
+        together, joint = self.results.together, self.solving.joint
+        if self.results.same_camera and (not several or together is False or not joint):
+            fix = "Give several images and --out, and let their vehicles be solved together."
+            raise InvalidInputError("same_camera", "without --out, or with --apart or --no-joint", fix)
+        if self.results.jobs > 1 and (several or together or (together is None and joint and of_image)):
+            fix = (
+                "Leave it out: vehicles of an image are solved together, in one process. For many see `fgrecon batch`."
+            )
+            raise InvalidInputError("jobs", self.results.jobs, fix)
+
+    def of_one(self, files: Sequence[Path]) -> bool:
+        """Whether a single file is meant, whose results do not go to a folder."""
+        to_folder = self.results.out is not None or self.results.pictures
+        return not to_folder and len(files) == 1 and not files[0].is_dir()
+
+    def together(self, *, of_image: bool) -> bool:
+        """Whether the vehicles of an image are solved together."""
+        return of_image and self.solving.joint if self.results.together is None else self.results.together
+
+    def settings(self) -> RunSettings:
+        """What holds for every vehicle.
+
+        Raises:
+            InvalidInputError: A value names nothing.
+        """
+        from fgrecon.core.options import Options, ShapeOptions
+
+        keep = self.results.history or self.results.pictures or self.drawings.requested or self.delivery.requested
+        return self.scene.settings(
+            Options(
+                strategy=self.scene.strategy,
+                box=self.solving.box_model or BoxModel.SURFACE,
+                shape=ShapeOptions(joint=self.solving.joint, free_offsets=self.solving.free_offsets),
+                keep_history=keep,
+            )
+        )

@@ -1,0 +1,167 @@
+"""The camera of an image from whatever is given: a calibration file, numbers, EXIF data; of it or of a part of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.core.camera import Camera
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.io.cameras.camera_file import read_camera
+from fgrecon.io.cameras.rigs import MountedCamera
+from fgrecon.io.kitti_calibration import read_calibration
+
+__all__ = ["CameraSource", "PartOfImage", "assumed_focal_length"]
+
+
+@dataclass(frozen=True)
+class PartOfImage:
+    """A part of an image.
+
+    Attributes:
+        left: Columns before it.
+        top: Rows above it.
+        whole: (width, height) of the whole image in pixels, or None.
+    """
+
+    left: float
+    top: float
+    whole: tuple[int, int] | None
+
+
+@dataclass(frozen=True)
+class CameraSource:
+    """What is given about a camera; every part may be None.
+
+    Attributes:
+        calib: KITTI calibration file.
+        intrinsics: fx, fy, cx, cy in pixels.
+        distortion: OpenCV's 4, 5, 8, 12 or 14 coefficients.
+        file: Calibration file of any format, as `fgrecon.io.cameras.read_camera` takes it.
+        crop: Part of another image that the photograph is; the camera is given for the whole image.
+        image: (H, W, 3) photograph, whose size counts.
+        exif: The camera that the photograph's file has (`fgrecon.io.exif`), where nothing else is given.
+    """
+
+    calib: Path | None = None
+    intrinsics: Sequence[float] | None = None
+    distortion: Sequence[float] | None = None
+    file: str | None = None
+    crop: PartOfImage | None = None
+    image: NDArray[np.uint8] | None = None
+    exif: Camera | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse intrinsics beside a KITTI calibration.
+
+        Raises:
+            InvalidInputError: Both are given.
+        """
+        if self.calib is not None and self.intrinsics is not None:
+            text = ",".join(f"{number:g}" for number in self.intrinsics)
+            raise InvalidInputError("intrinsics", text, "Give either --calib or --intrinsics.")
+
+    @property
+    def given(self) -> bool:
+        """Whether a camera is given."""
+        return any(part is not None for part in (self.calib, self.intrinsics, self.file))
+
+    @property
+    def whole(self) -> tuple[int, int] | None:
+        """(width, height) in pixels of the image that the photograph is a part of, or None."""
+        return None if self.crop is None else self.crop.whole
+
+    def camera(self, image: str | None = None) -> tuple[Camera | None, NDArray[np.float64] | None]:
+        """The camera, and (3,) where KITTI's label frame is from it; None where none is given.
+
+        Args:
+            image: File name of the photograph, which chooses the camera where a calibration has several.
+
+        Raises:
+            InvalidInputError: Several ways are used, or a value is no camera.
+        """
+        mounted = self.mounted(image)
+        if mounted is not None:
+            return mounted.camera, mounted.label_offset
+        return (None if self.intrinsics is None else Camera.of(self.intrinsics)), None
+
+    def mounted(self, image: str | None = None) -> MountedCamera | None:
+        """The camera of the calibration file and what the file says beside it; None without a file.
+
+        Args:
+            image: File name of the photograph.
+
+        Raises:
+            InvalidInputError: Another way is used as well, or the file is none.
+        """
+        if self.file is not None and (self.calib is not None or self.intrinsics is not None):
+            raise InvalidInputError("camera", self.file, "Give either --camera, --calib or --intrinsics.")
+        if self.calib is not None:
+            calibration = read_calibration(self.calib)
+            return MountedCamera(calibration.camera, calibration.label_offset)
+        return None if self.file is None else read_camera(self.file, image)
+
+    def assumed(self, size: tuple[int, int]) -> Camera:
+        """The photograph's EXIF camera, or one of unknown focal length; of a part, that of the whole image.
+
+        Args:
+            size: (width, height) of the photograph, pixels.
+        """
+        return self.exif or Camera.of_unknown(*self.whole_of(size))
+
+    def whole_of(self, size: tuple[int, int]) -> tuple[int, int]:
+        """(width, height) in pixels of the image whose camera is meant, from the photograph's own size.
+
+        Raises:
+            InvalidInputError: The photograph is a part of an image of unknown size.
+        """
+        if self.crop is None:
+            return size
+        if self.crop.whole is None:
+            text = f"{self.crop.left:g},{self.crop.top:g}"
+            raise InvalidInputError("crop", text, "Give left,top,width,height, or the camera.")
+        return self.crop.whole
+
+    def complete(self, camera: Camera, *, declared: bool) -> Camera:
+        """The camera with the given distortion, of the part that the photograph is, of its size.
+
+        Args:
+            camera: The camera so far.
+            declared: Whether the user declared its image's size, if it has one; else the photograph knows better (some
+                of KITTI's images are cropped).
+
+        Raises:
+            InvalidInputError: The distortion is none, the photograph is no such part, or it has another size than was
+                declared.
+        """
+        if self.distortion is not None:
+            camera = replace(camera, distortion=np.array(self.distortion))
+        size = None if self.image is None else (self.image.shape[1], self.image.shape[0])
+        if self.crop is not None:
+            whole = camera if self.crop.whole is None else replace(camera, image_size=self.crop.whole)
+            return whole.cropped(self.crop.left, self.crop.top, *(size or ()))
+        if size is None:
+            return camera
+        if declared and camera.image_size not in (None, size):
+            raise InvalidInputError("image", f"{size} pixels", f"Give the image of {camera.image_size} pixels.")
+        assert self.image is not None
+        return camera.with_size_of(self.image)
+
+
+def assumed_focal_length(camera: Camera, exif: Camera | None, cars: str = "its cars") -> str:
+    """A warning of how far to trust distances where no camera is given.
+
+    Args:
+        camera: The estimated one.
+        exif: The one that the photograph's file has, or None.
+        cars: Whose looks it was estimated from, in words.
+    """
+    source = f"what {cars} look like" if exif is None else f"the EXIF data and {cars}"
+    return (
+        f"No camera is given: the focal length is {camera.matrix[0, 0]:.0f} px, known to "
+        f"{100 * camera.focal_sigma:.0f} %, from {source}. Distances are as rough. Give --camera or --intrinsics."
+    )

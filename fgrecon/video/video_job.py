@@ -1,0 +1,378 @@
+"""What `fgrecon run` does, from a request to the folder of results: `prepare_video`, `track_video`, `write_tracks`.
+
+VideoRequest ---- prepare_video (read, check, find the camera) ---- VideoJob ---- track_video ---- VideoRun
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgrecon.batch.parts import refuse_batch
+from fgrecon.core.camera import DEFAULT_FIELD_OF_VIEW, Camera
+from fgrecon.core.choices import BoxModel
+from fgrecon.core.doubts import Doubts, doubt_of, hardly_fits
+from fgrecon.core.errors import InvalidInputError
+from fgrecon.core.text import counted
+from fgrecon.io.cameras.camera_source import CameraSource, assumed_focal_length
+from fgrecon.io.export.formats import export_rows
+from fgrecon.io.files import check_folder, write_text
+from fgrecon.io.frames import (
+    DEFAULT_RATE,
+    FrameSource,
+    ImageFrames,
+    NumberedFrames,
+    SourceFrame,
+    VideoFrames,
+    numbered_frames,
+    open_frames,
+)
+from fgrecon.io.images import read_photograph
+from fgrecon.io.kitti_calibration import calibration_beside
+from fgrecon.io.poses import CameraPoses, read_poses
+from fgrecon.io.run_settings import RunSettings, content_hash
+from fgrecon.io.video import check_video
+from fgrecon.perception.keypoints.detect import KeypointCascade
+from fgrecon.perception.vehicles import NanodetVehicleDetector
+from fgrecon.solve.box_check import boxes_warning
+from fgrecon.solve.tracker import Tracker
+from fgrecon.video.association import GatedAssociation
+from fgrecon.video.focal import estimate_camera
+from fgrecon.video.follow import Follower
+from fgrecon.video.frame_detector import FrameDetector
+from fgrecon.video.given import Given, read_given
+from fgrecon.video.motion_estimator import MotionEstimator
+from fgrecon.video.rows import frame_lines, rows_of, tracking_text
+from fgrecon.video.run import VideoRun, run_video
+from fgrecon.video.single_image_tracker import SingleImageTracker
+
+__all__ = ["VideoJob", "VideoRequest", "prepare_video", "track_video", "write_tracks"]
+
+Warn = Callable[[str], None]
+"""Called with each warning."""
+
+
+@dataclass(frozen=True)
+class VideoRequest:
+    """What is requested of a video.
+
+    Attributes:
+        source: A video; images: their folder, or a pattern; or a file of keypoints alone (json).
+        out: Folder of the results.
+        settings: What holds for every vehicle.
+        camera: The given camera.
+        fps: Frames per second of images without times, or None.
+        every: Every so many frames.
+        start: Seconds after the first frame before which none is taken.
+        end: Seconds after the first frame from which on none is taken, or None.
+        poses: File of the camera's poses, or None.
+        estimate_motion: Whether the camera's motion is estimated; None where that makes results better.
+        tracks: File of vehicles detected by others, or None.
+        forget_ids: Whether those are given ids anew.
+        box_model: What 2D boxes enclose; None for what their source says.
+        weights: Keypoint network, or None for the shipped one.
+        online: Whether estimates stay as they were when their frame came.
+        alone: Whether every image is taken on its own: no motion, no smoothing.
+        together: Whether the vehicles of an image share its ground.
+        video: Annotated video that is to be written afterwards, or None.
+        picture_frame: Frame that is to be drawn afterwards, or None.
+    """
+
+    source: str
+    out: Path
+    settings: RunSettings
+    camera: CameraSource = field(default_factory=CameraSource)
+    fps: float | None = None
+    every: int = 1
+    start: float = 0.0
+    end: float | None = None
+    poses: Path | None = None
+    estimate_motion: bool | None = None
+    tracks: Path | None = None
+    forget_ids: bool = False
+    box_model: BoxModel | None = None
+    weights: Path | None = None
+    online: bool = False
+    alone: bool = False
+    together: bool = True
+    video: Path | None = None
+    picture_frame: int | None = None
+
+
+@dataclass(frozen=True)
+class VideoJob:
+    """What is to be done, all of it checked.
+
+    Attributes:
+        request: What was requested.
+        source: The frames.
+        camera: Their camera.
+        label_offset: (3,) of KITTI's labels in its frame, or None.
+        settings: What holds for every vehicle.
+        given: Vehicles detected by others, or None.
+        poses: Of the camera, or None.
+        moving: Whether the camera's motion is estimated.
+    """
+
+    request: VideoRequest
+    source: FrameSource
+    camera: Camera
+    label_offset: NDArray[np.float64] | None
+    settings: RunSettings
+    given: Given | None
+    poses: CameraPoses | None
+    moving: bool
+
+    @cached_property
+    def records_depend_on(self) -> dict[str, Any]:
+        """What the stored records depend on: priors and options may change, and networks need not look again."""
+        ask = self.request
+        files = {"source": Path(ask.source), "tracks": ask.tracks, "weights": ask.weights}
+        return {
+            **{name: None if path is None else _place(path) for name, path in files.items()},
+            **{f"{name}_sha256": content_hash(path) for name, path in files.items()},
+            "fps": DEFAULT_RATE if self.source.assumed_rate else ask.fps,
+            "every": ask.every,
+            "start": ask.start,
+            "end": ask.end,
+            "category": self.settings.prior.category.name,
+            "forget_ids": ask.forget_ids,
+        }
+
+
+def _place(path: Path) -> str:
+    """Where something is; a pattern of files, or the name of shipped weights, as it is."""
+    return str(path.resolve() if path.exists() else path)
+
+
+def prepare_video(request: VideoRequest, warn: Warn) -> VideoJob:
+    """Read what is requested, refuse what cannot be done, and find the camera, before the work.
+
+    Args:
+        request: What is requested.
+        warn: Called with what was assumed.
+
+    Raises:
+        InvalidInputError: Something cannot be used; names it.
+        MissingPackageError: A package for videos is not installed.
+    """
+    check_folder(request.out)
+    refuse_batch(request.out)
+    if request.video is not None:
+        check_video(request.video)
+    ground, options = request.settings.ground, request.settings.options
+    if ground is not None and ground.is_vague:
+        fix = "Give the plane, NX,NY,NZ,D, or leave it out: vehicles are told apart by where they stand."
+        raise InvalidInputError("ground", ground.distance, fix)
+    source, given = _open_source(request)
+    if source.assumed_rate:
+        warn(f"No --fps is given: {DEFAULT_RATE:g} frames per second are assumed; speeds go with it.")
+    source_has = BoxModel.DETECTED if given is None else BoxModel.CUBOID if given.cuboids else BoxModel.SURFACE
+    box = replace(options.box, model=request.box_model or source_has)
+    settings = replace(request.settings, options=replace(options, box=box))
+    moving = _is_moving(request, source)
+    if request.picture_frame is not None and not _may_have(source, request.picture_frame):
+        raise InvalidInputError("picture_frame", request.picture_frame, "Give the number of one of the frames.")
+    poses = None if request.poses is None else read_poses(request.poses)
+    camera, offset = _camera(request, source, given, settings, warn)
+    return VideoJob(request, source, camera, offset, settings, given, poses, moving)
+
+
+def _may_have(source: FrameSource, number: int) -> bool:
+    """Whether there can be a frame of this number; a video's head may say a frame too few."""
+    if not isinstance(source, VideoFrames):
+        return number in source.numbers
+    every, starts = source.choice.every, source.choice.start == 0.0
+    last = source.count * every if starts and source.count is not None else number
+    return 0 <= number <= last and number % every == 0
+
+
+def _is_moving(request: VideoRequest, source: FrameSource) -> bool:
+    """Whether the camera's motion is estimated: where it makes results better, if nothing is said."""
+    images, ground = not isinstance(source, NumberedFrames), request.settings.ground
+    if request.estimate_motion is None:
+        return images and not request.alone and request.poses is None and ground is not None
+    if request.estimate_motion:
+        if not images:
+            raise InvalidInputError("estimate_motion", request.source, "Give images: keypoints alone have none.")
+        if request.poses is not None:
+            raise InvalidInputError("poses", str(request.poses), "Give either --poses or --estimate-motion.")
+        if ground is None:
+            fix = "Give --camera-height or --ground: how far the camera goes is measured on the ground."
+            raise InvalidInputError("estimate_motion", "no ground", fix)
+    return request.estimate_motion
+
+
+def _open_source(request: VideoRequest) -> tuple[FrameSource, Given | None]:
+    """The frames, and the vehicles that others have detected, beside the images or in their place."""
+    path, category = Path(request.source), request.settings.prior.category
+    choice: dict[str, Any] = {
+        "rate": request.fps,
+        "every": request.every,
+        "start": request.start,
+        "end": request.end,
+    }
+    if path.suffix.lower() == ".json":
+        if request.tracks is not None:
+            raise InvalidInputError("tracks", str(request.tracks), "Leave it out: keypoints are given already.")
+        given = read_given(path, category, forget_ids=request.forget_ids)
+        if request.video is not None:
+            raise InvalidInputError("video", request.source, "Give images: keypoints alone have none.")
+        return numbered_frames(path, given.vehicles, times=given.times, **choice), given
+    if request.forget_ids and request.tracks is None:
+        raise InvalidInputError("forget_ids", value=True, fix="Give --tracks as well, or leave it out.")
+    source = open_frames(request.source, **choice)
+    if request.tracks is None:
+        return source, None
+    return source, read_given(request.tracks, category, forget_ids=request.forget_ids, source=source)
+
+
+def _camera(
+    request: VideoRequest, source: FrameSource, given: Given | None, settings: RunSettings, warn: Warn
+) -> tuple[Camera, NDArray[np.float64] | None]:
+    """The camera, with the size of the first image that can be read, and the offset of KITTI's labels."""
+    frame = next((frame for frame in source.read() if frame.image is not None), None)
+    image = None if frame is None else frame.image
+    if image is None and (given is None or not given.complete):
+        raise InvalidInputError("source", request.source, "Give frames of which at least one can be read.")
+    camera, offset = request.camera.camera(source.first_file.name)
+    if camera is None and given is not None:
+        camera = given.camera
+    if camera is None and (beside := calibration_beside(source.first_file)) is not None:
+        camera, offset = beside.camera, beside.label_offset
+    size = None if image is None else (image.shape[1], image.shape[0])
+    whole = None if camera is not None or size is None else request.camera.whole_of(size)
+    if whole is not None and frame is not None and isinstance(source, ImageFrames):
+        file = source.paths[source.numbers.index(frame.number)]
+        camera = read_photograph(file, whole)[1]  # by its EXIF data
+    known = camera is not None
+    if camera is None and whole is not None:
+        camera = Camera.of_unknown(*whole)
+    if camera is None:
+        raise InvalidInputError("camera", "none", "Give --camera or --intrinsics.")
+    camera = request.camera.complete(camera, declared=False)
+    if size is not None:
+        camera = replace(camera, image_size=size)
+    if not known:
+        look = _detector(request.weights, settings, given)
+        camera = _estimated_camera(source, look, settings, camera, warn)
+    return replace(camera, focal_sigma=0.0), offset  # one focal length for all frames
+
+
+def _estimated_camera(
+    source: FrameSource, look: FrameDetector, settings: RunSettings, unknown: Camera, warn: Warn
+) -> Camera:
+    """The camera estimated from the vehicles of some frames, or one with a usual field of view."""
+    found = estimate_camera(source, look, unknown, **settings.arguments())
+    if found is None:
+        warn(
+            f"No camera is given, and no car tells: a horizontal field of view of {DEFAULT_FIELD_OF_VIEW:g} degrees is "
+            "assumed, and distances are rough. Give --camera or --intrinsics."
+        )
+        return unknown
+    cars = f"{counted(found.vehicles, 'car')} of {counted(found.images, 'frame')}"
+    warn(assumed_focal_length(found.camera, None, cars))
+    return found.camera
+
+
+def _detector(weights: Path | None, settings: RunSettings, given: Given | None) -> FrameDetector:
+    """What looks at the frames."""
+    return FrameDetector(
+        settings.prior.category,
+        vehicle_detector=NanodetVehicleDetector() if given is None else None,
+        keypoint_detector=None if given is not None and given.complete else KeypointCascade(weights),
+        given=None if given is None else given.vehicles,
+    )
+
+
+def track_video(
+    job: VideoJob,
+    warn: Warn,
+    *,
+    go_on: Callable[[VideoRun, SourceFrame | None], bool] = lambda run, frame: True,  # noqa: ARG005 - to the end
+    window_graph: bool = False,
+) -> VideoRun:
+    """Look at the frames, follow the vehicles, smooth.
+
+    Args:
+        job: What is to be done.
+        warn: Called with what is doubtful of the input.
+        go_on: Called after each frame, as that of `fgrecon.video.run_video`.
+        window_graph: Whether frames keep the factor graph of the tracker's window, for a viewer.
+
+    Raises:
+        InvalidInputError: The folder holds another run.
+    """
+    request, given = job.request, job.given
+    arguments = job.settings.arguments()
+    ground = arguments.pop("ground")
+    tracker = SingleImageTracker(**arguments) if request.alone else Tracker(**arguments, shared_ground=request.together)
+    forget = tracker.forget if request.online and isinstance(tracker, Tracker) else None  # nothing smooths their past
+    ids: dict[str, Any] = {} if given is None else {"settings": given.association, "first": given.largest_id + 1}
+    follower = Follower(
+        *(tracker, GatedAssociation(**ids, given_up=forget), job.camera),
+        ground=ground,
+        poses=job.poses,
+        moving=job.moving,
+        window_graph=tracker.window_graph if isinstance(tracker, Tracker) and window_graph else None,
+    )
+    run = run_video(
+        job.source,
+        _detector(request.weights, job.settings, given),
+        follower,
+        request.out,
+        settings=job.records_depend_on,
+        motion=MotionEstimator(job.camera, ground) if job.moving and ground is not None else None,
+        online=request.online or request.alone,
+        go_on=go_on,
+    )
+    if isinstance(tracker, Tracker) and (off := tracker.boxes_off()) is not None:
+        warn(boxes_warning(off))
+    for line in _given_warnings(job, run):
+        warn(line)
+    return run
+
+
+def _given_warnings(job: VideoJob, run: VideoRun) -> list[str]:
+    """What to warn of the vehicles that were given: none in any frame, or doubtful keypoints."""
+    given, numbers = job.given, [frame.number for frame in run.frames]
+    if given is None:
+        return []
+    lines = []
+    if numbers and not run.stopped and given.vehicles.keys().isdisjoint(numbers):
+        lines.append(
+            f"No vehicle is given in a frame of the video: those are frames {min(numbers)} to {max(numbers)}, and the "
+            f"vehicles are in frames {min(given.vehicles)} to {max(given.vehicles)}."
+        )
+    if given.cuboids:  # no keypoints, but boxes in which the network has detected them
+        return lines
+    doubts = Doubts()
+    for frame in run.frames:
+        for identity, seen in frame.observations.items():
+            name = f"{identity} in {frame.name}"
+            doubts.add(name, doubt_of(seen, job.camera))
+            if (estimate := frame.estimates.get(identity)) is not None:
+                doubts.add_fit(name, hardly=hardly_fits(seen, estimate.reconstruction.weights))
+    return lines + doubts.lines()
+
+
+def write_tracks(job: VideoJob, run: VideoRun) -> None:
+    """Write tables and frames into the folder of the results, each file whole.
+
+    Raises:
+        InvalidInputError: A file cannot be written.
+    """
+    out = job.request.out
+    write_text(out / "tracks.txt", tracking_text(run.frames, job.label_offset))
+    write_text(out / "frames.jsonl", "".join(frame_lines(run.frames, job.settings.ground)))
+    for name, flat in (("tracks.csv", True), ("tracks.parquet", False)):
+        if rows := rows_of(run.frames, flat=flat):
+            export_rows(out / name, rows)
+        else:  # there are no columns without a row, and a table of the run before would be taken for this one's
+            (out / name).unlink(missing_ok=True)
